@@ -18,8 +18,8 @@ Excitation = Literal["multisine", "chirp"]
 FILES = Annotated[
     list[Path] | None,
     typer.Argument(
-        help="Measured responses (.uff, .unv, .csv, .npz, .lvm, .txt), or the folder of an earlier scan, instead "
-        "of a rig.",
+        help="Measured responses or records over time (.uff, .unv, .csv, .npz, .lvm, .txt), or folders of earlier "
+        "scans, instead of a rig; what is measured again is a repeat.",
         show_default=False,
     ),
 ]
@@ -145,6 +145,7 @@ def _show(result: dict[str, Any]) -> None:
     if others:
         console.print(f"[dim]Also seen, and kept out of the table: {', '.join(others)} Hz[/]")
     console.print(f"[dim]M{result['misfit_verdict'][1:]}[/]")
+    console.print(f"[dim]{result['repeatability'][:1].upper()}{result['repeatability'][1:]}[/]")
     for warning in result["warnings"]:
         console.print(f"[yellow]{warning[:1].upper()}{warning[1:]}[/]")
     beam = result["free_free"]

@@ -242,7 +242,7 @@ def test_unknown_units_and_saturated_records_are_refused(tmp_path: Path) -> None
     """Mils are no unit here; a record that stays at its end was cut."""
     with pytest.raises(ValueError, match="its channels are in mil, Newtons; needed are one motion"):
         read_responses([write_lvm(tmp_path / "a.lvm", unit="mil")])
-    with pytest.raises(ValueError, match="the channel in g stays at .* it was saturated; measure again"):
+    with pytest.raises(ValueError, match="the motion stays at .* it was saturated; measure again"):
         read_responses([write_lvm(tmp_path / "b.lvm", clipped=True)])
 
 

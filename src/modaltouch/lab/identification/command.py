@@ -23,16 +23,17 @@ from modaltouch.lab.identification.excitation import (
     highest_needed,
 )
 from modaltouch.lab.identification.export import check_export, export
-from modaltouch.lab.identification.files import ResponseFormat, read_responses
+from modaltouch.lab.identification.files import read_responses
 from modaltouch.lab.identification.joint_fit import identify as fit_jointly
 from modaltouch.lab.identification.joint_fit import identify_each
+from modaltouch.lab.identification.repeats import over_repeats
 from modaltouch.lab.identification.report import (
     COMMAND,
     as_dict,
     identified_apparatus,
     write_identification,
 )
-from modaltouch.lab.identification.responses import FrequencyResponses, Quantity, responses_of
+from modaltouch.lab.identification.responses import FrequencyResponses, Quantity, ResponseFormat, responses_of
 from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.identification.verdict import check_all, check_gains, check_modes
 from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, open_laboratory
@@ -53,7 +54,7 @@ class IdentifyOptions:
     apparatus : Path
         The apparatus file whose table is replaced, or the name of a shipped one.
     files : tuple of Path
-        Files of measured responses, or the folder of an earlier scan; empty to measure on a rig.
+        Files of measured responses, or folders of earlier scans; empty to measure on a rig.
     rig : str
         ``simulated``, or the generator's VISA address.
     out : Path
@@ -191,13 +192,13 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress | None = No
     heard = progress or MeasurementProgress()
     if options.export is not None:
         check_export(options.export)
-    scanned = options.files[0] if len(options.files) == 1 and options.files[0].is_dir() else None
-    if options.files and scanned is None:
+    folders = options.files if all(path.is_dir() for path in options.files) else ()
+    if options.files and not folders:
         responses = _read(options)
         if responses.positions is None or responses.n_points < FEWEST_SHAPE_POINTS:
             refuse_other(options.out, COMMAND)
             with _fitting(heard):
-                found = identify_each(responses)
+                found = over_repeats(identify_each(responses))
             check_all(found)
             sources = [path.name for path in options.files]
             return IdentificationReport(found, "file", sources, options.out, export=options.export)
@@ -210,17 +211,17 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress | None = No
         }
         return beam.fit(beam.chosen(responses), facts, heard)
     beam = _Beam(options)
-    scans = beam.measure(heard) if scanned is None else beam.read(scanned)
-    first = next(iter(scans.values())).facts
+    measured = [beam.read(folder) for folder in folders] or [beam.measure(heard)]
+    first = next(iter(measured[0].values())).facts
     facts = {
         "date": first["begun"],
         "mode": first["mode"],
-        "source": (scanned or options.out).as_posix(),
+        "source": ", ".join(folder.as_posix() for folder in folders or (options.out,)),
         "generator": first["settings"]["generator"],
         "scope": first["settings"]["scope"],
         "method": f"{first['settings']['about']['stimulus']}, H1 by the measured drive, joint fit of all responses",
     }
-    responses = responses_of(scans, beam.bandwidth)
+    responses = FrequencyResponses.of_repeats([responses_of(scans, beam.bandwidth) for scans in measured])
     return beam.fit(responses.between(1.5 * LOWEST, float(responses.frequency[-1])), facts, heard)
 
 
@@ -317,6 +318,7 @@ class _Beam:
             coherence=None if responses.coherence is None else responses.coherence[rows],
             sets=self.sets,
             bandwidth=self.bandwidth,
+            repeats=tuple(self.chosen(each) for each in responses.repeats),
         )
 
     def fit(
@@ -329,7 +331,7 @@ class _Beam:
         if responses.positions is not None:
             check_points(responses.positions, self.labels, self.length)
         with _fitting(progress):
-            found = fit_jointly(responses, self.length, clock_tolerance=CLOCK_TOLERANCE)
+            found = over_repeats(fit_jointly(responses, self.length, clock_tolerance=CLOCK_TOLERANCE))
         check_modes(found, self.labels)
         check_gains(found, self.apparatus)
         labels = self.labels

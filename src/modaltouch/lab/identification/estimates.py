@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray
-from modaltouch.lab.identification.peaks import HalfPower
+from modaltouch.lab.identification.peaks import HalfPower, Poles
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.lab.identification.rest import Rest
 
@@ -69,6 +69,8 @@ class IdentifiedMode:
     residue : (n,) complex array
         Of the points under the excitation that drives it most, or of all responses where the points are unknown, where
         residues may be complex [m/s^2 per V].
+    n_repeats : int
+        Measurements whose scatter the intervals hold; with one, repeatability is unknown.
     """
 
     label: int | None
@@ -82,6 +84,7 @@ class IdentifiedMode:
     coherence: float
     rest: Rest
     residue: ComplexArray
+    n_repeats: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +105,8 @@ class Identification:
         Length of the beam [m].
     fitted : (n_sets, n_points, n_bins) complex array
         What the fit makes of the responses; NaN where nothing was fitted.
+    poles : Poles or None
+        Of the joint fit, those beyond the band included; None where each mode was fitted by itself.
     """
 
     modes: tuple[IdentifiedMode, ...]
@@ -110,6 +115,7 @@ class Identification:
     responses: FrequencyResponses
     length: float | None
     fitted: ComplexArray
+    poles: Poles | None = None
 
     def mode(self, label: int) -> IdentifiedMode:
         """Return the mode of a label.

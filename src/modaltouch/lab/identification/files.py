@@ -1,4 +1,4 @@
-"""Frequency responses from files of other programs: UFF (data set 58), CSV, NPZ, LabVIEW (LVM), plain numbers."""
+"""Frequency responses, and records over time, from files of other programs: UFF, CSV, NPZ, LVM, plain numbers."""
 
 from __future__ import annotations
 
@@ -6,206 +6,88 @@ import csv
 import math
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray
-from modaltouch.lab.identification.responses import QUANTITIES, FrequencyResponses, Quantity, as_velocity
+from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.identification.responses import (
+    QUANTITIES,
+    FrequencyResponses,
+    Key,
+    MeasuredResponse,
+    Part,
+    Quantity,
+    ResponseFormat,
+    as_velocity,
+)
+from modaltouch.lab.identification.time_records import TimeRecord, part_of, read_lvm
 
-Key = tuple[str, float | None]
-"""Excitation and position [m] of a response; no position where a file does not say it."""
-
-
-@dataclass(frozen=True)
-class ResponseFormat:
-    """How a file is to be read where it does not say so itself.
-
-    Attributes
-    ----------
-    quantity : str or None
-        ``velocity``, ``displacement`` or ``acceleration``; None takes the file's word.
-    conjugated : bool
-        Whether the responses follow the time law exp(-i w t).
-    spacing : float or None
-        Distance of two bins of a file that holds bare numbers [Hz].
-    n_averages : int
-        Records behind each response, where there is a coherence.
-    use_clipped : bool
-        Whether the free decay after the last saturated sample of a motion is used.
-    """
-
-    quantity: Quantity | None = None
-    conjugated: bool = False
-    spacing: float | None = None
-    n_averages: int = 1
-    use_clipped: bool = False
-
-
-class _Part(NamedTuple):
-    """The responses of one file, by excitation and position [m], in SI units of the quantity, where it names one."""
-
-    frequency: FloatArray
-    response: dict[Key, ComplexArray]
-    coherence: dict[Key, FloatArray]
-    quantity: Quantity | None
-    marks: tuple[str, ...] = ()
-
-
-UNITS: dict[str, tuple[Quantity, float]] = {
-    "m/s^2": ("acceleration", 1.0),
-    "m/s2": ("acceleration", 1.0),
-    "mm/s^2": ("acceleration", 1e-3),
-    "g": ("acceleration", 9.80665),
-    "m/s": ("velocity", 1.0),
-    "mm/s": ("velocity", 1e-3),
-    "um/s": ("velocity", 1e-6),
-    "m": ("displacement", 1.0),
-    "mm": ("displacement", 1e-3),
-    "um": ("displacement", 1e-6),
-}
-"""Units of motion: what they are of, and their size in SI."""
-
-MOST_AT_END = 3
-"""Samples at its highest or lowest value up to which a record was not saturated."""
-
-DRIVES = {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3, "n": 1.0, "newton": 1.0, "newtons": 1.0, "kn": 1e3}
-"""Units of excitation and their size in SI, folded to small letters."""
-
-
-def _read_lvm(path: Path, how: ResponseFormat) -> _Part:
-    """Return the response of a LabVIEW measurement: one motion and one excitation over time, of one blow."""
-    text = path.read_text(encoding="utf-8-sig")
-    head, mark, body = text.rpartition("***End_of_Header***")
-    if not mark:
-        raise ValueError(f"{path}: has no ***End_of_Header***; export a LabVIEW measurement (LVM) with its header")
-    comma = re.search(r"^Decimal_Separator\t,", head, re.MULTILINE) is not None
-    fields = {row[0]: row[1:] for row in (line.split("\t") for line in head.splitlines()) if row}
-    units = [unit.strip() for unit in fields.get("Y_Unit_Label", ()) if unit.strip()]
-    motion = [index for index, unit in enumerate(units) if unit in UNITS]
-    drive = [index for index, unit in enumerate(units) if unit.casefold() in DRIVES]
-    if len(motion) != 1 or len(drive) != 1:
-        raise ValueError(
-            f"{path}: its channels are in {', '.join(units) or 'no unit'}; needed are one motion (in "
-            f"{', '.join(UNITS)}) and one excitation (in V or N)"
-        )
-
-    def number(cell: str) -> float:
-        return float(cell.replace(",", ".") if comma else cell)
-
-    rows: list[list[float]] = []
-    first_line = head.count("\n") + 1
-    for line, cells in enumerate((row.split("\t") for row in body.splitlines()), start=first_line):
-        wanted = [cell for cell in cells[1 : len(units) + 1] if cell.strip()]
-        if len(wanted) != len(units) or wanted[0][:1].isalpha():
-            continue
-        try:
-            rows.append([number(cell) for cell in wanted])
-        except ValueError:
-            raise ValueError(f"{path}:{line}: {wanted} are no numbers") from None
-    if len(rows) < 64:
-        raise ValueError(f"{path}: holds {len(rows)} samples; at least 64 are needed")
-    record = np.array(rows).T
-    quantity, size = UNITS[units[motion[0]]]
-    step = number(fields["Delta_X"][motion[0]])
-    moved, driven = record[motion[0]] * size, record[drive[0]] * DRIVES[units[drive[0]].casefold()]
-    frequency, response = transfer(moved, driven, step)
-    key = (units[drive[0]], None)
-    last = [_last_cut(path, row, unit, step, how.use_clipped) for row, unit in zip(record, units, strict=True)]
-    if max(last) < 0:
-        return _Part(frequency, {key: response}, {}, quantity)
-    if last[drive[0]] >= 0:
-        raise ValueError(f"{path}: its excitation was saturated, and nothing can be divided by it: measure again")
-    # Only natural frequencies and damping ratios are read off it, each mode with a phase of its own.
-    decay = np.where(np.arange(moved.size) > max(last), moved - moved[: _quiet(moved)].mean(), 0.0)
-    spectrum = np.fft.rfft(np.roll(decay, -max(last) - 1))[: frequency.size]
-    since = (max(last) + 1) * step * 1e3
-    mark = f"the record {path.name} was saturated: its free decay from {since:.4g} ms on was used alone"
-    return _Part(frequency, {key: np.asarray(spectrum, dtype=complex)}, {}, quantity, (mark,))
-
-
-def _last_cut(path: Path, row: FloatArray, unit: str, step: float, use_clipped: bool) -> int:
-    """Return the last sample at which a record stays at its highest or lowest value, as a converter does; else -1."""
-    cut = [np.flatnonzero(row == end) for end in (row.max(), row.min()) if abs(end) > 0.5 * np.abs(row).max()]
-    cut = [at for at in cut if at.size > MOST_AT_END]
-    last = max((int(at[-1]) for at in cut), default=-1)
-    if cut and not use_clipped:
-        raise ValueError(
-            f"{path}: the channel in {unit} stays at {row[cut[0][0]]:g} for {cut[0].size} samples: it was saturated; "
-            f"measure again with a wider range, or use its free decay from {(last + 1) * step * 1e3:.4g} ms on with "
-            "--use-clipped"
-        )
-    return last
-
-
-def _quiet(record: FloatArray) -> int:
-    """Return how many first samples count as zero."""
-    return max(8, record.size // 2500)
-
-
-def transfer(motion: FloatArray, drive: FloatArray, step: float) -> tuple[FloatArray, ComplexArray]:
-    """Return the response of one record that begins and ends at rest.
-
-    Parameters
-    ----------
-    motion, drive : (n_samples,) array
-        Over time; their first samples, before the blow, count as zero.
-    step : float
-        Between samples [s].
-
-    Returns
-    -------
-    frequency : (n_bins,) array
-        As far as the drive has a hundredth of its highest spectral density [Hz].
-    response : (n_bins,) complex array
-        Spectrum over spectrum.
-    """
-    quiet = _quiet(motion)
-    motion, drive = motion - motion[:quiet].mean(), drive - drive[:quiet].mean()
-    spectrum = np.fft.rfft(drive)
-    frequency = np.fft.rfftfreq(drive.size, step)
-    level = np.convolve(np.abs(spectrum), np.ones(25) / 25, "same")
-    weak = np.flatnonzero(level < 0.05 * level.max())
-    end = int(weak[weak > level.argmax()][0]) if (weak > level.argmax()).any() else frequency.size
-    return np.asarray(frequency[:end], dtype=float), np.asarray(np.fft.rfft(motion)[:end] / spectrum[:end])
-
-
-_FUNCTION, _RESPONSE = 58, 4
+_FUNCTION, _TIME, _RESPONSE = 58, 1, 4
 _NODES = (15, 2411)
 _UNITS = 164
 _QUANTITIES: dict[int, Quantity] = {8: "displacement", 11: "velocity", 12: "acceleration"}
 """What a specific data type of an ordinate's numerator is."""
 
 
-def _read_universal(path: Path, how: ResponseFormat) -> _Part:
-    """Return the responses of a universal file.
+def _read_universal(path: Path, how: ResponseFormat) -> Part:
+    """Return the responses of a universal file, or those of its records over time.
 
     Positions are those of the response nodes along the axis in which the nodes spread most, from their middle.
     """
     sets = _read_sets(path)
-    functions = [each for each in sets if each["type"] == _FUNCTION and each["func_type"] == _RESPONSE]
+    functions = [each for each in sets if each["type"] == _FUNCTION and each["func_type"] in (_TIME, _RESPONSE)]
     if not functions:
         held = ", ".join(sorted({str(each["type"]) for each in sets})) or "none"
-        raise ValueError(f"{path}: no frequency response among the data sets ({held}); export data set 58 of type 4")
-    places = _places(sets, functions)
-    size = _size(sets)
-    kinds = {int(each.get("ordinate_spec_data_type", 0)) for each in functions}
+        raise ValueError(
+            f"{path}: no frequency response and no time record among the data sets ({held}); export data set 58 of "
+            "type 4 or 1"
+        )
+    responses = [each for each in functions if each["func_type"] == _RESPONSE]
+    moved = responses or [each for each in functions if _kind(each) in _QUANTITIES]
+    places, size = _places(sets, moved), _size(sets)
+    directions = {int(each["rsp_dir"]) for each in moved}
+
+    def name(function: dict[str, Any], reference: float) -> Key:
+        node, direction = int(function["rsp_node"]), int(function["rsp_dir"])
+        told = f"reference {int(reference)}" + (f" node {node}" if node not in places else "")
+        return told + (f" direction {direction}" if len(directions) > 1 else ""), places.get(node)
+
+    kinds = {_kind(each) for each in moved}
     if len(kinds) > 1:
         raise ValueError(f"{path}: its responses are of several quantities (types {sorted(kinds)}); export one of them")
-    frequency = np.asarray(functions[0]["x"], dtype=float)
-    found: dict[Key, ComplexArray] = {}
+    quantity = _QUANTITIES.get(next(iter(kinds), 0))
+    if responses:
+        frequency = np.asarray(responses[0]["x"], dtype=float)
+        for each in responses:
+            x = np.asarray(each["x"], dtype=float)
+            if x.shape != frequency.shape or not np.allclose(x, frequency):
+                raise ValueError(f"{path}: its responses have different frequencies; export them on one axis")
+        keys = [name(each, each["ref_node"]) for each in responses]
+        values = [np.asarray(np.asarray(each["data"], dtype=complex) / size, dtype=complex) for each in responses]
+        return Part(frequency, [MeasuredResponse(key, each) for key, each in zip(keys, values, strict=True)], quantity)
+    records = []
+    drive = next((each for each in functions if _kind(each) not in _QUANTITIES), None)
     for each in functions:
-        x = np.asarray(each["x"], dtype=float)
-        if x.shape != frequency.shape or not np.allclose(x, frequency):
-            raise ValueError(f"{path}: its responses have different frequencies; export them on one axis")
-        node = int(each["rsp_node"])
-        key = (f"reference {int(each['ref_node'])}", places.get(node))
-        if key in found:
-            key = (f"{key[0]} node {node} direction {int(each['rsp_dir'])}", key[1])
-        found[key] = np.asarray(np.asarray(each["data"], dtype=complex) / size, dtype=complex)
-    return _Part(frequency, found, {}, _QUANTITIES.get(next(iter(kinds))))
+        if _kind(each) not in _QUANTITIES:
+            drive = each
+        elif drive is not None:
+            # Each motion belongs to the excitation before it.
+            step = float(each["x"][1] - each["x"][0])
+            key = name(each, drive["rsp_node"])
+            records.append(TimeRecord(key, np.real(drive["data"]), np.real(each["data"]) / size, step))
+    if not records:
+        raise ValueError(
+            f"{path}: its time records are not of an excitation and of motions after it; say by the data type of each "
+            "ordinate which is which (8 displacement, 11 velocity, 12 acceleration, 13 force)"
+        )
+    return part_of(path, records, quantity, how)
+
+
+def _kind(function: dict[str, Any]) -> int:
+    return int(function.get("ordinate_spec_data_type", 0))
 
 
 def _read_sets(path: Path) -> list[dict[str, Any]]:
@@ -244,7 +126,10 @@ def _size(sets: list[dict[str, Any]]) -> float:
 
 
 CSV_COLUMNS = ("frequency_Hz", "set", "position_mm", "real", "imag")
-"""Columns of responses as CSV; ``coherence`` may follow."""
+"""Columns of responses as CSV; ``coherence`` may follow. Repeats follow each other, or stand in several files."""
+
+TIME_COLUMNS = ("time_s", "set", "position_mm", "drive", "motion")
+"""Columns of records over time as CSV, in SI units."""
 
 
 def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> FrequencyResponses:
@@ -268,24 +153,40 @@ def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> 
         raise ValueError("no file is given: name at least one")
     parts = [(path, _read(path, how)) for path in paths]
     first_path, first = parts[0]
-    response: dict[Key, ComplexArray] = {}
-    coherence: dict[Key, FloatArray] = {}
+    n_bins = min(part.frequency.size for _, part in parts)
+    frequency = first.frequency[:n_bins]
+    found: dict[Key, list[MeasuredResponse]] = {}
+    by_file: list[dict[Key, list[MeasuredResponse]]] = []
     for path, part in parts:
-        if part.frequency.shape != first.frequency.shape or not np.allclose(part.frequency, first.frequency):
+        if not np.allclose(part.frequency[:n_bins], frequency):
             raise ValueError(f"{path}: has other frequencies than {first_path}; give files of one measurement")
         quantity = _quantity(path, part, how)
-        for key, values in part.response.items():
-            name = key if key not in response else (f"{path.stem} {key[0]}", key[1])
-            if name in response:
-                raise ValueError(f"{path}: has {key[0]} at {key[1]} again; give each response once")
-            response[name] = as_velocity(part.frequency, np.conj(values) if how.conjugated else values, quantity)
-            if key in part.coherence:
-                coherence[name] = part.coherence[key]
-    marks = tuple(mark for _, part in parts for mark in part.marks)
-    return replace(_assemble(first_path, first.frequency, response, coherence, how.n_averages), marks=marks)
+        of_file: dict[Key, list[MeasuredResponse]] = {}
+        for key, values, coherence in part.responses:
+            # A response without a place may be of another one in each file.
+            name = (f"{path.stem} {key[0]}", None) if key[1] is None and key in found else key
+            velocity = as_velocity(part.frequency, np.conj(values) if how.conjugated else values, quantity)[:n_bins]
+            each = MeasuredResponse(name, velocity, None if coherence is None else coherence[:n_bins])
+            of_file.setdefault(name, []).append(each)
+        for name, repeats in of_file.items():
+            found.setdefault(name, []).extend(repeats)
+        by_file.append(of_file)
+    marks = [mark for _, part in parts for mark in part.marks]
+    n_repeats = [len(repeats) for repeats in found.values()]
+    if min(n_repeats) < max(n_repeats):
+        marks.append(
+            f"{sum(n_repeats) - min(n_repeats) * len(n_repeats)} repeats were left out: not every point has as many"
+        )
+    whole = FrequencyResponses.of_repeats(
+        [_assemble(first_path, frequency, found, repeat, how.n_averages) for repeat in range(min(n_repeats))]
+    )
+    if whole.positions is None and not whole.repeats and len(by_file) > 1:
+        alone = [_assemble(path, frequency, each, 0, how.n_averages) for path, each in zip(paths, by_file, strict=True)]
+        whole = replace(whole, repeats=tuple(alone))
+    return replace(whole, marks=tuple(marks))
 
 
-def _quantity(path: Path, part: _Part, how: ResponseFormat) -> Quantity:
+def _quantity(path: Path, part: Part, how: ResponseFormat) -> Quantity:
     said, found = how.quantity, part.quantity
     if said is None and found is None:
         raise ValueError(f"{path}: does not say whether it holds a velocity, a displacement or an acceleration; say so "
@@ -296,13 +197,11 @@ def _quantity(path: Path, part: _Part, how: ResponseFormat) -> Quantity:
 
 
 def _assemble(
-    path: Path,
-    frequency: FloatArray,
-    response: dict[Key, ComplexArray],
-    coherence: dict[Key, FloatArray],
-    n_averages: int,
+    path: Path, frequency: FloatArray, found: dict[Key, list[MeasuredResponse]], repeat: int, n_averages: int
 ) -> FrequencyResponses:
-    """Return responses as a whole: sets by positions where every set is measured everywhere, else one by one."""
+    """Return a repeat as a whole: sets by positions where every set is measured everywhere, else one by one."""
+    response = {key: repeats[repeat].values for key, repeats in found.items()}
+    coherence = {key: repeats[repeat].coherence for key, repeats in found.items()}
     _check_axis(path, frequency)
     usable = frequency > 0
     for (name, place), values in response.items():
@@ -319,13 +218,14 @@ def _assemble(
             "position"
         )
     keys = [[(name, place) for place in places] for name in sets] if whole else [[key] for key in response]
-    known = n_averages > 1 and all(key in coherence for row in keys for key in row)
+    certain = [[coherence[key] for key in row] for row in keys]
+    known = n_averages > 1 and all(each is not None for row in certain for each in row)
     return FrequencyResponses(
         frequency=frequency[usable],
         response=np.array([[response[key][usable] for key in row] for row in keys]),
         positions=np.array(places) if whole else None,
         sets=sets if whole else tuple(row[0][0] for row in keys),
-        coherence=np.array([[coherence[key][usable] for key in row] for row in keys]) if known else None,
+        coherence=np.array(certain)[..., usable] if known else None,
         n_averages=n_averages if known else 1,
     )
 
@@ -338,15 +238,15 @@ def _check_axis(path: Path, frequency: FloatArray) -> None:
         raise ValueError(f"{path}: its frequencies are not evenly spaced and increasing; export them so")
 
 
-def _read(path: Path, how: ResponseFormat) -> _Part:
+def _read(path: Path, how: ResponseFormat) -> Part:
     if not path.is_file():
         raise ValueError(f"{path}: there is no such file")
-    readers: dict[str, Callable[[Path, ResponseFormat], _Part]] = {
+    readers: dict[str, Callable[[Path, ResponseFormat], Part]] = {
         ".uff": _read_universal,
         ".unv": _read_universal,
         ".csv": _read_csv,
         ".npz": _read_npz,
-        ".lvm": _read_lvm,
+        ".lvm": read_lvm,
         ".txt": _read_text,
     }
     reader = readers.get(path.suffix.lower())
@@ -360,13 +260,14 @@ def _read(path: Path, how: ResponseFormat) -> _Part:
         raise ValueError(f"{path}: is no text in UTF-8 (byte {error.start}); export it again") from None
 
 
-def _read_csv(path: Path, how: ResponseFormat) -> _Part:
+def _read_csv(path: Path, how: ResponseFormat) -> Part:
     with path.open(encoding="utf-8-sig", newline="") as file:
         rows = list(csv.reader(file))
     header = [cell.strip() for cell in rows[0]] if rows else []
-    missing = [name for name in CSV_COLUMNS if name not in header]
+    needed = TIME_COLUMNS if TIME_COLUMNS[0] in header else CSV_COLUMNS
+    missing = [name for name in needed if name not in header]
     if missing:
-        raise ValueError(f"{path}:1: lacks the column {missing[0]}; needed are {', '.join(CSV_COLUMNS)}")
+        raise ValueError(f"{path}:1: lacks the column {missing[0]}; needed are {', '.join(needed)}")
     read: dict[Key, list[tuple[float, complex, float]]] = {}
     for line, row in enumerate(rows[1:], start=2):
         if not row:
@@ -374,58 +275,76 @@ def _read_csv(path: Path, how: ResponseFormat) -> _Part:
         try:
             cells = {name: row[index].strip() for index, name in enumerate(header)}
             key = (cells["set"], float(cells["position_mm"]) * 1e-3 if cells["position_mm"] else None)
-            number = complex(float(cells["real"]), float(cells["imag"]))
+            number = complex(float(cells[needed[3]]), float(cells[needed[4]]))
             certain = float(cells["coherence"]) if "coherence" in cells else math.nan
-            read.setdefault(key, []).append((float(cells["frequency_Hz"]), number, certain))
+            read.setdefault(key, []).append((float(cells[needed[0]]), number, certain))
         except (ValueError, IndexError):
             raise ValueError(f"{path}:{line}: {','.join(row)!r} is not a line of numbers under the header") from None
     if not read:
         raise ValueError(f"{path}: no line below the header")
-    columns = {key: [np.array(column) for column in zip(*each, strict=True)] for key, each in read.items()}
-    first = next(iter(columns.values()))[0]
-    odd = next((key for key, each in columns.items() if not np.array_equal(each[0], first, equal_nan=True)), None)
+    # A repeat begins where the axis begins anew.
+    repeats = [
+        (key, *each)
+        for key, lines in read.items()
+        for axis, numbers, certain in [[np.array(column) for column in zip(*lines, strict=True)]]
+        for each in zip(
+            *(
+                np.split(column, np.flatnonzero(np.diff(axis) < -np.ptp(axis) / 2) + 1)
+                for column in (axis, numbers, certain)
+            ),
+            strict=True,
+        )
+    ]
+    first = repeats[0][1]
+    odd = next((key for key, axis, *_ in repeats if not np.array_equal(axis, first, equal_nan=True)), None)
     if odd is not None:
-        raise ValueError(f"{path}: the set {odd[0]} at {odd[1]} m has other frequencies than the first response")
-    coherence = {key: each[2] for key, each in columns.items()} if "coherence" in header else {}
-    return _Part(first, {key: each[1] for key, each in columns.items()}, coherence, None)
+        what = "times" if needed is TIME_COLUMNS else "frequencies"
+        raise ValueError(f"{path}: the set {odd[0]} at {odd[1]} m has other {what} than the first response")
+    if needed is TIME_COLUMNS:
+        step = float(first[-1] - first[0]) / max(first.size - 1, 1)
+        return part_of(path, [TimeRecord(key, n.real, n.imag, step) for key, _, n, _ in repeats], None, how)
+    known = "coherence" in header
+    return Part(first, [MeasuredResponse(key, n, certain if known else None) for key, _, n, certain in repeats], None)
 
 
-def _read_npz(path: Path, how: ResponseFormat) -> _Part:
+def _read_npz(path: Path, how: ResponseFormat) -> Part:
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
             arrays = dict(file)
-        frequency = np.asarray(arrays["frequency"], dtype=float)
-        response = np.asarray(arrays["response"], dtype=complex)
+        over_time = "time" in arrays
+        axis = np.asarray(arrays["time" if over_time else "frequency"], dtype=float)
+        values = arrays["drive"] + 1j * arrays["motion"] if over_time else np.asarray(arrays["response"], dtype=complex)
         sets = [str(name) for name in arrays["sets"]]
-        n_points = response.shape[1]
+        n_points = values.shape[-2]
         places = [float(each) for each in arrays["positions"]] if "positions" in arrays else [None] * n_points
-        if response.shape != (len(sets), len(places), frequency.size):
-            raise ValueError(f"response has the form {response.shape}")
+        if values.shape[-3:] != (len(sets), len(places), axis.size) or values.ndim > 4:
+            raise ValueError(f"{'drive' if over_time else 'response'} has the form {values.shape}")
+        values = values.reshape(-1, *values.shape[-3:])
+        coherence = np.asarray(arrays.get("coherence", np.nan), dtype=float) * np.ones(values.shape)
     # numpy and zipfile raise whatever damage makes them meet.
     except Exception as error:
         raise ValueError(
-            f"{path}: cannot be read ({error}); needed are frequency [Hz], response (sets, positions, bins), sets, and "
-            "positions [m]"
+            f"{path}: cannot be read ({error}); needed are frequency [Hz] and response (sets, positions, bins), or "
+            "time [s], drive and motion (sets, positions, samples), sets, and positions [m]; repeats may stand in front"
         ) from None
-    # Without positions the points are told apart by their number.
-    keys = [
-        [(name if place is not None else f"{name} {point}", place) for point, place in enumerate(places, start=1)]
-        for name in sets
-    ]
-    cells = [(key, s, p) for s, row in enumerate(keys) for p, key in enumerate(row)]
-    coherence = arrays.get("coherence")
     quantity = str(arrays["quantity"]) if "quantity" in arrays else None
     if quantity is not None and quantity not in QUANTITIES:
         raise ValueError(f"{path}: the quantity is '{quantity}'; allowed: {', '.join(QUANTITIES)}")
-    return _Part(
-        frequency,
-        {key: response[s, p] for key, s, p in cells},
-        {} if coherence is None else {key: np.asarray(coherence[s, p], dtype=float) for key, s, p in cells},
-        quantity,
-    )
+    # Without positions the points are told apart by their number.
+    found = [
+        ((name if place is not None else f"{name} {point + 1}", place), each[s, point], certain[s, point])
+        for each, certain in zip(values, coherence, strict=True)
+        for s, name in enumerate(sets)
+        for point, place in enumerate(places)
+    ]
+    if over_time:
+        step = float(np.mean(np.diff(axis)))
+        return part_of(path, [TimeRecord(key, n.real, n.imag, step) for key, n, _ in found], quantity, how)
+    known = "coherence" in arrays
+    return Part(axis, [MeasuredResponse(key, n, certain if known else None) for key, n, certain in found], quantity)
 
 
-def _read_text(path: Path, how: ResponseFormat) -> _Part:
+def _read_text(path: Path, how: ResponseFormat) -> Part:
     """Read one complex number a line, as Python prints it, from 0 Hz on."""
     if how.spacing is None:
         raise ValueError(f"{path}: holds bare numbers; say how far its bins are apart with --spacing-Hz")
@@ -438,4 +357,4 @@ def _read_text(path: Path, how: ResponseFormat) -> _Part:
         except ValueError:
             raise ValueError(f"{path}:{line}: {text[:40]!r} is no complex number such as (1.5-0.2j)") from None
     frequency = np.arange(len(values), dtype=float) * how.spacing
-    return _Part(frequency, {(path.stem, None): np.array(values)}, {}, None)
+    return Part(frequency, [MeasuredResponse((path.stem, None), np.array(values))], None)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.identification.estimates import NORMAL_95, Estimate, Identification, IdentifiedMode
 from modaltouch.lab.identification.kernel import N_REST, Evaluation, LeastSquaresProblem, complex_residue, fitted
-from modaltouch.lab.identification.peaks import HalfPower, half_power
+from modaltouch.lab.identification.peaks import HalfPower, Poles, half_power
 from modaltouch.lab.identification.points import refuse_odd_point
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.lab.identification.rest import rest_about
@@ -56,6 +56,7 @@ class ModalParameters:
             length=self.length,
             fitted=fitted(self.problem, fit).reshape(self.responses.response.shape)
             * np.sqrt(self._level)[:, None, None],
+            poles=Poles(fit.natural_frequency, fit.damping_ratio, fit.delay),
         )
 
     def _mode(

@@ -10,7 +10,7 @@ from typing import Any
 
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
 from modaltouch.lab.identification.shapes import phase_collinearity, phase_deviation, recognise
-from modaltouch.lab.identification.verdict import misfit_verdict, warnings
+from modaltouch.lab.identification.verdict import misfit_verdict, repeatability, warnings
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.report import figure_files, refuse_other, write_files
 from modaltouch.system import version
@@ -24,6 +24,7 @@ def mode_values(mode: IdentifiedMode, sets: Sequence[str]) -> dict[str, Any]:
     gains = {name: _pair(estimate, 1e3) for name, estimate in zip(sets, mode.gain, strict=False)}
     return {
         "label": mode.label,
+        "n_repeats": mode.n_repeats,
         "natural_frequency_Hz": _pair(mode.natural_frequency),
         "damping_ratio": _pair(mode.damping_ratio),
         "gain_mm_s2_per_V": gains,
@@ -54,6 +55,7 @@ def as_dict(identification: Identification) -> dict[str, Any]:
         "sets": list(responses.sets),
         "n_points": responses.n_points,
         "n_averages": responses.n_averages,
+        "repeatability": repeatability(identification),
         "resolution_Hz": responses.spacing,
         "velocity_delay_us": _pair(identification.delay, 1e6) if known else None,
         "time_offset_us": _number(responses.offset * 1e6),
@@ -78,6 +80,7 @@ def table_rows(identification: Identification) -> list[dict[str, Any]]:
             row |= {f"{name}{end}": pair.get(key) for end, key in _ENDS}
         half = values["half_power"]
         row |= {
+            "repeatability": f"over {mode.n_repeats} measurements" if mode.n_repeats > 1 else "unknown",
             **{name: values[name] for name in ("mac", "phase_collinearity", "phase_deviation_deg", "coherence")},
             "half_power_frequency_Hz": half["peak_frequency_Hz"],
             "half_power_damping_ratio": half["damping_ratio"],

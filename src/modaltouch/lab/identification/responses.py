@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from modaltouch.rig import Recording
 
 Quantity = Literal["velocity", "displacement", "acceleration"]
 QUANTITIES: tuple[Quantity, ...] = ("velocity", "displacement", "acceleration")
+
+Key = tuple[str, float | None]
+"""Excitation and position [m] of a response; no position where a file does not say it."""
 
 NOISE_WINDOW = 33
 """Bins over which the noise is pooled: it varies slowly where the excitation does [1]."""
@@ -32,6 +35,48 @@ SAME_PLACE = 5e-6
 
 FEW_POINTS = 5
 """Points below which a median over them is none."""
+
+
+@dataclass(frozen=True)
+class ResponseFormat:
+    """How a file is to be read where it does not say so itself.
+
+    Attributes
+    ----------
+    quantity : str or None
+        ``velocity``, ``displacement`` or ``acceleration``; None takes the file's word.
+    conjugated : bool
+        Whether the responses follow the time law exp(-i w t).
+    spacing : float or None
+        Distance of two bins of a file that holds bare numbers [Hz].
+    n_averages : int
+        Records behind each response, where there is a coherence; parts into which a record without impacts is cut.
+    use_clipped : bool
+        Whether the free decay after the last saturated sample of a motion is used.
+    """
+
+    quantity: Quantity | None = None
+    conjugated: bool = False
+    spacing: float | None = None
+    n_averages: int = 1
+    use_clipped: bool = False
+
+
+class MeasuredResponse(NamedTuple):
+    """One response, in SI units of its quantity; a key that comes again is a repeat."""
+
+    key: Key
+    values: ComplexArray
+    coherence: FloatArray | None = None
+
+
+class Part(NamedTuple):
+    """The responses of one file, and what it says of their quantity."""
+
+    frequency: FloatArray
+    responses: list[MeasuredResponse]
+    quantity: Quantity | None
+    marks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +103,8 @@ class FrequencyResponses:
         Time between excitation and response that was taken off [s].
     marks : tuple of str
         What a result of them has to say, a sentence each.
+    repeats : tuple of FrequencyResponses
+        The measurements of which these are the mean, or one by one; none where there was but one.
     """
 
     frequency: FloatArray
@@ -69,6 +116,20 @@ class FrequencyResponses:
     bandwidth: float | None = None
     offset: float = 0.0
     marks: tuple[str, ...] = ()
+    repeats: tuple[FrequencyResponses, ...] = ()
+
+    @classmethod
+    def of_repeats(cls, repeats: Sequence[FrequencyResponses]) -> FrequencyResponses:
+        """Return the mean of measurements of the same points; where they lack a coherence, that of one to another."""
+        first = repeats[0]
+        if len(repeats) == 1:
+            return first
+        each = np.array([repeat.response for repeat in repeats])
+        mean, n_averages = each.mean(axis=0), sum(repeat.n_averages for repeat in repeats)
+        coherence = np.abs(mean) ** 2 / np.maximum((np.abs(each) ** 2).mean(axis=0), 1e-300)
+        if first.coherence is not None:
+            coherence = np.mean([repeat.coherence for repeat in repeats if repeat.coherence is not None], axis=0)
+        return replace(first, response=mean, coherence=coherence, n_averages=n_averages, repeats=tuple(repeats))
 
     @property
     def n_points(self) -> int:
@@ -144,6 +205,7 @@ class FrequencyResponses:
             positions=positions[~left_out],
             coherence=None if self.coherence is None else self.coherence[:, ~left_out],
             marks=(*self.marks, f"the responses at {named} mm were left out"),
+            repeats=tuple(each.without(places) for each in self.repeats),
         )
 
     def between(self, lowest: float, highest: float) -> FrequencyResponses:
@@ -155,7 +217,13 @@ class FrequencyResponses:
                 f"wider band within {self.frequency[0]:g} to {self.frequency[-1]:g} Hz"
             )
         coherence = None if self.coherence is None else self.coherence[..., kept]
-        return replace(self, frequency=self.frequency[kept], response=self.response[..., kept], coherence=coherence)
+        return replace(
+            self,
+            frequency=self.frequency[kept],
+            response=self.response[..., kept],
+            coherence=coherence,
+            repeats=tuple(each.between(lowest, highest) for each in self.repeats),
+        )
 
 
 def _running_median(values: FloatArray, width: int) -> FloatArray:

@@ -191,3 +191,12 @@ def misfit_verdict(identification: Identification) -> str:
     left = max(mode.rest.share for mode in identification.modes)
     means = "the noise alone" if identification.misfit <= WELL_FITTED else "more than the noise"
     return f"misfit {identification.misfit:.3g}, {means}; at most {left:.1%} of the response about a mode is left"
+
+
+def repeatability(identification: Identification) -> str:
+    """Return what the intervals say of another measurement of the same beam, in words."""
+    n = [mode.n_repeats for mode in identification.modes]
+    if max(n) < 2:
+        return "repeatability is unknown: the intervals are those of one measurement; repeat it, and give all of them"
+    alone = sum(each < 2 for each in n)
+    return f"the intervals hold the scatter of {max(n)} measurements" + (f", but for {alone} modes" if alone else "")

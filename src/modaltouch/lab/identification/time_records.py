@@ -1,0 +1,239 @@
+"""Frequency responses from records over time: of each impact, or averaged over a record without impacts."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.identification.responses import Key, MeasuredResponse, Part, Quantity, ResponseFormat
+
+
+class TimeRecord(NamedTuple):
+    """Excitation and motion over time, in SI units."""
+
+    key: Key
+    drive: FloatArray
+    motion: FloatArray
+    step: float
+
+
+UNITS: dict[str, tuple[Quantity, float]] = {
+    "m/s^2": ("acceleration", 1.0),
+    "m/s2": ("acceleration", 1.0),
+    "mm/s^2": ("acceleration", 1e-3),
+    "g": ("acceleration", 9.80665),
+    "m/s": ("velocity", 1.0),
+    "mm/s": ("velocity", 1e-3),
+    "um/s": ("velocity", 1e-6),
+    "m": ("displacement", 1.0),
+    "mm": ("displacement", 1e-3),
+    "um": ("displacement", 1e-6),
+}
+"""Units of motion: what they are of, and their size in SI."""
+
+DRIVES = {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3, "n": 1.0, "newton": 1.0, "newtons": 1.0, "kn": 1e3}
+"""Units of excitation and their size in SI, folded to small letters."""
+
+MOST_AT_END = 3
+"""Samples at its highest or lowest value up to which a record was not saturated."""
+
+FEWEST_SAMPLES = 64
+"""Samples of a record from which it is used."""
+
+HIT = 0.1
+"""Excitation over its highest from which it is a hit [1]."""
+
+IMPULSIVE = 0.1
+"""Part of the samples that hits take at most, where a record is one of impacts [1]."""
+
+APART = 0.5
+"""Time between two hits over the median one, from which they are two impacts and no double one [1]."""
+
+
+def read_lvm(path: Path, how: ResponseFormat) -> Part:
+    """Return the responses of a LabVIEW measurement: one motion and one excitation over time, in one or more parts."""
+    pieces = path.read_text(encoding="utf-8-sig").split("***End_of_Header***")
+    if len(pieces) < 2:
+        raise ValueError(f"{path}: has no ***End_of_Header***; export a LabVIEW measurement (LVM) with its header")
+    # The header of the file, then one before each part, which follows the numbers of the part before.
+    n_heads = min(2, len(pieces) - 1)
+    head = "".join(pieces[:n_heads])
+    comma = re.search(r"^Decimal_Separator\t,", head, re.MULTILINE) is not None
+    fields = {row[0]: row[1:] for row in (line.split("\t") for line in head.splitlines()) if row}
+    units = [unit.strip() for unit in fields.get("Y_Unit_Label", ()) if unit.strip()]
+    motion = [index for index, unit in enumerate(units) if unit in UNITS]
+    drive = [index for index, unit in enumerate(units) if unit.casefold() in DRIVES]
+    if len(motion) != 1 or len(drive) != 1:
+        raise ValueError(
+            f"{path}: its channels are in {', '.join(units) or 'no unit'}; needed are one motion (in "
+            f"{', '.join(UNITS)}) and one excitation (in V or N)"
+        )
+
+    def number(cell: str) -> float:
+        return float(cell.replace(",", ".") if comma else cell)
+
+    quantity, size = UNITS[units[motion[0]]]
+    step = number(fields["Delta_X"][motion[0]])
+    records, first_line = [], head.count("\n") + 1
+    for piece in pieces[n_heads:]:
+        rows: list[list[float]] = []
+        for line, cells in enumerate((row.split("\t") for row in piece.splitlines()), start=first_line):
+            wanted = [cell for cell in cells[1 : len(units) + 1] if cell.strip()]
+            if len(wanted) != len(units) or wanted[0][:1].isalpha() or cells[0][:1].isalpha():
+                continue
+            try:
+                rows.append([number(cell) for cell in wanted])
+            except ValueError:
+                raise ValueError(f"{path}:{line}: {wanted} are no numbers") from None
+        first_line += piece.count("\n")
+        record = np.array(rows).T if rows else np.zeros((len(units), 0))
+        driven = record[drive[0]] * DRIVES[units[drive[0]].casefold()]
+        records.append(TimeRecord((units[drive[0]], None), driven, record[motion[0]] * size, step))
+    return part_of(path, records, quantity, how)
+
+
+def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None, how: ResponseFormat) -> Part:
+    """Return the responses of records over time, as far in frequency as all of them are driven.
+
+    Parameters
+    ----------
+    path : Path
+        The file, for messages.
+    records : sequence of TimeRecord
+        All of one sampling rate.
+    quantity : str or None
+        Of the motion, where the file says it.
+    how : ResponseFormat
+        Averages, and what to do about saturation.
+
+    Raises
+    ------
+    ValueError
+        If a record is too short or saturated, or all of its impacts are double.
+    """
+    found: list[tuple[Key, FloatArray, ComplexArray, FloatArray | None]] = []
+    marks: list[str] = []
+    for key, drive, motion, step in records:
+        if drive.size < FEWEST_SAMPLES:
+            raise ValueError(f"{path}: holds {drive.size} samples; at least {FEWEST_SAMPLES} are needed")
+        if not np.ptp(drive) > 0:
+            raise ValueError(f"{path}: its excitation is the same throughout, or no finite number; measure it again")
+        last_drive, last = (_last_cut(path, *each, step, how) for each in (("excitation", drive), ("motion", motion)))
+        if last_drive >= 0:
+            raise ValueError(f"{path}: its excitation was saturated, and nothing can be divided by it: measure again")
+        if last >= 0:
+            # Only natural frequencies and damping ratios are read off it, each mode with a phase of its own.
+            decay = np.where(np.arange(motion.size) > last, motion - motion[: _quiet(motion)].mean(), 0.0)
+            frequency, _ = transfer(motion, drive, step)
+            found.append((key, frequency, np.fft.rfft(np.roll(decay, -last - 1))[: frequency.size], None))
+            since = (last + 1) * step * 1e3
+            marks.append(f"the record {path.name} was saturated: its free decay from {since:.4g} ms on was used alone")
+            continue
+        hits, n_left_out = impacts(drive)
+        if hits is None:
+            found.append((key, *averaged(motion, drive, step, how.n_averages)))
+            continue
+        if not hits:
+            raise ValueError(f"{path}: all of its impacts are double ones ({n_left_out} hits): strike again")
+        found += [(key, *transfer(motion[hit], drive[hit], step), None) for hit in hits]
+        if n_left_out:
+            marks.append(
+                f"{n_left_out} of {n_left_out + len(hits)} hits of {path.name} were left out: double impacts, or cut "
+                "by the end of the record"
+            )
+    # Spectra of equal records differ in how far their drive reaches.
+    n_bins = min(frequency.size for _, frequency, _, _ in found)
+    axis = found[0][1][:n_bins]
+    if not all(np.allclose(frequency[:n_bins], axis) for _, frequency, _, _ in found):
+        raise ValueError(f"{path}: its records differ in length or sampling rate; export them alike")
+    responses = [
+        MeasuredResponse(key, values[:n_bins], None if c is None else c[:n_bins]) for key, _, values, c in found
+    ]
+    return Part(axis, responses, quantity, tuple(marks))
+
+
+def impacts(drive: FloatArray) -> tuple[list[slice] | None, int]:
+    """Return where each single impact of a record and its decay lie, all of one length, and how many hits are none.
+
+    A hit that follows another, or is followed by one or by the end, sooner than half the usual time is left out: it is
+    of a double impact, or its decay is cut. Of a record without impacts the first is None.
+    """
+    size = np.abs(drive - np.median(drive))
+    high = np.flatnonzero(size > HIT * size.max())
+    if high.size > IMPULSIVE * drive.size:
+        return None, 0
+    widest = max(part.size for part in np.split(high, np.flatnonzero(np.diff(high) > 1) + 1))
+    # What returns sooner than a hit lasts is that hit still.
+    start = np.append(high[0], high[1:][np.diff(high) > max(3, widest)])
+    if start.size == 1:
+        return [slice(0, drive.size)], 0
+    time = np.diff(np.append(start, drive.size))
+    long = time >= APART * np.median(time)
+    single = long & np.append(True, long[:-1])
+    length = int(time[single].min(initial=drive.size))
+    before = min(int(start[0]), length // 50)
+    return [slice(at - before, at - before + length) for at in start[single]], int((~single).sum())
+
+
+def averaged(
+    motion: FloatArray, drive: FloatArray, step: float, n_averages: int
+) -> tuple[FloatArray, ComplexArray, FloatArray]:
+    """Return frequencies, H1 and coherence of a record without impacts, of Hann windows that overlap by half."""
+    from scipy.signal import csd, welch
+
+    how = {"fs": 1 / step, "nperseg": 2 * drive.size // (n_averages + 1)}
+    frequency, power = welch(drive, **how)
+    _, cross = csd(drive, motion, **how)
+    _, moved = welch(motion, **how)
+    return frequency, cross / power, np.abs(cross) ** 2 / (power * moved)
+
+
+def _last_cut(path: Path, name: str, row: FloatArray, step: float, how: ResponseFormat) -> int:
+    """Return the last sample at which a record stays at its highest or lowest value, as a converter does; else -1."""
+    cut = [np.flatnonzero(row == end) for end in (row.max(), row.min()) if abs(end) > 0.5 * np.abs(row).max()]
+    cut = [at for at in cut if at.size > MOST_AT_END]
+    last = max((int(at[-1]) for at in cut), default=-1)
+    if cut and not how.use_clipped:
+        raise ValueError(
+            f"{path}: the {name} stays at {row[cut[0][0]]:g} for {cut[0].size} samples: it was saturated; "
+            f"measure again with a wider range, or use its free decay from {(last + 1) * step * 1e3:.4g} ms on with "
+            "--use-clipped"
+        )
+    return last
+
+
+def _quiet(record: FloatArray) -> int:
+    """Return how many first samples count as zero."""
+    return max(8, record.size // 2500)
+
+
+def transfer(motion: FloatArray, drive: FloatArray, step: float) -> tuple[FloatArray, ComplexArray]:
+    """Return the response of one record that begins and ends at rest.
+
+    Parameters
+    ----------
+    motion, drive : (n_samples,) array
+        Over time; their first samples, before the blow, count as zero.
+    step : float
+        Between samples [s].
+
+    Returns
+    -------
+    frequency : (n_bins,) array
+        As far as the drive has a hundredth of its highest spectral density [Hz].
+    response : (n_bins,) complex array
+        Spectrum over spectrum.
+    """
+    quiet = _quiet(motion)
+    motion, drive = motion - motion[:quiet].mean(), drive - drive[:quiet].mean()
+    spectrum = np.fft.rfft(drive)
+    frequency = np.fft.rfftfreq(drive.size, step)
+    level = np.convolve(np.abs(spectrum), np.ones(25) / 25, "same")
+    weak = np.flatnonzero(level < 0.05 * level.max())
+    end = int(weak[weak > level.argmax()][0]) if (weak > level.argmax()).any() else frequency.size
+    return np.asarray(frequency[:end], dtype=float), np.asarray(np.fft.rfft(motion)[:end] / spectrum[:end])

@@ -1,0 +1,196 @@
+"""Impacts and repeats: read from records over time, double ones left out, and intervals that hold their scatter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyuff
+
+from modaltouch.lab.identification.estimates import Identification
+from modaltouch.lab.identification.files import read_responses
+from modaltouch.lab.identification.joint_fit import identify, identify_each
+from modaltouch.lab.identification.repeats import over_repeats
+from modaltouch.lab.identification.responses import FrequencyResponses, ResponseFormat
+from modaltouch.lab.identification.verdict import repeatability
+
+POLES = ((120.0, 0.012), (330.0, 0.008), (640.0, 0.006))
+RESIDUES = (1.0, 0.6, -0.4)
+RATE = 4096.0
+ACCELERATION = ResponseFormat("acceleration")
+
+
+def moved(force: np.ndarray, rng: np.random.Generator, stretch: float = 1.0) -> np.ndarray:
+    """Return the acceleration of three modes under a force that begins and ends at rest, with noise."""
+    omega = 2 * np.pi * np.fft.rfftfreq(force.size, 1 / RATE)
+    total = np.zeros(omega.size, dtype=complex)
+    for (own, ratio), size in zip(POLES, RESIDUES, strict=True):
+        pole = 2 * np.pi * own * stretch
+        total += -(omega**2) * size / (pole**2 - omega**2 + 2j * ratio * pole * omega)
+    motion = np.fft.irfft(total * np.fft.rfft(force), force.size)
+    return motion + 2e-4 * np.abs(motion).max() * rng.standard_normal(force.size)
+
+
+def hit(at: Sequence[int], n: int = 8192) -> np.ndarray:
+    """Return a force of half sines of 0.7 ms, none of 200 N like another."""
+    force = np.zeros(n)
+    for number, start in enumerate(at):
+        force[start : start + 4] += (200 - 10 * number) * np.sin(np.pi * np.array([0.2, 0.45, 0.7, 0.9]))
+    return force
+
+
+def write_csv(path: Path, records: Sequence[tuple[np.ndarray, np.ndarray]], place: str = "") -> Path:
+    """Write records over time one after the other, as repeats."""
+    lines = ["time_s,set,position_mm,drive,motion"]
+    for force, motion in records:
+        lines += [
+            f"{i / RATE!r},hammer,{place},{f!r},{m!r}"
+            for i, (f, m) in enumerate(zip(force.tolist(), motion.tolist(), strict=True))
+        ]
+    path.write_text("\n".join(lines))
+    return path
+
+
+def impacts_of_a_day(path: Path, seed: int) -> Path:
+    """Write three impacts, between which the natural frequencies wander by 2 in 10,000."""
+    rng = np.random.default_rng(seed)
+    return write_csv(path, [(hit([40]), moved(hit([40]), rng, 1 + 2e-4 * rng.standard_normal())) for _ in range(3)])
+
+
+def test_two_days_of_one_beam_agree_within_their_intervals(tmp_path: Path) -> None:
+    """Three impacts each: the intervals over the repeats overlap and hold the truth, those of the fits alone do not."""
+    alone, whole = [], []
+    for seed in (1, 2):
+        found = identify_each(
+            read_responses([impacts_of_a_day(tmp_path / f"{seed}.csv", seed)], ACCELERATION).between(60, 900)
+        )
+        alone.append([mode.natural_frequency for mode in found.modes])
+        whole.append(over_repeats(found))
+    for (own, ratio), one, other in zip(POLES, *(found.modes for found in whole), strict=True):
+        assert (one.n_repeats, other.n_repeats) == (3, 3)
+        for mode in (one, other):
+            assert own in mode.natural_frequency
+            assert mode.damping_ratio.value == pytest.approx(ratio, rel=0.02)
+        assert one.natural_frequency.low < other.natural_frequency.high
+        assert other.natural_frequency.low < one.natural_frequency.high
+    assert any(one.low > other.high or other.low > one.high for one, other in zip(*alone, strict=True))
+    assert repeatability(whole[0]) == "the intervals hold the scatter of 3 measurements"
+
+
+def test_files_without_places_are_measurements_each(tmp_path: Path) -> None:
+    """An impact a file, perhaps of another point: each is fitted by itself; of a single one nothing is known."""
+    rng = np.random.default_rng(3)
+    files = [write_csv(tmp_path / f"{k}.csv", [(hit([40]), moved(hit([40]), rng, 1 + k * 1e-4))]) for k in range(3)]
+    found = over_repeats(identify_each(read_responses(files, ACCELERATION).between(60, 900)))
+    assert [mode.n_repeats for mode in found.modes] == [3, 3, 3]
+    half = found.modes[2].natural_frequency.high - found.modes[2].natural_frequency.value
+    # Three values at even distances d: their deviation is d, Student's factor 4.303.
+    assert half == pytest.approx(4.303 * 640e-4 / np.sqrt(3), rel=0.1)
+    single = over_repeats(identify_each(read_responses(files[:1], ACCELERATION).between(60, 900)))
+    assert repeatability(single).startswith("repeatability is unknown: the intervals are those of one measurement")
+
+
+def test_double_impacts_are_left_out_and_counted(tmp_path: Path) -> None:
+    """Five impacts 2 s apart, the third of two hits 30 ms apart: four repeats, and the mark that says so."""
+    starts = [60, 8252, 16444, 16444 + 123, 24636, 32828]
+    force = hit(starts, 41_000)
+    responses = read_responses(
+        [write_csv(tmp_path / "a.csv", [(force, moved(force, np.random.default_rng(4)))])], ACCELERATION
+    )
+    assert len(responses.repeats) == 4
+    assert responses.n_averages == 4
+    assert responses.marks == ("2 of 6 hits of a.csv were left out: double impacts, or cut by the end of the record",)
+    found = identify_each(responses.between(60, 900))
+    assert [mode.natural_frequency.value for mode in found.modes] == pytest.approx([own for own, _ in POLES], rel=2e-4)
+    force = hit([60, 183])
+    double = write_csv(tmp_path / "b.csv", [(force, moved(force, np.random.default_rng(4)))])
+    with pytest.raises(ValueError, match=r"b.csv: all of its impacts are double ones \(2 hits\): strike again"):
+        read_responses([double], ACCELERATION)
+
+
+def test_parts_of_a_labview_measurement_are_repeats(tmp_path: Path) -> None:
+    """Three headings in one file, each with its own numbers."""
+    rng = np.random.default_rng(5)
+    text = "LabVIEW Measurement\nMulti_Headings\tYes\n***End_of_Header***\n\n"
+    for stretch in (1.0, 1.0002, 0.9998):
+        force = hit([40])
+        motion = moved(force, rng, stretch)
+        text += "Channels\t2\nSamples\t8192\t8192\nY_Unit_Label\tN\tm/s^2\nX0\t0\t0\n"
+        text += f"Delta_X\t{1 / RATE:.9E}\t{1 / RATE:.9E}\n"
+        text += "***End_of_Header***\nX_Value\tForce\tAcceleration\tComment\n"
+        text += "".join(f"\t{f:.8f}\t{a:.8f}\n" for f, a in zip(force, motion, strict=True)) + "\n"
+    (tmp_path / "a.lvm").write_text(text)
+    responses = read_responses([tmp_path / "a.lvm"])
+    assert len(responses.repeats) == 3
+    found = over_repeats(identify_each(responses.between(60, 900)))
+    assert all(own in mode.natural_frequency for (own, _), mode in zip(POLES, found.modes, strict=True))
+
+
+def test_time_records_of_a_universal_file_give_its_modes(tmp_path: Path) -> None:
+    """Data set 58 of type 1, twice a force with an acceleration behind it: two repeats of one response."""
+    rng, file = np.random.default_rng(6), pyuff.UFF(str(tmp_path / "a.uff"))
+    shared = {"type": 58, "func_type": 1, "rsp_dir": 3, "ref_node": 0, "ref_dir": 0, "binary": 0, "abscissa_spacing": 1}
+    ids = {f"id{number}": "NONE" for number in range(1, 6)}
+    for _ in range(2):
+        force = hit([40])
+        for kind, node, data in ((13, 7, force), (12, 9, moved(force, rng))):
+            kinds = {"ordinate_spec_data_type": kind, "abscissa_spec_data_type": 17, "orddenom_spec_data_type": 0}
+            axis = np.arange(force.size) / RATE
+            file.write_sets(
+                [shared | ids | kinds | {"rsp_node": node, "x": axis, "data": data, "ord_data_type": 4}], "add"
+            )
+    responses = read_responses([tmp_path / "a.uff"])
+    assert responses.sets == ("reference 7 node 9",)
+    assert len(responses.repeats) == 2
+    found = identify_each(responses.between(60, 900))
+    assert [mode.natural_frequency.value for mode in found.modes] == pytest.approx([own for own, _ in POLES], rel=2e-4)
+
+
+def test_random_excitation_is_averaged_with_its_coherence(tmp_path: Path) -> None:
+    """A minute of noise as NPZ, 14 windows: H1 with a coherence near 1 at the first two resonances, and their modes."""
+    rng = np.random.default_rng(7)
+    force = rng.standard_normal(1 << 18)
+    arrays = {"time": np.arange(force.size) / RATE, "drive": force[None, None], "motion": moved(force, rng)[None, None]}
+    np.savez(tmp_path / "a.npz", sets=["shaker"], quantity="acceleration", **arrays)
+    responses = read_responses([tmp_path / "a.npz"], ResponseFormat(n_averages=14)).between(60, 900)
+    assert responses.coherence is not None
+    peaks = [int(np.abs(responses.frequency - own).argmin()) for own, _ in POLES[:2]]
+    assert (responses.coherence[0, 0, peaks] > 0.98).all()
+    found = identify_each(responses)
+    assert [mode.natural_frequency.value for mode in found.modes] == pytest.approx([own for own, _ in POLES], rel=1e-3)
+    assert [mode.damping_ratio.value for mode in found.modes] == pytest.approx([ratio for _, ratio in POLES], rel=0.05)
+
+
+def test_gains_hold_the_scatter_of_repeated_scans(make) -> None:
+    """Two scans of eight points, the second with a drive that reads 10 % low: the gains' intervals hold both."""
+    scans = [make(seed, n_points=8, highest=12e3).between(1200, 9000) for seed in (0, 1)]
+    scans[1] = FrequencyResponses(
+        scans[1].frequency,
+        1.1 * scans[1].response,
+        *(getattr(scans[1], name) for name in ("positions", "sets", "coherence", "n_averages", "bandwidth")),
+    )
+    each: list[Identification] = [identify(scan, 0.1, most=0) for scan in scans]
+    mean = identify(FrequencyResponses.of_repeats(scans), 0.1, most=0)
+    found = over_repeats(mean)
+    assert mean.responses.n_averages == 20
+    for label, row in ((3, 0), (5, 1)):
+        wide, narrow = found.mode(label).gain[row], mean.mode(label).gain[row]
+        assert all(one.mode(label).gain[row].value in wide for one in each)
+        assert not all(one.mode(label).gain[row].value in narrow for one in each)
+
+
+@pytest.mark.parametrize(
+    ("force", "words"),
+    [
+        (np.zeros(8192), "its excitation is the same throughout"),
+        (np.clip(hit([40]), 0, 60), "the excitation stays at 60 for .* it was saturated"),
+        (np.ones(20), "holds 20 samples; at least 64 are needed"),
+    ],
+)
+def test_records_that_say_nothing_are_refused(tmp_path: Path, force: np.ndarray, words: str) -> None:
+    """No excitation, a saturated one, too few samples."""
+    motion = np.random.default_rng(8).standard_normal(force.size)
+    with pytest.raises(ValueError, match=words):
+        read_responses([write_csv(tmp_path / "a.csv", [(force, motion)])], ACCELERATION)
