@@ -65,7 +65,7 @@ class LabScope(threading.Thread):
 
     def _record(self, wanted: dict) -> None:
         rate = 1.1 * wanted["sampling_rate_Hz"]
-        n_samples = int((wanted["last_s"] - wanted["first_s"]) * rate) + 8
+        n_samples = int(1.02 * (wanted["last_s"] - wanted["first_s"]) * rate) + 8
         drives = tuple(wanted["drives"])
         ranges = wanted["velocity_up_to_m_s"], wanted["drive_up_to_V"]
         self._scope.configure(Acquisition(rate, n_samples, wanted["n_records"], drives, wanted["first_s"], *ranges))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,7 +13,117 @@ import pyvisa
 from pymeasure.adapters import VISAAdapter
 from pymeasure.instruments.tektronix import AFG3152C
 
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
+
+KEYSIGHT = Apparatus.read(Path(__file__).parents[3] / "protocols" / "apparatus" / "keysight_33522b.yaml")
+
+MODULATIONS = tuple(
+    f"SOURce2:{way}:{header}"
+    for way in ("AM", "FM", "PM", "PWM")
+    for header in ("INTernal:FREQuency", "INTernal:FUNCtion", "INTernal:FUNCtion:EFILe", "SOURce", "STATe")
+)
+READ_BY_QCODES = [
+    "OUTPut:TRIGger:MODE",
+    "OUTPut2:IMPedance",
+    "OUTPut2:POLarity",
+    "OUTPut2:STATe",
+    "SOURce2:AM:DEPTh",
+    "SOURce2:FM:DEViation",
+    "SOURce2:PM:DEViation",
+    "SOURce2:PWM:DEViation:DCYCle",
+    "SOURce2:BURSt:MODE",
+    "SOURce2:BURSt:NCYCles",
+    "SOURce2:BURSt:STATe",
+    "SOURce2:BURSt:TDELay",
+    "SOURce2:COMBine:FEED",
+    "SOURce2:FREQuency:CENTer",
+    "SOURce2:FREQuency:CONCurrent",
+    "SOURce2:FREQuency:CW",
+    "SOURce2:FREQuency:MODE",
+    "SOURce2:FREQuency:SPAN",
+    "SOURce2:FREQuency:STARt",
+    "SOURce2:FREQuency:STOP",
+    "SOURce2:FSKey:FREQuency",
+    "SOURce2:FSKey:INTernal:RATE",
+    "SOURce2:FSKey:SOURce",
+    "SOURce2:FSKey:STATe",
+    "SOURce2:FUNCtion:EFILe",
+    "SOURce2:FUNCtion:RAMP:SYMMetry",
+    "SOURce2:FUNCtion:SHAPe",
+    "SOURce2:PHASe:ADJust",
+    "SOURce2:PULSe:DCYCle",
+    "SOURce2:PULSe:DELay",
+    "SOURce2:PULSe:HOLD",
+    "SOURce2:PULSe:PERiod",
+    "SOURce2:PULSe:TRANsition:LEADing",
+    "SOURce2:PULSe:TRANsition:TRAiling",
+    "SOURce2:PULSe:WIDTh",
+    "SOURce2:SWEep:HTIMe",
+    "SOURce2:SWEep:MODE",
+    "SOURce2:SWEep:RTIMe",
+    "SOURce2:SWEep:SPACing",
+    "SOURce2:SWEep:TIME",
+    "SOURce2:VOLTage:CONCurrent:STATe",
+    "SOURce2:VOLTage:LEVel:IMMediate:HIGH",
+    "SOURce2:VOLTage:LEVel:IMMediate:LOW",
+    "SOURce2:VOLTage:LEVel:IMMediate:OFFSet",
+    "SOURce2:VOLTage:UNIT",
+    "SOURce2:VOLTage:LEVel:IMMediate:AMPLitude",
+    "SOURce2:VOLTage:LIMit:HIGH",
+    "SOURce2:VOLTage:LIMit:LOW",
+    "SOURce3:POWer:LEVel:IMMediate:AMPLitude",
+    "SOURce4:POWer:LEVel:IMMediate:AMPLitude",
+    "SOURce:ROSCillator:SOURce",
+    "TRIGger:SEQuence:SLOPe",
+    "TRIGger:SEQuence:SOURce",
+    "TRIGger:SEQuence:TIMer",
+]
+"""All that Tektronix/AFG3000.py of qcodes_contrib_drivers 0.24.1 reads when it connects, with 20 s for each reply."""
+
+READ_FROM_KEYSIGHT = [
+    "SOURce2:FUNCtion",
+    "SOURce2:FREQuency:MODE",
+    "SOURce2:FREQuency",
+    "SOURce2:PHASe",
+    "SOURce2:VOLTage:UNIT",
+    "SOURce2:VOLTage",
+    "SOURce2:VOLTage:OFFSet",
+    "OUTPut2",
+    "SOURce2:FUNCtion:RAMP:SYMMetry",
+    "SOURce2:FUNCtion:PULSE:WIDTh",
+    "TRIGger2:SOURce",
+    "TRIGger2:SLOPe",
+    "TRIGger2:COUNt",
+    "TRIGger2:DELay",
+    "TRIGger2:TIMer",
+    "OUTPut2:POLarity",
+    "SOURce2:BURSt:STATe",
+    "SOURce2:BURSt:MODE",
+    "SOURce2:BURSt:NCYCLes",
+    "SOURce2:BURSt:PHASe",
+    "SOURce2:BURSt:GATE:POLarity",
+    "SOURce2:BURSt:INTernal:PERiod",
+    "OUTPut:SYNC",
+    "OUTPut:SYNC:SOURce",
+    "SOUR2:FUNC:SQU:DCYC",
+    "SOUR2:FUNC:PULS:HOLD",
+    "SOUR2:FUNC:PULS:PER",
+    "SOUR2:FUNC:PULS:DCYC",
+    "SOUR2:FUNC:PULS:TRAN",
+]
+"""Keysight/KeysightAgilent_33XXX.py of QCoDeS 0.58.0, and of PyMeasure's agilent33500.py what it adds to that."""
+
+SENT_BY_TM_DEVICES = (
+    "*CLS", "*RST", "*OPC?", "*ESR?", "OUTPUT1:STATE?", "OUTPUT1:STATE 0", "OUTPUT1:IMPEDANCE?",
+    "SOURCE1:FREQUENCY:FIXED 1000.0", "SOURCE1:FREQUENCY:FIXED?", "SOURCE1:VOLTAGE:OFFSET 0.1",
+    "SOURCE1:VOLTAGE:OFFSET?", "OUTPUT1:POLARITY?", "SOURCE1:FUNCTION:RAMP:SYMMETRY?",
+    "SOURCE1:FUNCTION:RAMP:SYMMETRY 100.0", "SOURCE1:FUNCTION RAMP", "SOURCE1:FUNCTION?", "SOURCE1:PULSE:DCYCLE 30.0",
+    "SOURCE1:PULSE:DCYCLE?", "SOURCE1:VOLTAGE:AMPLITUDE 0.5", "SOURCE1:VOLTAGE:AMPLITUDE?", "OUTPUT1:STATE 1",
+    "SOURCE1:BURST:STATE?", "SOURCE2:BURST:STATE?", "SOURCE1:PHASE:INITIATE", ":OUTPut1:STATE 1", "*ESR?",
+    "SYSTEM:ERROR?",
+)  # fmt: skip
+"""What drivers/afgs/afg3kb.py of tm_devices 3.7.0 sent over a socket to generate functions, clean up and reset."""
 
 
 @pytest.fixture
@@ -116,3 +227,45 @@ def test_pyvisa_shell_finds_the_simulator(simulator: Simulator) -> None:
     )
     ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=True)
     assert ran.stdout.split() == ["0.5", "AFG3022B"]
+
+
+@pytest.mark.parametrize("apparatus_of", ["AFG3022B", "33522B"])
+def test_everything_that_qcodes_reads_has_a_reply_and_takes_it_back(apparatus_of: str, apparatus: Apparatus) -> None:
+    """A driver that reads all settings when it connects need not wait for one, and may restore what it has read."""
+    headers = READ_FROM_KEYSIGHT if apparatus_of == "33522B" else (*READ_BY_QCODES, *MODULATIONS)
+    simulator = Simulator(KEYSIGHT if apparatus_of == "33522B" else apparatus)
+    simulator.front_panel("OUTP2 OFF")
+    for header in headers:
+        reply = simulator.front_panel(f"{header}?")
+        assert reply, header
+        simulator.front_panel(f"{header} {reply}")
+        assert (header, simulator.front_panel("SYST:ERR?")) == (header, '0,"No error"')
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["SOUR1:AM:STAT ON", "SOUR1:FREQ:MODE SWE", "SOUR1:PULS:WIDT 1ms", "TRIG:SLOP NEG", "SOUR1:AM:INT:FUNC:EFIL 'a'"],
+)
+def test_what_the_twin_lacks_is_not_set_silently(simulator: Simulator, command: str) -> None:
+    """No modulation, sweep or pulse of the twin moves a beam: -241, hardware missing, and the default stays."""
+    before = simulator.front_panel(f"{command.split()[0]}?")
+    simulator.front_panel(command)
+    assert simulator.front_panel("SYST:ERR?").startswith('-241,"Hardware missing; not simulated: ')
+    assert simulator.front_panel(f"{command.split()[0]}?") == before
+
+
+def test_high_and_low_level_are_amplitude_and_offset(simulator: Simulator) -> None:
+    """At 50 ohm, as they are told: 0.2 V and -0.1 V are 0.3 V peak to peak about 0.05 V; high below low is refused."""
+    simulator.front_panel("*RST;:SOUR1:VOLT:HIGH 0.2V;LOW -0.1V")
+    told = [float(simulator.front_panel(f"SOUR1:VOLT:{name}?")) for name in ("HIGH", "LOW", "AMPL", "OFFS")]
+    assert told == pytest.approx([0.2, -0.1, 0.3, 0.05])
+    simulator.front_panel("SOUR1:VOLT:HIGH -0.2V")
+    assert simulator.front_panel("SYST:ERR?").startswith("-222")
+
+
+def test_tm_devices_finds_what_it_sends(simulator: Simulator) -> None:
+    """Line by line as over a raw socket: each query has one reply, and nothing is in the error queue."""
+    replies = {sent: simulator.front_panel(sent) for sent in SENT_BY_TM_DEVICES}
+    assert [sent for sent, reply in replies.items() if bool(reply) != sent.endswith("?")] == []
+    assert replies["SOURCE1:FUNCTION:RAMP:SYMMETRY?"] == "5.0000E+01"
+    assert replies["SYSTEM:ERROR?"] == '0,"No error"'

@@ -20,6 +20,8 @@ class Channel(OutputChannel):
     frequency: float = 1e6
     phase: float = 0.0
     n_cycles: float = 5.0
+    symmetry: float = 50.0
+    duty_cycle: float = 50.0
     range_switches: int = 0
 
     @property

@@ -12,11 +12,16 @@ import numpy as np
 
 from modaltouch.rig.simulator.afg import MAX_CODE, MEMORIES, Afg, Channel
 from modaltouch.rig.simulator.common import (
+    HERTZ,
+    PERCENT,
+    SECONDS,
+    Default,
     choice,
     common_commands,
     get_number,
     get_of,
     keyword,
+    not_simulated,
     noticed,
     number,
     on,
@@ -104,7 +109,49 @@ def afg_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> tuple[
 def afg_commands(afg: Afg) -> CommandTable:
     """Return what the simulated instrument understands."""
     groups = (common_commands, _saved, memory_commands, _waveform, _levels, _burst, _trigger, _system)
-    return CommandTable(noticed(afg, ChainMap(*(group(afg) for group in groups)), FORCED), afg.n_channels)
+    commands = ChainMap(*(group(afg) for group in groups), not_simulated(NOT_SIMULATED, "{:.4E}"))
+    return CommandTable(noticed(afg, commands, FORCED), afg.n_channels)
+
+
+_MODULATION: dict[str, Default] = {
+    "INTernal:FREQuency": (10e3, HERTZ),
+    "INTernal:FUNCtion": ("SINusoid", {}),
+    "INTernal:FUNCtion:EFILe": ("", {}),
+    "SOURce": ("INTernal", {}),
+    "STATe": (False, {}),
+}
+NOT_SIMULATED: dict[str, Default] = {
+    **{f"[SOURce#]:{way}:{header}": each for way in ("AM", "FM", "PM", "PWM") for header, each in _MODULATION.items()},
+    "[SOURce#]:AM[:DEPTh]": (50.0, PERCENT),
+    "[SOURce#]:FM[:DEViation]": (1e6, HERTZ),
+    "[SOURce#]:PM[:DEViation]": (math.pi / 2, {"RAD": 1.0, "DEG": math.pi / 180}),
+    "[SOURce#]:PWM[:DEViation]:DCYCle": (5.0, PERCENT),
+    "[SOURce#]:FSKey[:FREQuency]": (1e6, HERTZ),
+    "[SOURce#]:FSKey:INTernal:RATE": (50.0, HERTZ),
+    "[SOURce#]:FSKey:SOURce": ("INTernal", {}),
+    "[SOURce#]:FSKey:STATe": (False, {}),
+    "[SOURce#]:FREQuency:MODE": ("CW", {}),
+    "[SOURce#]:FREQuency:STARt": (100e3, HERTZ),
+    "[SOURce#]:FREQuency:STOP": (1e6, HERTZ),
+    "[SOURce#]:FREQuency:CENTer": (550e3, HERTZ),
+    "[SOURce#]:FREQuency:SPAN": (900e3, HERTZ),
+    "[SOURce#]:SWEep:TIME": (10e-3, SECONDS),
+    "[SOURce#]:SWEep:HTIMe": (0.0, SECONDS),
+    "[SOURce#]:SWEep:RTIMe": (1e-3, SECONDS),
+    "[SOURce#]:SWEep:MODE": ("AUTO", {}),
+    "[SOURce#]:SWEep:SPACing": ("LINear", {}),
+    "[SOURce#]:PULSe:DELay": (0.0, SECONDS),
+    "[SOURce#]:PULSe:HOLD": ("DUTY", {}),
+    "[SOURce#]:PULSe:PERiod": (1e-6, SECONDS),
+    "[SOURce#]:PULSe:TRANsition[:LEADing]": (18e-9, SECONDS),
+    "[SOURce#]:PULSe:TRANsition:TRAiling": (18e-9, SECONDS),
+    "[SOURce#]:PULSe:WIDTh": (500e-9, SECONDS),
+    "[SOURce#]:FUNCtion:EFILe": ("", {}),
+    "[SOURce#]:COMBine:FEED": ("", {}),
+    "SOURce3|SOURce4:POWer[:LEVel][:IMMediate][:AMPLitude]": (10.0, PERCENT),
+    "TRIGger[:SEQuence]:SLOPe": ("POSitive", {}),
+}
+"""What an AFG3022B has and its twin has not, as ``*RST`` leaves it (its user manual, default settings)."""
 
 
 def _saved(afg: Afg) -> dict[str, Command]:
@@ -131,6 +178,8 @@ def _waveform(afg: Afg) -> dict[str, Command]:
 
     return {
         "[SOURce#]:FUNCtion[:SHAPe]": Command(set=shape, get=get_of(afg, lambda channel: channel.function)),
+        "[SOURce#]:FUNCtion:RAMP:SYMMetry": number(afg, "symmetry", PERCENT, 0, 100, "{:.4E}", 50.0),
+        "[SOURce#]:PULSe:DCYCle": number(afg, "duty_cycle", PERCENT, 0.001, 99.999, "{:.4E}", 50.0),
         "[SOURce#]:FREQuency[:CW|FIXed]": Command(
             set=frequency, get=get_number(afg, "frequency", 1e-3, 12.5e6, "{:.11E}")
         ),
@@ -168,6 +217,19 @@ def _levels(afg: Afg) -> dict[str, Command]:
 
         return Command(set=set_limit, get=_get_level(afg, side, -10, 10))
 
+    def end(sign: int) -> Command:
+        def change(number: int, arguments: Arguments) -> None:
+            channel, factor = afg.channels[number], afg.channels[number].load_factor
+            value = quantity(arguments, {"V": 1.0}, -10 * factor, 10 * factor, None) / factor
+            other = channel.offset - sign * channel.amplitude / 2
+            if sign * (value - other) < LOWEST * (1 - 1e-9):
+                raise ScpiError(-222, f"{value * factor:g} V: the high level lies above the low one")
+            afg.set_levels(number, amplitude=sign * (value - other), offset=(value + other) / 2)
+
+        return Command(
+            set=change, get=get_of(afg, lambda c: f"{(c.offset + sign * c.amplitude / 2) * c.load_factor:.4E}")
+        )
+
     def load(number: int, arguments: Arguments) -> None:
         text = one(arguments)
         infinite = isinstance(text, str) and is_word(text.upper(), "INFinity")
@@ -176,6 +238,8 @@ def _levels(afg: Afg) -> dict[str, Command]:
     level = "[SOURce#]:VOLTage[:LEVel][:IMMediate]"
     return {
         f"{level}[:AMPLitude]": Command(set=amplitude, get=_get_amplitude(afg)),
+        f"{level}:HIGH": end(1),
+        f"{level}:LOW": end(-1),
         f"{level}:OFFSet": Command(set=offset, get=_get_level(afg, "offset", -10, 10)),
         "[SOURce#]:VOLTage:LIMit:HIGH": limit("limit_high"),
         "[SOURce#]:VOLTage:LIMit:LOW": limit("limit_low"),
