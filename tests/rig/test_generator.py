@@ -14,12 +14,13 @@ import numpy as np
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus, LatencyBounds
-from modaltouch.protocol.fingers import FingerSection
+from modaltouch.protocol.fingers import FingerSection, FingerSpread
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import Bursts, RigError
 from modaltouch.rig.pacing import HELD_UP
 from modaltouch.rig.simulator import Simulator
 from modaltouch.stimulus.burst import Burst
+from modaltouch.stimulus.fingers import Finger
 from modaltouch.system.clock import VirtualClock
 
 LEVELS = (0.08, 0.1, 0.15, 0.2)
@@ -277,6 +278,53 @@ def test_fingers_lie_where_the_followed_session_places_them(
     for fingers, speeds in zip(told, expected, strict=True):
         # The twin speaks of one burst from rest, the log of one after many.
         assert list(fingers.values()) == pytest.approx(speeds, rel=1e-3)
+
+
+def test_fingers_differ_between_the_placements_of_a_followed_session(apparatus: Apparatus, tmp_path: Path) -> None:
+    """As the twin says they do, drawn from the session: none while hands are off, the same where it is read again."""
+    spread = {"mass": 0.2, "damping": 0.2, "stiffness": 0.2, "offset_mm": 2.0}
+    own = {
+        "fingers": FingerSection(mass_g=0.1, damping_N_s_per_m=0.5, stiffness_N_per_mm=0.5),
+        "finger_spread": FingerSpread.model_validate(spread),
+    }
+    touched = apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update=own)})
+    log = tmp_path / "session.jsonl"
+    place = '{"event":"placement","zone_left":"A","zone_right":"C"}\n'
+    lines = ['{"event":"start","seed":1,"participant":"p01","session":1}\n', place, '{"event":"hands_off"}\n', place]
+
+    def read() -> list[list[Finger]]:
+        log.write_text("", encoding="utf-8")
+        found = []
+        with Simulator(touched, follow=log) as simulator:
+            for line in lines:
+                with log.open("a", encoding="utf-8") as growing:
+                    growing.write(line)
+                found.append(list(simulator.touched.values()))
+        return found
+
+    nobody, first, off, second = read()
+    assert nobody == off == []
+    assert [nobody, first, off, second] == read()
+    for values in zip(*([f.position, f.mass, f.damping, f.stiffness] for f in (*first, *second)), strict=True):
+        assert len(set(values)) == 4
+    assert all(abs(f.position - centre) < 8e-3 for f, centre in zip(second, (-0.04, 0.0), strict=True))
+
+
+def test_a_burst_may_repeat_otherwise_than_usual(
+    simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
+) -> None:
+    """One that is measured plays on and on, without a trigger; the next one loaded is triggered as ever."""
+    rig = open_generator()
+    rig.load(burst, repetition="continuous")
+    rig.fire(0.1)
+    assert rig.firing is not None
+    assert (rig.firing.repetition, simulator.afg.channels[1].output) == ("continuous", True)
+    rig.stop()
+    rig.load(burst)
+    rig.fire(0.1, n_bursts=1)
+    rig.stop()
+    assert (rig.firing.repetition, rig.firing.confirmed) == ("single", True)
+    assert rig.firing.bursts.asked == 1
 
 
 def test_wired_firing_is_confirmed_as_far_as_its_settings_go(

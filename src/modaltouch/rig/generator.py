@@ -19,10 +19,10 @@ from modaltouch.protocol import Apparatus
 from modaltouch.rig.catalogue import instrument_of
 from modaltouch.rig.connection import Connection, OutputState, Patience, start_watchdog
 from modaltouch.rig.controls import Unconfirmed
-from modaltouch.rig.interface import MANY, Bursts, Firing, RigError, StimulusLost
+from modaltouch.rig.interface import MANY, Bursts, Firing, Repetition, RigError, StimulusLost
 from modaltouch.rig.link import LinkError, Log
 from modaltouch.rig.pacing import HELD_UP, PATIENCE, BurstPlayer, Report
-from modaltouch.rig.player import RELAYS_SETTLE, Player, Repetition, numbers
+from modaltouch.rig.player import RELAYS_SETTLE, Player, numbers
 from modaltouch.stimulus import Burst
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
@@ -136,7 +136,7 @@ class Generator:
 
         return measure(self, self._player.set_levels, self._opened_in, n=n)
 
-    def load(self, burst: Burst, *further: Burst) -> None:
+    def load(self, burst: Burst, *further: Burst, repetition: Repetition | None = None) -> None:
         """Have both channels' records in the instrument, verified, and set everything but the level.
 
         Parameters
@@ -145,6 +145,8 @@ class Generator:
             One record for each of the two outputs.
         *further : Burst
             More to choose from when firing; one for whose records there is no memory is loaded before it is fired.
+        repetition : str, optional
+            How these repeat, until others are loaded, instead of as usual.
 
         Raises
         ------
@@ -160,7 +162,7 @@ class Generator:
                 "outputs are off; give each output an actuator set in the apparatus file"
             )
         self.stop()
-        self._player.take(bursts)
+        self._player.take(bursts, repetition)
         self._bring(self._player.replay)
 
     def fire(

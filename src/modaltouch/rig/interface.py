@@ -11,6 +11,11 @@ if TYPE_CHECKING:
     from modaltouch.stimulus import Burst
 
 
+Repetition = typing.Literal["single", "timer", "continuous", "wired"]
+"""``single``: each burst is triggered by itself; ``timer``: by the free timer of the generator; ``wired``: by pulses at
+its trigger input; ``continuous``: one record of a whole period plays on and on."""
+
+
 class RigError(Exception):
     """The rig failed; its outputs are off, or everything possible was done to switch them off."""
 
@@ -124,8 +129,8 @@ class Rig(typing.Protocol):
     def firing(self) -> Firing | None:
         """The latest stimulus; `stop` confirms it, or says why not."""
 
-    def load(self, burst: Burst, *further: Burst) -> None:
-        """Upload both channels' records of each burst and verify them, outputs off."""
+    def load(self, burst: Burst, *further: Burst, repetition: Repetition | None = None) -> None:
+        """Upload both channels' records of each burst and verify them, outputs off; repeated otherwise than usual."""
 
     def fire(
         self, velocity: float, *, n_bursts: int = MANY, exactly: bool = False, silent: bool = False, which: int = 0

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.rig.controls import Controls, Unconfirmed
 from modaltouch.rig.instrument import Limits, Setting
-from modaltouch.rig.interface import RigError
+from modaltouch.rig.interface import Repetition, RigError
 from modaltouch.rig.pacing import Order
 from modaltouch.stimulus import Burst
 from modaltouch.system import Clock
-
-Repetition = Literal["single", "timer", "continuous", "wired"]
-"""``single``: each burst is triggered by itself; ``timer``: by the free timer of the generator; ``wired``: by pulses at
-its trigger input; ``continuous``: one record of a whole period plays on and on."""
 
 LARGEST_STEP = 0.01
 """How far from zero a record may begin and end, as a part of its full scale [1]."""
@@ -50,7 +45,7 @@ class Player:
         self._instrument = limits.instrument
         self._table = limits.instrument.commands
         self.repetition: Repetition = repetition
-        self._continuous = repetition == "continuous"
+        self._usual: Repetition = repetition
         self._trigger_command = ""
         self._bursts: tuple[Burst, ...] = ()
         self._chosen = 0
@@ -63,6 +58,10 @@ class Player:
     def expected(self) -> tuple[Setting, ...]:
         """Every setting that must read back while the burst plays."""
         return (*self._settings, *self._levels, *(() if self._continuous else self._let_go))
+
+    @property
+    def _continuous(self) -> bool:
+        return self.repetition == "continuous"
 
     @property
     def plays_by_itself(self) -> bool:
@@ -79,8 +78,10 @@ class Player:
         """Of one burst [s]."""
         return self._bursts[self._chosen].duration
 
-    def take(self, bursts: Sequence[Burst]) -> None:
+    def take(self, bursts: Sequence[Burst], repetition: Repetition | None = None) -> None:
         """Make bursts those that can be played, the first of them chosen; `replay` brings them into the instrument.
+
+        They repeat as the instrument's usually do if no other repetition is given.
 
         Raises
         ------
@@ -89,6 +90,7 @@ class Player:
             repetition asks for a timer that it has not.
         """
         self._bursts, self._settings, self._levels = (), (), ()
+        self.repetition = repetition or self._usual
         if self.repetition == "timer" and self._table.timer is None:
             raise RigError(
                 f"the repetition `timer` was asked for: a {self._instrument.models[0]} has no timer that "
