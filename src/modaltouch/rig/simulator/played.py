@@ -57,14 +57,14 @@ class PlayedLog:
         self._twin = twin
         self._settle = settle
         self._touched = touched
-        self._ended: queue.SimpleQueue[tuple[PlayedBurst, bool]] = queue.SimpleQueue()
+        self._ended: queue.SimpleQueue[tuple[PlayedBurst, bool, Mapping[str, Finger]]] = queue.SimpleQueue()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._keep_writing, daemon=True, name="twin-played")
         self._thread.start()
 
     def take(self, played: PlayedBurst) -> None:
         """Have a burst written."""
-        self._ended.put((played, self._twin.tripped))
+        self._ended.put((played, self._twin.tripped, self._touched()))
 
     def close(self) -> None:
         """Write what has ended, and end."""
@@ -86,15 +86,14 @@ class PlayedLog:
 
     def _write(self) -> None:
         while not self._ended.empty():
-            played, tripped = self._ended.get()
-            self._file.write(json.dumps(self._line(played, tripped=tripped)) + "\n")
+            played, tripped, touched = self._ended.get()
+            self._file.write(json.dumps(self._line(played, touched, tripped=tripped)) + "\n")
             self._file.flush()
 
-    def _line(self, played: PlayedBurst, *, tripped: bool) -> dict[str, Any]:
+    def _line(self, played: PlayedBurst, touched: Mapping[str, Finger], *, tripped: bool) -> dict[str, Any]:
         zones = {name: zone.centre_mm * 1e-3 for name, zone in self._twin.apparatus.zones.items()}
         sent = played.sent if played.whole else tuple(map(_passed, played.sent, played.passed))
         alone = [None if playback is None or tripped else replace(playback, period=math.inf) for playback in sent]
-        touched = self._touched()
         places = [*zones.values(), *(finger.position for finger in touched.values())]
         peaks = (self._twin.felt(alone, places, touched=tuple(touched.values())) * 1e3).round(4).tolist()
         return {
