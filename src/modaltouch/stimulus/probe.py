@@ -48,8 +48,8 @@ _STEP = 1e-3
 _DELAYS = np.arange(0.0, 60e-6, 0.25e-6)
 """Delays of the velocity that are tried [s]."""
 
-_MOST_EVALUATIONS = 40
-"""Of a fit that does not end; a good one takes five to fifteen."""
+_MOST_EVALUATIONS, _MORE_EVALUATIONS, _PROMISING = 40, 160, 50.0
+"""Of a fit that does not end; a good one takes five to fifteen. More where plain fingers are then below that misfit."""
 
 _GOOD, _FAIR, _WORST = 2.0, 5.0, 10.0
 """Misfit up to which no Maxwell terms and no other places to begin at are tried, above which a probe is refused [1]."""
@@ -301,14 +301,16 @@ class Probe:
                 )
             return known[key]
 
-        begin = np.zeros(len(whitened))
-        found = least_squares(
-            lambda step: at(step)[0], begin, lambda step: at(step)[1], method="lm", max_nfev=_MOST_EVALUATIONS
-        )
-        rest, slope = at(found.x)
-        misfit = float((rest[: -begin.size] ** 2).sum()) / (2 * int(prior.trusted.sum()))
+        step, misfit = np.zeros(len(whitened)), 0.0
+        for most in (_MOST_EVALUATIONS, _MORE_EVALUATIONS):
+            found = least_squares(lambda x: at(x)[0], step, lambda x: at(x)[1], method="lm", max_nfev=most)
+            step = found.x
+            rest, slope = at(step)
+            misfit = float((rest[: -step.size] ** 2).sum()) / (2 * int(prior.trusted.sum()))
+            if found.status != 0 or misfit > _PROMISING or any(finger.maxwell for finger in prior.model.fingers):
+                break
         covariance: FloatArray = np.linalg.inv(slope.T @ slope).astype(float) * max(misfit, 1.0)
-        return replace(prior.moved(found.x), covariance=covariance, misfit=misfit)
+        return replace(prior.moved(step), covariance=covariance, misfit=misfit)
 
     def _responses(self, beam: ProbedBeam) -> tuple[ComplexArray, ComplexArray]:
         """Responses of a beam, (n_lines,) array, and their derivatives, (n_lines, n_parameters) array."""
