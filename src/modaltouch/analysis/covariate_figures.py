@@ -126,9 +126,11 @@ def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
     """Return the shares of the answers against the predicted ratio of speeds; None where the table holds none."""
     if not (has_values(frame, "speed_left_mm_s") and has_values(frame, "speed_right_mm_s")):
         return None
-    # Pairs whose ratios are alike share their points: a tenth of an octave is told apart.
-    octaves = np.log2((frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).to_numpy(dtype=float))
-    ratio = 2 ** octaves.round(1)
+    # Each pair has the median of its placements; pairs whose ratios are alike share their points: a tenth of an octave
+    # is told apart.
+    octaves = np.log2(frame["speed_right_mm_s"] / frame["speed_left_mm_s"])
+    cells = [frame[name].astype(str) for name in ("finger_condition", "zone_left", "zone_right")]
+    ratio = 2 ** octaves.groupby(cells).transform("median").to_numpy(dtype=float).round(1)
     with house_style():
         figure = Figure(figsize=(3.3 * len(answers.finger_conditions) + 0.6, 3.0))
         panels = figure.subplots(1, len(answers.finger_conditions), sharey=True, squeeze=False)[0]
