@@ -128,7 +128,7 @@ def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
         return None
     # Each pair has the median of its placements; pairs whose ratios are alike share their points: a tenth of an octave
     # is told apart.
-    octaves = np.log2(frame["speed_right_mm_s"] / frame["speed_left_mm_s"])
+    octaves = (frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).astype(float).transform(np.log2)
     cells = [frame[name].astype(str) for name in ("finger_condition", "zone_left", "zone_right")]
     ratio = 2 ** octaves.groupby(cells).transform("median").to_numpy(dtype=float).round(1)
     with house_style():
