@@ -131,8 +131,10 @@ def _speeds_when_lifted(
 
     At the points of the zones; those below a floor are returned as it.
     """
-    points, unit, n = _zone_points(inputs).ravel(), stimulus.volts_per_code(level * 1e-3), len(inputs.fingers)
     speeds: dict[str, NDArray[np.float64]] = {}
+    if not inputs.fingers:
+        return speeds
+    points, unit, n = _zone_points(inputs).ravel(), stimulus.volts_per_code(level * 1e-3), len(inputs.fingers)
     touched = stimulus.touched(inputs.fingers)
     for left in (left for n_left in range(n) for left in combinations(inputs.fingers, n_left)):
         said = f" once {'both fingers are' if not left else 'a finger is'} taken away"
