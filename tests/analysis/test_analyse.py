@@ -47,7 +47,7 @@ def test_every_promised_file_is_written(analysis) -> None:
     """Tables, bars as SVG and PNG, statistics, report; no figure that nobody asked for."""
     assert set(analysis.files) == {
         "counts.csv", "fig_10.csv", "fig_11.csv", "fig_10.svg", "fig_11.svg", "fig_10.png", "fig_11.png", "tests.csv",
-        "tests.json", "report.html",
+        "tests.json", "report.html", "answers.csv", "models.R",
     }  # fmt: skip
     assert all(path.stat().st_size > 0 for path in analysis.files.values())
 

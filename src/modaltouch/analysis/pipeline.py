@@ -30,6 +30,7 @@ def analyse(
     answers: AnswerList | None = None,
     figures: Collection[str] = (),
     prereg: Path | str | None = None,
+    model: bool = False,
 ) -> Analysis | ThresholdAnalysis:
     """Analyse answers and write tables, figures, statistics and a report.
 
@@ -50,6 +51,8 @@ def analyse(
         ``speed_ratio``, or ``all``.
     prereg : Path or str, optional
         The preregistration, as ``modaltouch prereg`` wrote it; by default the one beside the protocol, if any.
+    model : bool
+        Whether the mixed logistic model is fitted, too, for which statsmodels is loaded.
 
     Returns
     -------
@@ -82,6 +85,10 @@ def analyse(
 
     counts = responses.count()
     findings = tuple(find(counts, responses.frame, responses.catches))
+    if model and counts.compares:
+        from modaltouch.analysis.mixed_logistic import model_findings
+
+        findings += tuple(model_findings(counts, responses.frame))
     analysis = _hold_against(prereg, Analysis(responses, counts, findings, {}))
     return replace(analysis, files=write_files(folder, render_files(analysis, asked), about))
 
@@ -122,6 +129,7 @@ def _figures(asked: Collection[str]) -> Collection[str]:
 
 def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str, Any]:
     """Return the contents of every file of an analysis, by name, as `write_files` takes them."""
+    from modaltouch.analysis.models import model_files
     from modaltouch.analysis.outcome import plain_row
     from modaltouch.analysis.report import report_files
     from modaltouch.analysis.tables import figure_names, zone_table
@@ -133,6 +141,7 @@ def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str,
         table.columns = table.columns.map("{:g}".format)
         files[f"{name}.csv"] = _rows(table.reset_index())
     files |= {"tests.csv": tests, "tests.json": [plain_row(row) for row in tests]}
+    files |= model_files(analysis.answers, analysis.responses.frame)
     return files | report_files(analysis, draw_all(analysis.answers, analysis.responses, figures))
 
 

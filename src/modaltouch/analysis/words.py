@@ -25,6 +25,7 @@ HEADINGS = {
     "order": ("Do answers drift, or depend on what came first?", ""),
     "time": ("Do reaction times differ?", ""),
     "speed": ("Do the answers follow the speeds under the fingers?", ""),
+    "model": ("What does a mixed model say?", ""),
 }
 """Heading of each question, and what its tests claim; other families of tests are headed by what they ask."""
 
@@ -38,7 +39,7 @@ def headings(answers: AnswerCounts) -> dict[str, tuple[str, str]]:
         question: (heading.format(in_both=in_both), claim.format(in_both=in_both))
         for question, (heading, claim) in HEADINGS.items()
     }
-    return {question: (asked | known)[question] for question in questions()}
+    return {question: (asked | known)[question] for question in (*questions(), "model")}
 
 
 def say_condition(finger_condition: str) -> str:

@@ -50,6 +50,9 @@ def analyse(
         Path | None,
         typer.Option(help="Preregistration to hold it against.", show_default="PROTOCOL.prereg.md beside the protocol"),
     ] = None,
+    model: Annotated[
+        bool, typer.Option("--model", help="Also fit a mixed logistic model, refused where answers are separated.")
+    ] = False,
     json_output: JSON = False,
 ) -> None:
     """Write the tables and bars of Fig. 10 and Fig. 11, exact statistics, and an HTML report."""
@@ -67,6 +70,7 @@ def analyse(
             answers=answers,
             figures=figures.replace(",", " ").split(),
             prereg=prereg,
+            model=model,
         )
         if json_output:
             print_json(analysis.as_dict())

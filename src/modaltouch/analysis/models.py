@@ -1,0 +1,62 @@
+"""Mixed models that a reviewer asks for: the tidy table, their formula, and a script that fits them in R."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pandas as pd
+
+from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.report import render_page
+
+
+def model_table(answers: AnswerCounts, frame: pd.DataFrame) -> pd.DataFrame:
+    """Return one row for each answer that chose a zone or both: who, where, at which level, which zone.
+
+    Parameters
+    ----------
+    answers : AnswerCounts
+        Counts of the answers, each finger of which can be named alone.
+    frame : DataFrame
+        Tidy answers.
+    """
+    rows = frame.loc[frame.index.repeat(frame["n"])]
+    pair = rows["zone_left"].astype(str) + "-" + rows["zone_right"].astype(str)
+    zones = {
+        (each.label, answers.answers[place].name): zone
+        for each in answers.pairs
+        for zone, place in (
+            ("dominant", answers.dominant_place(each)),
+            ("both", answers.both_place),
+            ("other", answers.other_place(each)),
+        )
+        if place is not None
+    }
+    chosen = [zones.get(key, "") for key in zip(pair, rows["response"].astype(str), strict=True)]
+    middle, scale = (min(answers.levels) + max(answers.levels)) / 2, answers.scale
+    table = pd.DataFrame({
+        "participant": rows["participant"].astype(str),
+        "finger_condition": rows["finger_condition"].astype(str),
+        "pair": pair,
+        scale.column: rows[scale.column],
+        "level": (rows[scale.column] - middle) / scale.step,
+        "response": rows["response"].astype(str),
+        "zone": chosen,
+    })  # fmt: skip
+    return table[table["zone"] != ""].assign(dominant=lambda kept: (kept["zone"] == "dominant").astype(int))
+
+
+def terms_of_model(answers: AnswerCounts) -> list[str]:
+    """Return the columns of the table that differ, as the terms of a formula."""
+    several = {"pair": answers.pairs, "finger_condition": answers.finger_conditions, "level": answers.levels}
+    return [name for name, values in several.items() if len(values) > 1]
+
+
+def model_files(answers: AnswerCounts, frame: pd.DataFrame) -> dict[str, Any]:
+    """Return the tidy table and the R script of the models, by file name; nothing where no finger is named alone."""
+    if not answers.compares:
+        return {}
+    table, terms = model_table(answers, frame), " + ".join(terms_of_model(answers)) or "1"
+    orders = [zone for zone in ("other", "both", "dominant") if zone != "both" or answers.both_place is not None]
+    script = render_page("modaltouch.analysis", "models.R.j2", terms=terms, zones=orders, scale=answers.scale)
+    return {"answers.csv": table.to_csv(index=False, lineterminator="\n"), "models.R": script}

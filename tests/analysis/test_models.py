@@ -1,0 +1,99 @@
+"""Mixed models: the table and script for R, and the logistic one against lme4."""
+
+from __future__ import annotations
+
+import csv
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.mixed_logistic import model_findings
+from modaltouch.analysis.models import model_files
+from modaltouch.analysis.pipeline import analyse
+
+GLMER = {
+    "intercept": (1.22850, 0.25736),
+    "B-D - A-C": (-2.24026, 0.19964),
+    "C-E - A-C": (-0.50188, 0.18094),
+    "two_hands - one_hand": (-0.23895, 0.15099),
+    "level, per 100 mm/s": (0.51877, 0.16342),
+}
+"""Estimates and standard errors of glmer(dominant ~ pair + finger_condition + level + (1 | participant), binomial) on
+the table of `spread_answers`, of lme4 1.1-31 in R 4.2.2."""
+
+
+def spread_answers() -> pd.DataFrame:
+    """Return two answers of 20 participants in each cell, from a mixed logistic model of spread 1 logit."""
+    rng, rows = np.random.default_rng(3), []
+    for i in range(20):
+        own = rng.normal(0, 1)
+        for condition in ("one_hand", "two_hands"):
+            for (left, right), effect in ((("A", "C"), 1.5), (("B", "D"), -1.0), (("C", "E"), 1.0)):
+                for level, centred in ((80, -0.6), (100, -0.4), (150, 0.1), (200, 0.6)):
+                    for _ in range(2):
+                        odds = effect + own + 0.5 * centred - 0.3 * (condition == "two_hands")
+                        dominant = "right" if right == "C" else "left"
+                        response = dominant if rng.random() < 1 / (1 + np.exp(-odds)) else "both"
+                        rows.append((f"p{i:02}", condition, left, right, float(level), response, 1))
+    names = ["participant", "finger_condition", "zone_left", "zone_right", "velocity_mm_s", "response", "n"]
+    return pd.DataFrame(rows, columns=names)
+
+
+@pytest.fixture(scope="module")
+def frame() -> pd.DataFrame:
+    """The answers that R was given."""
+    return spread_answers()
+
+
+def test_coefficients_are_those_of_lme4(frame) -> None:
+    """Within a third of a standard error, which the priors and the joint mode cost; errors within a tenth."""
+    rows = {row.scope: row for row in model_findings(count_answers(frame), frame)}
+    assert list(rows) == list(GLMER) and all(math.isnan(row.p) for row in rows.values())
+    for scope, (estimate, error) in GLMER.items():
+        row = rows[scope]
+        assert row.estimate == pytest.approx(estimate, abs=error / 3), scope
+        assert (row.high - row.low) / (2 * 1.959964) == pytest.approx(error, rel=0.1), scope
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda rows: rows["response"].where(rows["zone_left"] != "B", "both"), "the answers are split by B-D - A-C"),
+        (lambda rows: "both", "all answers are alike"),
+    ],
+)
+def test_separated_answers_are_refused_with_the_reason(frame, change, reason) -> None:
+    """Albert and Anderson (1984): no finite maximum of the likelihood."""
+    table = frame.assign(response=change(frame))
+    (row,) = model_findings(count_answers(table), table)
+    assert math.isnan(row.estimate)
+    assert f"not fitted: separation: {reason}" in row.note
+
+
+def test_one_participant_has_no_random_intercept(frame) -> None:
+    """Nothing tells the participant from the others."""
+    alone = frame[frame["participant"] == "p03"]
+    (row,) = model_findings(count_answers(alone), alone)
+    assert "one participant only" in row.note
+
+
+def test_an_analysis_writes_the_table_and_the_script(paper_csv, tmp_path) -> None:
+    """Every answer with its zone; the formula names what varies; the model is fitted where it is asked for."""
+    found = analyse(paper_csv, tmp_path / "out", model=True)
+    rows = list(csv.DictReader(found.files["answers.csv"].read_text(encoding="utf-8").splitlines()))
+    assert len(rows) == 240
+    assert sum(row["zone"] == "both" for row in rows) == int((found.responses.frame["response"] == "both").sum())
+    script = found.files["models.R"].read_text(encoding="utf-8")
+    assert "lme4::glmer(dominant ~ pair + finger_condition + level + (1 | participant)" in script
+    assert "ordinal::clmm(zone ~ pair" in script and "brms::brm(" in script
+    assert {row.question for row in found.findings} >= {"model"}
+    assert "What does a mixed model say?" in found.files["report.html"].read_text(encoding="utf-8")
+
+
+def test_what_does_not_vary_is_no_term(frame) -> None:
+    """One pair under one finger condition."""
+    alone = frame[(frame["zone_left"] == "A") & (frame["finger_condition"] == "one_hand")]
+    assert "dominant ~ level + (1 | participant)" in model_files(count_answers(alone), alone)["models.R"]
