@@ -11,6 +11,7 @@ from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.covariates import ANTICIPATION, focused_pairs, has_values, ranked_answers
 from modaltouch.analysis.figures import ANSWER_COLOURS, pair_colours
 from modaltouch.analysis.intervals import korn_graubard
+from modaltouch.analysis.words import say_condition
 from modaltouch.protocol import AnswerList
 from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
 
@@ -35,7 +36,7 @@ def draw_side(answers: AnswerCounts) -> Figure | None:
             shake = rng.uniform(-0.018, 0.018, (2, answers.n_participants))
             axes.scatter(
                 on_left + shake[0], on_right + shake[1], s=22, marker="os^D"[f % 4], alpha=0.75, edgecolor="white",
-                linewidth=0.4, color=CONDITION_COLOURS[f % 4], label=condition,
+                linewidth=0.4, color=CONDITION_COLOURS[f % 4], label=say_condition(condition),
             )  # fmt: skip
         names = [", ".join(answers.pairs[q].label for q in group) for group in (left, right)]
         axes.set_xlabel(f"share choosing the focus on the left ({names[0]})")
@@ -109,7 +110,7 @@ def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
                 own = (kept["zone_left"].astype(str) == pair.left) & (kept["zone_right"].astype(str) == pair.right)
                 own &= kept["finger_condition"].astype(str) == condition
                 groups.append(kept.loc[own, "response_time"].to_numpy())
-                ticks.append(f"{pair.label}\n{condition}")
+                ticks.append(f"{pair.left}, {pair.right}\n{say_condition(condition)}")
         axes.boxplot(groups, whis=(5, 95), widths=0.55, medianprops={"color": INK, "linewidth": 1.4},
                      flierprops={"marker": ".", "markersize": 2, "markeredgecolor": FAINT})  # fmt: skip
         axes.set_xticks(range(1, len(ticks) + 1), ticks)
@@ -137,7 +138,7 @@ def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
         for axes, condition in zip(panels, answers.finger_conditions, strict=True):
             own = (frame["finger_condition"].astype(str) == condition).to_numpy()
             _draw_ratios(axes, frame[own].assign(ratio=ratio[own]), answers.answers)
-            axes.set_title(condition)
+            axes.set_title(say_condition(condition))
             axes.set_xlabel("predicted peak speed, right / left finger")
         panels[0].set_ylabel("share of answers")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
