@@ -9,7 +9,7 @@ from matplotlib.colors import to_hex, to_rgb
 from matplotlib.transforms import Bbox
 
 from modaltouch.analysis.counts import count_answers
-from modaltouch.analysis.covariate_figures import draw_order, draw_side, draw_speeds, draw_times
+from modaltouch.analysis.covariate_figures import draw_order, draw_speeds, draw_times
 from modaltouch.analysis.figures import draw_counts
 from modaltouch.analysis.strips import NOTHING, OTHER_COLOURS, TIED, ZONE_COLOURS, participant_strips
 from modaltouch.analysis.tables import zone_table
@@ -113,8 +113,7 @@ def test_strips_show_every_answer_as_letter(paper_frame) -> None:
 
 @pytest.mark.parametrize("levels", [[2.0], [1.0, 1.5, 2.0, 3.0]])
 @pytest.mark.parametrize("conditions", [["one_hand"], ["one_hand", "two_hands"]])
-@pytest.mark.parametrize("draw", [draw_side, draw_order])
-def test_no_legend_is_cut_or_hides_an_answer(build, levels, conditions, draw) -> None:
+def test_no_legend_is_cut_or_hides_an_answer(build, levels, conditions) -> None:
     """A narrow picture, of few levels; a mark of the legend among those of the data would pass for one."""
     rows = [
         {"participant": f"p{i}", "finger_condition": fingers, "zone_left": left, "zone_right": right, "trial": i + j,
@@ -124,7 +123,7 @@ def test_no_legend_is_cut_or_hides_an_answer(build, levels, conditions, draw) ->
     ]  # fmt: skip
     frame = build["tidy"](rows)
     answers = count_answers(frame)
-    figure = draw_order(answers, frame) if draw is draw_order else draw(answers)
+    figure = draw_order(answers, frame)
     render(figure, "png")
     legends = [*figure.legends, *(axes.get_legend() for axes in figure.axes if axes.get_legend())]
     assert len(legends) == 1
@@ -202,11 +201,6 @@ def test_further_figures_need_their_columns(paper_frame) -> None:
     assert draw_speeds(answers, paper_frame) is None
 
 
-def test_a_side_bias_needs_the_focus_on_both_sides(paper_frame) -> None:
-    """(A, C) alone has it on the right only."""
-    assert draw_side(count_answers(paper_frame[paper_frame["zone_left"] == "A"])) is None
-
-
 def test_further_figures_draw_what_they_are_given(paper_frame) -> None:
     """Synthetic order, times and speeds; every axis names its quantity and unit."""
     frame = paper_frame.assign(
@@ -216,8 +210,8 @@ def test_further_figures_draw_what_they_are_given(paper_frame) -> None:
         speed_right_mm_s=paper_frame["zone_right"].map({"C": 100.0, "D": 60.0, "E": 50.0}),
     )
     answers = count_answers(frame)
-    figures = [draw_side(answers), draw_order(answers, frame), draw_times(answers, frame), draw_speeds(answers, frame)]
+    figures = [draw_order(answers, frame), draw_times(answers, frame), draw_speeds(answers, frame)]
     labels = " ".join(axes.get_ylabel() + axes.get_xlabel() for figure in figures if figure for axes in figure.axes)
-    for words in ("on the right", "in the order of trials", "reaction time [s]", "right / left finger"):
+    for words in ("in the order of trials", "reaction time [s]", "right / left finger"):
         assert words in labels
     assert all(render(figure, "svg").startswith(b"<?xml") for figure in figures if figure)

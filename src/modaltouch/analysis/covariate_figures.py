@@ -1,4 +1,4 @@
-"""Figures of what might bend the answers: side, order, time, and the speeds under the two fingers."""
+"""Figures of what might bend the answers: order, time, and the speeds under the two fingers."""
 
 from __future__ import annotations
 
@@ -8,45 +8,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from modaltouch.analysis.counts import AnswerCounts
-from modaltouch.analysis.covariates import ANTICIPATION, focused_pairs, has_values, ranked_answers
+from modaltouch.analysis.covariates import ANTICIPATION, has_values, ranked_answers
 from modaltouch.analysis.figures import ANSWER_COLOURS, pair_colours
 from modaltouch.analysis.intervals import korn_graubard
 from modaltouch.analysis.words import say_condition
 from modaltouch.protocol import AnswerList
-from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
+from modaltouch.report import FAINT, INK, house_style, quiet_grid
 
 MOST_TRIALS = 40
 """Orders beyond this many are averaged in groups, so that the points stay apart."""
-
-
-def draw_side(answers: AnswerCounts) -> Figure | None:
-    """Return each choice of the focus when it lies right against when it lies left; None where it never does both."""
-    left, right = focused_pairs(answers)
-    if not (right and left):
-        return None
-    dominant = answers.dominant.mean(axis=-1) / answers.n_repetitions
-    with house_style():
-        figure = Figure(figsize=(4.2, 3.6))
-        axes = figure.subplots()
-        axes.plot([0, 1], [0, 1], color=FAINT, linewidth=0.8)
-        rng = np.random.default_rng(1)
-        for f, condition in enumerate(answers.finger_conditions):
-            shares = [dominant[f, group].mean(axis=0) for group in (left, right)]
-            on_left, on_right = (np.where(answers.facing > 0, *pair) for pair in (shares, shares[::-1]))
-            shake = rng.uniform(-0.018, 0.018, (2, answers.n_participants))
-            axes.scatter(
-                on_left + shake[0], on_right + shake[1], s=22, marker="os^D"[f % 4], alpha=0.75, edgecolor="white",
-                linewidth=0.4, color=CONDITION_COLOURS[f % 4], label=say_condition(condition),
-            )  # fmt: skip
-        names = [", ".join(answers.pairs[q].label for q in group) for group in (left, right)]
-        axes.set_xlabel(f"share choosing the focus on the left ({names[0]})")
-        axes.set_ylabel(f"on the right ({names[1]})")
-        axes.set_xlim(-0.05, 1.05)
-        axes.set_ylim(-0.05, 1.05)
-        axes.set_aspect("equal")
-        figure.legend(loc="outside lower center", ncols=4, frameon=False)
-        figure.suptitle(f"Side bias: above the line, right is preferred (N = {answers.n_participants})", fontsize=9)
-    return figure
 
 
 def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:

@@ -20,7 +20,6 @@ FIGURES = {
         "zone.",
         "stimulus",
     ),
-    "side_bias": ("Each point is a participant, shaken a little so that equal ones show.", "further"),
     "order": ("Share of the dominant zone against the place in the session.", "further"),
     "reaction_times": (
         "An answer may wait for the next burst, so reaction times are quantised and small differences mean little. "
@@ -55,20 +54,17 @@ def draw_all(answers: AnswerCounts, responses: Responses, asked: Collection[str]
 
 
 def _draw(name: str, answers: AnswerCounts, responses: Responses) -> Figure | None:
-    from modaltouch.analysis.covariate_figures import draw_order, draw_side, draw_speeds, draw_times
+    from modaltouch.analysis.covariate_figures import draw_order, draw_speeds, draw_times
     from modaltouch.analysis.fields import draw_fields
 
     frame = responses.frame
-    of_zones: dict[str, Callable[[], Figure | None]] = {
-        "side_bias": lambda: draw_side(answers),
-        "order": lambda: draw_order(answers, frame),
-        "speed_ratio": lambda: draw_speeds(answers, frame),
+    ways: dict[str, Callable[[], Figure | None]] = {
+        "fields": lambda: draw_fields(responses.start, responses.stimulus),
+        "reaction_times": lambda: draw_times(answers, frame),
     }
-    if name == "fields":
-        return draw_fields(responses.start, responses.stimulus)
-    if name == "reaction_times":
-        return draw_times(answers, frame)
-    return of_zones[name]() if answers.compares else None
+    if answers.compares:
+        ways |= {"order": lambda: draw_order(answers, frame), "speed_ratio": lambda: draw_speeds(answers, frame)}
+    return ways[name]() if name in ways else None
 
 
 def _bars(answers: AnswerCounts) -> list[ReportFigure]:

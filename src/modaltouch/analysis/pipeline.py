@@ -47,8 +47,8 @@ def analyse(
     answers : AnswerList, optional
         What could be answered, for a CSV; by default the paper's answers. Sessions tell it themselves.
     figures : collection of str
-        Figures to draw besides Fig. 10 and Fig. 11: ``fields``, ``side_bias``, ``order``, ``reaction_times``,
-        ``speed_ratio``, or ``all``.
+        Figures to draw besides Fig. 10 and Fig. 11: ``fields``, ``order``, ``reaction_times``, ``speed_ratio``,
+        or ``all``.
     prereg : Path or str, optional
         The preregistration, as ``modaltouch prereg`` wrote it; by default the one beside the protocol, if any.
     model : bool

@@ -42,7 +42,7 @@ def analyse(
     figures: Annotated[
         str,
         typer.Option(
-            help="Figures besides Fig. 10 and 11: fields, side_bias, order, reaction_times, speed_ratio, or all.",
+            help="Figures besides Fig. 10 and 11: fields, order, reaction_times, speed_ratio, or all.",
             show_default="none",
         ),
     ] = "",
