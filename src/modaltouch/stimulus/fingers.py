@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,10 +129,17 @@ class Finger:
     def _over_contact(self, shapes: Callable[[FloatArray], FloatArray], length: float) -> tuple[FloatArray, FloatArray]:
         left, right = max(self.position - self.width / 2, -length / 2), min(self.position + self.width / 2, length / 2)
         tenths = max(1, math.ceil(10 * (right - left) / length * (1 - 1e-9)))
-        nodes, weights = np.polynomial.legendre.leggauss(_NODES * tenths)
+        nodes, weights = _gauss(_NODES * tenths)
         values = shapes((left + right) / 2 + (right - left) / 2 * nodes)
         repeats = values.shape[1] // nodes.size
         return values, np.tile(weights, repeats) / (2 * repeats)
+
+
+@lru_cache(maxsize=16)
+def _gauss(n: int) -> tuple[FloatArray, FloatArray]:
+    """Nodes and weights of the Gauss-Legendre rule, two (n,) arrays."""
+    nodes, weights = np.polynomial.legendre.leggauss(n)
+    return nodes, weights
 
 
 Uncoupled = tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]
