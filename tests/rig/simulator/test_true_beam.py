@@ -110,7 +110,7 @@ def test_finger_lowers_the_first_mode_as_a_mass_does(with_twin: Callable[..., Ap
     fingers = FingerSection(mass_g=0.33, damping_N_s_per_m=0.4)
     known = with_twin(apparatus, fingers=fingers, beam_mass_g=3.3).model_copy(update={"modes": (mode,)})
     twin = Twin(known, 1)
-    exponent = twin.system((twin.finger(0.02),)).exponent[0]
+    exponent = twin.system(twin.fingers(0.02)).exponent[0]
     frequency, mass = 229 / np.sqrt(1.1), 1.1 * 3.3e-3
     assert abs(exponent) / (2 * np.pi) == pytest.approx(frequency, rel=1e-9)
     damping = 2 * 0.0437 * 2 * np.pi * 229 * 3.3e-3 + 0.4
@@ -135,7 +135,7 @@ def test_fingers_that_stop_the_beam_from_swinging_are_no_failure(
 ) -> None:
     """50 N s/m make mode 1 overdamped: two real exponents, and a speed that is finite and lower."""
     heavy = Twin(with_twin(apparatus, fingers=FingerSection(mass_g=0.1, damping_N_s_per_m=50.0)), 1)
-    assert np.sum(heavy.system((heavy.finger(0.0),)).exponent.imag == 0) >= 2
+    assert np.sum(heavy.system(heavy.fingers(0.0)).exponent.imag == 0) >= 2
     assert (
         0 < heavy.felt([playback(), None], [0.0])[0] < Twin(with_twin(apparatus), 1).felt([playback(), None], [0.0])[0]
     )

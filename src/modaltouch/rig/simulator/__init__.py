@@ -206,7 +206,11 @@ class Simulator:
 
     def touch(self, places: Sequence[str | float]) -> None:
         """Lay fingers on the beam for whatever is measured from now on; nowhere for an empty sequence."""
-        self._touched = {str(place): self.twin.finger(self.position(place)) for place in places}
+        from modaltouch.stimulus import Finger
+
+        at = {str(place): self.position(place) for place in places}
+        laid = self.twin.fingers(*at.values()) or [Finger(position) for position in at.values()]
+        self._touched = dict(zip(at, laid, strict=True))
 
     @property
     def touched(self) -> dict[str, Finger]:

@@ -11,14 +11,16 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from modaltouch.protocol import InputError, Problem
 from modaltouch.rig.simulator.timeline import Playback, PlayedBurst
 from modaltouch.rig.simulator.twin import MOST_SAMPLES, Twin
-from modaltouch.stimulus import Finger
+
+if TYPE_CHECKING:
+    from modaltouch.stimulus import Finger
 
 TICK = 2e-3
 """Time between two looks at what has ended [s]."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,9 @@ from modaltouch.rig.scope import Scope
 from modaltouch.rig.simulator.motion import Motion
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import Twin
-from modaltouch.stimulus import Finger
+
+if TYPE_CHECKING:
+    from modaltouch.stimulus import Finger
 
 FloatArray = NDArray[np.float64]
 

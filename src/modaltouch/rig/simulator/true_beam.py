@@ -6,12 +6,16 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.protocol import Apparatus
-from modaltouch.stimulus import Amplifier, DiagonalSystem, Finger, ModalModel, mode_shapes
+from modaltouch.stimulus import Amplifier, DiagonalSystem, ModalModel, mode_shapes
+
+if TYPE_CHECKING:
+    from modaltouch.stimulus import Finger
 
 FloatArray = NDArray[np.float64]
 

@@ -15,10 +15,11 @@ from modaltouch.protocol import Apparatus
 from modaltouch.rig.simulator.held import LONGEST_SILENCE, Held, peak, refined, state_at
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.true_beam import generator_gains, true_amplifier, true_beam
-from modaltouch.stimulus import DiagonalSystem, Finger
+from modaltouch.stimulus import DiagonalSystem
 
 if TYPE_CHECKING:
     from modaltouch.rig.simulator.motion import DriveVoltage, Motion, StateHistory
+    from modaltouch.stimulus import Finger
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -92,10 +93,10 @@ class Twin:
             self.amplifier.gain * self.apparatus.generator.load_factor
         )
 
-    def finger(self, position: float) -> Finger:
-        """Return a finger at a place of the beam [m], as the section ``twin`` has them; one that only feels if none."""
+    def fingers(self, *positions: float) -> list[Finger]:
+        """Return fingers at places of the beam [m], as the section ``twin`` has them; none that only feel."""
         section = self.beam.apparatus.twin.fingers
-        return Finger(position) if section is None else section.at(position)
+        return [] if section is None else [section.at(position) for position in positions]
 
     def system(self, touched: Sequence[Finger] = (), stretch: float = 1.0) -> DiagonalSystem:
         """Return the equations of the beam with fingers on it, behind its amplifier.
@@ -158,7 +159,7 @@ class Twin:
         for oldest in list(self._felt)[:-SETTINGS_KEPT]:
             self._felt.pop(oldest, None)
         # Fingers that weigh change the beam for each other; others feel it as it is.
-        laid = [self.finger(x) for x in positions] if touched is None else touched
+        laid = self.fingers(*positions) if touched is None else touched
         fingers = tuple(sorted((finger for finger in laid if finger.weighs), key=lambda finger: finger.position))
         missing = [x for x in dict.fromkeys(positions) if (x, *fingers) not in felt]
         if missing:
