@@ -106,7 +106,7 @@ class Bench:
         table = whole_table(apparatus)
         laser = float(np.copysign(table.length / 2 - FROM_END, -sum(places)))
         expected = tuple(Finger(place, *EXPECTED) for place in places)
-        excitation = Excitation.of(apparatus, table, expected, laser, SPEED)
+        excitation = Excitation.of(apparatus, table, [expected], laser, SPEED)
         burst, to_beam = excitation.burst, apparatus.amplifier.gain_V_per_V * apparatus.generator.load_factor
         unit = np.array(burst.amplitude) * to_beam / 2 / burst.converter.mid_code
         spectrum = np.fft.rfft(burst.converter.signed(burst.codes) * unit[:, None]) * 2 / burst.codes.shape[1]

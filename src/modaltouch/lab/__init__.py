@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from modaltouch.lab.calibration.command import CalibrateOptions, calibrate
     from modaltouch.lab.comparison.command import CompareOptions, compare
     from modaltouch.lab.identification.command import IdentifyOptions, identify
-    from modaltouch.lab.laboratory import MeasurementProgress, TooFewPointsError
+    from modaltouch.lab.laboratory import Laboratory, MeasurementProgress, TooFewPointsError
     from modaltouch.lab.probe.command import ProbeOptions, probe_fingers
+    from modaltouch.lab.probe.prober import Prober
     from modaltouch.lab.validation.command import ValidateOptions, validate
 else:
     __getattr__ = lazily(
@@ -25,8 +26,9 @@ else:
             "calibration.command": "CalibrateOptions calibrate",
             "comparison.command": "CompareOptions compare",
             "identification.command": "IdentifyOptions identify",
-            "laboratory": "MeasurementProgress TooFewPointsError",
+            "laboratory": "Laboratory MeasurementProgress TooFewPointsError",
             "probe.command": "ProbeOptions probe_fingers",
+            "probe.prober": "Prober",
             "validation.command": "ValidateOptions validate",
         },
     )
@@ -35,8 +37,10 @@ __all__ = [
     "CalibrateOptions",
     "CompareOptions",
     "IdentifyOptions",
+    "Laboratory",
     "MeasurementProgress",
     "ProbeOptions",
+    "Prober",
     "TooFewPointsError",
     "ValidateOptions",
     "calibrate",

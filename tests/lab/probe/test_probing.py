@@ -118,7 +118,7 @@ def test_noise_is_that_of_the_records(protocol):
     """Two records of the untouched beam differ by the deviation that is told of them, and move it as asked."""
     apparatus = Apparatus.read(protocol.with_name("beam.yaml"))
     fingers = (Finger(-0.04, 8e-5, 0.5, 500.0), Finger(0.0, 8e-5, 0.5, 500.0))
-    excitation = Excitation.of(apparatus, apparatus.modal_model(), fingers, 0.049, SPEED)
+    excitation = Excitation.of(apparatus, apparatus.modal_model(), [fingers], 0.049, SPEED)
     assert np.diff(excitation.bins).min() >= 4
     with open_laboratory(apparatus, repetition="continuous") as laboratory:
         laboratory.load(excitation.burst)

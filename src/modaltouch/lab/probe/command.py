@@ -11,15 +11,13 @@ from typing import Any, Literal
 
 import numpy as np
 
-from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.identification.estimates import NORMAL_95
 from modaltouch.lab.laboratory import SIMULATED, Laboratory, MeasurementProgress, open_laboratory, quiet
 from modaltouch.lab.output import rounded, yaml_text
-from modaltouch.lab.probe.excitation import Excitation
-from modaltouch.preflight import DesignInputs, design, examine
+from modaltouch.lab.probe.prober import SPEED, Prober
+from modaltouch.preflight import design, examine
 from modaltouch.protocol import InputError
 from modaltouch.record import prepare_file, replace_file
-from modaltouch.stimulus import Finger, ModalModel, Probe
+from modaltouch.stimulus import Finger, Probe
 
 HEAD = """\
 # Fingers as they lay on the beam, written by `modaltouch fingers probe`: name this file in `stimulus.fingers`, or give
@@ -28,9 +26,6 @@ HEAD = """\
 
 Laid = dict[str, tuple[str, Finger]]
 """Zone and values of fingers, by their names."""
-
-FROM_END = 1e-3
-"""From the end of the beam to the vibrometer's spot: there every mode moves [m]."""
 
 PLACE_ERROR = 2e-3
 """How far from the centres of their zones fingers lie on the twin, standard deviation [m]."""
@@ -66,7 +61,7 @@ class ProbeOptions:
     pair: str = ""
     hand: Literal["left", "right"] | None = None
     laser: float | None = None
-    speed: float = 15e-3
+    speed: float = SPEED
     seed: int | None = None
 
 
@@ -125,11 +120,8 @@ def probe_fingers(
     prepare_file(options.out)
     with (
         (progress or MeasurementProgress()).interruptible() as heard,
-        open_laboratory(
-            plan.apparatus, options.rig, seed=options.seed, repetition="continuous", aim=heard.aim
-        ) as bench,
+        open_laboratory(plan.apparatus, options.rig, seed=options.seed, aim=heard.aim) as bench,
     ):
-        bench.load(plan.excitation.burst)
         return plan.carried_out(bench, partial(heard.show, "probes"), lay)
 
 
@@ -152,8 +144,7 @@ class _Plan:
         self.placements = placements
         self.rng = np.random.default_rng([options.seed or 0, 2])
         self.apparatus = findings.with_true_fingers(self.rng)
-        self.model = self.apparatus.modal_model()
-        Probe.check_table(self.model)
+        Probe.check_table(self.apparatus.modal_model())
         pairs = {"-".join(pair): pair for pair in protocol.conditions.zone_pairs}
         pair = options.pair or next(iter(pairs))
         if pair not in pairs:
@@ -161,12 +152,6 @@ class _Plan:
         self.conditions = {
             each: placements.expected(each, *pairs[pair]) for each in protocol.conditions.finger_conditions
         }
-        expected = [finger for _, finger in next(iter(self.conditions.values())).values()]
-        middle = sum(finger.position for finger in expected)
-        self.laser = (
-            float(np.copysign(self.model.length / 2 - FROM_END, -middle)) if options.laser is None else options.laser
-        )
-        self.excitation = Excitation.of(self.apparatus, self.model, expected, self.laser, options.speed)
 
     def lay(self, bench: Laboratory, expected: Laid, lay: Callable[[str], None], words: str) -> None:
         """Have fingers laid on the beam, or taken away."""
@@ -176,99 +161,42 @@ class _Plan:
         places = np.array([finger.position for _, finger in expected.values()])
         bench.simulator.touch((places + PLACE_ERROR * self.rng.standard_normal(places.size)).tolist())
 
-    def record(self, bench: Laboratory) -> Probe:
-        """A probe of the beam as it is."""
-        corner = self.apparatus.acquisition.vibrometer_bandwidth_kHz
-        bandwidth = None if corner is None else corner * 1e3
-        return Probe.averaged(self.excitation.probe(bench, self.laser, self.options.speed, bandwidth))
-
     def carried_out(
         self, bench: Laboratory, show: Callable[[int, int], None], lay: Callable[[str], None]
     ) -> ProbeReport:
         """What was found, and the file of it; of a finger that lay on the beam twice, the first time counts."""
+        placements = [[finger for _, finger in expected.values()] for expected in self.conditions.values()]
+        prober = Prober(bench, placements, self.options.laser, self.options.speed)
         self.lay(bench, {}, lay, "Take all hands off the beam")
-        free, fingers = self.record(bench).untouched(self.model), dict[str, tuple[str, Finger]]()
+        prober.hands_off()
+        hands: dict[str, dict[str, Any]] = {}
         probes, shown = [], []
         for number, (condition, expected) in enumerate(self.conditions.items(), start=1):
             show(number, 1 + len(self.conditions))
             words = " and ".join(f"the {name} finger on {zone}" for name, (zone, _) in expected.items())
             self.lay(bench, expected, lay, f"Lay {words} ({condition.replace('_', ' ')}), and keep still")
-            beam = self.record(bench).touched(free, [finger for _, finger in expected.values()])
-            zones = [zone for zone, _ in expected.values()]
-            fingers = dict(zip(expected, zip(zones, beam.model.fingers, strict=True), strict=True)) | fingers
-            level = predicted_level(self.inputs, beam.model, beam.spread)
-            own = beam.covariance[beam.n_beam :, beam.n_beam :].tolist()
+            found = prober.hands_on(expected)
+            for name, values in found["fingers"].items():
+                hand, which = name.split()
+                del values["zone"]
+                hands.setdefault(hand, {}).setdefault(which, values)
+            own = replace(self.inputs, fingers=prober.fingers)
+            stimulus = design(own)
+            level = prober.predict(own, stimulus)
+            room = stimulus.amplifier.limit / float(stimulus.peak_drive(own.reference * 1e-3).max())
             probes.append(
                 {
                     "placement": ", ".join(f"{name} on {zone}" for name, (zone, _) in expected.items()),
                     "date": datetime.now().astimezone().isoformat(timespec="seconds"),
                     "mode": bench.mode,
-                    "misfit": round(beam.misfit, 3),
-                    "level_percent": [round(100 * each / self.inputs.reference, 3) for each in level["interval_mm_s"]],
-                    "covariance": [[float(f"{value:.4g}") for value in row] for row in own],
+                    "misfit": found["misfit"],
+                    "level_percent": [round(100 * each / own.reference, 3) for each in level["interval_mm_s"]],
+                    "covariance": found["covariance"],
                 }
             )
-            shown.append(probes[-1] | level)
+            shown.append(probes[-1] | level | {"attainable_mm_s": level["level_mm_s"] * room})
         show(1 + len(self.conditions), 1 + len(self.conditions))
-        hands: dict[str, dict[str, Any]] = {}
-        for name, (zone, finger) in fingers.items():
-            hand, which = name.split()
-            hands.setdefault(hand, {})[which] = _section(finger, self.apparatus.zones[zone].centre_mm)
         about = {"description": f"Measured by `modaltouch fingers probe` for {self.placements.protocol.protocol}"}
         file = self.placements.file.model_validate(about | {"fingers": hands, "probes": probes})
         values = file.model_dump(mode="json", exclude_defaults=True)
         return ProbeReport(shown, values["fingers"], HEAD + yaml_text(values), self.options.out)
-
-
-def _section(finger: Finger, centre_mm: float) -> dict[str, Any]:
-    """Keys of a finger on a zone with its centre at a place of the beam, to five digits."""
-    values = {
-        "mass_g": finger.mass * 1e3,
-        "damping_N_s_per_m": finger.damping,
-        "stiffness_N_per_mm": finger.stiffness * 1e-3,
-        "contact_width_mm": finger.width * 1e3,
-        "offset_mm": finger.position * 1e3 - centre_mm,
-    }
-    terms = [{"stiffness_N_per_mm": k * 1e-3, "relaxation_ms": time * 1e3} for k, time in finger.maxwell]
-    short = [{key: float(f"{value:.5g}") for key, value in each.items()} for each in (values, *terms)]
-    return {**short[0], "maxwell": short[1:]}
-
-
-def predicted_level(
-    inputs: DesignInputs, beam: ModalModel, spread: Callable[[Callable[[ModalModel], FloatArray]], FloatArray]
-) -> dict[str, Any]:
-    """What the design for the fingers that were found does under them, on the beam as it was found.
-
-    Parameters
-    ----------
-    inputs : DesignInputs
-        What it is designed from, but for the fingers.
-    beam : ModalModel
-        The beam as found, with its fingers.
-    spread : callable
-        Standard deviations of figures of the beam.
-
-    Returns
-    -------
-    dict
-        ``asked_mm_s``, the highest level; ``level_mm_s``, that at the focus; ``interval_mm_s``, its 95 % interval;
-        ``finger_mm_s`` and ``finger_deviation_mm_s``, speeds under the fingers at that instant; ``attainable_mm_s``,
-        the level at the limit of the amplifier.
-    """
-    stimulus, level = design(replace(inputs, fingers=beam.fingers)), inputs.reference * 1e-3
-    played, unit = stimulus.touched(()), stimulus.volts_per_code(level)
-
-    def speeds(model: ModalModel) -> FloatArray:
-        places = [inputs.centre_mm * 1e-3, *(finger.position for finger in model.fingers)]
-        return replace(played, model=model).velocity_at_focus(places, unit)
-
-    speed, deviation = speeds(beam) * 1e3, spread(speeds) * 1e3
-    limit = stimulus.amplifier.limit / float(stimulus.peak_drive(level).max())
-    return {
-        "asked_mm_s": inputs.reference,
-        "level_mm_s": float(speed[0]),
-        "interval_mm_s": [float(speed[0] + side * NORMAL_95 * deviation[0]) for side in (-1, 1)],
-        "finger_mm_s": speed[1:].tolist(),
-        "finger_deviation_mm_s": deviation[1:].tolist(),
-        "attainable_mm_s": float(speed[0]) * limit,
-    }

@@ -1,7 +1,9 @@
 """What a probe plays and records: sines of both outputs at once, each at its own frequencies, and their responses.
 
 Some frequencies are spread evenly over the logarithm, the others lie about the resonances. The outputs take them in
-turn, so that one record tells both apart, and the noise is what is found between them.
+turn, so that one record tells both apart, and the noise is what is found between them. Responses are those to what the
+outputs are told, so that the error of a generator's or an amplifier's gain is found as one of the beam's, and a design
+makes up for it.
 """
 
 from __future__ import annotations
@@ -43,9 +45,6 @@ GAP = 4
 EVEN = 0.75
 """Power of the response by which its drive is lowered: 1 moves the beam alike at all frequencies [1]."""
 
-SMOOTH = 5
-"""Degree of the polynomials of frequency by which amplifier and delay turn the commanded drive [1]."""
-
 N_SILENT = 25
 """Neighbouring bins that nothing plays, of whose powers the median tells the noise [1]."""
 
@@ -68,18 +67,23 @@ class Excitation:
         Frequencies, over that of the period, increasing.
     channel : (n_lines,) array of int
         Output that plays each, from 0.
-    voltage : float
-        Highest voltage at the beam [V].
+    line : (n_lines,) complex array
+        Voltage at the beam at each frequency, half of its amplitude [V].
     """
 
     burst: Burst
     bins: NDArray[np.intp]
     channel: NDArray[np.intp]
-    voltage: float
+    line: ComplexArray
 
     @classmethod
     def of(
-        cls, apparatus: Apparatus, model: ModalModel, fingers: Sequence[Finger], laser: float, speed: float
+        cls,
+        apparatus: Apparatus,
+        model: ModalModel,
+        placements: Sequence[Sequence[Finger]],
+        laser: float,
+        speed: float,
     ) -> Excitation:
         """Sines that move the beam at no more than a speed, with and without fingers.
 
@@ -89,22 +93,26 @@ class Excitation:
             Amplifier and generator.
         model : ModalModel
             The beam, known roughly.
-        fingers : sequence of Finger
-            Those that are expected.
+        placements : sequence of sequences of Finger
+            Those that are expected, of each placement.
         laser : float
             Where the vibrometer aims [m].
         speed : float
             Highest at the fingers and at the laser [m/s].
         """
         bins, channel = _lines(model)
-        places = [laser, *(finger.position for finger in fingers)]
-        free, touched = (_responses(each, places, bins) for each in (model.touched(()), model.touched(tuple(fingers))))
+        places = [laser, *dict.fromkeys(finger.position for fingers in placements for finger in fingers)]
+        responses = [_responses(model.touched(tuple(fingers)), places, bins) for fingers in ((), *placements)]
         # Where the beam moves much it is driven less: all frequencies come out of the noise.
-        size = np.abs(free[0][channel, np.arange(bins.size)]) ** -EVEN
+        size = np.abs(responses[0][0][channel, np.arange(bins.size)]) ** -EVEN
         line = size * np.exp(1j * np.pi * np.arange(bins.size) ** 2 / bins.size)
         own = np.where(channel == np.arange(model.n_channels)[:, None], line, 0)
         moved = np.array(
-            [[_wave(each, line, bins) for each, line in zip(place, own, strict=True)] for place in (*free, *touched)]
+            [
+                [_wave(each, line, bins) for each, line in zip(place, own, strict=True)]
+                for beam in responses
+                for place in beam
+            ]
         )
         # Each output moves the beam as much as the other.
         share = 1 / np.abs(moved).max(axis=(0, 2))
@@ -115,15 +123,16 @@ class Excitation:
         highest = float(np.abs(np.tensordot(share, moved, (0, 1))).max())
         limit = ROOM * apparatus.amplifier.limit_V
         voltage *= np.minimum(speed / highest, limit / np.abs(voltage).max(axis=1))[:, None]
-        return cls(_burst(apparatus, voltage, speed), bins, channel, float(np.abs(voltage).max()))
+        burst = _burst(apparatus, voltage, speed)
+        return cls(burst, bins, channel, _commanded(apparatus, burst, bins)[channel, np.arange(bins.size)])
 
     def probe(self, laboratory: Laboratory, laser: float, speed: float, bandwidth: float | None) -> list[Probe]:
-        """Responses of a point of the beam, each period by itself; the burst is loaded.
+        """Responses of a point of the beam, each period by itself.
 
         Parameters
         ----------
         laboratory : Laboratory
-            Opened with ``repetition="continuous"``.
+            Generator and scope.
         laser : float
             Where the vibrometer aims [m].
         speed : float
@@ -141,10 +150,10 @@ class Excitation:
             sampling_rate=rate,
             n_samples=int(OVERSAMPLING * N_SAMPLES),
             n_records=N_RECORDS,
-            drives=tuple(range(1, len(self.burst.codes) + 1)),
+            drives=(),
             velocity_range=min(HEADROOM * speed, laboratory.apparatus.acquisition.range_mm_s * 1e-3),
-            drive_range=HEADROOM * self.voltage,
         )
+        laboratory.rig.load(self.burst, repetition="continuous")
         recording = laboratory.record(laser, self.burst.velocity, asked)
         if recording.overloaded:
             raise RigError(
@@ -158,23 +167,11 @@ class Excitation:
 
         n = recording.time.size
         window = 1 - np.cos(2 * np.pi * (np.arange(n) + 0.5) / n)
-        velocity, *drive = rfft(np.stack([recording.velocity[number], *recording.drive[number]]) * window)
+        velocity = rfft(recording.velocity[number] * window) / n
         frequency = self.bins * recording.sampling_rate / n
-        own = self._drive(np.stack(drive)[self.channel, self.bins])
-        low_pass = 1.0 if bandwidth is None else 1 + 1j * frequency / bandwidth
-        deviation = self._noise(velocity) * np.abs(low_pass / own) / np.sqrt(2)
-        return Probe(recording.position, frequency, self.channel, velocity[self.bins] / own * low_pass, deviation)
-
-    def _drive(self, measured: ComplexArray) -> ComplexArray:
-        """The measured drive at each frequency, without its noise: the commanded one times a smooth course."""
-        commanded = np.fft.rfft(self.burst.converter.signed(self.burst.codes))[self.channel, self.bins]
-        smooth = np.empty_like(measured)
-        for channel in range(len(self.burst.codes)):
-            row = self.channel == channel
-            course = np.polynomial.chebyshev.chebvander(2 * self.bins[row] / self.bins[-1] - 1, SMOOTH)
-            part = course * commanded[row, None]
-            smooth[row] = part @ np.linalg.lstsq(part, measured[row], rcond=None)[0]
-        return smooth
+        per_volt = (1.0 if bandwidth is None else 1 + 1j * frequency / bandwidth) / self.line
+        deviation = self._noise(velocity) * np.abs(per_volt) / np.sqrt(2)
+        return Probe(recording.position, frequency, self.channel, velocity[self.bins] * per_volt, deviation)
 
     def _noise(self, spectrum: ComplexArray) -> FloatArray:
         """Root mean square of the noise at each frequency, from the bins that nothing plays, (n_lines,) array."""
@@ -213,6 +210,16 @@ def _wave(response: ComplexArray | float, line: ComplexArray, bins: NDArray[np.i
     spectrum = np.zeros(N_SAMPLES // 2 + 1, dtype=complex)
     spectrum[bins] = response * line
     return np.asarray(np.fft.irfft(spectrum, N_SAMPLES))
+
+
+def _commanded(apparatus: Apparatus, burst: Burst, bins: NDArray[np.intp]) -> ComplexArray:
+    """Voltage at the beam that the codes ask for, held from sample to sample, (n_channels, n_lines) array [V]."""
+    to_beam = apparatus.amplifier.gain_V_per_V * apparatus.generator.load_factor
+    unit = np.array(burst.amplitude) * to_beam / 2 / burst.converter.mid_code
+    spectrum = np.fft.rfft(burst.converter.signed(burst.codes) * unit[:, None])[:, bins] / N_SAMPLES
+    corner = apparatus.amplifier_values().bandwidth
+    passed = 1.0 if corner is None else 1 / (1 + 1j * SPACING * bins / corner)
+    return np.asarray(spectrum * np.sinc(bins / N_SAMPLES) * np.exp(-1j * np.pi * bins / N_SAMPLES) * passed)
 
 
 def _burst(apparatus: Apparatus, voltage: FloatArray, speed: float) -> Burst:

@@ -1,0 +1,164 @@
+"""Measures the fingers that lie on a beam: with hands off, and under each placement."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.identification.estimates import NORMAL_95
+from modaltouch.lab.laboratory import Laboratory
+from modaltouch.lab.output import rounded
+from modaltouch.lab.probe.excitation import Excitation
+from modaltouch.preflight import DesignInputs
+from modaltouch.stimulus import Finger, ModalModel, Probe, Stimulus
+
+SPEED = 15e-3
+"""Highest that the beam is moved at under fingers and laser, if nothing else is asked for [m/s]."""
+
+FROM_END = 1e-3
+"""From the end of the beam to the vibrometer's spot: there every mode moves [m]."""
+
+
+class Prober:
+    """What measures fingers, with one excitation wherever they lie.
+
+    Parameters
+    ----------
+    laboratory : Laboratory
+        Generator and scope.
+    placements : sequence of sequences of Finger
+        Those that are expected, of each placement.
+    laser : float, optional
+        Where the vibrometer aims [m from mid-beam]; near the end that is farther from the first placement if not given.
+    speed : float
+        Highest under fingers and laser [m/s].
+    """
+
+    def __init__(
+        self,
+        laboratory: Laboratory,
+        placements: Sequence[Sequence[Finger]],
+        laser: float | None = None,
+        speed: float = SPEED,
+    ) -> None:
+        apparatus = laboratory.apparatus
+        self._laboratory, self._model, self.speed = laboratory, apparatus.modal_model(), speed
+        end = self._model.length / 2 - FROM_END
+        middle = sum(finger.position for finger in placements[0])
+        self.laser = float(np.copysign(end, -middle)) if laser is None else laser
+        self._excitation = Excitation.of(apparatus, self._model, placements, self.laser, speed)
+        corner = apparatus.acquisition.vibrometer_bandwidth_kHz
+        self._bandwidth = None if corner is None else corner * 1e3
+
+    @property
+    def fingers(self) -> tuple[Finger, ...]:
+        """Those on the beam, as they were found."""
+        return self._beam.model.fingers
+
+    def hands_off(self) -> dict[str, Any]:
+        """Measure the beam that nobody touches, and return its misfit and its modes.
+
+        Raises
+        ------
+        ValueError
+            If something moved or touches the beam, or its table does not describe it.
+        RigError
+            If the rig fails.
+        """
+        self._free = self._beam = self._record().untouched(self._model)
+        return {"misfit": round(self._beam.misfit, 3), "modes": self._modes()}
+
+    def hands_on(self, expected: Mapping[str, tuple[str, Finger]]) -> dict[str, Any]:
+        """Measure the fingers on the beam, after `hands_off`.
+
+        Parameters
+        ----------
+        expected : mapping of str to (str, Finger)
+            Zone and rough values of each finger, by its name.
+
+        Returns
+        -------
+        dict
+            ``fingers``, the keys of each in a file of fingers and its ``zone``, by its name; their ``covariance``, as a
+            file of fingers has it; ``misfit``; and ``modes``, those of the beam.
+
+        Raises
+        ------
+        ValueError
+            If the fingers moved, none is felt, or no impedance describes what is.
+        RigError
+            If the rig fails.
+        """
+        self._beam = beam = self._record().touched(self._free, [finger for _, finger in expected.values()])
+        zones, fingers = self._laboratory.apparatus.zones, {}
+        for (name, (zone, _)), finger in zip(expected.items(), beam.model.fingers, strict=True):
+            fingers[name] = {"zone": zone, **_section(finger, zones[zone].centre_mm)}
+        covariance = beam.covariance[beam.n_beam :, beam.n_beam :].tolist()
+        return {
+            "misfit": round(beam.misfit, 3),
+            "fingers": fingers,
+            "covariance": [[float(f"{value:.4g}") for value in row] for row in covariance],
+            "modes": self._modes(),
+        }
+
+    def predict(self, inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
+        """What a stimulus does at the focusing instant, on the beam and under the fingers as they were found.
+
+        Returns
+        -------
+        dict
+            ``asked_mm_s``, the highest level; ``level_mm_s``, that at the focus; ``interval_mm_s``, its 95 % interval;
+            ``finger_mm_s`` and ``finger_deviation_mm_s``, speeds under the fingers.
+        """
+        played, unit = stimulus.touched(()), stimulus.volts_per_code(inputs.reference * 1e-3)
+
+        def speeds(model: ModalModel) -> FloatArray:
+            places = [inputs.centre_mm * 1e-3, *(finger.position for finger in model.fingers)]
+            return replace(played, model=model).velocity_at_focus(places, unit)
+
+        speed, deviation = speeds(self._beam.model) * 1e3, self._beam.spread(speeds) * 1e3
+        values = {
+            "asked_mm_s": inputs.reference,
+            "level_mm_s": float(speed[0]),
+            "interval_mm_s": [float(speed[0] + side * NORMAL_95 * deviation[0]) for side in (-1, 1)],
+            "finger_mm_s": speed[1:].tolist(),
+            "finger_deviation_mm_s": deviation[1:].tolist(),
+        }
+        return dict(rounded(values, 6))
+
+    def _record(self) -> Probe:
+        return Probe.averaged(self._excitation.probe(self._laboratory, self.laser, self.speed, self._bandwidth))
+
+    def _modes(self) -> list[dict[str, Any]]:
+        """Values of each mode as found, by the keys of an apparatus file, to seven digits."""
+        model, sets = self._beam.model, self._laboratory.apparatus.actuator_sets
+        return [
+            {
+                "natural_frequency_Hz": float(f"{frequency:.7g}"),
+                "damping_ratio": float(f"{ratio:.7g}"),
+                "gain_mm_s2_per_V": {
+                    name: float(f"{gain[actuators.channel - 1] * 1e3:.7g}") for name, actuators in sets.items()
+                },
+            }
+            for frequency, ratio, gain in zip(
+                model.natural_frequency, model.damping_ratio, model.modal_gain, strict=True
+            )
+        ]
+
+
+def _section(finger: Finger, centre_mm: float) -> dict[str, Any]:
+    """Keys of a finger on a zone with its centre at a place of the beam, to five digits."""
+    values = {
+        "mass_g": finger.mass * 1e3,
+        "damping_N_s_per_m": finger.damping,
+        "stiffness_N_per_mm": finger.stiffness * 1e-3,
+        "contact_width_mm": finger.width * 1e3,
+        "offset_mm": finger.position * 1e3 - centre_mm,
+    }
+    terms = [{"stiffness_N_per_mm": k * 1e-3, "relaxation_ms": time * 1e3} for k, time in finger.maxwell]
+    short = [{key: float(f"{value:.5g}") for key, value in each.items()} for each in (values, *terms)]
+    return {**short[0], "maxwell": short[1:]}
