@@ -218,7 +218,7 @@ def test_an_unknown_name_is_told_at_its_key_with_what_is_allowed(named: Callable
     beside = findings.protocol.source.path.parent / "typicl"
     assert [str(problem) for problem in findings.problems] == [
         f"{beside.parent / FILE}:11:12: stimulus.fingers: given 'typicl', a file that does not exist ({beside}); "
-        "allowed: none, a YAML file that exists and can be read, or one of typical; did you mean 'typical'?"
+        "allowed: none, measured, a YAML file that exists and can be read, or one of typical; did you mean 'typical'?"
     ]
 
 

@@ -567,6 +567,17 @@ def test_a_stall_is_told_before_the_stimulus_comes_again(paper_room: Callable[..
     assert room.clock.now() - began == pytest.approx(2.2, abs=0.003)
 
 
+def test_the_beam_is_measured_while_the_window_says_so(paper_room: Callable[..., Any]) -> None:
+    """Hands off is confirmed by whoever sits there; the words about the measurement stay for as long as is asked."""
+    room = paper_room()
+    room.script = [("hands_off", 0.3, send(room, "key", "space"))]
+    room.window.announce("hands_off")
+    began = room.clock.now()
+    room.window.tell_measuring(1.0)
+    assert room.names == ["hands_off", "measuring"]
+    assert room.clock.now() - began == pytest.approx(1.0, abs=0.003)
+
+
 def test_feedback_is_shown_for_a_moment(paper_room: Callable[..., Any], trial: Trial) -> None:
     """Expected: agreed, or where it was, 1.5 s each; then the session goes on by itself."""
     room = paper_room()

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from modaltouch.preflight.examination import design_to_fit, examine, examine_findings
     from modaltouch.preflight.exploration import design_figures, sample_figures, sensitivity_figures
     from modaltouch.preflight.figures import estimated_duration, finite
+    from modaltouch.preflight.measured import with_measured
 else:
     __getattr__ = lazily(
         __name__,
@@ -26,6 +27,7 @@ else:
             "examination": "design_to_fit examine examine_findings",
             "exploration": "design_figures sample_figures sensitivity_figures",
             "figures": "estimated_duration finite",
+            "measured": "with_measured",
         },
     )
 
@@ -41,4 +43,5 @@ __all__ = [
     "finite",
     "sample_figures",
     "sensitivity_figures",
+    "with_measured",
 ]

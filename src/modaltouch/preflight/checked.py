@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
@@ -11,8 +12,8 @@ from modaltouch.preflight.figures import (
     contrasts,
     estimated_duration,
     field_figures,
+    finger_places,
     stimulus_figures,
-    zone_centres,
 )
 from modaltouch.protocol import Experiment, Findings, InputError, Problem, Protocol, Trial
 from modaltouch.stimulus import Burst, Law, Stimulus
@@ -36,6 +37,8 @@ class Preflight:
         Of several stimuli, the protocol with each of them alone; empty where it has one.
     placed : dict of str to Preflight
         Of a stimulus designed for fingers, the design of each placement; empty for the untouched beam.
+    attainable : float
+        Of a design for measured fingers, the highest level that is played [mm/s].
     """
 
     findings: Findings
@@ -44,6 +47,7 @@ class Preflight:
     designed: Stimulus | None
     variants: dict[str, Preflight] = field(default_factory=dict)
     placed: dict[str, Preflight] = field(default_factory=dict)
+    attainable: float = math.inf
 
     def require(self) -> Self:
         """Return the preflight itself if a session may run.
@@ -156,10 +160,6 @@ class Preflight:
         stimulus = condition.stimulus if condition.stimulus in names else names[0]
         return " ".join(filter(None, (stimulus, self.findings.placement(condition))))
 
-    def number_of(self, condition: Any) -> int:
-        """Return which of the bursts a condition is presented with."""
-        return tuple(self.designs).index(self.design_of(condition))
-
     @property
     def bursts(self) -> tuple[Burst, ...]:
         """The burst of each design, in the protocol's order."""
@@ -184,7 +184,7 @@ class Preflight:
         return self.inputs, self.designed
 
     def speeds(self, trial: Trial) -> tuple[float, float]:
-        """Return the predicted peak speeds at the centres of the zones under the left and right finger [m/s].
+        """Return the predicted peak speeds under the left and right finger [m/s].
 
         Parameters
         ----------
@@ -193,11 +193,16 @@ class Preflight:
         """
         if trial.condition.is_catch:
             return 0.0, 0.0
-        peaks = self.zone_peaks(self.design_of(trial.condition), trial.condition.velocity_mm_s)
-        return peaks[trial.condition.zone_left], peaks[trial.condition.zone_right]
+        condition = trial.condition
+        peaks = self.zone_peaks(self.design_of(condition), self.played(condition, condition.velocity_mm_s))
+        return peaks[condition.zone_left], peaks[condition.zone_right]
+
+    def played(self, condition: Any, level: float) -> float:
+        """Return the level that is played where one is asked: at most what the condition's design attains [mm/s]."""
+        return min(level, self.designs[self.design_of(condition)].attainable)
 
     def zone_peaks(self, name: str, level: float) -> dict[str, float]:
-        """Return the predicted peak speed at the centre of each zone [m/s].
+        """Return the predicted peak speed at the centre of each zone, or at the finger that lies on it [m/s].
 
         Parameters
         ----------
@@ -207,7 +212,7 @@ class Preflight:
             Peak velocity at the focus [mm/s].
         """
         inputs, stimulus = self.designs[name].sound
-        peaks = stimulus.peak_velocity(zone_centres(inputs), level * 1e-3)
+        peaks = stimulus.peak_velocity(finger_places(inputs), level * 1e-3)
         return dict(zip(inputs.apparatus.ordered_zones, peaks.tolist(), strict=True))
 
     @cached_property

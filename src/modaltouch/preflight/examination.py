@@ -184,6 +184,18 @@ def _check_safety(
         yield findings.problem((*_LEVELS, index), given, allowed, remedy)
 
 
+def attainable_level(inputs: DesignInputs, stimulus: Stimulus) -> float:
+    """Return the highest level that amplifier, generator and safety allow, fingers taken away included [mm/s]."""
+    amplifier = inputs.apparatus.amplifier.limit_V / float(stimulus.peak_drive(inputs.reference * 1e-3).max())
+    generator = _highest_amplitude(inputs) / max(stimulus.full_scale_for(inputs.reference * 1e-3))
+    level, most = inputs.reference * min(amplifier, generator), inputs.velocity_limit * 1e-3 / _uncertain(inputs)
+    speeds = _speeds_when_lifted(inputs, stimulus, level, most)
+    speeds[""] = stimulus.peak_velocity(_zone_points(inputs).ravel(), level * 1e-3)
+    level *= min(most / max(float(each.max()) for each in speeds.values()), 1.0)
+    # As it is recorded: down to a thousandth.
+    return math.floor(level * 1e3) / 1e3
+
+
 def _rounded_down(value: float) -> str:
     """Return a level that can be written down without passing the limit [mm/s]."""
     return f"{math.floor(value):d}" if value >= 10 else f"{math.floor(value * 1000) / 1000:g}"

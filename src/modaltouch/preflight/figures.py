@@ -34,7 +34,7 @@ def stimulus_figures(inputs: DesignInputs, stimulus: Stimulus, level: float) -> 
     velocity = level * 1e-3
     labels = [str(label) for label in stimulus.model.label]
     reached, displacement = stimulus.achieved(velocity)
-    centres = zone_centres(inputs)
+    centres = finger_places(inputs)
     at_focus = stimulus.velocity_at_focus(centres, velocity)
     peaks = stimulus.peak_velocity(centres, velocity)
     channels = [str(number + 1) for number in range(stimulus.model.n_channels)]
@@ -119,6 +119,14 @@ def contrasts(protocol: Protocol, zone_peak: dict[str, float], placement: str = 
 def zone_centres(inputs: DesignInputs) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Return the centres of the zones from left to right, (n_zones,) array [m]."""
     return np.array([zone.centre_mm for zone in inputs.apparatus.ordered_zones.values()]) * 1e-3
+
+
+def finger_places(inputs: DesignInputs) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Return where each zone is touched, its centre where it is not, from left to right, (n_zones,) array [m]."""
+    places = zone_centres(inputs)
+    for finger in inputs.fingers:
+        places[np.abs(places - finger.position).argmin()] = finger.position
+    return places
 
 
 def estimated_duration(protocol: Protocol) -> float:

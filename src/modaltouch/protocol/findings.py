@@ -14,7 +14,7 @@ from modaltouch.protocol.problems import InputError, Problem
 from modaltouch.protocol.reading import Reading, read
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import YAML_FILE, Source
-from modaltouch.protocol.stimulus_sections import NO_FINGERS, StimulusSection, read_points
+from modaltouch.protocol.stimulus_sections import MEASURED, NO_FINGERS, StimulusSection, read_points
 from modaltouch.protocol.texts import Texts, check_words
 
 if TYPE_CHECKING:
@@ -173,6 +173,11 @@ class Findings:
         if problems:
             raise InputError(problems)
         return replace(self, fingers=reading)
+
+    @property
+    def measured(self) -> bool:
+        """Whether the fingers are measured in the session."""
+        return self.protocol is not None and self.protocol.sound("stimulus", "fingers") == MEASURED
 
     @cached_property
     def placements(self) -> Placements | None:
@@ -346,9 +351,10 @@ class Findings:
             problems += read_points(field)[1]
         fingers = None
         if protocol.sound("stimulus", "fingers") not in (None, NO_FINGERS):
-            from modaltouch.protocol.placements import load_fingers
+            from modaltouch.protocol.placements import check_measured, load_fingers
 
             fingers = load_fingers(protocol, problems)
+            problems += check_measured(protocol, apparatus)
         return cls(protocol, apparatus, texts, tuple(sorted(set(problems))), calibrated, field, fingers)
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.fingers import FingerSection, FingersFile
@@ -12,7 +13,7 @@ from modaltouch.protocol.problems import InputError, Problem
 from modaltouch.protocol.reading import Reading, read
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import Source
-from modaltouch.protocol.stimulus_sections import NO_FINGERS
+from modaltouch.protocol.stimulus_sections import MEASURED, NO_FINGERS
 from modaltouch.protocol.trial import FINGERS, Condition
 
 if TYPE_CHECKING:
@@ -71,11 +72,21 @@ class Placements:
         usual = self.file.of(f"{self.protocol.conditions.hand} index")
         return None if usual is None else self.file.spread.drawn(usual, rng)
 
-    def expected(self, finger_condition: str, left: str, right: str) -> dict[str, tuple[str, Finger]]:
+    def expected(
+        self, finger_condition: str, left: str, right: str, placement: str = "normal"
+    ) -> dict[str, tuple[str, Finger]]:
         """Zone and values of each finger of a finger condition, by its name, from the left end of the beam."""
-        laid = self._laid(Condition(finger_condition, left, right, velocity_mm_s=0.0))
+        laid = self._laid(Condition(finger_condition, left, right, 0.0, placement))
         found = [(name, zone, self.file.of(name)) for zone, name in laid]
         return {name: (zone, each.at(self._centre(zone))) for name, zone, each in found if each is not None}
+
+    def measured(self, fingers: Mapping[str, Mapping[str, Any]]) -> dict[str, Finger]:
+        """Fingers by their zones, from the keys of each in a file and its ``zone``."""
+        found = {}
+        for values in fingers.values():
+            own = FingerSection.model_validate({key: value for key, value in values.items() if key != "zone"})
+            found[values["zone"]] = own.at(self._centre(values["zone"]))
+        return found
 
     def _centre(self, zone: str) -> float:
         return self.apparatus.zones[zone].centre_mm * 1e-3
@@ -104,18 +115,39 @@ def lacking_fingers(reading: Reading[FingersFile], protocol: Protocol) -> list[P
 def load_fingers(protocol: Reading[Protocol], problems: list[Problem]) -> Reading[FingersFile] | None:
     """Return the fingers that the protocol names; what is wrong with them goes to `problems`."""
     name = protocol.sound("stimulus", "fingers")
+    # Until they are measured, typical ones are expected.
+    name = "typical" if name == MEASURED else name
     beside = protocol.source.path.parent / name
     own = beside.is_file()
     try:
         source = Source.load(beside) if own else Source.shipped_text("fingers", name)
     except InputError as error:
         found = error.problems[0]
-        given, allowed = f"{name!r}, {found.given} ({beside})", f"{NO_FINGERS}, {found.allowed}"
+        given, allowed = f"{name!r}, {found.given} ({beside})", f"{NO_FINGERS}, {MEASURED}, {found.allowed}"
         problems.append(found if own else protocol.problem(("stimulus", "fingers"), given, allowed, found.remedy))
         return None
     reading, faults = read_fingers(source, protocol)
     problems += faults
     return reading
+
+
+def check_measured(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None) -> Iterator[Problem]:
+    """Yield why fingers cannot be measured in a session that is to measure them."""
+    path = "stimulus", "fingers"
+    if protocol.sound(*path) != MEASURED or apparatus is None or apparatus.value is None:
+        return
+    typical = "write `fingers: typical`, for which a level is right on average and wrong by a fifth for a person"
+    if apparatus.find(("acquisition",)) is None:
+        given = "measured, without a vibrometer: the apparatus has no section acquisition"
+        yield protocol.problem(path, given, "with one, or none, typical or a file", typical)
+    from modaltouch.stimulus import Probe
+
+    try:
+        Probe.check_table(apparatus.value.modal_model())
+    except ValueError as error:
+        given, _, needed = str(error).partition("; allowed: ")
+        allowed, _, remedy = needed.partition("; ")
+        yield protocol.problem(path, f"measured, where {given}", allowed, f"{remedy}; or {typical}")
 
 
 def read_fingers(source: Source, protocol: Reading[Protocol] | None) -> tuple[Reading[FingersFile], list[Problem]]:

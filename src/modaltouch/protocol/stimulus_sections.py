@@ -17,6 +17,9 @@ from modaltouch.protocol.source import Source
 NO_FINGERS = "none"
 """What a protocol says whose stimulus is designed for the untouched beam."""
 
+MEASURED = "measured"
+"""What a protocol says whose fingers are measured in the session, at each placement."""
+
 ZoneName = Annotated[Word, Field(json_schema_extra={"x-allowed": "the name of a zone of the beam"})]
 SampleCount = Annotated[int, Field(strict=True, ge=2, le=524_288, multiple_of=2)]
 """As many as any known generator holds; how many that of the apparatus does is checked with its other limits."""
@@ -87,7 +90,7 @@ class StimulusSection(Section):
     repetition_rate_Hz: Positive = described("Bursts per second [Hz].", default=7.0)  # noqa: N815
     fingers: Text = described(
         "Fingers that the stimulus is designed for, one design to each pair of zones: none (the untouched beam), a "
-        "file seen from this file, or shipped fingers such as typical.",
+        "file seen from this file, shipped fingers such as typical, or measured: by a vibrometer, at each placement.",
         default=NO_FINGERS,
     )
     priority: Literal["field", "level"] = described(

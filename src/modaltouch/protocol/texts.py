@@ -112,6 +112,18 @@ class Texts(Section):
         "Shown for a moment where the computer was held up and a stimulus comes again.",
         default="One moment, please.\n\nThe computer was held up.\n\nThe last vibration comes again.",
     )
+    hands_off: Text = described(
+        "Asks for hands off the beam, which is then measured, where fingers are measured in the session.",
+        default="Please lift your hands.\n\nThe beam is measured without them.",
+    )
+    measuring: Text = described(
+        "Shown while the beam is measured, with hands off and under the fingers.",
+        default="One moment, please.\n\nThe beam is measured. Keep still.",
+    )
+    measure_again: Text = described(
+        "Asks for the fingers once more where they could not be measured.",
+        default="Once more, please.\n\nYour fingers could not be measured. Lay them down as before, and keep still.",
+    )
     confirm_answer: Text = described("How to confirm or change an answer, where the protocol lets it be changed.")
     practice_agreed: Text = described("After a practice trial: the answer was the stronger finger.")
     practice_was_left: Text = described("After a practice trial: the left finger's vibration was the stronger one.")

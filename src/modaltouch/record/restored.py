@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from modaltouch.preflight import examine_findings
 from modaltouch.protocol import Findings, Sources, Trial
@@ -37,10 +38,30 @@ class RestoredExperiment:
         self.instrument = instrument_of(apparatus)
         self._limits = self.instrument.limits(apparatus)
         self._fields: dict[tuple[float, ...], list[dict[str, Any]]] = {}
+        self._forget()
+
+    def _forget(self) -> None:
         self._peaks: dict[tuple[str, float], dict[str, float]] = {}
         self.agreed: set[tuple[str, float, tuple[float, ...], tuple[float, ...]]] = set()
         """Stimulus, level, commanded and read back amplitudes that were found to agree."""
         self._amplitudes: dict[tuple[str, float], tuple[float, ...]] = {}
+
+    def measured(self, trial: Trial, found: dict[str, Any], levels_mm_s: tuple[float, ...]) -> Self:
+        """Return the same with a trial's placement designed for the fingers that were measured there.
+
+        Parameters
+        ----------
+        trial, found
+            As for `modaltouch.preflight.with_measured`.
+        levels_mm_s : tuple of float
+            The participant's levels [mm/s].
+        """
+        from modaltouch.preflight import with_measured
+
+        other = copy.copy(self)
+        other.preflight = with_measured(self.preflight.with_levels(levels_mm_s), trial, found)
+        other._forget()
+        return other
 
     @cached_property
     def levels(self) -> Levels:
@@ -59,7 +80,8 @@ class RestoredExperiment:
         condition = trial.condition
         if condition.is_catch:
             return 0.0, 0.0
-        peaks = self.zone_peaks_mm_s(self.preflight.design_of(condition), condition.velocity_mm_s)
+        level = self.preflight.played(condition, condition.velocity_mm_s)
+        peaks = self.zone_peaks_mm_s(self.preflight.design_of(condition), level)
         return peaks[condition.zone_left], peaks[condition.zone_right]
 
     def zone_peaks_mm_s(self, design: str, level_mm_s: float) -> dict[str, float]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
 
@@ -62,6 +62,7 @@ def check_amplitudes(event: Event, trial: Trial, given: TrialExpectation) -> Ite
     silent, confirmed = trial.condition.is_catch, event["confirmed"]
     # A catch trial does all that one at the lowest level does.
     level = min(given.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
+    level = given.restored.preflight.played(trial.condition, level)
     sent, back = tuple(confirmed["commanded_amplitude"]), tuple(confirmed["confirmed_amplitude"])
     said = (sent, tuple(event["commanded"]["amplitude_Vpp"])) if "commanded" in event else (sent,)
     found = given.restored.preflight.design_of(trial.condition), level, sent, back
@@ -215,8 +216,8 @@ class EventSequence:
 
     def __init__(self, session: Session, given: TrialExpectation, schedule: Schedule) -> None:
         self.problems: list[str] = []
-        self._n_finished = self._n_settled = 0
-        self._session, self._given = session, given
+        self._n_finished = self._n_settled = self._n_probed = 0
+        self._session, self._given, self._expected = session, given, given.restored
         self._order: dict[Key, Trial] = {(t.practice, t.index): t for t in (*schedule.practice, *schedule.trials)}
         self._n_practice, self._n_trials = len(schedule.practice), len(schedule.trials)
         recovered = [n for n, e in enumerate(session.events, 1) if e["event"] == "recovered" and e.get("missing")]
@@ -244,6 +245,7 @@ class EventSequence:
             "trial_cut": self._named,
             "withdrawn": self._withdrawn,
             "practice_round": self._judged,
+            "probe": self._probed,
             "stop": self._stopped,
         }
         for number, event in enumerate(self._session.events, 1):
@@ -265,6 +267,8 @@ class EventSequence:
         lines = [f"{self._n_finished} answers, each at its place, its level and its amplitudes"]
         if self._given.schema > 1:
             lines[0] += ", its bursts and its instants in accord"
+        if self._n_probed:
+            lines.append(f"drives for the fingers of {self._n_probed} placements computed again: the same codes")
         if self._given.protocol.adaptive is not None:
             lines.append(f"levels of {self._n_settled} trials follow from the answers before them")
         return lines
@@ -324,6 +328,25 @@ class EventSequence:
         self._n_fired[_key(trial)] += 1
         for fault in check_amplitudes(event, trial, self._given):
             yield f"{_name(trial)}: {fault}"
+
+    def _probed(self, number: int, event: Event) -> Iterator[str]:
+        """Design for the fingers that were measured; what comes until the next placement is checked against that."""
+        if event["hands"] == "off":
+            return
+        levels = self._given.protocol.conditions.peak_velocities_mm_s
+        restored = self._expected.measured(Trial.from_dict(event["trial"]), event, levels)
+        self._given, self._n_probed = replace(self._given, restored=restored), self._n_probed + 1
+        for said in event["levels"]:
+            inputs, stimulus = restored.preflight.designs[said["design"]].sound
+            level = 1e3 * float(stimulus.velocity_at_focus([inputs.centre_mm * 1e-3], inputs.reference * 1e-3)[0])
+            highest = restored.preflight.designs[said["design"]].attainable
+            if said["content_hash"] != stimulus.burst.content_hash:
+                yield f"the drive for the fingers that were measured ({said['design']}) is another than it says"
+            if abs(said["level_mm_s"] - level) > SPEED or abs(said["attainable_mm_s"] - highest) > SPEED:
+                yield (
+                    f"under the fingers that were measured ({said['design']}) the level is {level:.6g} mm/s, at most "
+                    f"{highest:.6g} mm/s; it says {said['level_mm_s']:.6g} and {said['attainable_mm_s']:.6g} mm/s"
+                )
 
     def _due(self) -> Key | None:
         """Return which trial comes next: the first that is left of practice, then of those that count."""

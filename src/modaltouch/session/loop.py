@@ -23,6 +23,7 @@ from modaltouch.window import (
 
 if TYPE_CHECKING:
     from modaltouch.protocol import Levels
+    from modaltouch.session.probing import Probing
 
 ATTEMPTS = 3
 """How often a trial that the instrument does not confirm is presented before the session ends."""
@@ -58,6 +59,10 @@ class SessionRun:
         Called between steps; raises when the session was told to end.
     which : callable
         Which of the loaded bursts a trial is presented with; the first if not given.
+    played : callable
+        The level that is played of a trial where one is asked [mm/s]; that very one if not given.
+    probing : Probing or None
+        What measures the fingers at each placement, where they are measured.
     experimenter : Experimenter
         Is told what happens, and asks for repeats and for the end of the session after a block.
     masking : Masking
@@ -77,6 +82,8 @@ class SessionRun:
     save_view: Callable[[], None]
     tick: Callable[[], object]
     which: Callable[[Trial], int] = lambda _: 0
+    played: Callable[[Trial, float], float] = lambda _, level: level
+    probing: Probing | None = None
     experimenter: Experimenter = field(default_factory=Experimenter)
     masking: Masking = field(default_factory=Masking)
     clock: Clock = SYSTEM_CLOCK
@@ -108,6 +115,8 @@ def conduct(sitting: SessionRun) -> None:
             sitting.log.append("rest", before_trial=trial.index)
             sitting.window.rest((trial.index, sitting.total))
             rested = sitting.clock.now()
+            if sitting.probing is not None:
+                previous = None  # who rested lays the fingers down anew
         # The record alone decides the next level, so that a session that was killed goes on with the very same one.
         settled = _settle(sitting, trial)
         run(sitting, settled, previous)
@@ -227,8 +236,7 @@ def run(sitting: SessionRun, trial: Trial, previous: Trial | None) -> Response:
         {"event": "trial_next", "trial": describe_trial(sitting.protocol, sitting.speeds(trial), trial)}
     )
     if previous is None or _placement(trial) != _placement(previous):
-        sitting.window.place_fingers(trial)
-        sitting.log.append("placement", **describe_placement(sitting.protocol, trial))
+        place(sitting, trial)
     attempts = stalls = answers = 0
     while attempts < ATTEMPTS and stalls < MOST_STALLS:
         response, firing = present(sitting, trial)
@@ -251,6 +259,16 @@ def run(sitting: SessionRun, trial: Trial, previous: Trial | None) -> Response:
         + ("; the answers are kept as unconfirmed" if answers else "")
         + f"; {remedy}, then `modaltouch resume`"
     )
+
+
+def place(sitting: SessionRun, trial: Trial) -> None:
+    """Have the fingers laid down where a trial wants them, and measured there where the protocol says so."""
+    if sitting.probing is not None:
+        sitting.probing.lift_hands(trial)
+    sitting.window.place_fingers(trial)
+    sitting.log.append("placement", **describe_placement(sitting.protocol, trial))
+    if sitting.probing is not None:
+        sitting.probing.measure(trial, (trial.index, sitting.total))
 
 
 def present(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]:
@@ -320,6 +338,7 @@ def fire(sitting: SessionRun, trial: Trial) -> Firing:
     # A catch trial does all that one at the lowest level does, but lets no burst go.
     silent = trial.condition.is_catch
     level = min(sitting.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
+    level = sitting.played(trial, level)
     stimulus = sitting.protocol.stimulus_of(trial.condition.stimulus)
     n_bursts = sitting.protocol.answers.n_bursts(stimulus.repetition_rate_Hz)
     exactly = sitting.protocol.answers.stimulus_until == "question"

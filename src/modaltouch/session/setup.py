@@ -25,7 +25,9 @@ from modaltouch.system import SYSTEM_CLOCK, Clock, Interruption, commit, version
 from modaltouch.window import AnswerWindow, Masking
 
 if TYPE_CHECKING:
+    from modaltouch.lab import Prober
     from modaltouch.protocol import Levels
+    from modaltouch.session.probing import Probing
 
 OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
 """Opens the instrument for a while, given a function that takes each exchange with it."""
@@ -36,6 +38,8 @@ OpenWindow = Callable[[Tick, Callable[..., None]], AnswerWindow]
 OpenMasking = Callable[[Callable[..., None]], Masking]
 """Opens the masking noise, given a function that takes its events."""
 
+OpenProber = Callable[[Rig], "AbstractContextManager[Prober]"]
+"""Opens what measures fingers beside the instrument."""
 
 _UNFORESEEN = ("rig fault", "record fault", "experimenter", "emergency stop")
 """Endings that the participant has to be told of."""
@@ -68,6 +72,8 @@ class Setup:
         Shows the experimenter how the session stands, and takes requests; closed by whoever opened it.
     clock : Clock
         Of window, instrument and record: the machine's, or a virtual one.
+    open_prober : callable or None
+        How what measures fingers is opened, where they are measured.
     """
 
     preflight: Preflight
@@ -82,6 +88,7 @@ class Setup:
     on_progress: Callable[[int, int], None] | None = None
     console: Console = field(default_factory=Console)
     clock: Clock = SYSTEM_CLOCK
+    open_prober: OpenProber | None = None
 
 
 class EventBuffer:
@@ -163,7 +170,9 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
             # An address may lead to a simulator; its data never land among real ones.
             setup = replace(setup, place=replace(setup.place, mode="simulated"))
             setup.place.refuse_existing()
-        rig.load(*setup.preflight.bursts)
+        prober = None if setup.open_prober is None else stack.enter_context(setup.open_prober(rig))
+        if prober is None:
+            rig.load(*setup.preflight.bursts)
 
         def tick() -> Intervention | None:
             interruption.check()
@@ -186,6 +195,10 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
             setup.place.list_participants()
             masking.start()
             sitting = _sitting(setup, rig, window, log, buffer, tick, levels)
+            if prober is not None:
+                from modaltouch.session.probing import Probing
+
+                sitting = _measuring(sitting, Probing(setup.preflight, prober, rig, window, log, setup.clock))
             conduct(replace(sitting, experimenter=experimenter, masking=masking))
         except BaseException as error:
             ending = describe_ending(error)
@@ -251,19 +264,31 @@ def _sitting(
             setup.on_progress(log.session.n_answered, total)
 
     save_view()
+    designs = tuple(setup.preflight.designs)
     return SessionRun(
         protocol=setup.preflight.experiment.protocol,
         trials=tuple(remaining),
         total=total,
         levels=levels,
         speeds=setup.preflight.speeds,
-        which=lambda trial: setup.preflight.number_of(trial.condition),
+        which=lambda trial: designs.index(setup.preflight.design_of(trial.condition)),
         rig=rig,
         window=window,
         log=log,
         save_view=save_view,
         tick=tick,
         clock=setup.clock,
+    )
+
+
+def _measuring(sitting: SessionRun, probing: Probing) -> SessionRun:
+    """Return the sitting with the stimuli designed for the fingers that are measured in it."""
+    return replace(
+        sitting,
+        probing=probing,
+        speeds=lambda trial: probing.preflight.speeds(trial),
+        which=probing.which,
+        played=lambda trial, level: probing.preflight.played(trial.condition, level),
     )
 
 

@@ -20,11 +20,15 @@ from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.window import Answerer, AnswerWindow, Masking, WindowOptions, open_window
 
 if TYPE_CHECKING:
+    from modaltouch.lab import Prober
     from modaltouch.planning import FeltSpeeds
     from modaltouch.rig import Simulator
 
 AnswersBy = Literal["window", "simulated", "robot"]
 """A person at the window; an observer model without a window; an observer model typing into the real window."""
+
+SETTLING_TIME = 0.5
+"""From the first sine of a probe until a real beam repeats itself [s]."""
 
 SIMULATED = "simulated"
 """What stands in a rig's place for the digital twin."""
@@ -165,7 +169,8 @@ class SessionParts:
         if self.answers != "window":
             facts["observer"] = self.observer.as_dict()
         opened = self.open_rig, self.open_window, self.open_masking
-        return Setup(self.preflight, schedule, self.place, *opened, facts, clock=self.clock)
+        prober = self.open_prober if self.preflight.findings.measured else None
+        return Setup(self.preflight, schedule, self.place, *opened, facts, clock=self.clock, open_prober=prober)
 
     @contextmanager
     def open_rig(self, log: Callable[..., None]) -> Iterator[Rig]:
@@ -178,9 +183,28 @@ class SessionParts:
 
                 who = self.seed, self.place.participant, self.place.session
                 touched = self.preflight.findings.with_true_fingers(Schedule.random_generator(*who, "fingers"))
-                self.simulator = stack.enter_context(Simulator(touched, clock=self.clock))
+                follow = self.place.log if self.preflight.findings.measured else None
+                self.simulator = stack.enter_context(Simulator(touched, clock=self.clock, follow=follow))
                 address, options = self.simulator.address, self.simulator.driver_options
             yield stack.enter_context(open_rig(address, apparatus, log=log, **options))
+
+    @contextmanager
+    def open_prober(self, rig: Rig) -> Iterator[Prober]:
+        """Open the scope behind the vibrometer, the twin's where the rig is one."""
+        from modaltouch.lab import Laboratory, Prober
+        from modaltouch.rig import Scope
+
+        findings = self.preflight.findings
+        apparatus, placements = self.preflight.experiment.apparatus, findings.placements
+        expected = [] if placements is None else list(placements.all().values())
+        with ExitStack() as stack:
+            if self.simulator is not None:
+                scope: Scope = stack.enter_context(self.simulator.scope())
+                yield Prober(Laboratory(apparatus, rig, scope, "simulated", simulator=self.simulator), expected)
+            else:
+                # The spot stays where it is in a session: nobody is asked to aim.
+                scope = stack.enter_context(Scope.open(apparatus, lambda position: None))
+                yield Prober(Laboratory(apparatus, rig, scope, "real", settling_time=SETTLING_TIME), expected)
 
     def open_window(self, tick: Tick, log: Callable[..., None]) -> AnswerWindow:
         """Open the answer window, with a simulated participant where no person answers."""

@@ -147,8 +147,11 @@ class AnswerWindow:
     def tell_stall(self) -> None:
         """Tell for a moment that the computer was held up, and that the last stimulus comes again."""
 
+    def tell_measuring(self, seconds: float) -> None:
+        """Tell for some time that the beam is measured, and that fingers keep still; it stays on the screen."""
+
     def announce(self, text: str) -> None:
-        """Show one text of the protocol (``practice``, ``practice_again``, ``start``) until the participant goes on."""
+        """Show one text of the protocol, such as ``practice``, ``start`` or ``hands_off``, until somebody goes on."""
 
     def ask(self, trial: Trial, progress: tuple[int, int], presentation: Presentation) -> Response:
         """Show the trial and return the answer, as soon as it is known and without confirming it on screen.

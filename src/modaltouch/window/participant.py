@@ -140,6 +140,11 @@ class ParticipantWindow(AnswerWindow):
         self._rest_on(self._pictures.page("stalled", self._texts.stalled, waits=False), self._clock.now() + _STALL)
         self._answered = self._clock.now()
 
+    def tell_measuring(self, seconds: float) -> None:
+        """Tell for some time that the beam is measured; it stays on the screen."""
+        picture = self._pictures.page("measuring", self._texts.measuring, waits=False)
+        self._rest_on(picture, self._clock.now() + seconds)
+
     def announce(self, text: str) -> None:
         """Show one text of the protocol, such as ``practice`` or ``start``, until the participant goes on."""
         words = str(getattr(self._texts, text))

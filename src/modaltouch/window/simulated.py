@@ -153,6 +153,8 @@ class SimulatedParticipant(AnswerWindow):
         """Let the pause pass."""
         self._pass(seconds)
 
+    tell_measuring = wait
+
     def _pass(self, seconds: float) -> bool:
         """Let time pass, ticking meanwhile; return whether a pause came between."""
         paused = self._tick()

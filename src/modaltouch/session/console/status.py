@@ -88,7 +88,15 @@ def typed_keys(keys: Mapping[str, Sequence[str]], answers: Sequence[str]) -> dic
 
 
 TROUBLES = frozenset(
-    {"connection_lost", "reconnect_failed", "instrument_errors", "upload_repeated", "unconfirmed", "close_failed"}
+    {
+        "connection_lost",
+        "reconnect_failed",
+        "instrument_errors",
+        "upload_repeated",
+        "unconfirmed",
+        "close_failed",
+        "probe_refused",
+    }
 )
 """Events of the rig that an experimenter should know of."""
 _QUIET = frozenset({"rig", "exchange", "discarded", "ignored"})

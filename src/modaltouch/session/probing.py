@@ -1,0 +1,128 @@
+"""Fingers measured at each placement, and the stimulus designed for them: the same for every pair, so it is no cue."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from modaltouch.preflight import Preflight, with_measured
+from modaltouch.protocol import Trial
+from modaltouch.record import SessionLog
+from modaltouch.rig import Rig, RigError
+from modaltouch.system import Clock
+from modaltouch.window import AnswerWindow
+
+if TYPE_CHECKING:
+    from modaltouch.lab import Prober
+
+ATTEMPTS = 3
+"""How often a measurement is tried that is refused."""
+
+STILL = 1.0
+"""From hands at rest to a measurement [s]."""
+
+GAP = 2.0
+"""From a measurement to the first burst, at least [s]."""
+
+
+class Probing:
+    """What a session measures of its fingers, and makes of it.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        The experiment, designed for the fingers that are expected.
+    prober : Prober
+        What measures them.
+    rig, window, log, clock
+        Those of the session.
+
+    Attributes
+    ----------
+    preflight : Preflight
+        The same, designed for the fingers that lie on the beam at their placement.
+    """
+
+    def __init__(
+        self, preflight: Preflight, prober: Prober, rig: Rig, window: AnswerWindow, log: SessionLog, clock: Clock
+    ) -> None:
+        self.preflight = self._expected = preflight
+        self._prober, self._rig, self._window, self._log, self._clock = prober, rig, window, log, clock
+        self._block: int | None = None
+        self._loaded: list[str] = []
+
+    def which(self, trial: Trial) -> int:
+        """Return which of the loaded bursts a trial is presented with."""
+        return self._loaded.index(self.preflight.design_of(trial.condition))
+
+    def lift_hands(self, trial: Trial) -> None:
+        """Measure the beam with hands off, once in each block and sitting.
+
+        Raises
+        ------
+        RigError
+            If the rig fails, or no measurement can be trusted.
+        """
+        if trial.block == self._block:
+            return
+        self._window.announce("hands_off")
+        self._log.append("hands_off", before_trial=trial.index)
+        found = self._measured(self._prober.hands_off, "hands_off")
+        self._log.append("probe", hands="off", **self._settings, **found)
+        self._block = trial.block
+
+    def measure(self, trial: Trial, progress: tuple[int, int]) -> None:
+        """Measure the fingers that were laid down, and load the stimulus that is designed for them.
+
+        Raises
+        ------
+        RigError
+            If the rig fails, or no measurement can be trusted.
+        """
+        condition, placements = trial.condition, self._expected.findings.placements
+        if placements is None:
+            return
+        expected = placements.expected(condition.finger_condition, *condition.pair, condition.placement)
+
+        def hands_on() -> dict[str, Any]:
+            self._window.settle(trial, progress)
+            return self._prober.hands_on(expected)
+
+        found = self._measured(hands_on, "measure_again")
+        ended = self._clock.now()
+        self.preflight = preflight = with_measured(self._expected, trial, found)
+        place = preflight.findings.placement(condition)
+        designs = {" ".join(filter(None, (name, place))): part.placed[place] for name, part in preflight.parts.items()}
+        self._loaded = list(designs)
+        self._rig.load(*(design.stimulus.burst for design in designs.values()))
+        levels = [
+            {
+                "design": name,
+                "content_hash": design.stimulus.burst.content_hash,
+                **self._prober.predict(*design.sound),
+                "attainable_mm_s": design.attainable,
+            }
+            for name, design in designs.items()
+        ]
+        self._log.append("probe", hands="on", trial=trial.as_dict(), **self._settings, **found, levels=levels)
+        self._window.tell_measuring(max(GAP - (self._clock.now() - ended), 0.0))
+
+    @property
+    def _settings(self) -> dict[str, float]:
+        return {"speed_mm_s": self._prober.speed * 1e3, "laser_mm": self._prober.laser * 1e3}
+
+    def _measured(self, measure: Callable[[], dict[str, Any]], once_more: str) -> dict[str, Any]:
+        """Return what is measured, the participant asked again where it is refused."""
+        for attempt in range(1, ATTEMPTS + 1):
+            self._window.tell_measuring(STILL)
+            try:
+                return measure()
+            except ValueError as error:
+                self._log.append("probe_refused", attempt=attempt, reason=str(error))
+                refused = error
+                if attempt < ATTEMPTS:
+                    self._window.announce(once_more)
+        raise RigError(
+            f"the fingers could not be measured, {ATTEMPTS} times in a row ({refused}); the outputs are off; go on "
+            "with `modaltouch resume`, or write `stimulus.fingers: typical` in a protocol of another name"
+        ) from refused
