@@ -127,7 +127,7 @@ doorstep: install
 stalls: install
 	$(PYTHON) tests/session/stalls.py --demos 20 --out results/benchmarks/stalls.json
 
-## spoilt: 1,000 identifications of beams with one fault each; which are marked, refused and right, in results/benchmarks
+## spoilt: 1,000 identifications and calibrations with one fault each; which are marked, refused and right, in results/benchmarks
 .PHONY: spoilt
 spoilt: install
 	$(PYTHON) tests/lab/spoilt.py --cases 1000 --out results/benchmarks/spoilt.json

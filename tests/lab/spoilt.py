@@ -1,10 +1,12 @@
-"""Responses of the twin's beam with one fault each: every result outside its interval must bear a mark.
+"""Measurements of the twin with one fault each: every result outside its interval must bear a mark.
 
 ``python tests/lab/spoilt.py --cases 1000 --out results/benchmarks/spoilt.json``
 
-A *mark* is a refusal, or a sentence among the warnings of the result. A case is *silently wrong* if it bears none and
-a natural frequency, damping ratio or gain of modes 1 to 11 is further from the twin's than twice the half-width of its
-95 % interval. A refusal is *right* if it names the true cause, by a word of `CAUSES`.
+A *mark* is a refusal, or a sentence among the warnings of the result. An identification is *silently wrong* if it
+bears none and a natural frequency, damping ratio or gain of modes 1 to 11 is further from the twin's than twice the
+half-width of its 95 % interval (natural frequencies and damping ratios of one blow, where a record is clipped); a
+calibration, if the velocity or w eta of a mode is further from the twin's true state. A calibration that misses its
+limits counts as refused. A refusal is *right* if it names the true cause, by a word of `CAUSES`.
 """
 
 from __future__ import annotations
@@ -12,15 +14,22 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
+from intervals import PROTOCOL, calibrated
 
+from modaltouch.lab.calibration.proof import mark_of
 from modaltouch.lab.identification.estimates import Identification
-from modaltouch.lab.identification.joint_fit import identify
+from modaltouch.lab.identification.files import read_responses
+from modaltouch.lab.identification.joint_fit import identify, identify_each
 from modaltouch.lab.identification.responses import FrequencyResponses
-from modaltouch.lab.identification.verdict import check_gains, check_modes, warnings
+from modaltouch.lab.identification.verdict import check_all, check_gains, check_modes, warnings
+from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator.true_beam import TrueBeam, true_beam
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
@@ -128,7 +137,97 @@ FAULTS: dict[str, Fault] = {
     "wrong units": _units,
 }
 
+
+def saturated(apparatus: Apparatus, needed: float, rng: np.random.Generator) -> Apparatus:
+    """Return an apparatus whose amplifier saturates at 30 to 100 % of what the stimulus needs."""
+    amplifier = apparatus.twin.amplifier.model_copy(update={"limit_V": needed * rng.uniform(0.3, 1.0)})
+    return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update={"amplifier": amplifier})})
+
+
+def hysteretic(apparatus: Apparatus, needed: float, rng: np.random.Generator) -> Apparatus:
+    """Return an apparatus whose actuators have hysteresis, of 2 to 60 % of their force."""
+    share = float(np.exp(rng.uniform(np.log(0.02), np.log(0.6))))
+    return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update={"hysteresis": share})})
+
+
+RIGS: dict[str, Callable[[Apparatus, float, np.random.Generator], Apparatus]] = {
+    "saturation": saturated,
+    "hysteresis": hysteretic,
+}
+"""What is wrong with a rig that is calibrated."""
+
+
+@cache
+def paper() -> Preflight:
+    """Return the paper's protocol, checked."""
+    return examine(PROTOCOL).require()
+
+
+def calibration_of(name: str, seed: int) -> dict[str, bool]:
+    """Return what came of calibrating a rig with a fault."""
+    preflight, rng = paper(), np.random.default_rng(seed)
+    listed = preflight.experiment.apparatus
+    rig = RIGS[name](listed, float(preflight.stimulus.peak_voltage.max()), rng)
+    try:
+        outcome, off = calibrated(preflight, rig, int(rng.integers(1 << 31)), listed)
+    except RigError as error:
+        return refused(name, str(error))
+    mark = mark_of(outcome, preflight.experiment.protocol)
+    if mark["missed"]:
+        return refused(name, "; ".join(mark["causes"]))
+    wrong = bool((np.abs(off) > 2 * outcome.best.state.half_width).any())
+    return {"marked": False, "refused": False, "right": False, "silently_wrong": wrong}
+
+
+LOW = (1, 3, 5)
+"""Modes that a hammer excites."""
+
+
+def clipped(seed: int, apparatus: Apparatus) -> dict[str, bool]:
+    """Return what came of a blow's record that is cut at 30 to 99 % of its highest acceleration."""
+    rng = np.random.default_rng(seed)
+    beam = true_beam(apparatus, int(rng.integers(1 << 31)))
+    rate, n = 20e3, 16_384
+    time, pulse = np.arange(n) / rate, 2e-4
+    force = np.where(time % 1 < pulse, 100 * np.sin(np.pi * time / pulse), 0.0)
+    force = np.roll(force, 200)
+    motion = np.zeros(n)
+    for k in (beam.table.label.index(label) for label in LOW):
+        pole = 2 * np.pi * beam.table.natural_frequency[k]
+        decay, damped = beam.table.damping_ratio[k] * pole, pole * np.sqrt(1 - beam.table.damping_ratio[k] ** 2)
+        displacement = np.convolve(force, np.exp(-decay * time) * np.sin(damped * time) / damped)[:n] / rate
+        motion += np.gradient(np.gradient(displacement, 1 / rate), 1 / rate)
+    motion += 3e-4 * motion.max() * rng.standard_normal(n)
+    end = rng.uniform(0.3, 0.99) * np.abs(motion).max()
+    head = "***End_of_Header***\nY_Unit_Label\tm/s^2\tN\nDelta_X\t5E-5\t5E-5\n***End_of_Header***\nX\ta\tf\n"
+    rows = (f"\t{a:.9g}\t{f:.9g}" for a, f in zip(np.clip(motion, -end, end), force, strict=True))
+    try:
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "blow.lvm"
+            path.write_text(head + "\n".join(rows), encoding="utf-8")
+            found = identify_each(read_responses([path]).between(60, 4e3))
+        check_all(found)
+    except ValueError as error:
+        return refused("clipping", str(error))
+    wrong = any(_is_off(found, beam, label) for label in LOW)
+    marked = bool(warnings(found))
+    return {"marked": marked, "refused": False, "right": False, "silently_wrong": wrong and not marked}
+
+
+def _is_off(found: Identification, beam: TrueBeam, label: int) -> bool:
+    k = beam.table.label.index(label)
+    true = beam.table.natural_frequency[k], beam.table.damping_ratio[k]
+    mode = min(found.modes, key=lambda each: abs(each.natural_frequency.value - true[0]))
+    numbers = mode.natural_frequency, mode.damping_ratio
+    return any(abs(a.value - b) > 2 * (a.high - a.value) for a, b in zip(numbers, true, strict=True))
+
+
+KINDS = (*FAULTS, *RIGS, "clipping")
+
 CAUSES = {
+    "saturation": "saturate",
+    "hysteresis": "hysteresis",
+    "clipping": "saturated",
     "offset": "ms",
     "nonlinear": "nonlinearity",
     "drift": "drift",
@@ -151,8 +250,17 @@ def is_wrong(found: Identification, beam: TrueBeam) -> bool:
     return False
 
 
+def refused(name: str, said: str) -> dict[str, bool]:
+    """Return what a refusal is."""
+    return {"marked": True, "refused": True, "right": CAUSES.get(name, "\0") in said, "silently_wrong": False}
+
+
 def outcome(name: str, seed: int, apparatus: Apparatus) -> dict[str, bool]:
     """Return what came of one case: marked, refused, refused with the true cause, silently wrong."""
+    if name in RIGS:
+        return calibration_of(name, seed)
+    if name == "clipping":
+        return clipped(seed, apparatus)
     rng = np.random.default_rng(seed)
     beam = true_beam(apparatus, int(rng.integers(1 << 31)))
     frequency, response, noise = FAULTS[name](beam, rng)
@@ -162,7 +270,7 @@ def outcome(name: str, seed: int, apparatus: Apparatus) -> dict[str, bool]:
         check_modes(found, LABELS)
         check_gains(found, apparatus)
     except ValueError as error:
-        return {"marked": True, "refused": True, "right": CAUSES.get(name, "\0") in str(error), "silently_wrong": False}
+        return refused(name, str(error))
     marked = bool(warnings(found))
     return {
         "marked": marked,
@@ -179,11 +287,14 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
     apparatus = Apparatus.read(APPARATUS)
-    kinds: dict[str, dict[str, int]] = {name: {"n": 0} for name in FAULTS}
+    kinds: dict[str, dict[str, int]] = {name: {"n": 0} for name in KINDS}
     for seed in range(options.cases):
-        name = tuple(FAULTS)[seed % len(FAULTS)]
+        name = KINDS[seed % len(KINDS)]
         kinds[name]["n"] += 1
-        for key, value in outcome(name, seed, apparatus).items():
+        came = outcome(name, seed, apparatus)
+        if came["silently_wrong"] or (came["refused"] and not came["right"]):
+            print(seed, name, came, flush=True)
+        for key, value in came.items():
             kinds[name][key] = kinds[name].get(key, 0) + value
         spoilt = [each for fault, each in kinds.items() if fault != "clean"]
         refused = sum(each.get("refused", 0) for each in spoilt)

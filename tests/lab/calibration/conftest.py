@@ -92,9 +92,8 @@ def shipped_apparatus(preflight: Preflight) -> Apparatus:
     return preflight.experiment.apparatus
 
 
-@pytest.fixture(scope="session")
-def mismatched(shipped_apparatus: Apparatus) -> Apparatus:
-    """The apparatus with a mismatch five times as large as shipped."""
+def mismatched_of(shipped_apparatus: Apparatus) -> Apparatus:
+    """Return the apparatus with a mismatch five times as large as shipped."""
     changed = {
         "natural_frequency_mismatch": 0.005,
         "damping_ratio_mismatch": 0.1,
@@ -102,6 +101,12 @@ def mismatched(shipped_apparatus: Apparatus) -> Apparatus:
         "amplifier": TrueAmplifier(bandwidth_kHz=100.0, delay_us=5.0),
     }
     return shipped_apparatus.model_copy(update={"twin": shipped_apparatus.twin.model_copy(update=changed)})
+
+
+@pytest.fixture(scope="session")
+def mismatched(shipped_apparatus: Apparatus) -> Apparatus:
+    """The apparatus with a mismatch five times as large as shipped."""
+    return mismatched_of(shipped_apparatus)
 
 
 @pytest.fixture(scope="session")

@@ -138,9 +138,10 @@ def test_other_causes_are_told_from_the_states(preflight: Preflight, outcome: Ca
     [
         ({"dropouts_Hz": 20.0}, r"the velocity has gaps or blows: 0\.\d+% of its samples .*; see whether the sensor"),
         ({"limit_V": 60.0}, r"the amplifier saturates: of the 1\d\d V of output 1 the measured peaks lack \d\d%"),
+        ({"hysteresis": 0.4}, r"at half the level the modes move -\d\.\d% from half as fast: .* have hysteresis; bring"),
         ({"frequency_drift": 5e-4}, r"moved by \d+% of its half bandwidth between the probes .* steady temperature"),
     ],
-    ids=["loose sensor", "strong saturation", "strong drift"],
+    ids=["loose sensor", "strong saturation", "strong hysteresis", "strong drift"],
 )
 def test_what_cannot_be_identified_is_refused(
     preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, departures: dict[str, float], said: str
@@ -171,6 +172,24 @@ def test_what_misses_is_written_only_if_accepted(
     assert problem.path == "missed"
     assert problem.line > 1
     assert "--with-marked-calibration" in problem.remedy
+
+
+def test_too_few_volts_of_a_linear_beam_are_no_hysteresis(
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
+) -> None:
+    """A beam that moves as listed but a tenth less for its volts needs more of them: the limit is named, as it is."""
+    amplifier = shipped_apparatus.amplifier.model_copy(update={"limit_V": 195.0})
+    weaker = shipped_apparatus.twin.amplifier.model_copy(update={"gain_V_per_V": 0.9 * amplifier.gain_V_per_V})
+    rig = shipped_apparatus.model_copy(
+        update={"amplifier": amplifier, "twin": shipped_apparatus.twin.model_copy(update={"amplifier": weaker})}
+    )
+    modes = tuple(
+        mode.model_copy(update={"gain_mm_s2_per_V": {k: 0.9 * v for k, v in mode.gain_mm_s2_per_V.items()}})
+        for mode in rig.modes
+    )
+    bench = make_bench(rig.model_copy(update={"modes": modes}), 0)
+    with pytest.raises(RigError, match=r"200 mm/s needs \d+ V at the beam on this rig: allowed are 195 V"):
+        calibrate(bench, rig, preflight.inputs)
 
 
 def test_peaks_that_lack_are_told_from_a_gain() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.calibration.decay import Decay
-from modaltouch.lab.calibration.plant import DriveDelay, Plant, modal_swings
+from modaltouch.lab.calibration.plant import DriveDelay, ModalState, Plant, modal_swings
 from modaltouch.rig import Recording, RigError
 from modaltouch.stimulus import ModalModel
 
@@ -33,6 +33,14 @@ MOST_LACKING = 0.5
 
 LARGEST_STRAIN = 0.2
 """Change of a natural frequency between two probes, over the mode's decay rate [1]."""
+
+MOST_DISPROPORTION = 0.02
+"""Speed of the modes at half a level over half the speed at the level, less 1, either way [1]."""
+
+HYSTERESIS = (
+    "the beam does not follow in proportion, though the amplifier does: its actuators have hysteresis; bring the "
+    "levels closer together, or calibrate a protocol for each"
+)
 
 LARGEST_PHASE = 0.2
 """Phase that the vibrometer's delay and lag may leave unexplained [rad]."""
@@ -180,6 +188,22 @@ def refuse_saturation(predicted: FloatArray, measured: FloatArray) -> None:
             f"the amplifier saturates: of the {np.abs(predicted[output]).max():.0f} V of output {output + 1} "
             f"the measured peaks lack {lacking[output]:.0%}, allowed {MOST_LACKING:.0%}; the outputs are off; see "
             "whether its supply is sound, give amplifier.limit_V its true value, and lower the levels to it"
+        )
+
+
+def refuse_disproportion(whole: ModalState, half: ModalState) -> None:
+    """Refuse a beam that moves by another share than half at half the level.
+
+    Parameters
+    ----------
+    whole, half : ModalState
+        Of one stimulus, at a level and at half of it.
+    """
+    off = 2 * float(half.velocity @ whole.velocity / (whole.velocity @ whole.velocity)) - 1
+    if abs(off) > MOST_DISPROPORTION:
+        raise RigError(
+            f"at half the level the modes move {off:+.1%} from half as fast: allowed {MOST_DISPROPORTION:.0%}; the "
+            f"outputs are off; {HYSTERESIS}"
         )
 
 

@@ -21,6 +21,7 @@ from modaltouch.lab.calibration.decay import find_poles, fit_residues
 from modaltouch.lab.calibration.doubts import (
     peak_shortfall,
     refuse_changing_beam,
+    refuse_disproportion,
     refuse_doubtful_drive,
     refuse_doubtful_plant,
     refuse_saturation,
@@ -174,6 +175,9 @@ class _Loop:
         refuse_saturation(*self._drives("drive before", self._listed, plant))
         corrected_target = listed_target = np.stack([self._target, np.zeros_like(self._target)])
         stimulus = self._corrected(refined, self._correction(corrected_target))
+        if float(stimulus.peak_voltage.max()) > self._apparatus.amplifier.limit_V:
+            self._recorder.begin("at half the level", self._points.size)
+            refuse_disproportion(turns[0].state, self._turn(0, self._listed, plant, self._reference / 2).state)
         self._refuse_beyond_limit(float(stimulus.peak_voltage.max()))
         best, kept = self._measure(1, stimulus, plant), corrected_target
         turns.append(best)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from modaltouch.lab.calibration.doubts import HYSTERESIS
 from modaltouch.lab.calibration.file import CERTAIN, CalibrationResult, Level
 from modaltouch.lab.calibration.plant import INTERVAL
 from modaltouch.protocol import Protocol
@@ -106,10 +107,7 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]
             "fasten it, aim anew and calibrate again"
         )
     elif all(each["level_mm_s"] != outcome.inputs.reference for each in missed):
-        yield (
-            "the beam does not follow in proportion, though the amplifier does: its actuators have hysteresis; bring "
-            "the levels closer together, or calibrate a protocol for each"
-        )
+        yield HYSTERESIS
     else:
         yield (
             "nothing in the records shows the cause; identify the beam anew with `modaltouch identify`, and calibrate "

@@ -48,6 +48,8 @@ def refuse_odd_point(residue: FloatArray, positions: FloatArray, length: float, 
     factor, before, after = (np.array(column) for column in zip(*seen, strict=True))
     typical = np.median(before)
     odd = (np.abs(factor - 1) > OFF) & (after < EXPLAINED * before) & (before > STANDS_OUT * typical)
+    # A beam that drifts spoils many points, and one of them may look scaled.
+    odd &= before == before.max(axis=0)
     if not odd.any():
         return
     set_index, point = divmod(int(np.where(odd.T, before.T, 0.0).argmax()), positions.size)
