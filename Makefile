@@ -14,7 +14,7 @@ endef
 export UV_SYSTEM_CERTS := 1
 export MPLBACKEND := agg
 # Tests share the cores out among processes; threads of theirs would only wait for each other, busily.
-test soak soak-identification soak-calibration fuzz oldest mutants: export OPENBLAS_NUM_THREADS := 1
+test soak soak-identification soak-calibration spoilt fuzz oldest mutants: export OPENBLAS_NUM_THREADS := 1
 
 ## help: list the targets
 .PHONY: help
@@ -138,11 +138,12 @@ soak-identification: install
 	MODALTOUCH_IDENTIFIED_SEEDS=200 MODALTOUCH_SCANNED_POINTS=41 \
 	  $(PYTHON) -m pytest --timeout 3600 tests/lab/identification/test_identify.py tests/lab/identification/test_through_the_driver.py
 
-## soak-calibration: forty beams calibrated, and forty through the whole driver, judged by the twin's true state
+## soak-calibration: forty beams calibrated, forty through the whole driver, and the intervals of 200, judged by the true state
 .PHONY: soak-calibration
 soak-calibration: install
 	MODALTOUCH_CALIBRATED_BEAMS=40 MODALTOUCH_SEEDED_BEAMS=40 \
 	  $(PYTHON) -m pytest --timeout 600 tests/lab/calibration/test_through_the_driver.py tests/lab/calibration/test_seeded_beams.py
+	$(PYTHON) tests/lab/intervals.py --twins 200 --out results/benchmarks/intervals.json
 
 ## fuzz: 20,000 spoilt files through every reader, and new examples for every property
 .PHONY: fuzz

@@ -169,7 +169,7 @@ def calibration_of(name: str, seed: int) -> dict[str, bool]:
     listed = preflight.experiment.apparatus
     rig = RIGS[name](listed, float(preflight.stimulus.peak_voltage.max()), rng)
     try:
-        outcome, off = calibrated(preflight, rig, int(rng.integers(1 << 31)), listed)
+        outcome, off, _ = calibrated(preflight, rig, int(rng.integers(1 << 31)), listed)
     except RigError as error:
         return refused(name, str(error))
     mark = mark_of(outcome, preflight.experiment.protocol)

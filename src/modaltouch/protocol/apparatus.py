@@ -173,18 +173,17 @@ class AcquisitionSection(Section):
     sensitivity_mm_s_per_V: Positive = described(  # noqa: N815
         "What a volt of the vibrometer's output stands for [mm/s per V].", default=50.0
     )
+    sensitivity_uncertainty_percent: NotNegative = described(
+        "Half width of its 95 % interval, part of a calibration's uncertainty [%].", default=0.0
+    )
     range_mm_s: Positive = described("Highest velocity in the vibrometer's range [mm/s, peak].", default=500.0)
     vibrometer_bandwidth_kHz: Positive | None = described(  # noqa: N815
         "Corner of the vibrometer's first-order low-pass by its data sheet [kHz]; null for one that needs none.",
         default=None,
     )
-    probe_attenuation: Positive = described(
-        "Volts at the beam per volt at the scope's drive inputs [V/V].", default=100.0
-    )
+    probe_attenuation: Positive = described("Volts at the beam per volt at the scope's inputs [V/V].", default=100.0)
     trigger_latency_us: NotNegative = described(
-        "From the generator's first sample to the scope's, as the generator wired straight to the scope shows it; "
-        "what is not known of it shifts the focus in time [us].",
-        default=0.0,
+        "From the generator's first sample to the scope's, as both wired straight together show it [us].", default=0.0
     )
     trigger_latency_uncertainty_us: NotNegative = described(
         "Half width of that time's 95 % interval, part of a calibration's uncertainty [us].", default=0.05

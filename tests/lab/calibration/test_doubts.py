@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modaltouch.lab.calibration.file import corrected_inputs
 from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.preflight import Preflight
+from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.twin import TrueAmplifier, Vibrometer
 from modaltouch.rig.acquisition import Acquisition, Recording
@@ -106,6 +108,25 @@ def test_a_range_too_small_is_told(preflight: Preflight, shipped_apparatus: Appa
     bench = make_bench(small, 1)
     with pytest.raises(RigError, match=r"velocity is overloaded at .* in the widest range; choose a wider one"):
         calibrate(bench, small, preflight.inputs)
+
+
+def test_a_sensitivity_that_is_known_to_half_a_percent_is_part_of_the_interval(
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
+) -> None:
+    """Read 0.4 % low, a mode of 59 mm/s is stated 0.24 mm/s off: within its interval, as is the level."""
+    knobs = shipped_apparatus.acquisition.model_copy(update={"sensitivity_uncertainty_percent": 0.5})
+    listed = shipped_apparatus.model_copy(update={"acquisition": knobs})
+    bench = make_bench(listed, 1)
+    outcome = calibrate(Spoilt(bench, changed(velocity=0.996)), listed, preflight.inputs)
+    correction = replace(outcome.correction, corrections=())
+    played = design_to_fit(corrected_inputs(preflight.inputs, outcome.refined, correction), release="free")
+    true = bench.true_state(played.burst, played.target_field.velocity, played.timing.focusing_instant)
+    state, (*_, level) = outcome.best.state, outcome.levels
+    off = np.abs(state.velocity - true.velocity)
+    assert off.max() > 0.2e-3
+    assert (off <= state.half_width).all()
+    assert level.at_focus == pytest.approx(0.2, rel=1e-3)
+    assert 1.96 * level.spread / level.at_focus > 0.005
 
 
 @pytest.mark.parametrize("microseconds", [30.0, 60.0])

@@ -138,7 +138,10 @@ def test_other_causes_are_told_from_the_states(preflight: Preflight, outcome: Ca
     [
         ({"dropouts_Hz": 20.0}, r"the velocity has gaps or blows: 0\.\d+% of its samples .*; see whether the sensor"),
         ({"limit_V": 60.0}, r"the amplifier saturates: of the 1\d\d V of output 1 the measured peaks lack \d\d%"),
-        ({"hysteresis": 0.4}, r"at half the level the modes move -\d\.\d% from half as fast: .* have hysteresis; bring"),
+        (
+            {"hysteresis": 0.4},
+            r"at half the level the modes move -\d\.\d% from half as fast: .* hysteresis; bring",
+        ),
         ({"frequency_drift": 5e-4}, r"moved by \d+% of its half bandwidth between the probes .* steady temperature"),
     ],
     ids=["loose sensor", "strong saturation", "strong hysteresis", "strong drift"],

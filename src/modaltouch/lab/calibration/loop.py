@@ -36,6 +36,7 @@ from modaltouch.lab.calibration.file import (
     significant,
 )
 from modaltouch.lab.calibration.plant import (
+    INTERVAL,
     Plant,
     fit_drive,
     identify_plant,
@@ -233,11 +234,11 @@ class _Loop:
 
         Delay and lag come first: a delay of a few microseconds that the loop does not know makes it diverge.
         """
-        listed, timing = self._listed, self._timing
+        listed, timing, knobs = self._listed, self._timing, self._apparatus.acquisition
         n_channels, to_beam = listed.model.n_channels, listed.amplifier.gain * listed.load_factor
 
         def burst_of(voltage: FloatArray) -> Burst:
-            limits = (self._apparatus.safety.velocity_limit_mm_s, self._apparatus.acquisition.range_mm_s)
+            limits = (self._apparatus.safety.velocity_limit_mm_s, knobs.range_mm_s)
             return identifying_burst(
                 voltage,
                 listed.model,
@@ -263,7 +264,7 @@ class _Loop:
         since = time / (1 + drive.clock) - timing.focusing_instant
         decays = find_poles(since, np.concatenate(rows), listed.model.exponent)
         refuse_changing_beam([fit_residues(since, each, decays.pole) for each in rows], self._shapes)
-        corner = self._apparatus.acquisition.vibrometer_bandwidth_kHz
+        corner = knobs.vibrometer_bandwidth_kHz
         plant = identify_plant(
             listed.model,
             listed.amplifier,
@@ -275,8 +276,11 @@ class _Loop:
             None if corner is None else corner * 1e3,
         )
         refuse_doubtful_plant(plant, listed.model, self._recorder.margin)
-        latency_doubt = self._apparatus.acquisition.trigger_latency_uncertainty_us * 1e-6
-        return replace(plant, latency_doubt=latency_doubt)
+        return replace(
+            plant,
+            latency_doubt=knobs.trigger_latency_uncertainty_us * 1e-6,
+            sensitivity_doubt=knobs.sensitivity_uncertainty_percent * 1e-2,
+        )
 
     def _corrected(self, refined: Apparatus, correction: Correction) -> Stimulus:
         return design_to_fit(corrected_inputs(self._inputs, refined, correction), release="free")
@@ -337,12 +341,14 @@ class _Loop:
         time, decay, highest = self._recorder.at_level(level, stimulus.target_field.centre)
         fitted = fit_residues(plant.decay_time(time, self._timing), decay, plant.pole)
         vibrometer = plant.vibrometer.response(plant.pole)
+        at_focus = float((fitted.residue[:, 0] / vibrometer).real.sum())
+        noise = float(np.sqrt(np.sum((fitted.spread / np.abs(vibrometer)) ** 2)))
         return Level(
             velocity=level,
             factor=factor,
             amplitude=stimulus.amplitude_for(level),
-            at_focus=float((fitted.residue[:, 0] / vibrometer).real.sum()),
-            spread=float(np.sqrt(np.sum((fitted.spread / np.abs(vibrometer)) ** 2))),
+            at_focus=at_focus,
+            spread=float(np.hypot(noise, plant.sensitivity_doubt * at_focus / INTERVAL)),
             highest=highest,
         )
 

@@ -262,7 +262,7 @@ class ModalState:
         Standard error of each, from the noise of the records [m/s].
     half_width : (n_modes,) array
         Of the 95 % interval of each: noise, or what the points disagree by where that is more, with what vibrometer,
-        trigger and natural frequencies leave unknown [m/s].
+        trigger and natural frequencies leave unknown, in quadrature [m/s].
     change : (n_modes,) array
         How far the natural frequencies lie from the identified ones, as a part of them [1].
     disagreement : (n_modes,) array
@@ -309,6 +309,8 @@ class Plant:
         How far each mode's swing stood out of the noise when it was identified, in standard errors [1].
     latency_doubt : float
         Half width of the 95 % interval of the time from the generator's first sample to the scope's [s].
+    sensitivity_doubt : float
+        The same of the vibrometer's sensitivity, as a part of it [1].
     """
 
     model: ModalModel
@@ -318,6 +320,7 @@ class Plant:
     unlisted: ComplexArray
     certainty: FloatArray
     latency_doubt: float = 0.0
+    sensitivity_doubt: float = 0.0
 
     @property
     def pole(self) -> ComplexArray:
@@ -347,6 +350,7 @@ class Plant:
         either = np.hypot(np.maximum(spread, by_points), np.abs(swing) * self.vibrometer.spread(pole))
         # Another time of the trigger turns velocity into displacement and back.
         late = self.model.angular_frequency * np.abs(swing) * self.latency_doubt
+        scale = self.sensitivity_doubt * np.abs(swing)
         error = decay.pole_error[:n]
         turned = self.model.angular_frequency * swing / pole
         state = ModalState(
@@ -358,7 +362,8 @@ class Plant:
             slip=np.abs(swing * error / pole.real),
         )
         # Averaged over the decay, a residue misses half of what its pole does.
-        return replace(state, half_width=INTERVAL * either + late + state.shown_slip / 2)
+        missed = np.where(state.shown_slip > 0, state.slip / 2, 0.0)
+        return replace(state, half_width=np.sqrt((INTERVAL * either) ** 2 + late**2 + scale**2 + missed**2))
 
 
 def modal_swings(decay: Decay, shapes: FloatArray) -> ComplexArray:
