@@ -32,9 +32,7 @@ def draw_fields(start: dict[str, Any], stimulus: str = "") -> Figure | None:
     if not fields:
         return None
     stimuli = _of(stimulus, start.get("stimulus", {}).get("stimuli", []))
-    with house_style():
-        figure = Figure(figsize=(7.6, 2.9))
-        left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    with house_style(7.6, 2.9, 1, 2, width_ratios=(3, 2)) as (figure, [[left, right]]):
         _draw_field(left, fields)
         _draw_zones(right, stimuli)
         whose = f" (levels of participant {start['participant']})" if start.get("sensation_levels") else ""

@@ -62,9 +62,9 @@ def draw_power(power: Power, target: float = 0.8) -> Figure:
     """
     families = power.study.families
     n_rows = -(-len(families) // _COLUMNS)
-    with house_style():
-        figure = Figure(figsize=(3.2 * min(len(families), _COLUMNS) + 0.8, 2.7 * n_rows + 0.5))
-        axes = figure.subplots(n_rows, min(len(families), _COLUMNS), squeeze=False)
+    with house_style(
+        3.2 * min(len(families), _COLUMNS) + 0.8, 2.7 * n_rows + 0.5, n_rows, min(len(families), _COLUMNS)
+    ) as (figure, axes):
         for place, panel in zip(axes.flat, (*families, *[None] * (axes.size - len(families))), strict=True):
             if panel is None:
                 place.set_axis_off()

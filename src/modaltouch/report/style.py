@@ -10,6 +10,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 PAIR_COLOURS = ("#0b3c8c", "#5bb8e8", "#f4c518", "#9a5b9f", "#2f9e77", "#c4c4c4")
 """Dark blue, light blue and yellow as in Fig. 10 and Fig. 11; then further pairs."""
@@ -47,16 +48,36 @@ PNG_DPI = 200
 
 
 @contextmanager
-def house_style() -> Iterator[None]:
-    """Draw in the project's style, leaving matplotlib's own settings as they were."""
+def house_style(
+    width: float = 7.6, height: float = 3.0, n_rows: int = 1, n_columns: int = 1, **panels: Any
+) -> Iterator[tuple[Figure, NDArray[Any]]]:
+    """Draw in the project's style, leaving matplotlib's own settings as they were.
+
+    Parameters
+    ----------
+    width, height : float
+        Of the figure [inch].
+    n_rows, n_columns : int
+        Its panels.
+    **panels
+        Further arguments of `matplotlib.figure.Figure.subplots`.
+
+    Yields
+    ------
+    figure : Figure
+        In that style.
+    panels : (n_rows, n_columns) array
+        Its axes.
+    """
     with mpl.rc_context(_RC):
-        yield
+        figure = Figure(figsize=(width, height))
+        yield figure, figure.subplots(n_rows, n_columns, squeeze=False, **panels)
 
 
 def render(figure: Figure, kind: str) -> bytes:
     """Return a figure as the bytes of an ``svg`` or ``png`` file; the same figure always gives the same bytes."""
     buffer = io.BytesIO()
-    with house_style():
+    with mpl.rc_context(_RC):
         # Laid out once for both formats: it costs as much as drawing. Where the setting is on, None would stand for it.
         engine = figure.get_layout_engine()
         with mpl.rc_context({"figure.constrained_layout.use": False}):

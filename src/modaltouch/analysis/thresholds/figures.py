@@ -30,9 +30,7 @@ def draw_runs(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
     bounds : (float, float)
         Lowest and highest level that a run may reach [mm/s].
     """
-    with house_style():
-        figure = Figure(figsize=(7.4, _ROW * len(runs) + 0.5))
-        rows = figure.subplots(len(runs), 2, squeeze=False, width_ratios=[1.35, 1])
+    with house_style(7.4, _ROW * len(runs) + 0.5, len(runs), 2, width_ratios=[1.35, 1]) as (figure, rows):
         for (track, function), run in zip(rows, runs, strict=True):
             _draw_track(track, run, bounds)
             _draw_function(function, run, bounds)
@@ -117,9 +115,7 @@ def draw_thresholds(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
     """
     kinds = list(dict.fromkeys(run.kind for run in runs))
     people = list(dict.fromkeys((run.participant, run.session) for run in runs))
-    with house_style():
-        figure = Figure(figsize=(6.4, min(1.4 + 0.17 * len(people) * len(kinds), 40.0)))
-        axes = figure.subplots()
+    with house_style(6.4, min(1.4 + 0.17 * len(people) * len(kinds), 40.0)) as (figure, [[axes]]):
         for k, kind in enumerate(kinds):
             own = [run for run in runs if run.kind == kind]
             heights = np.array([people.index((run.participant, run.session)) for run in own], dtype=float)

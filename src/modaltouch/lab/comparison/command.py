@@ -30,9 +30,7 @@ COLUMNS = 3
 def draw_fields(contest: Contest) -> Figure:
     """Return the true field at the focusing instant of every method, and the target field."""
     n_rows = -(-len(contest.designed) // COLUMNS)
-    with house_style():
-        figure = Figure(figsize=(7.6, 2.1 * n_rows + 0.5))
-        panels = figure.subplots(n_rows, COLUMNS, squeeze=False, sharex=True, sharey=True)
+    with house_style(7.6, 2.1 * n_rows + 0.5, n_rows, COLUMNS, sharex=True, sharey=True) as (figure, panels):
         for axes, designed, verdict in zip(panels.ravel(), contest.designed, contest.verdicts, strict=False):
             place = verdict.position * 1e3
             task = contest.task.target_field
@@ -45,8 +43,7 @@ def draw_fields(contest: Contest) -> Figure:
             axes.set_xlabel("position [mm]")
         for axes in panels[:, 0]:
             axes.set_ylabel("velocity [mm/s]")
-        handles, names = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside upper center", ncols=len(names), frameon=False)
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False)
     return figure
 
 
@@ -56,9 +53,9 @@ def draw_drives(contest: Contest) -> Figure:
     n_channels = contest.designed[0].voltage.shape[0]
     every = max(1, timing.n_samples // 12_500)
     time = np.arange(timing.n_samples)[::every] * timing.hold * 1e3
-    with house_style():
-        figure = Figure(figsize=(7.6, 1.05 * len(contest.designed) + 0.6))
-        panels = figure.subplots(len(contest.designed), n_channels, squeeze=False, sharex=True, sharey="row")
+    with house_style(
+        7.6, 1.05 * len(contest.designed) + 0.6, len(contest.designed), n_channels, sharex=True, sharey="row"
+    ) as (figure, panels):
         for row, designed in zip(panels, contest.designed, strict=True):
             for axes, volts in zip(row, designed.voltage, strict=True):
                 n = volts.size // every * every
@@ -78,9 +75,7 @@ def draw_drives(contest: Contest) -> Figure:
 def draw_price(rows: Sequence[Row], limit: float) -> Figure:
     """Return distance from the target field against peak voltage, and contrast against energy, of every method."""
     pairs = [key for key in rows[0] if key.startswith("contrast_")]
-    with house_style():
-        figure = Figure(figsize=(7.6, 3.1))
-        left, right = figure.subplots(1, 2)
+    with house_style(7.6, 3.1, 1, 2) as (figure, [[left, right]]):
         for row, marker in zip(rows, MARKERS * 2, strict=False):
             look = {"marker": marker, "s": 46, "color": DARK if row["method"] == "exact" else MIDDLE, "edgecolor": INK}
             left.scatter(row["peak_voltage_V"], row["rms_error_mm_s"], linewidth=0.7, label=row["name"], **look)
@@ -106,9 +101,7 @@ def draw_price(rows: Sequence[Row], limit: float) -> Figure:
 def draw_robustness(contest: Contest) -> Figure:
     """Return what other beams make of every drive: each beam a dot, the learned one a line."""
     names = [each.method.name for each in contest.designed]
-    with house_style():
-        figure = Figure(figsize=(7.6, 0.42 * len(names) + 1.1))
-        panels = figure.subplots(1, 3, sharey=True)
+    with house_style(7.6, 0.42 * len(names) + 1.1, 1, 3, sharey=True) as (figure, [panels]):
         pair = contest.task.pairs[0]
         columns: tuple[tuple[str, Callable[[DriveAssessment], float]], ...] = (
             ("velocity at the focus [mm/s]", lambda verdict: verdict.at_focus * 1e3),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray
-from modaltouch.lab.identification.estimates import Identification, IdentifiedMode
+from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.shapes import phase_collinearity, phase_deviation
 from modaltouch.lab.output import DARK, LIGHT, MIDDLE
 from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
@@ -41,10 +41,9 @@ def draw_responses(identification: Identification) -> Figure:
         (identification.fitted, "fitted", {"lw": 0.9}),
         (responses.response - identification.fitted, "measured less fitted", {"lw": 0.7}),
     )
-    with house_style():
-        figure = Figure(figsize=(7.6, 1.0 + 2.5 * len(responses.sets[:MOST_SETS])))
-        panels = figure.subplots(len(responses.sets[:MOST_SETS]), 1, sharex=True, squeeze=False)[:, 0]
-        for row, (axes, name) in enumerate(zip(panels, responses.sets, strict=False)):
+    sets = responses.sets[:MOST_SETS]
+    with house_style(7.6, 1.0 + 2.5 * len(sets), len(sets), sharex=True) as (figure, panels):
+        for row, (axes, name) in enumerate(zip(panels[:, 0], sets, strict=True)):
             for values, label, look in curves:
                 size = np.sqrt((np.abs(values[row]) ** 2).mean(axis=0)) * 1e3
                 kept = _thinned(responses.frequency, size)
@@ -53,9 +52,8 @@ def draw_responses(identification: Identification) -> Figure:
             _velocity_axis(axes)
             _mark_modes(axes, identification, labelled=row == 0)
             axes.set_ylabel(f"{name}\n{_unit(identification)}")
-        _frequency_axis(panels[-1], responses.frequency)
-        handles, names = panels[0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower center", ncols=3, frameon=False)
+        _frequency_axis(panels[-1, 0], responses.frequency)
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
         figure.suptitle("Sum over the points: root mean square of the responses", fontsize=10)
     return figure
 
@@ -71,10 +69,7 @@ def draw_fits(identification: Identification) -> Figure:
     shown = {int(order[0]): "worst: ", int(order[len(order) // 2]): "median: ", int(order[-1]): "best: "}
     if len(order) == 1:
         shown = {0: ""}
-    with house_style():
-        figure = Figure(figsize=(7.6, 4.4))
-        shape: dict[str, Any] = {"squeeze": False, "sharex": True, "sharey": "row", "height_ratios": (3, 2)}
-        panels = figure.subplots(2, len(shown), **shape)
+    with house_style(7.6, 4.4, 2, len(shown), sharex=True, sharey="row", height_ratios=(3, 2)) as (figure, panels):
         for column, (index, rank) in zip(panels.T, shown.items(), strict=True):
             _draw_fit(column, identification, flat[index], fitted[index])
             s, p = divmod(index, responses.n_points)
@@ -87,8 +82,7 @@ def draw_fits(identification: Identification) -> Figure:
         panels[0, 0].set_ylim(200 * quiet, 2e3 * float(np.abs(flat[list(shown)]).max()))
         panels[1, 0].set_ylabel("phase [degrees]")
         panels[1, 0].set_yticks([-180, -90, 0, 90, 180])
-        handles, names = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside lower center", ncols=3, frameon=False)
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     return figure
 
 
@@ -123,9 +117,7 @@ def draw_stability(identification: Identification) -> Figure:
     responses = identification.responses
     size = np.sqrt((np.abs(responses.response) ** 2).mean(axis=(0, 1)))
     order, frequency, _, stability = poles_by_order(responses)
-    with house_style():
-        figure = Figure(figsize=(7.6, 4.2))
-        axes = figure.subplots()
+    with house_style(7.6, 4.2) as (figure, [[axes]]):
         behind = axes.twinx()
         kept = _thinned(responses.frequency, size)
         behind.plot(responses.frequency[kept] / 1e3, size[kept], color=LIGHT, lw=1.6)
@@ -148,9 +140,12 @@ def draw_stability(identification: Identification) -> Figure:
 def draw_complexity(identification: Identification) -> Figure:
     """Return the residues of every mode in the complex plane, turned onto their common line."""
     modes = [mode for mode in identification.modes if mode.residue.size > 1]
-    with house_style():
-        figure, panels = _panels(modes, per_row=6, height=1.05, subplot_kw={"aspect": "equal"})
-        for axes, mode in zip(panels, modes, strict=True):
+    n_rows = math.ceil(len(modes) / 6)
+    with house_style(7.6, 0.5 + 1.05 * n_rows, n_rows, 6, subplot_kw={"aspect": "equal"}) as (figure, panels):
+        for axes, mode in zip_longest(panels.ravel(), modes):
+            axes.set_axis_off()
+            if mode is None:
+                continue
             straight = mode.residue * np.exp(-0.5j * np.angle((mode.residue**2).sum()))
             straight = straight / np.abs(straight).max()
             axes.axhline(0, color=LIGHT, lw=0.8)
@@ -160,8 +155,7 @@ def draw_complexity(identification: Identification) -> Figure:
             name = f"mode {mode.label}" if mode.label else f"{mode.natural_frequency.value / 1e3:.4g} kHz"
             collinearity, deviation = phase_collinearity(mode.residue), math.degrees(phase_deviation(mode.residue))
             axes.set_title(f"{name}\n{_rounded_down(collinearity)}, {deviation:.2g}°", fontsize=7.5)
-            axes.set(xlim=(-1.1, 1.1), ylim=(-0.6, 0.6), xticks=[], yticks=[])
-            axes.spines[:].set_visible(False)
+            axes.set(xlim=(-1.1, 1.1), ylim=(-0.6, 0.6))
         figure.suptitle("Residues in the complex plane; phase collinearity, mean phase deviation", fontsize=10)
     return figure
 
@@ -170,10 +164,8 @@ def draw_coherence(identification: Identification) -> Figure:
     """Return the coherence over the points: its median, and the band that holds eight points of ten."""
     responses = identification.responses
     coherence = np.ones(responses.response.shape) if responses.coherence is None else responses.coherence
-    with house_style():
-        figure = Figure(figsize=(7.6, 1.2 + 1.7 * len(responses.sets)))
-        panels = figure.subplots(len(responses.sets), 1, sharex=True, squeeze=False)[:, 0]
-        for row, axes in enumerate(panels):
+    with house_style(7.6, 1.2 + 1.7 * len(responses.sets), len(responses.sets), sharex=True) as (figure, panels):
+        for row, axes in enumerate(panels[:, 0]):
             low, median, high = np.percentile(coherence[row], [10, 50, 90], axis=0)
             kept = _thinned(responses.frequency, -median)
             frequency = responses.frequency[kept] / 1e3
@@ -182,7 +174,7 @@ def draw_coherence(identification: Identification) -> Figure:
             _mark_modes(axes, identification, labelled=row == 0)
             axes.set_ylim(0, 1.02)
             axes.set_ylabel(f"{responses.sets[row]}: coherence")
-        _frequency_axis(panels[-1], responses.frequency)
+        _frequency_axis(panels[-1, 0], responses.frequency)
         figure.suptitle("Coherence: median over the points, and its 10th to 90th percentile (shaded)", fontsize=10)
     return figure
 
@@ -191,10 +183,11 @@ def draw_shapes(identification: Identification) -> Figure:
     """Return the measured shapes over those of a uniform free-free beam, as in Fig. 4."""
     modes = [mode for mode in identification.modes if mode.label is not None and mode.shape is not None]
     positions, length = identification.responses.positions, identification.length
-    with house_style():
-        figure, panels = _panels(modes, per_row=3, height=1.5, sharex=True, sharey=True)
-        for axes, mode in zip(panels, modes, strict=True):
-            if positions is None or length is None or mode.shape is None or mode.label is None:
+    n_rows = math.ceil(len(modes) / 3)
+    with house_style(7.6, 0.5 + 1.5 * n_rows, n_rows, 3, sharex=True, sharey=True) as (figure, panels):
+        for axes, mode in zip_longest(panels.ravel(), modes):
+            if mode is None or mode.label is None or positions is None or length is None:
+                axes.set_axis_off()
                 continue
             fine = np.linspace(-length / 2, length / 2, 401)
             axes.axhline(0, color=LIGHT, lw=0.8)
@@ -203,21 +196,11 @@ def draw_shapes(identification: Identification) -> Figure:
             kilohertz = mode.natural_frequency.value / 1e3
             axes.set_title(f"mode {mode.label}, {kilohertz:.4g} kHz, MAC {_rounded_down(mode.mac)}", fontsize=8)
             axes.set(xlim=(-length * 5e2, length * 5e2), ylim=(-2.6, 2.6))
-        for axes in panels[max(0, len(modes) - 3) :]:
+        for axes in panels.ravel()[: len(modes)][-3:]:
             axes.tick_params(labelbottom=True)
         figure.supxlabel("position along the beam [mm]", fontsize=9)
         figure.suptitle("Mode shapes of unit mean square: dots measured, lines a uniform free-free beam", fontsize=10)
     return figure
-
-
-def _panels(modes: Sequence[IdentifiedMode], per_row: int, height: float, **shape: Any) -> tuple[Figure, list[Axes]]:
-    """Return a figure with a panel for each mode, and its panels."""
-    n_rows = math.ceil(len(modes) / per_row)
-    figure = Figure(figsize=(7.6, 0.5 + height * n_rows))
-    panels = list(figure.subplots(n_rows, per_row, squeeze=False, **shape).ravel())
-    for axes in panels[len(modes) :]:
-        axes.set_axis_off()
-    return figure, panels[: len(modes)]
 
 
 def _mark_modes(axes: Axes, identification: Identification, *, labelled: bool = True) -> None:

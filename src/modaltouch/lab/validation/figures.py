@@ -38,9 +38,7 @@ def draw_decomposition(evidence: Evidence) -> Figure:
         ),
         ("not modelled", ~np.isin(labels, stimulus.model.label), {"facecolor": "white"}),
     )
-    with house_style():
-        figure = Figure(figsize=(7.6, 2.7))
-        axes = figure.subplots()
+    with house_style(7.6, 2.7) as (figure, [[axes]]):
         for name, which, look in kinds:
             axes.bar(labels[which], wished[which], width=0.72, edgecolor=INK, linewidth=0.6, label=name, **look)
         axes.axhline(0, color=INK, linewidth=0.7)
@@ -56,9 +54,9 @@ def draw_decomposition(evidence: Evidence) -> Figure:
 
 def draw_coefficients(evidences: Sequence[Evidence]) -> Figure:
     """Return target and achieved coefficients of each law, in the form of Fig. 6, and their difference."""
-    with house_style():
-        figure = Figure(figsize=(7.6, 2.3 * len(evidences) + 0.5))
-        panels = figure.subplots(len(evidences), 2, squeeze=False, width_ratios=(3, 2), sharex=True, sharey="col")
+    with house_style(
+        7.6, 2.3 * len(evidences) + 0.5, len(evidences), 2, width_ratios=(3, 2), sharex=True, sharey="col"
+    ) as (figure, panels):
         for row, evidence in zip(panels, evidences, strict=True):
             lines = coefficients(evidence)
             _draw_bars(row[0], lines)
@@ -106,10 +104,7 @@ def _draw_errors(axes: Axes, lines: list[dict[str, Any]]) -> None:
 
 def draw_fields(evidences: Sequence[Evidence]) -> Figure:
     """Return the field at the focusing instant against the target, in the form of Fig. 7, and how far it is off."""
-    with house_style():
-        figure = Figure(figsize=(7.6, 4.6))
-        shape: dict[str, Any] = {"squeeze": False, "sharex": True, "sharey": "row", "height_ratios": (5, 2)}
-        panels = figure.subplots(2, len(evidences), **shape)
+    with house_style(7.6, 4.6, 2, len(evidences), sharex=True, sharey="row", height_ratios=(5, 2)) as (figure, panels):
         for column, evidence in zip(panels.T, evidences, strict=True):
             _draw_field(column[0], evidence)
             _draw_difference(column[1], evidence)
@@ -117,8 +112,7 @@ def draw_fields(evidences: Sequence[Evidence]) -> Figure:
             column[1].set_xlabel("position along the beam [mm]")
         panels[0, 0].set_ylabel("velocity at the\nfocusing instant [mm/s]")
         panels[1, 0].set_ylabel("measured\nless ... [mm/s]")
-        handles, names = panels[0, 0].get_legend_handles_labels()
-        figure.legend(handles, names, loc="outside upper center", ncols=len(names), frameon=False)
+        figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
     return figure
 
 
@@ -243,9 +237,7 @@ _DECIBELS = 60.0
 def draw_maps(evidences: Sequence[Evidence]) -> Figure:
     """Return velocity by position and time around the focus, in the form of Fig. 5."""
     highest = max(float(np.abs(each.velocity_map).max()) for each in evidences) * 1e3
-    with house_style():
-        figure = Figure(figsize=(7.6, 4.4))
-        panels = figure.subplots(1, len(evidences), squeeze=False, sharex=True, sharey=True)[0]
+    with house_style(7.6, 4.4, 1, len(evidences), sharex=True, sharey=True) as (figure, [panels]):
         image = None
         for axes, evidence in zip(panels, evidences, strict=True):
             time, velocity = around_focus(evidence, MAP_STEP)
@@ -285,9 +277,7 @@ def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
     """Return the spectrogram of the velocity at the focus, in the form of Fig. 8."""
     found = [spectrogram_of(each) for each in evidences]
     top = 20 * np.log10(max(float(each.amplitude.max()) for each in found) * 1e3)
-    with house_style():
-        figure = Figure(figsize=(7.6, 3.6))
-        panels = figure.subplots(1, len(evidences), squeeze=False, sharex=True, sharey=True)[0]
+    with house_style(7.6, 3.6, 1, len(evidences), sharex=True, sharey=True) as (figure, [panels]):
         image = None
         for axes, evidence, one in zip(panels, evidences, found, strict=True):
             rows = _evenly_in_octaves(one.frequency)
@@ -331,10 +321,9 @@ def draw_zones(evidence: Evidence) -> Figure:
     """Return the velocity at every zone over time: its envelope throughout the burst, itself around the focus."""
     observation, time = evidence.observation, evidence.course_time
     reach = 1.12 * float(np.abs(evidence.course).max()) * 1e3
-    with house_style():
-        figure = Figure(figsize=(7.6, 0.95 * len(observation.zones) + 0.9))
-        shape: dict[str, Any] = {"squeeze": False, "sharex": "col", "sharey": True}
-        panels = figure.subplots(len(observation.zones), 2, **shape)
+    with house_style(
+        7.6, 0.95 * len(observation.zones) + 0.9, len(observation.zones), 2, sharex="col", sharey=True
+    ) as (figure, panels):
         middles, lowest, highest = _envelope(time, evidence.course)
         for row, name, measured, low, high, predicted in zip(
             panels, observation.zones, evidence.course, lowest, highest, evidence.prediction.course, strict=True
@@ -371,9 +360,10 @@ def _envelope(time: FloatArray, course: FloatArray, width: float = 0.2e-3) -> tu
 def draw_drives(evidences: Sequence[Evidence], limit: float) -> Figure:
     """Return the voltages measured at the beam, and the amplifier's limit [V]."""
     n_channels = evidences[0].observation.stimulus.model.n_channels
-    with house_style():
-        figure = Figure(figsize=(7.6, 1.5 * n_channels + 0.6))
-        panels = figure.subplots(n_channels, len(evidences), squeeze=False, sharex=True, sharey=True)
+    with house_style(7.6, 1.5 * n_channels + 0.6, n_channels, len(evidences), sharex=True, sharey=True) as (
+        figure,
+        panels,
+    ):
         for column, evidence in zip(panels.T, evidences, strict=True):
             drive = evidence.observation.course.drive.mean(axis=(0, 1))
             time = evidence.observation.course.time * 1e3
