@@ -72,7 +72,7 @@ def test_two_days_of_one_beam_agree_within_their_intervals(tmp_path: Path) -> No
         assert (one.n_repeats, other.n_repeats) == (3, 3)
         for mode in (one, other):
             assert own in mode.natural_frequency
-            assert mode.damping_ratio.value == pytest.approx(ratio, rel=0.02)
+            assert ratio in mode.damping_ratio
         assert one.natural_frequency.low < other.natural_frequency.high
         assert other.natural_frequency.low < one.natural_frequency.high
     assert any(one.low > other.high or other.low > one.high for one, other in zip(*alone, strict=True))
@@ -161,6 +161,20 @@ def test_random_excitation_is_averaged_with_its_coherence(tmp_path: Path) -> Non
     found = identify_each(responses)
     assert [mode.natural_frequency.value for mode in found.modes] == pytest.approx([own for own, _ in POLES], rel=1e-3)
     assert [mode.damping_ratio.value for mode in found.modes] == pytest.approx([ratio for _, ratio in POLES], rel=0.05)
+
+
+def test_burst_that_comes_to_rest_is_divided_as_it_is(tmp_path: Path) -> None:
+    """Half a second of noise, 1.5 s of decay: no window widens its resonances, damping within 0.5 %."""
+    rng = np.random.default_rng(9)
+    force = np.where(np.arange(8192) < 2048, rng.standard_normal(8192), 0.0)
+    np.savez(
+        tmp_path / "a.npz", time=np.arange(8192) / RATE, drive=force[None, None], motion=moved(force, rng)[None, None],
+        sets=["shaker"], quantity="acceleration",
+    )  # fmt: skip
+    responses = read_responses([tmp_path / "a.npz"], ResponseFormat(n_averages=10)).between(60, 900)
+    assert responses.spacing == pytest.approx(0.5)
+    found = identify_each(responses)
+    assert [mode.damping_ratio.value for mode in found.modes] == pytest.approx([ratio for _, ratio in POLES], rel=5e-3)
 
 
 def test_gains_hold_the_scatter_of_repeated_scans(make) -> None:

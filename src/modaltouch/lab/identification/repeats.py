@@ -18,8 +18,9 @@ SAME_MODE = 0.005
 def over_repeats(found: Identification) -> Identification:
     """Return modes whose intervals hold their scatter over the repeats that the responses keep.
 
-    Each repeat is fitted by itself. A parameter's interval is that of Student over the repeats, and never narrower than
-    that of the joint fit. A mode that fewer than two repeats show keeps its own.
+    Each repeat is fitted by itself, for the mean of responses whose frequencies wander has too much damping. A
+    parameter's interval is that of Student over the repeats, and never narrower than that of the joint fit. A mode that
+    fewer than two repeats show keeps its own.
     """
     repeats = [_fit(found, repeat) for repeat in range(len(found.responses.repeats))]
     return replace(found, modes=tuple(_over(mode, [_same(mode, each) for each in repeats]) for mode in found.modes))
@@ -64,10 +65,10 @@ def _over(mode: IdentifiedMode, repeats: Sequence[IdentifiedMode | None]) -> Ide
 
 
 def _widened(joint: Estimate, repeats: Sequence[Estimate]) -> Estimate:
-    """Return an estimate with the interval of Student over repeats, where that is the wider one."""
+    """Return the mean of repeats, with the interval of Student or the joint fit's, whichever is wider."""
     from scipy.stats import t
 
-    n = len(repeats)
-    scatter = float(np.std([each.value for each in repeats], ddof=1)) / math.sqrt(n) * float(t.ppf(0.975, n - 1))
-    half = max((joint.high - joint.low) / 2, scatter)
-    return Estimate(joint.value, joint.value - half, joint.value + half)
+    values, n = [each.value for each in repeats], len(repeats)
+    scatter = float(np.std(values, ddof=1)) / math.sqrt(n) * float(t.ppf(0.975, n - 1))
+    half, mean = max((joint.high - joint.low) / 2, scatter), float(np.mean(values))
+    return Estimate(mean, mean - half, mean + half)

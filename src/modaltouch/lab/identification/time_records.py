@@ -134,7 +134,7 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
             since = (last + 1) * step * 1e3
             marks.append(f"the record {path.name} was saturated: its free decay from {since:.4g} ms on was used alone")
             continue
-        hits, n_left_out = impacts(drive)
+        hits, n_left_out = impacts(drive, motion)
         if hits is None:
             found.append((key, *averaged(motion, drive, step, how.n_averages)))
             continue
@@ -157,16 +157,17 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
     return Part(axis, responses, quantity, tuple(marks))
 
 
-def impacts(drive: FloatArray) -> tuple[list[slice] | None, int]:
+def impacts(drive: FloatArray, motion: FloatArray) -> tuple[list[slice] | None, int]:
     """Return where each single impact of a record and its decay lie, all of one length, and how many hits are none.
 
     A hit that follows another, or is followed by one or by the end, sooner than half the usual time is left out: it is
-    of a double impact, or its decay is cut. Of a record without impacts the first is None.
+    of a double impact, or its decay is cut. A burst and its decay are one impact; of what never rests it is None.
     """
     size = np.abs(drive - np.median(drive))
     high = np.flatnonzero(size > HIT * size.max())
     if high.size > IMPULSIVE * drive.size:
-        return None, 0
+        rests = all(np.abs(row[-row.size // 50 :]).max() < HIT * np.abs(row).max() for row in (drive, motion))
+        return ([slice(0, drive.size)] if rests else None), 0
     widest = max(part.size for part in np.split(high, np.flatnonzero(np.diff(high) > 1) + 1))
     # What returns sooner than a hit lasts is that hit still.
     start = np.append(high[0], high[1:][np.diff(high) > max(3, widest)])
