@@ -233,6 +233,7 @@ OUTPUTS: dict[str, Output] = {
     "resume": Output(f"resume {UNFINISHED} --json"),
     "resume_complete": Output(f"resume {COMPLETE} --json"),
     "verify": Output(f"verify {COMPLETE} --json"),
+    "verify_several": Output("verify records --json", prepare=damage),
     "verify_unfinished": Output(f"verify {UNFINISHED} --json"),
     "verify_forged": Output(f"verify {COMPLETE} --json", prepare=forge),
     "verify_damaged": Output(f"verify {COMPLETE} --json", prepare=damage),

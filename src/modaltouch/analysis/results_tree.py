@@ -28,7 +28,7 @@ from modaltouch.analysis.responses import (
     unmirror,
 )
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, scale_of
-from modaltouch.protocol import TIME_OUT, AnswerList, InputError
+from modaltouch.protocol import AnswerList, InputError
 from modaltouch.record import RecordError, Session, SessionFolder, audit_session, read_session
 
 
@@ -158,17 +158,8 @@ def open_log(path: Path) -> SessionAnswers:
 
 
 def _unfit(session: Session) -> str:
-    if faults := session.chain.problems or audit_session(session).problems:
-        return f"damaged: {faults[0]}"
-    if not session.complete and session.begun_anew_as is not None:
-        return f"closed: begun anew as session {session.begun_anew_as}"
-    if not session.complete:
-        total = session.start.get("schedule", {}).get("n_trials", 0)
-        return f"incomplete: {session.n_answered} of {total} trials answered (go on with `modaltouch resume`)"
-    n_timed_out = sum(event["response"]["answer"] == TIME_OUT for event in session.trials)
-    if n_timed_out:
-        return f"without an answer to {n_timed_out} trials, which timed out"
-    return ""
+    faults = session.chain.problems or audit_session(session).problems
+    return f"damaged: {faults[0]}" if faults else session.unfit
 
 
 MODES = ("real", "pilot", "simulated")
@@ -194,7 +185,7 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
     if mode is not None and mode not in MODES:
         raise InputError.of(place, f"mode {mode!r}", ", ".join(MODES), "choose one of them")
     with _no_search_for_cycles():
-        found = [open_log(path) for path in find_logs(place)]
+        found = [open_log(path) for path in SessionFolder.logs_under(place)]
     if not found:
         remedy = f"give the folder that `modaltouch run` wrote to; it holds files named {SessionFolder.LOG_NAME}"
         raise InputError.of(place, "a folder without a recorded session", "a results folder", remedy)
@@ -300,11 +291,6 @@ def _no_search_for_cycles() -> Iterator[None]:
     finally:
         if was_on:
             gc.enable()
-
-
-def find_logs(place: Path) -> list[Path]:
-    """Return the session logs under a folder, in order of their names."""
-    return [place] if place.is_file() else sorted(place.rglob(SessionFolder.LOG_NAME))
 
 
 def _other_mode(item: SessionAnswers, chosen: str) -> str:

@@ -54,6 +54,7 @@ USUAL_OBSERVER = Annotated[
 ]
 
 SESSION = Annotated[Path, typer.Argument(help="A session's folder or its session.jsonl.", show_default=False)]
+RECORDS = "A session's folder or its session.jsonl, or a folder of sessions"
 RESULTS = Annotated[Path, typer.Option(help="Folder where sessions are recorded.")]
 SEED = Annotated[int, typer.Option(min=0, help="Seed of the study; the same for all its participants.")]
 MODE = Annotated[str | None, typer.Option(help="Which sessions of a results folder: real, pilot or simulated.")]

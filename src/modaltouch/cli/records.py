@@ -2,46 +2,75 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from modaltouch.cli.exit_status import RECORD_AT_RISK, RIG_FAILED, print_json, reporting
-from modaltouch.cli.options import APPARATUS, JSON, SESSION, SHIPPED_APPARATUS
+from modaltouch.cli.options import APPARATUS, JSON, RECORDS, SHIPPED_APPARATUS
 
 MARKS = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "fault": ("FAULT", "red")}
 
 
 def verify(
-    session: SESSION,
+    session: Annotated[Path, typer.Argument(help=f"{RECORDS}.", show_default=False)],
     json_output: JSON = False,
 ) -> None:
-    """Check a session's record: its chain of lines, its order, its drive and its BIDS view, all recomputed."""
+    """Check the record of a session, or of all in a folder: lines, order, drive and BIDS view, all recomputed."""
     from modaltouch.record import Session, audit_session
 
     with reporting(json_output=json_output):
-        verdict = audit_session(Session.find(session))
-        if json_output:
-            print_json(verdict.as_dict())
-        else:
-            for line in verdict.lines:
-                print(line)
-            for problem in verdict.problems:
-                typer.secho(problem, err=True, fg=typer.colors.RED)
-        if verdict.problems:
-            raise typer.Exit(RECORD_AT_RISK)
+
+        def look(log: Path, several: bool) -> _Seen:
+            verdict = audit_session(Session.find(log))
+            return verdict.as_dict(), verdict.lines, verdict.problems
+
+        _look_at(session, look, json_output=json_output)
+
+
+_Seen = tuple[dict[str, Any], Sequence[str], Sequence[str]]
+"""What was seen of a record: as plain values, in words, and what is wrong with it."""
+
+
+def _look_at(place: Path, look: Callable[[Path, bool], _Seen], *, json_output: bool) -> None:
+    """Say what is found in the record that a path names, or in all of a folder; the exit status tells the worst."""
+    from modaltouch.record import RecordError, SessionFolder
+
+    logs = SessionFolder.logs_under(place)
+    several, found = len(logs) > 1, []
+    for log in logs if several else [place]:
+        try:
+            values, lines, problems = look(log, several)
+        except RecordError as error:  # of many, one that cannot be read keeps no other from being looked at
+            if not several:
+                raise
+            values, lines, problems = {"session": str(log), "sound": False}, (), (str(error),)
+        found.append(values)
+        for line in () if json_output else (*([f"{log.parent}:"] if several else []), *lines):
+            print(line)
+        for problem in () if json_output else problems:
+            typer.secho(problem, err=True, fg=typer.colors.RED)
+    n_sound = sum(each["sound"] for each in found)
+    if json_output:
+        print_json({"sound": n_sound == len(logs), "sessions": found} if several else found[0])
+    elif several:
+        print(f"{n_sound} of {len(logs)} records are sound")
+    if not all(each["sound"] or each.get("recovered_into") for each in found):
+        raise typer.Exit(RECORD_AT_RISK)
 
 
 def doctor(
     session: Annotated[
         Path | None,
-        typer.Argument(help="A session that is damaged: say what of it can be recovered.", show_default=False),
+        typer.Argument(help=f"{RECORDS}: say what of it can be recovered.", show_default=False),
     ] = None,
     into: Annotated[
         Path | None,
-        typer.Option(help="Recover the session into this new results folder.", show_default=False),
+        typer.Option(help="Recover what is damaged into this new results folder.", show_default=False),
     ] = None,
     results: Annotated[Path, typer.Option(help="Folder where sessions would be recorded.")] = Path("results"),
     timing: Annotated[
@@ -58,14 +87,14 @@ def doctor(
 ) -> None:
     """Check this machine for what a session needs, and say how to get what is missing.
 
-    With a SESSION, look at its record instead: what is damaged, what can still be verified, and with --into a
-    new record of that. The damaged one is never touched.
+    With a SESSION, or a folder of them, look at the records instead: what is damaged, what can still be verified, and
+    with --into a new record of that. The damaged one is never touched.
     """
     from modaltouch.cli.doctor import examine_machine, missing_packages
 
     with reporting(json_output=json_output):
         if session is not None:
-            _examine_record(session, into, json_output=json_output)
+            _look_at(session, partial(_examine_record, into=into), json_output=json_output)
             return
         if into is not None:
             raise typer.BadParameter("--into needs a session: modaltouch doctor SESSION --into FOLDER")
@@ -87,14 +116,14 @@ def doctor(
             raise typer.Exit(RIG_FAILED)
 
 
-def _examine_record(session: Path, into: Path | None, *, json_output: bool) -> None:
-    """Say what a record proves, and write it anew where that is asked; the exit status tells whether it is sound."""
+def _examine_record(session: Path, several: bool, into: Path | None) -> _Seen:
+    """Return what a record proves, and write it anew where that is asked; of several, those alone that need it."""
     from modaltouch.record import survey
 
     found = survey(session)
     lines = found.lines
     recovered = None
-    if into is not None:
+    if into is not None and not (several and found.is_sound):
         recovered = found.write(into)
         lines.append(f"recovered into {recovered}; check it with `modaltouch verify {recovered.parent}`")
     elif found.is_cut:
@@ -103,12 +132,7 @@ def _examine_record(session: Path, into: Path | None, *, json_output: bool) -> N
         )
     elif not found.is_sound:
         lines.append("recover it into a new results folder with --into FOLDER; this record is never touched")
-    if json_output:
-        print_json({**found.as_dict(), "recovered_into": str(recovered) if recovered else None})
-    else:
-        print("\n".join(lines))
-    if not found.is_sound and recovered is None:
-        raise typer.Exit(RECORD_AT_RISK)
+    return {**found.as_dict(), "recovered_into": str(recovered) if recovered else None}, lines, ()
 
 
 def _measure(rig: str, apparatus: Path, *, json_output: bool) -> None:

@@ -145,6 +145,11 @@ class SessionFolder:
         """Return the logs in the folder of a participant, in order of their sessions' numbers."""
         return sorted(participant.glob(f"ses-*/beh/{LOG_NAME}"), key=cls.number_of)
 
+    @staticmethod
+    def logs_under(place: Path) -> list[Path]:
+        """Return the logs that a path names: itself, or all in a folder, in order of their names."""
+        return [place] if place.is_file() else sorted(place.rglob(LOG_NAME))
+
     def describe_dataset(self, title: str) -> None:
         """Write the dataset's description and ignore file where they are missing.
 
@@ -232,7 +237,7 @@ def find_log(session: Path) -> Path:
         return session
     if not session.exists():
         raise RecordInputError(f"{session}: no such file or folder; give a session's folder or its {LOG_NAME}")
-    logs = sorted(session.rglob(LOG_NAME))
+    logs = SessionFolder.logs_under(session)
     if len(logs) != 1:
         listed = "".join(f"\n  {log.parent}" for log in logs[:10])
         raise RecordInputError(f"{session}: holds {len(logs)} sessions, exactly one is needed; name it{listed}")

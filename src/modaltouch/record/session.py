@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
+from modaltouch.protocol import TIME_OUT
 from modaltouch.record.chain import Chain, UnreadableLineError, read_chain, read_object
 from modaltouch.record.files import is_locked
 from modaltouch.record.folders import find_log
@@ -206,6 +207,17 @@ class Session:
     def complete(self) -> bool:
         """Whether every scheduled trial is answered, practice not counted."""
         return bool(self.start) and self.n_answered >= self.start["schedule"]["n_trials"]
+
+    @property
+    def unfit(self) -> str:
+        """Why an analysis leaves it out, sound as it is; empty where all its answers can be used."""
+        if not self.complete and self.begun_anew_as is not None:
+            return f"closed: begun anew as session {self.begun_anew_as}"
+        if not self.complete:
+            total = self.start.get("schedule", {}).get("n_trials", 0)
+            return f"incomplete: {self.n_answered} of {total} trials answered (go on with `modaltouch resume`)"
+        n_timed_out = sum(event["response"]["answer"] == TIME_OUT for event in self.trials)
+        return f"without an answer to {n_timed_out} trials, which timed out" if n_timed_out else ""
 
 
 def count(counting: dict[int, dict[str, Any]], event: dict[str, Any]) -> None:
