@@ -232,6 +232,7 @@ OUTPUTS: dict[str, Output] = {
     "run_interrupted": Output(f"run demo -p p03 {SIMULATED} --json", interrupt_at="2 of 12 answered"),
     "resume": Output(f"resume {UNFINISHED} --json"),
     "resume_complete": Output(f"resume {COMPLETE} --json"),
+    "study": Output("study records --json"),
     "verify": Output(f"verify {COMPLETE} --json"),
     "verify_several": Output("verify records --json", prepare=damage),
     "verify_unfinished": Output(f"verify {UNFINISHED} --json"),

@@ -27,6 +27,7 @@ MODULES = {
     "fingers": "fingers",
     "validate": "validate",
     "compare": "compare",
+    "study": "study",
     "verify": "records",
     "doctor": "records",
     "rig": "rig",

@@ -21,7 +21,7 @@ def new(
 
     Its README.md lists the commands in their order. Nothing is ever overwritten.
     """
-    from modaltouch.cli.study import write_study
+    from modaltouch.cli.new_study import write_study
 
     with reporting(json_output=json_output):
         files = write_study(folder, template)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from typing import TYPE_CHECKING
 
@@ -15,8 +14,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from modaltouch.session import Setup
-
-_NUMBERED = re.compile(r"([A-Za-z]*)(\d+)\Z")
 
 
 def can_ask() -> bool:
@@ -76,6 +73,7 @@ def ask_participant(dataset: Path) -> str:
         If there is no terminal to ask in.
     """
     from modaltouch.record import RecordError, SessionFolder
+    from modaltouch.session import propose_participant
 
     if not can_ask():
         raise typer.BadParameter("a session needs a participant id: give it with -p, for example -p p01")
@@ -86,22 +84,6 @@ def ask_participant(dataset: Path) -> str:
             return SessionFolder.check_participant(participant)
         except RecordError as error:
             typer.secho(str(error), err=True, fg=typer.colors.RED)
-
-
-def propose_participant(dataset: Path) -> str:
-    """Return the id after the last one in a dataset: ``p08`` after ``p07``; ``p01`` where there is none.
-
-    Parameters
-    ----------
-    dataset : Path
-        A folder of ``sub-<id>`` folders; it need not exist.
-    """
-    found = [_NUMBERED.match(folder.name[4:]) for folder in dataset.glob("sub-*") if folder.is_dir()]
-    numbered = [match.groups() for match in found if match]
-    if not numbered:
-        return "p01"
-    letters, digits = max(numbered, key=lambda parts: int(parts[1]))
-    return f"{letters}{int(digits) + 1:0{len(digits)}d}"
 
 
 def wait_for_start(setup: Setup, rig: str) -> None:

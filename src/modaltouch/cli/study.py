@@ -1,88 +1,129 @@
-"""A new study: a shipped protocol with all that it names, and the commands of it, in a folder of its own."""
+"""``modaltouch study``: a study at a glance."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import ExitStack, suppress
+from datetime import datetime
 from pathlib import Path
+from typing import Annotated, Any
 
-from modaltouch.cli.simulate import analyses
-from modaltouch.protocol import Findings, InputError, Protocol, Source
-from modaltouch.system import version
+import typer
+
+from modaltouch.cli.exit_status import print_json, reporting
+from modaltouch.cli.options import JSON
+from modaltouch.cli.tables import print_table
+
+_MAKER = '<meta name="generator" content="modaltouch study">'
 
 
-def write_study(folder: Path, template: str) -> tuple[Path, ...]:
-    """Write a study and return its files, its protocol first.
+def study(
+    results: Annotated[Path, typer.Argument(help="A results folder, or a folder in it.", show_default=False)],
+    html: Annotated[
+        Path | None, typer.Option(help="Also write it as a page into this file, such as study.html.")
+    ] = None,
+    json_output: JSON = False,
+) -> None:
+    """Show who has done which session, what is open, and who is next with which order.
 
-    Parameters
-    ----------
-    folder : Path
-        New, or empty; nothing is ever overwritten.
-    template : str
-        Name of the shipped protocol that the study begins with.
-
-    Raises
-    ------
-    InputError
-        If there is no such protocol, or the folder holds something or cannot be written; what was begun is removed.
+    Only the logs are read, and nothing is changed; `modaltouch verify` recomputes them.
     """
-    contents = _contents(template)
-    with ExitStack() as undo:
-        try:
-            if folder.exists() and (held := next(folder.iterdir(), None)):
-                raise InputError.of(folder, f"a folder that holds {held.name}", "a folder that is new or empty")
-            for place, text in contents.items():
-                file = folder / place
-                for parent in reversed([each for each in file.parents if not each.exists()]):
-                    # Sessions are for their owner alone, and make no folder that is there already.
-                    parent.mkdir(mode=0o700 if parent == folder / "results" else 0o777)
-                    undo.callback(_remove, parent)
-                with file.open("x", encoding="utf-8", newline="\n") as opened:
-                    undo.callback(_remove, file)
-                    opened.write(text)
-        except OSError as error:
-            given = f"a folder that cannot be written ({error.strerror})"
-            raise InputError.of(folder, given, "one that you may write to") from error
-        undo.pop_all()
-    return tuple(folder / place for place in contents)
+    from modaltouch.session import survey_results
+
+    with reporting(json_output=json_output):
+        datasets = survey_results(results)
+        told = [_tell(dataset) for dataset in datasets]
+        if html is not None:
+            _write_page(html, results, told)
+        if json_output:
+            print_json({"results": str(results), "datasets": datasets, "page": str(html) if html else None})
+            return
+        for each in told:
+            _show(each)
+        if html is not None:
+            print(f"Page: {html}")
 
 
-def _contents(template: str) -> dict[str, str]:
-    """Return the text of each file by its place in the study, its protocol first."""
-    known = Source.shipped("protocol")
-    if template not in known:
-        raise InputError.of("--from", f"{template!r}, which is no shipped protocol", ", ".join(known))
-    experiments = [Findings.read(known[template]).experiment()]
-    if own := experiments[0].protocol.conditions.sensation_levels:
-        experiments.append(Findings.read(known[own.thresholds_from]).experiment())
-    named = [vars(each.sources)[key].path for each in experiments for key in ("protocol", "apparatus", "texts")]
-    folder, schemas = known[template].parent, known[template].parent.glob("schema/*.json")
-    files = {file.relative_to(folder).as_posix(): file for file in (*named, *sorted(schemas))}
-    copied = {f"protocols/{place}": file.read_text(encoding="utf-8") for place, file in files.items()}
-    readme = "".join(f"{line}\n" for line in _readme([each.protocol for each in experiments]))
-    return copied | {"README.md": readme, "results/.gitignore": "*\n!.gitignore\n"}
+def _write_page(file: Path, results: Path, told: list[dict[str, Any]]) -> None:
+    """Write the page, over an earlier one alone."""
+    from modaltouch.record import RecordError, prepare_file, replace_file
+    from modaltouch.report import render_page
+    from modaltouch.system import version
+
+    if not file.exists():
+        prepare_file(file)
+    elif not file.is_file() or _MAKER not in file.read_text(encoding="utf-8", errors="replace"):
+        raise RecordError(f"{file}: is there already and not from `modaltouch study`; give another file with --html")
+    headings = {"sessions": _SESSION_HEADINGS, "orders": _ORDER_HEADINGS}
+    page = render_page(
+        "modaltouch.cli", "study.html.j2",
+        title="Study", maker=_MAKER, results=results, datasets=told, headings=headings, version=version(),
+    )  # fmt: skip
+    replace_file(file, page.encode(), "give another file with --html")
 
 
-def _readme(protocols: list[Protocol]) -> Iterator[str]:
-    """Yield the lines of the study's README: the commands of its protocol, and of one that is needed before it."""
-    protocol, name = protocols[0], protocols[0].protocol
-    files = [f"protocols/{each.protocol}.yaml" for each in reversed(protocols)]
-    yield f"# {protocol.title}\n"
-    yield f"Written by modaltouch {version()} from its protocol `{name}`. In this folder, in this order:\n"
-    yield "| command | what for |\n|---|---|"
-    for file in files:
-        yield f"| `modaltouch check {file}` | after each change: faults with their place, speeds, duration |"
-        yield f"| `modaltouch simulate {file} -n 10` | simulated participants, to see what the data will be |"
-    for command in analyses(protocol, f"results/simulated/{name}"):
-        yield f"| `{command}` | their tables, figures, statistics and report |"
-    for file in files:
-        yield f"| `modaltouch run {file} -p p01 --fullscreen` | a session; asks for the generator's address |"
-    yield f"| `modaltouch verify results/{name}/sub-p01/ses-1` | its record, recomputed |"
-    for command in analyses(protocol, f"results/{name}"):
-        yield f"| `{command}` | the same of the participants |"
-    yield f"\nYour beam goes into `protocols/{protocol.apparatus}`, your words into `protocols/{protocol.texts}`."
+def _show(told: dict[str, Any]) -> None:
+    """Print one dataset within 80 columns."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    console = Console()
+    console.print(f"[bold]{escape(told['heading'])}[/]\n[dim]{escape(told['folder'])}[/]")
+    print_table("", _SESSION_HEADINGS, [list(map(escape, row)) for row in told["sessions"]], n_words=3)
+    if told["orders"]:
+        print_table("", _ORDER_HEADINGS, [list(map(escape, row)) for row in told["orders"]])
+    for line in told["remarks"]:
+        console.print(f"[yellow]{escape(line)}[/]", soft_wrap=False)
+    for line in told["next"]:
+        console.print(f"next: {escape(line)}")
 
 
-def _remove(path: Path) -> None:
-    with suppress(OSError):  # what somebody else has put there since stays
-        path.rmdir() if path.is_dir() else path.unlink()
+_SESSION_HEADINGS = ("participant", "session", "state", "begun (UTC)", "min", "answers")
+_ORDER_HEADINGS = ("order", "complete", "left incomplete", "open")
+
+
+def _tell(dataset: dict[str, Any]) -> dict[str, Any]:
+    """Return what a dataset holds in words: rows of the two tables, remarks, and who is next."""
+    rows, n_each = dataset["sessions"], dataset["sessions_each"]
+    n_complete = sum(row["state"] == "complete" for row in rows)
+    title, mode = dataset["title"] or dataset["protocol"], dataset["mode"]
+    kind = "" if mode == "real" else f", {mode} data"
+    each = "" if n_each is None else f", {n_each} planned for each participant"
+    return {
+        "folder": dataset["folder"],
+        "mode": mode,
+        "heading": f"{title}{kind}: {n_complete} of {len(rows)} sessions complete{each}",
+        "sessions": [
+            (
+                row["participant"],
+                str(row["session"]),
+                row["state"] + (f": {row['why']}" if row["state"] in ("interrupted", "closed") else ""),
+                "–" if row["begun"] is None else datetime.fromisoformat(row["begun"]).strftime("%Y-%m-%d %H:%M"),
+                f"{row['duration_min']:.0f}" + (f" in {row['n_sittings']}" if row["n_sittings"] > 1 else ""),
+                "–" if row["n_answered"] is None else f"{row['n_answered']}/{row['n_trials']}",
+            )
+            for row in rows
+        ],
+        "orders": [
+            (_order(row), *(str(row[name]) for name in ("filled", "left_incomplete", "open")))
+            for row in dataset["orders"]
+        ],
+        "remarks": [
+            *(
+                f"{row['participant']} session {row['session']} is excluded: "
+                + row["excluded"].replace(f"{row['log']}:", "line ")
+                for row in rows
+                if row["excluded"]
+            ),
+            *dataset["notes"],
+        ],
+        "next": [
+            f"{row['participant']} session {row['session']}, "
+            + (_order(row) if row["do"] == "run" else f"`modaltouch {row['do']} {Path(row['log']).parent.parent}`")
+            for row in dataset["next"]
+        ],
+    }
+
+
+def _order(row: dict[str, Any]) -> str:
+    """Return an order of finger conditions in words, with the placement where it is not the usual one."""
+    placed = "" if row["placement"] == "normal" else f" ({row['placement']})"
+    return " then ".join(row["finger_conditions"]) + placed

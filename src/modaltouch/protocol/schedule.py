@@ -64,6 +64,18 @@ class Turn:
         schedule = start.get("schedule", {})
         return Turn(int(schedule["turn"]), str(schedule["turn_by"])) if "turn" in schedule else None
 
+    def order(self, protocol: Protocol) -> tuple[tuple[str, ...], Placement]:
+        """Return the order of the finger conditions, and the placement, that the turn gives.
+
+        Parameters
+        ----------
+        protocol : Protocol
+            The design.
+        """
+        orders, placements = _orders_of_finger_conditions(protocol), protocol.conditions.placements
+        # Orders change with every participant, placements each time all orders have been had.
+        return orders[self.number % len(orders)], placements[self.number // len(orders) % len(placements)]
+
     @staticmethod
     def period(protocol: Protocol) -> int:
         """Return after how many turns orders of finger conditions, placements and rows repeat together.
@@ -202,11 +214,7 @@ class Schedule:
         """
         decided = given or Turn.of(participant, seed, session)
         turn = decided.number
-        orders = _orders_of_finger_conditions(protocol)
-        placements = protocol.conditions.placements
-        # Orders change with every participant, placements each time all orders have been had.
-        finger_conditions = orders[turn % len(orders)]
-        placement = placements[turn // len(orders) % len(placements)]
+        finger_conditions, placement = decided.order(protocol)
         blocks: list[Block] = []
         for number, finger_condition in enumerate(finger_conditions, start=1):
             stream = Stream(seed, participant, session, _purpose_of_order(finger_condition))
@@ -226,7 +234,7 @@ class Schedule:
             practice=_number(practised, block=0, first=1),
             blocks=tuple(blocks),
             is_adaptive=protocol.adaptive is not None,
-            finger_conditions_by=decided.reason if len(orders) > 1 else "protocol",
+            finger_conditions_by=decided.reason if len(_orders_of_finger_conditions(protocol)) > 1 else "protocol",
             turn=given,
         )
 

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
+    from modaltouch.session.assignment import propose_participant
     from modaltouch.session.console.consoles import open_console
+    from modaltouch.session.overview import survey_results
     from modaltouch.session.rewiring import resume, wire_resume
     from modaltouch.session.setup import Setup, begin
     from modaltouch.session.wiring import SIMULATED, mode_of, simulate_session, wire_run
@@ -19,7 +21,9 @@ else:
     __getattr__ = lazily(
         __name__,
         {
+            "assignment": "propose_participant",
             "console.consoles": "open_console",
+            "overview": "survey_results",
             "setup": "Setup begin",
             "rewiring": "resume wire_resume",
             "wiring": "SIMULATED mode_of simulate_session wire_run",
@@ -32,8 +36,10 @@ __all__ = [
     "begin",
     "mode_of",
     "open_console",
+    "propose_participant",
     "resume",
     "simulate_session",
+    "survey_results",
     "wire_resume",
     "wire_run",
 ]

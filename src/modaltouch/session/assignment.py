@@ -9,6 +9,7 @@ otherwise filled alike, since it may still be resumed.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -72,7 +73,7 @@ def assign_turn(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Assi
     left: Counter[int] = Counter()
     own: int | None = None
     for participant, first, latest in _participants(place.dataset):
-        base = _first_turn(first) % n_turns
+        base = first_turn(first) % n_turns
         if participant == place.participant:
             own = base
         else:
@@ -130,6 +131,22 @@ def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, 
     return replace(place, session=number), len(held) + 1
 
 
+def propose_participant(dataset: Path) -> str:
+    """Return the id after the last one in a dataset: ``p08`` after ``p07``; ``p01`` where there is none.
+
+    Parameters
+    ----------
+    dataset : Path
+        A folder of ``sub-<id>`` folders; it need not exist.
+    """
+    found = [re.match(r"([A-Za-z]*)(\d+)\Z", folder.name[4:]) for folder in dataset.glob("sub-*") if folder.is_dir()]
+    numbered = [match.groups() for match in found if match]
+    if not numbered:
+        return "p01"
+    letters, digits = max(numbered, key=lambda parts: int(parts[1]))
+    return f"{letters}{int(digits) + 1:0{len(digits)}d}"
+
+
 def _participants(dataset: Path) -> Iterator[tuple[str, Session, Path]]:
     """Yield every participant with a start record: the beginning of their first session, and the log of their latest.
 
@@ -142,7 +159,7 @@ def _participants(dataset: Path) -> Iterator[tuple[str, Session, Path]]:
             yield folder.name.removeprefix("sub-"), begun[0], logs[-1]
 
 
-def _first_turn(session: Session) -> int:
+def first_turn(session: Session) -> int:
     """Return the turn that a participant's first session would have, from that of any."""
     start = session.start
     turn = Turn.recorded(start) or Turn.of(session.participant, int(start["seed"]), session.drawn_as)

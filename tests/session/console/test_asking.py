@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from modaltouch.cli.prompts import propose_participant
+from modaltouch.session import propose_participant
 
 pytestmark = pytest.mark.timeout(180)
 

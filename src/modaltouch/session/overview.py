@@ -1,0 +1,185 @@
+"""A study at a glance: every session of a results tree, the balance of orders, and who is next.
+
+Only logs are read. A session is taken as its log tells it; `modaltouch verify` recomputes it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, defaultdict
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from modaltouch.protocol import Findings, InputError, Protocol, Sources, Turn
+from modaltouch.record import RecordError, Session, SessionFolder, read_session
+from modaltouch.session.assignment import assign_turn, first_turn, propose_participant
+
+_AFTER_THE_END = frozenset({"stop", "closed", "recovered"})
+"""Events that may be written long after a sitting, when a record is mended."""
+
+
+def survey_results(place: Path) -> list[dict[str, Any]]:
+    """Return what a results tree holds, a dict of plain values to each dataset: one protocol in one mode.
+
+    Parameters
+    ----------
+    place : Path
+        A results folder, or a folder in it.
+
+    Raises
+    ------
+    InputError
+        If it holds no session.
+    """
+    logs = SessionFolder.logs_under(place)
+    if not logs:
+        remedy = f"give the folder that `modaltouch run` wrote to; it holds files named {SessionFolder.LOG_NAME}"
+        raise InputError.of(place, "a folder without a recorded session", "a results folder", remedy)
+    datasets: dict[Path, list[Path]] = defaultdict(list)
+    for log in (log if len(log.parts) > 4 else log.absolute() for log in logs):
+        datasets[Path(*log.parts[:-4])].append(log)
+    return [_survey_dataset(dataset, logs) for dataset, logs in datasets.items()]
+
+
+def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
+    rows: list[dict[str, Any]] = []
+    begun: dict[str, Session] = {}
+    latest = Session(dataset, ())
+    for log in sorted(logs, key=lambda log: (log.parts[:-3], SessionFolder.number_of(log))):
+        row, session = _survey_session(log)
+        rows.append(row)
+        if session.start:
+            begun.setdefault(row["participant"], replace(session, events=session.events[:1]))
+            latest = max(latest, begun[row["participant"]], key=lambda each: str(each.start.get("time", "")))
+    start = latest.start
+    survey: dict[str, Any] = {
+        "folder": str(dataset),
+        "protocol": latest.protocol,
+        "title": str(start.get("design", {}).get("title", "")),
+        "mode": latest.mode,
+        "n_participants": len({row["participant"] for row in rows}),
+        "sessions_each": None,
+        "sessions": rows,
+        "orders": [],
+        "next": [],
+        "notes": [],
+    }
+    try:
+        protocol = Findings.restored(Sources.from_dict(start["sources"])).experiment().protocol
+        # Whatever its mode, the dataset is a folder of that name.
+        new = SessionFolder(dataset.parent, "real", dataset.name, propose_participant(dataset))
+        if protocol.schedule.balance == "least_filled":
+            turn = assign_turn(new, protocol, 1).turn
+        else:
+            turn = Turn.of(new.participant, int(start["seed"]), 1)
+        turns = {name: first_turn(session) for name, session in begun.items()}
+    except (InputError, RecordError, LookupError, TypeError, ValueError) as error:
+        return survey | {"notes": [f"orders and next sessions are not known: {error or type(error).__name__}"]}
+    n_each = protocol.schedule.sessions
+    due = [each for name in turns if (each := _next_of(name, rows, n_each))]
+    for each in due:
+        each |= _order(Turn(turns[each["participant"]] + each.pop("nth") - 1, ""), protocol)
+    due.append({"participant": new.participant, "session": 1, "do": "run", **_order(turn, protocol)})
+    states = {row["participant"]: row["state"] for row in rows}
+    orders = _balance(protocol, [(turn, states[name]) for name, turn in turns.items()])
+    return survey | {"sessions_each": n_each, "orders": orders, "next": due, "notes": _notes(begun, rows)}
+
+
+def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
+    """Return a session as a row, and as its log tells it; without events where that cannot be read."""
+    try:
+        session = read_session(log)
+        problems = session.problems if session.start else (*session.problems, f"{log}:1: is no start record")
+    except RecordError as error:
+        session, problems = Session(log, ()), (str(error),)
+    # A last line that was cut is all that may be wrong with a session that goes on.
+    is_readable = problems == session.chain.problems and not session.chain.damage
+    state, why = _state(session) if is_readable else ("damaged", problems[0])
+    schedule = session.start["schedule"] if is_readable else {}
+    row = {
+        "participant": log.parts[-4:][0].removeprefix("sub-"),
+        "session": SessionFolder.number_of(log),
+        "begun": session.start.get("time"),
+        "duration_min": round(_duration(session) / 60, 1),
+        "n_sittings": sum(event.get("event") in ("start", "resume") for event in session.events),
+        "n_answered": session.n_answered if is_readable else None,
+        "n_trials": schedule.get("n_trials"),
+        "state": state,
+        "why": why,
+        "excluded": f"damaged: {problems[0]}" if problems else session.unfit,
+        "finger_conditions": schedule.get("finger_conditions", []),
+        "log": str(log),
+    }
+    return row, session
+
+
+def _state(session: Session) -> tuple[str, str]:
+    """Return how a session that can be read stands, and why."""
+    if session.complete:
+        return "complete", ""
+    if session.is_running:
+        return "running", ""
+    if session.begun_anew_as is not None:
+        return "closed", f"begun anew as session {session.begun_anew_as}"
+    last = session.events[-1]
+    return "interrupted", str(last.get("reason", "")) if last["event"] == "stop" else "killed"
+
+
+def _duration(session: Session) -> float:
+    """Return how long the sittings of a session took together [s]; the clock counts anew after a restart."""
+    spans: list[list[float]] = []
+    for event in session.events:
+        if event.get("event") in ("start", "resume"):
+            spans.append([])
+        if spans and event.get("event") not in _AFTER_THE_END:
+            spans[-1].append(float(event.get("clock", 0.0)))
+    return math.fsum(span[-1] - span[0] for span in spans)
+
+
+def _next_of(participant: str, rows: list[dict[str, Any]], n_each: int) -> dict[str, Any] | None:
+    """Return what a participant has to do next; None after the last session, and while one is run."""
+    own = [row for row in rows if row["participant"] == participant]
+    held, last = sum(row["state"] != "closed" for row in own), own[-1]
+    if last["state"] in ("interrupted", "damaged", "closed"):
+        do = "doctor" if last["state"] == "damaged" else "resume"
+        nth = held + (last["state"] == "closed")
+        return {"participant": participant, "session": last["session"], "do": do, "nth": nth, "log": last["log"]}
+    if last["state"] == "running" or held >= n_each:
+        return None
+    return {"participant": participant, "session": last["session"] + 1, "do": "run", "nth": held + 1}
+
+
+def _order(turn: Turn, protocol: Protocol) -> dict[str, Any]:
+    finger_conditions, placement = turn.order(protocol)
+    return {"finger_conditions": list(finger_conditions), "placement": placement}
+
+
+def _balance(protocol: Protocol, turns: list[tuple[int, str]]) -> list[dict[str, Any]]:
+    """Return for each order and placement how many participants had it, and how many lack until all are alike.
+
+    Participants are told by their first turn and the state of their latest session, as the assignment counts them.
+    """
+    n_turns = Turn.period(protocol)
+    filled = Counter(turn % n_turns for turn, state in turns if state in ("complete", "running"))
+    left = Counter(turn % n_turns for turn, state in turns if state not in ("complete", "running"))
+    most = max(filled.values(), default=1)
+    rows: dict[str, dict[str, Any]] = {}
+    for number in range(n_turns):
+        order = _order(Turn(number, ""), protocol)
+        row = rows.setdefault(str(order), {**order, "n_turns": 0, "filled": 0, "left_incomplete": 0, "open": 0})
+        row["n_turns"] += 1
+        row["filled"] += filled[number]
+        row["left_incomplete"] += left[number]
+        row["open"] += most - filled[number]
+    return list(rows.values())
+
+
+def _notes(begun: dict[str, Session], rows: list[dict[str, Any]]) -> list[str]:
+    """Return what an analysis of the tree as it stands would stumble over."""
+    texts = {str(session.start.get("sources", {}).get("protocol", {}).get("sha256")) for session in begun.values()}
+    fit = Counter(row["participant"] for row in rows if not row["excluded"])
+    fewest, most = min(fit.values(), default=0), max(fit.values(), default=0)
+    uneven = f"an analysis now takes the first {fewest} of up to {most} sessions of each participant: not all have more"
+    several = f"sessions were begun with {len(texts)} versions of the protocol"
+    return [*([several] if len(texts) > 1 else []), *([uneven] if fewest < most else [])]

@@ -1,0 +1,150 @@
+"""A study at a glance tells of every session what its log holds, and who is next as the assignment has it."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from outside import call
+
+from modaltouch.preflight import Preflight, examine
+from modaltouch.protocol import InputError
+from modaltouch.session import survey_results
+
+SHIPPED = Path(__file__).parents[2] / "protocols"
+ONE, TWO = ["one_hand", "two_hands"], ["two_hands", "one_hand"]
+
+
+@pytest.fixture(scope="module")
+def demo() -> Preflight:
+    """Return a protocol of two sessions each, whose orders go by the participant's number."""
+    return examine(SHIPPED / "demo.yaml").require()
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory: pytest.TempPathFactory, demo: Preflight, scribe: Callable[..., Path]) -> Path:
+    """Record a complete session, one cut, one damaged, one begun anew, and a pilot."""
+    results = tmp_path_factory.mktemp("study") / "results"
+    scribe(demo, results, "p01")
+    cut = scribe(demo, results, "p02", n_answered=5)
+    cut.write_bytes(cut.read_bytes()[:-20])
+    damaged = scribe(demo, results, "p03")
+    damaged.write_bytes(damaged.read_bytes().replace(b'"answer":"both"', b'"answer":"left"', 1))
+    scribe(demo, results, "p04", n_answered=3, also=({"event": "closed", "begun_anew_as": 2},))
+    scribe(demo, results, "p04", session=2)
+    stopped = {"event": "stop", "reason": "emergency stop", "complete": False, "n_answered": 4}
+    again = {"event": "resume", "boot": ""}
+    scribe(demo, results, "p06", n_answered=4, also=(again, stopped))
+    scribe(demo, results, "p09", mode="pilot")
+    return results
+
+
+@pytest.fixture(scope="module")
+def real(tree: Path) -> dict[str, Any]:
+    """Return what is said of the real sessions."""
+    found = {each["mode"]: each for each in survey_results(tree)}
+    assert set(found) == {"real", "pilot"}
+    return found["real"]
+
+
+def test_every_session_is_told_with_its_state(real: dict[str, Any]) -> None:
+    """Complete, cut (which resume mends), damaged, closed, stopped: as the logs say."""
+    assert [(row["participant"], row["session"], row["state"], row["why"]) for row in real["sessions"]] == [
+        ("p01", 1, "complete", ""),
+        ("p02", 1, "interrupted", "killed"),
+        ("p03", 1, "damaged", real["sessions"][2]["why"]),
+        ("p04", 1, "closed", "begun anew as session 2"),
+        ("p04", 2, "complete", ""),
+        ("p06", 1, "interrupted", "emergency stop"),
+    ]
+    assert "the chain breaks" in real["sessions"][2]["why"]
+    assert [row["n_answered"] for row in real["sessions"]] == [12, 4, None, 3, 12, 4]
+    assert [row["n_sittings"] for row in real["sessions"]] == [1, 1, 1, 1, 1, 2]
+    assert all(row["n_trials"] == 12 for row in real["sessions"] if row["state"] != "damaged")
+
+
+def test_what_an_analysis_leaves_out_is_told_with_its_reason(tree: Path, real: dict[str, Any]) -> None:
+    """The same words as `analyse` has for the sessions that it leaves out."""
+    from modaltouch.analysis import read_responses
+
+    left_out = read_responses(tree, mode="real").left_out
+    said = {Path(row["log"]).parent.as_posix(): row["excluded"] for row in real["sessions"] if row["excluded"]}
+    analysed = {item.source: item.reason for item in left_out if not item.reason.startswith("pilot")}
+    assert said == analysed
+    assert len(said) == 4
+
+
+def test_orders_are_balanced_over_those_who_finished(real: dict[str, Any]) -> None:
+    """p01 one hand first; p04 two hands first; p02 and p06 left two hands first, p03 one hand first."""
+    orders = {each["finger_conditions"][0]: each for each in real["orders"]}
+    counts = {name: (each["filled"], each["left_incomplete"], each["open"]) for name, each in orders.items()}
+    assert counts == {"one_hand": (1, 1, 0), "two_hands": (1, 2, 0)}
+
+
+def test_who_is_next_is_told_with_the_order(real: dict[str, Any]) -> None:
+    """Interrupted sessions are resumed, damaged ones looked at; then comes a new participant in turn."""
+    told = [(each["participant"], each["session"], each["do"], each["finger_conditions"]) for each in real["next"]]
+    assert told == [
+        ("p02", 1, "resume", TWO),
+        ("p03", 1, "doctor", ONE),
+        ("p06", 1, "resume", TWO),
+        ("p07", 1, "run", ONE),
+    ]
+
+
+def test_the_next_participant_fills_the_gap_where_the_records_decide(
+    tmp_path: Path, edit: Callable[..., Path], scribe: Callable[..., Path]
+) -> None:
+    """Two sessions each, the least filled order first: the new one gets what p02 left, p01 the other order."""
+    changes = "practice_trials: 1", "practice_trials: 1\n  balance: least_filled\n  sessions: 2"
+    preflight = examine(edit("demo.yaml", changes)).require()
+    scribe(preflight, tmp_path, "p01")
+    scribe(preflight, tmp_path, "p02", n_answered=2)
+    (found,) = survey_results(tmp_path / "demo" / "sub-p01")
+    assert [each["participant"] for each in found["sessions"]] == ["p01"]
+    (found,) = survey_results(tmp_path)
+    told = [(each["participant"], each["session"], each["finger_conditions"]) for each in found["next"]]
+    assert told == [("p01", 2, TWO), ("p02", 1, TWO), ("p03", 1, TWO)]
+    assert [each["open"] for each in found["orders"]] == [0, 1]
+
+
+def test_a_folder_without_sessions_is_refused(tmp_path: Path) -> None:
+    """With what to give instead."""
+    with pytest.raises(InputError, match="a folder without a recorded session; allowed: a results folder"):
+        survey_results(tmp_path)
+
+
+def test_sessions_are_shown_within_80_columns_and_on_a_page(tree: Path, tmp_path: Path) -> None:
+    """The page names every session, loads nothing from elsewhere, and replaces none but itself."""
+    page = tmp_path / "study.html"
+    done = call(f"study {tree} --html {page}")
+    assert done.status == 0, done.stderr
+    assert "p07 session 1, one_hand then two_hands" in done.stdout
+    assert call(f"study {tree} --html {page} --json").status == 0
+    text = page.read_text(encoding="utf-8")
+    assert "PILOT DATA" in text
+    assert all(f">p0{number}<" in text for number in (1, 2, 3, 4, 6, 9))
+    assert not re.search(r'(src|href)="(?!#|data:)', text)
+    page.write_text("mine")
+    assert call(f"study {tree} --html {page}").status == 4
+    assert page.read_text() == "mine"
+
+
+def test_verify_and_doctor_take_a_whole_tree(tree: Path, tmp_path: Path) -> None:
+    """One damaged record keeps no other from being looked at; what is damaged alone is written anew."""
+    done = call(f"verify {tree} --json")
+    assert done.status == 4
+    found = json.loads(done.stdout)
+    assert len(found["sessions"]) == 7
+    assert not found["sound"]
+    assert [each["sound"] for each in found["sessions"]].count(False) == 2
+    assert "5 of 7 records are sound" in call(f"verify {tree}").stdout
+    done = call(f"doctor {tree} --into {tmp_path / 'anew'}")
+    assert done.status == 0, done.stderr
+    anew = sorted(log.parts[-4] for log in (tmp_path / "anew").rglob("session.jsonl"))
+    assert anew == ["sub-p02", "sub-p03"]
+    assert call(f"verify {tmp_path / 'anew'}").status == 0
