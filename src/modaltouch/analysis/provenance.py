@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import groupby
+from statistics import fmean
 from typing import Any
 
 from modaltouch.record import Session
@@ -43,12 +44,15 @@ class RecordFacts:
         Kind, number, and in which sessions.
     settings : dict of str to str
         Instrument, seed, hashes and versions, the same for all sessions or listed.
+    people : tuple of str
+        What the participants said of themselves, a line to each number and choice that the protocol asks for.
     """
 
     sessions: tuple[SessionFacts, ...]
     presented: tuple[dict[str, Any], ...]
     faults: tuple[tuple[str, int, str], ...]
     settings: dict[str, str]
+    people: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +78,8 @@ class SessionFacts:
         Instrument, seed, hashes and versions.
     threshold_mm_s : float or None
         The participant's own threshold, where levels are multiples of it [mm/s].
+    people : dict
+        Numbers and choices that the participant gave, by the protocol's name with its unit.
     """
 
     participant: str
@@ -85,6 +91,7 @@ class SessionFacts:
     faults: Counter[str]
     settings: dict[str, object]
     threshold_mm_s: float | None = None
+    people: dict[str, float | str] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -111,14 +118,43 @@ def take_facts(session: Session) -> SessionFacts:
         faults=Counter(kind for event in session.events for kind in _kinds_of_fault(event)),
         settings=_settings_of(start),
         threshold_mm_s=(start.get("sensation_levels") or {}).get("threshold_mm_s"),
+        people=dict(_people(start)),
     )
+
+
+def _people(start: dict[str, Any]) -> Iterator[tuple[str, float | str]]:
+    answers = start.get("people", {})
+    for name, asked in start.get("design", {}).get("people", {}).items():
+        if asked["kind"] in ("number", "choice") and not asked["identifies"] and answers.get(name) is not None:
+            yield f"{name} [{asked['unit']}]" if asked["unit"] else name, answers[name]
 
 
 def describe_record(sessions: Sequence[SessionFacts]) -> RecordFacts | None:
     """Return what the logs of the analysed sessions tell; None for a CSV, which has none."""
     if not sessions:
         return None
-    return RecordFacts(tuple(sessions), tuple(_presented(sessions)), tuple(_faults(sessions)), _settings(sessions))
+    return RecordFacts(
+        tuple(sessions),
+        tuple(_presented(sessions)),
+        tuple(_faults(sessions)),
+        _settings(sessions),
+        tuple(_describe_people(sessions)),
+    )
+
+
+def _describe_people(sessions: Sequence[SessionFacts]) -> Iterator[str]:
+    """Yield mean and range of each number, and how often each choice was made, over participants."""
+    by_name: dict[str, dict[str, Any]] = {}
+    for session in sessions:
+        for name, answer in session.people.items():
+            by_name.setdefault(name, {}).setdefault(session.participant, answer)
+    for name, answers in by_name.items():
+        values = list(answers.values())
+        if all(isinstance(value, str) for value in values):
+            said = ", ".join(f"{n} {value}" for value, n in Counter(values).most_common())
+        else:
+            said = f"mean {fmean(values):.1f}, range {min(values):g} to {max(values):g}"
+        yield f"{name}: {said} (n = {len(values)})"
 
 
 def _presentation(event: dict[str, Any], multiples: dict[float, float]) -> Presented:

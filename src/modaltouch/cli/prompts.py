@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -84,6 +85,37 @@ def ask_participant(dataset: Path) -> str:
             return SessionFolder.check_participant(participant)
         except RecordError as error:
             typer.secho(str(error), err=True, fg=typer.colors.RED)
+
+
+def ask_people(fields: Mapping[str, Any], may_ask: bool) -> dict[str, Any]:
+    """Return what the participant says of themselves, consents first: after a no nothing else is asked.
+
+    Parameters
+    ----------
+    fields : mapping
+        Questions of the protocol, by name.
+    may_ask : bool
+        Whether somebody is there to answer.
+
+    Raises
+    ------
+    typer.BadParameter
+        If nobody is.
+    """
+    if not may_ask:
+        listed = ", ".join(fields)
+        raise typer.BadParameter(f"the protocol asks each participant for {listed}: give a YAML file with --people")
+    answers: dict[str, Any] = {}
+    for name in sorted(fields, key=lambda name: bool(fields[name].kind != "consent")):
+        while name not in answers:
+            words = str(_prompt(f"{fields[name].question} ({fields[name].allowed})", default="", shown=False))
+            try:
+                answers[name] = fields[name].read(words)
+            except ValueError as error:
+                typer.secho(str(error), err=True, fg=typer.colors.RED)
+        if fields[name].kind == "consent" and fields[name].required and answers[name] == "no":
+            break
+    return {name: answers[name] for name in fields if name in answers}
 
 
 def wait_for_start(setup: Setup, rig: str) -> None:

@@ -83,6 +83,14 @@ THRESHOLD = Annotated[
     ),
 ]
 
+PEOPLE = Annotated[
+    Path | None,
+    typer.Option(
+        help="YAML file with what the protocol asks about the participant, a line to each field.",
+        show_default="asked, before the first session",
+    ),
+]
+
 
 def run(
     protocol: PROTOCOL,
@@ -103,6 +111,7 @@ def run(
     calibration: CALIBRATION = None,
     with_marked_calibration: WITH_MARKED = False,
     threshold: THRESHOLD = None,
+    people: PEOPLE = None,
     yes: YES = False,
     json_output: JSON = False,
 ) -> None:
@@ -114,7 +123,7 @@ def run(
     Every answer is on the disk before the next trial. If anything ends the session early, the outputs are off
     and `modaltouch resume` goes on where it stopped.
     """
-    from modaltouch.cli.prompts import ask_participant, ask_rig, can_ask, wait_for_start
+    from modaltouch.cli.prompts import ask_participant, ask_people, ask_rig, can_ask, wait_for_start
     from modaltouch.preflight import examine
 
     with reporting(json_output=json_output):
@@ -133,6 +142,10 @@ def run(
             results=results, window_options=window_options, threshold_mm_s=threshold,
         )  # fmt: skip
         setup.place.refuse_existing()
+        if fields := setup.to_ask:
+            may_ask = can_ask() and not yes and not json_output
+            given = ask_people(fields, may_ask) if people is None else preflight.experiment.protocol.read_people(people)
+            setup = setup.with_people(given)
         _try_masking(setup)
         if can_ask() and not yes and not json_output:
             wait_for_start(setup, rig)

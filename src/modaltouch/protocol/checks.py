@@ -11,6 +11,7 @@ from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.masking import check_masking
+from modaltouch.protocol.people import check_people
 from modaltouch.protocol.problems import Problem, suggest
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.sections import AnswersSection, Protocol, whole_bursts
@@ -39,6 +40,7 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
         *check_adaptive(reading),
         *check_sensation_levels(reading),
         *_check_keys(reading),
+        *check_people(reading),
     ]
 
 

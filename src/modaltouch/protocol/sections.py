@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
@@ -10,6 +11,7 @@ from modaltouch.protocol.adaptive import AdaptiveSection, SensationLevelsSection
 from modaltouch.protocol.answers import AnswerList, Side
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, PAUSE_KEY
 from modaltouch.protocol.masking import MaskingSection
+from modaltouch.protocol.people import PersonField, read_people
 from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
 from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant, ZoneName
 
@@ -301,6 +303,16 @@ class Protocol(Section):
     )
     answers: AnswersSection = described("How the question is asked and answered.")
     calibration: CalibrationSection = described("Which calibration the stimulus needs.", default=CalibrationSection())
+    people: dict[Word, PersonField] = described(
+        "What each participant is asked once, before the first session, by column of participants.tsv; nothing that "
+        "identifies a person.",
+        default={},
+        exclude_if=lambda given: not given,
+    )
+
+    def read_people(self, path: Path) -> dict[str, float | str | None]:
+        """Return a participant's answers from a YAML file; InputError with every fault of it."""
+        return read_people(self.people, path)
 
     @property
     def n_trials(self) -> int:

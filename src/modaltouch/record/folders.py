@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 from modaltouch.record.chain import RecordError, RecordExistsError, RecordInputError
 from modaltouch.record.files import LOCK_NAME, OWNER_ALONE, hold, is_locked, make_folder, replace_file
@@ -196,26 +196,61 @@ class SessionFolder:
                 ) from error
             yield
 
-    def list_participants(self) -> None:
-        """Add the participants whose folders are not listed yet; what a lab wrote into the list stays as it is.
+    def list_participants(self, start: Mapping[str, Any] | None = None) -> None:
+        """Add the participants whose folders are not listed yet, and what this one said in answer to the protocol.
+
+        What a lab wrote into the list, or into the file that describes its columns, stays as it is.
+
+        Parameters
+        ----------
+        start : mapping, optional
+            Start record of the participant's session.
 
         Raises
         ------
         RecordError
             If the list cannot be read or written.
         """
+        fields = (start or {}).get("design", {}).get("people", {})
+        answers = (start or {}).get("people", {})
         with self.hold_dataset():  # two sessions may begin at once: none may write a list that lacks the other
             path = self.dataset / "participants.tsv"
             try:
-                text = path.read_text(encoding="utf-8") if path.exists() else "participant_id\n"
-            except (OSError, UnicodeDecodeError) as error:
+                text = path.read_text(encoding="utf-8") if path.exists() else ""
+                rows = [line.split("\t") for line in text.splitlines()] or [["participant_id"]]
+                rows[0] += [name for name in fields if name not in rows[0]]
+                listed = {row[0] for row in rows}
+                folders = sorted(folder.name for folder in self.dataset.glob("sub-*") if folder.is_dir())
+                rows += [[name] for name in folders if name not in listed]
+                for row in rows[1:]:
+                    row += ["n/a"] * (len(rows[0]) - len(row))
+                    for name in answers if row[0] == f"sub-{self.participant}" else ():
+                        place = rows[0].index(name)
+                        row[place] = _cell(answers[name]) if row[place] == "n/a" else row[place]
+                side = path.with_suffix(".json")
+                known = json.loads(side.read_text(encoding="utf-8")) if fields and side.exists() else {}
+                described = {name: _describe(field) for name, field in fields.items()} | known
+            except (OSError, ValueError, TypeError) as error:
                 raise RecordError(f"{path}: cannot be read ({error}); mend it or move it away") from error
-            header, *rows = [line.split("\t") for line in text.splitlines()] or [["participant_id"]]
-            listed = {row[0] for row in rows}
-            folders = sorted(folder.name for folder in self.dataset.glob("sub-*") if folder.is_dir())
-            new = ["\t".join([name, *["n/a"] * (len(header) - 1)]) for name in folders if name not in listed]
-            if new or not path.exists():
-                replace_text(path, "\n".join([text.rstrip("\n"), *new]) + "\n")
+            made = "".join("\t".join(row) + "\n" for row in rows)
+            if made != text:
+                replace_text(path, made)
+            if described != known:
+                replace_text(side, json.dumps(described, indent=2, ensure_ascii=False) + "\n")
+
+
+def _cell(answer: object) -> str:
+    return "n/a" if answer is None else str(answer)
+
+
+def _describe(field: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the description of a column from what the protocol says of its field."""
+    levels = {each: each for each in field.get("choices", ())} or {"yes": "yes", "no": "no"}
+    return {
+        "Description": field.get("question", ""),
+        **({"Units": field["unit"]} if field.get("unit") else {}),
+        **({"Levels": levels} if field.get("kind") in ("choice", "consent") else {}),
+    }
 
 
 def replace_text(path: Path, text: str) -> None:

@@ -145,7 +145,7 @@ class Recovery:
                 missing=list(self.missing),
                 left_out=[{"line": line.number, "reason": line.reason} for line in self.left_out],
             )
-            place.list_participants()
+            place.list_participants(first)
             log.write_view(place)
         if self.left_out:
             content = b"\n".join(line.content for line in self.left_out) + b"\n"

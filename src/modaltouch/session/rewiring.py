@@ -84,7 +84,7 @@ def wire_resume(
     setup = wires.setup(schedule)
     if anew is None:
         return setup
-    calibrated = {name: start[name] for name in ("sensation_levels",) if name in start}
+    calibrated = {name: start[name] for name in ("sensation_levels", "people") if name in start}
     return replace(setup, replaces=place, facts=setup.facts | calibrated)
 
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 from modaltouch.preflight import Preflight, estimated_duration
 from modaltouch.protocol import InputError, Protocol, Schedule
 from modaltouch.record import (
     RecordError,
+    RecordInputError,
     Session,
     SessionFolder,
     SessionLog,
@@ -90,6 +91,29 @@ class Setup:
     clock: Clock = SYSTEM_CLOCK
     open_prober: OpenProber | None = None
 
+    @property
+    def to_ask(self) -> Mapping[str, Any]:
+        """What the participant has to be asked: the fields of the protocol before the first session, else nothing."""
+        fields = self.preflight.experiment.protocol.people
+        if not fields or "people" in self.facts:
+            return {}
+        earlier = SessionFolder.logs_of(self.place.dataset / f"sub-{self.place.participant}")
+        return {} if any("people" in Session.peek(log).start for log in earlier) else fields
+
+    def with_people(self, answers: Mapping[str, float | str | None]) -> Self:
+        """Return the setup with what the participant answered.
+
+        Raises
+        ------
+        RecordInputError
+            If consent is not given, and nothing may be recorded.
+        """
+        consents = [name for name, each in self.to_ask.items() if each.kind == "consent" and each.required]
+        refused = [name for name in consents if answers.get(name) != "yes"]
+        if refused:
+            raise RecordInputError(f"no {refused[0]} was given: the session does not begin, and nothing is recorded")
+        return replace(self, facts=self.facts | {"people": dict(answers)})
+
 
 class EventBuffer:
     """Carries the events of instrument and window into the session log.
@@ -144,6 +168,11 @@ def begin(setup: Setup) -> Session:
         Whatever ended it early; outputs are off and what was answered is kept.
     """
     setup.place.refuse_existing()
+    if setup.to_ask:
+        asked = ", ".join(setup.to_ask)
+        raise RecordInputError(
+            f"participant {setup.place.participant} has not been asked yet: {asked} (section people)"
+        )
     return sit(
         setup, lambda place, facts: SessionLog.create(place.log, "start", timed_by=setup.clock, **facts), "start"
     )
@@ -192,7 +221,7 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
         log.listener = experimenter.tell
         ending = {"reason": "finished"}
         try:
-            setup.place.list_participants()
+            setup.place.list_participants(log.events[0])
             masking.start()
             sitting = _sitting(setup, rig, window, log, buffer, tick, levels)
             if prober is not None:

@@ -91,6 +91,9 @@ def wire_run(
     )
     setup = wires.setup(schedule)
     setup = replace(setup, facts=setup.facts | calibrated)
+    if answers != "window" and (fields := setup.to_ask):
+        rng = Schedule.random_generator(seed, participant, place.session, "people")
+        setup = setup.with_people({name: each.draw(rng) for name, each in fields.items()})
     return replace(setup, drawn_as=drawn_as) if protocol.schedule.balance == "least_filled" else setup
 
 
