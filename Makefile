@@ -63,8 +63,8 @@ test: install
 ## check: formatting, lint, types, the import contracts, and no class name with two meanings
 .PHONY: check
 check: install
-	$(PYTHON) -m ruff format --check src tests
-	$(PYTHON) -m ruff check src tests
+	$(PYTHON) -m ruff format --check src tests docs
+	$(PYTHON) -m ruff check src tests docs
 	$(PYTHON) -m mypy
 	.venv/bin/lint-imports
 	$(PYTHON) tests/names.py
@@ -73,8 +73,8 @@ check: install
 ## format: let ruff format and mend the code
 .PHONY: format
 format: install
-	$(PYTHON) -m ruff format src tests
-	$(PYTHON) -m ruff check --fix src tests
+	$(PYTHON) -m ruff format src tests docs
+	$(PYTHON) -m ruff check --fix src tests docs
 
 ## results: the reference pictures in results/reference, from a simulated cohort, the demonstration and a scan of the twin
 .PHONY: results
@@ -172,11 +172,28 @@ mutants: install
 schemas: install
 	$(PYTHON) -c "from pathlib import Path; from modaltouch.protocol.schemas import write_schemas; write_schemas(Path('protocols/schema'))"
 
-## lock: resolve the dependencies again into requirements.lock
+## lock: resolve the dependencies again into requirements.lock and docs/requirements.lock
 .PHONY: lock
 lock: | $(filter .uv/bin/uv,$(UV))
 	$(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
 	  --group dev pyproject.toml --upgrade --output-file requirements.lock
+	$(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
+	  --constraints requirements.lock --group docs --upgrade --output-file docs/requirements.lock
+
+## docs: the site, into build/docs; warnings and dead links inside it are errors
+.PHONY: docs
+docs: .venv/.docs
+	PYTHONPATH=src $(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
+	@echo 'Open build/docs/index.html'
+
+## docs-check: build the site, run every command and every snippet on it, and look at it in a browser where there is one
+.PHONY: docs-check
+docs-check: docs
+	$(PYTHON) -m pytest --timeout 1800 tests/docs/check_pages.py
+
+.venv/.docs: docs/requirements.lock .venv/.installed
+	$(UV) pip install --python $(PYTHON) --quiet --require-hashes -r docs/requirements.lock
+	@touch $@
 
 ## clean: remove what was built, never results
 .PHONY: clean

@@ -159,7 +159,8 @@ class Stimulus:
         """Return what each design costs, and how fast it leaves modes that the model lacks, on the same channels.
 
         Each is a dict of ``name``, ``peak_voltage`` [V], ``energy`` [V^2 s], ``residual`` [m/s] and
-        ``unmodelled_speed``, the largest of |velocity| and |w eta| of those modes at the focusing instant [m/s].
+        ``unmodelled_speed``, the largest of ``|velocity|`` and ``|w eta|`` of those modes at the focusing instant
+        [m/s].
         """
         from modaltouch.stimulus.alternative_designs import compare_designs
 
@@ -312,7 +313,7 @@ class Stimulus:
         return self.system.read(self._played.states_steady(unit) if steady else self._played.states_at_focus(unit))
 
     def worst_modal_error(self, velocity: float, *, steady: bool = False) -> float:
-        """Return the largest of |velocity - target| and |w eta - target| over the modes [m/s].
+        """Return the largest of ``|velocity - target|`` and ``|w eta - target|`` over the modes [m/s].
 
         Parameters
         ----------
