@@ -39,6 +39,7 @@ class Key(typing.NamedTuple):
     steps: tuple[str | int, ...]
     info: FieldInfo
     model: type[BaseModel]
+    section: type[BaseModel]
 
     @property
     def name(self) -> str:
@@ -65,7 +66,7 @@ def _models(annotation: Any) -> list[type[BaseModel]]:
 def _walk(model: type[BaseModel], path: Path_, steps: tuple, top: type[BaseModel]) -> Iterator[Key]:
     for name, info in model.model_fields.items():
         name = info.alias or name
-        yield Key((*path, name), (*steps, name), info, top)
+        yield Key((*path, name), (*steps, name), info, top, model)
         for below, placeholders, real in _below(info.annotation):
             yield from _walk(below, (*path, name, *placeholders), (*steps, name, *real), top)
 
@@ -96,13 +97,16 @@ def sources(kind: str) -> list[Path]:
 
 def examples(kind: str) -> dict[Path_, tuple[Any, str]]:
     """Return an example of every key that a real file of this kind holds, with the file's name."""
-    known = {key.path for key in keys(kind)}
+    known = {key.path: (key.section, key.path[-1]) for key in keys(kind)}
     found: dict[Path_, tuple[Any, str]] = {}
+    alike: dict[tuple[type[BaseModel], str], tuple[Any, str]] = {}
     for file in sources(kind):
-        for path, value in _values(YAML(typ="safe", pure=True).load(file), (), known):
-            if path not in found or found[path][0] in (None, [], {}, ""):
-                found[path] = value, file.name
-    return found
+        for path, value in _values(YAML(typ="safe", pure=True).load(file), (), set(known)):
+            for place, name in ((found, path), (alike, known[path])):
+                if name not in place or place[name][0] in (None, [], {}, ""):
+                    place[name] = value, file.name
+    # A section that may stand in several places, such as a finger, is shown by an example of it in any of them.
+    return {path: found.get(path, alike.get(name)) for path, name in known.items() if path in found or name in alike}
 
 
 def _values(value: Any, path: Path_, known: set[Path_]) -> Iterator[tuple[Path_, Any]]:
