@@ -11,7 +11,6 @@ from scipy.stats import page_trend_test
 from modaltouch.analysis.convolution import Kernel, tail_probability
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.intervals import clopper_pearson
-from modaltouch.analysis.shuffles import pair_association
 from modaltouch.analysis.trend import trend_test
 
 
@@ -30,17 +29,6 @@ def test_sign_flips_of_single_pairs_are_the_exact_mcnemar_test() -> None:
     test = sign_flip_test([1] * 1 + [-1] * 7 + [0] * 13)
     assert test.p == pytest.approx(2 * (1 + 8) / 2**8, rel=1e-12)
     assert test.p == pytest.approx(0.070, abs=5e-4)
-
-
-STUART = np.array([[1520, 266, 124, 66], [234, 1512, 432, 78], [117, 362, 1772, 205], [36, 82, 179, 492]])
-"""Unaided distance vision of both eyes of 7477 women (Stuart, Biometrika 42 (1955) 412-416)."""
-
-
-def test_two_pairs_and_one_answer_are_the_stuart_maxwell_test() -> None:
-    """Stuart (1955): the right and the left eye differ by 11.96, with 3 degrees of freedom."""
-    cells = [grades for grades in product(range(4), repeat=2) for _ in range(STUART[grades])]
-    answers = np.eye(4, dtype=int)[np.array(cells)]
-    assert pair_association(answers).test.statistic == pytest.approx(11.96, abs=0.005)
 
 
 PAGE = [

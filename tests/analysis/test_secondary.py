@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from modaltouch.analysis.counts import count_answers
-from modaltouch.analysis.covariates import detection, order_findings, side_findings, time_findings
+from modaltouch.analysis.covariates import centre_interval, detection, order_findings, side_findings, time_findings
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.intervals import student_interval
 
@@ -78,6 +78,28 @@ def test_the_first_finger_condition_is_told_from_the_second(build) -> None:
     assert finding.p == sign_flip_test([12] * 4).p
     assert finding.estimate == 1
     assert "2 began with one hand, 2 began with two hands" in finding.note
+
+
+@pytest.mark.parametrize("n", [6, 8])
+def test_centres_are_means_of_subsets(n) -> None:
+    """Hartigan (1969): bounds are means of some participants, so many from the end that 5 % of sign patterns pass."""
+    values = np.random.default_rng(n).integers(-400, 800, n)
+    picked = (np.arange(1, 2**n)[:, np.newaxis] >> np.arange(n)) & 1
+    means = np.sort(picked @ values / picked.sum(axis=1))
+    # p is 2 k / 2^n at a centre with k sums of signs as far out, itself among them.
+    dropped = int(0.05 * 2**n / 2)
+    interval = centre_interval(values / 1000)
+    assert interval.low == pytest.approx(np.floor(means[dropped - 1] + 1) / 1000, abs=1.01e-3)
+    assert interval.high == pytest.approx(np.ceil(means[-dropped] - 1) / 1000, abs=1.01e-3)
+    for bound, outwards in ((interval.low, -1), (interval.high, 1)):
+        at = round(bound * 1000)
+        assert sign_flip_test(values - at).p > 0.05 >= sign_flip_test(values - at - outwards).p
+
+
+def test_five_participants_bound_no_centre() -> None:
+    """No sign flips of five reach 0.05: 2 / 2^5 = 0.0625."""
+    interval = centre_interval(np.array([0.2, 0.2, 0.2, 0.2, 0.2]))
+    assert (interval.low, interval.high) == (-np.inf, np.inf)
 
 
 def test_equal_values_have_no_t_interval() -> None:

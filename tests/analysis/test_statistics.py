@@ -35,11 +35,10 @@ def tests():
 
 class TestPaperLikeAnswers:
     def test_families_have_the_planned_sizes(self, tests) -> None:
-        """Plan, section 3 (g): 24, 6, 6, 3 and 6 tests."""
+        """24 cells; 6 tests of dominance, level and pair; 6 of hands, dominant zone and both, in one family."""
         sizes = tests[tests["family"] != ""].groupby("family").size()
-        assert {name: int(sizes[name]) for name in ("a1", "a2", "b", "c", "d")} == {
-            "a1": 24, "a2": 6, "b": 6, "c": 3, "d": 6,
-        }  # fmt: skip
+        expected = dict.fromkeys(("a2", "a2 mean", "b", "b mean", "c", "c mean", "d", "d mean"), 6)
+        assert sizes.to_dict() == {"a1": 24, **expected}
 
     def test_holm_is_applied_within_families(self, tests) -> None:
         """Recomputed from the p column."""
@@ -73,8 +72,8 @@ class TestPaperLikeAnswers:
         assert (bounded["estimate"] <= bounded["high"] + 1e-12).all()
 
     def test_an_unchanged_answer_keeps_an_interval(self, tests) -> None:
-        """(C, E) with two hands, 40 of 40: the pooled share is worth ten answers, Clopper-Pearson from 0.6915."""
-        row = rows(tests, "f", "Korn", "two_hands C-E").iloc[0]
+        """(C, E) with two hands, 40 of 40: ten participants, Clopper-Pearson from 0.6915."""
+        row = rows(tests, "f", "share of answers", "two_hands C-E").iloc[0]
         assert (row["estimate"], row["high"]) == (1, 1)
         assert row["low"] == pytest.approx(0.025**0.1)
 
@@ -84,10 +83,16 @@ class TestPaperLikeAnswers:
         assert row["estimate"] == 0.9
         assert "left 0, both 1, right 9" in row["note"]
 
-    def test_single_cells_without_discordance_have_tangos_half_width(self, tests) -> None:
-        """Plan: z^2 / (N + z^2) = 0.278 at N = 10."""
-        row = rows(tests, "f", "Tango", "A-C 100 mm/s").iloc[0]
-        assert (row["low"], row["high"]) == pytest.approx((-0.2775, 0.2775), abs=5e-5)
+    def test_single_cells_without_discordance_have_the_width_of_who_may_be_missing(self, tests) -> None:
+        """Closed form: 1 - 0.025^(1/10) = 0.3085."""
+        row = rows(tests, "f", "paired difference", "A-C 100 mm/s").iloc[0]
+        assert (row["low"], row["high"]) == pytest.approx((-0.3085, 0.3085), abs=5e-5)
+
+    def test_no_interval_disagrees_with_the_p_beside_it(self, tests) -> None:
+        """P above 0.05 and the interval holding zero are one, wherever both are printed for a mean."""
+        both = tests[tests["name"].str.contains("bounded mean") & tests["p"].notna() & tests["low"].notna()]
+        assert set(both["family"]) >= {"a2 mean", "b mean", "c mean", "d mean"}
+        assert ((both["low"] <= 0) & (both["high"] >= 0)).equals(both["p"] > 0.05)
 
 
 @pytest.mark.parametrize("response", ["left", "both", "right"])
@@ -99,7 +104,7 @@ def test_nothing_breaks_when_every_answer_is_the_same(build, response, n) -> Non
     assert tested["p"].between(0, 1, inclusive="right").all()
     assert rows(tests, "b")["p"].eq(1).all()
     assert rows(tests, "c")["p"].eq(1).all()
-    intervals = rows(tests, "f", "Korn")
+    intervals = rows(tests, "f", "share of answers")
     assert (intervals["high"] - intervals["low"]).min() > 0.2
 
 

@@ -38,6 +38,24 @@ class TestTrend:
         expected = np.mean([abs(a + b - centre) >= reached for a in sums[0] for b in sums[1]])
         assert trend_test(counts, [10, 20, 40], repetitions).p == pytest.approx(expected, rel=1e-12)
 
+    def test_missing_answers_leave_the_others_to_be_shuffled(self) -> None:
+        """Reference: every order of the answers there are, over the levels that they were given to."""
+        answered = np.array([[1, 1, 0, 1], [1, 1, 1, 1], [2, 1, 1, 0]])
+        chosen = np.array([[0, 1, 0, 1], [0, 0, 1, 1], [1, 1, 1, 0]])
+        scores, sums = np.array([0, 2, 7, 12]), [np.zeros(1)]
+        for own, presented in zip(chosen, answered, strict=True):
+            cards, places = np.repeat([1, 0], [own.sum(), presented.sum() - own.sum()]), np.repeat(scores, presented)
+            sums.append(np.array([np.dot(order, places) for order in permutations(cards)]) - own.sum() * places.mean())
+        every = np.add.outer(np.add.outer(sums[1], sums[2]), sums[3])
+        test = trend_test(chosen, [80, 100, 150, 200], answered)
+        expected = sum(
+            own @ scores - own.sum() * (presented @ scores) / presented.sum()
+            for own, presented in zip(chosen, answered, strict=True)
+        )
+        assert test.statistic == pytest.approx(expected)
+        assert test.p == pytest.approx(np.mean(np.abs(every) >= abs(expected) - 1e-9))
+        assert test.quick_p == pytest.approx(test.p, abs=1e-12)
+
     def test_participants_without_variation_drop_out(self) -> None:
         """They give the same total under every shuffle."""
         moving = [[0, 0, 1, 1], [0, 1, 1, 1]]

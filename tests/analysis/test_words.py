@@ -27,15 +27,17 @@ def test_each_question_has_its_paragraph(paper_frame) -> None:
 
 
 def test_numbers_are_filled_in(paper_frame) -> None:
-    """Each question is answered first, with its number; of unanimous leaning p is 2/2^10, Holm p six times that."""
+    """Each question is answered first, with its number, on average and for somebody; p of unanimous leaning is 2/2^10."""
     told = paragraphs(paper_frame)
-    assert told["a2"].startswith("Yes, in 4 of 6 tests: one zone is chosen more than the other. Clearest: P(C) - P(")
+    assert told["a2"].startswith(
+        "Yes, in 4 of 6 tests: one zone is chosen more than the other on average. Clearest: P(C) - P("
+    )
     assert re.search(r"= 1 \[.*\] \(two hands, C and E\), p = 0.002, Holm p = 0.012", told["a2"])
-    assert "cannot tell whether the choice changes with the level: none of 6 tests could reach p ≤ 0.05." in told["b"]
+    assert "Yes, in 4 of 6 tests: one zone is chosen more than the other for somebody." in told["a2"]
+    assert "the choice changes with the level for somebody: none of 6 tests could reach p ≤ 0.05." in told["b"]
     assert told["e"].startswith("Gwet AC1 from 0.")
-    assert "Exploratory: p ≤ 0.05 in " in told["e"]
     rows = find(count_answers(paper_frame), paper_frame)
-    (row,) = [row for row in rows if (row.question, row.scope, row.quantity) == ("a2", "one_hand C-E", "P(C) - P(E)")]
+    (row,) = [row for row in rows if (row.family, row.scope) == ("a2 mean", "one_hand C-E")]
     assert row.note == "38 C, 0 E, 2 both of 40 answers; 10 of 10 participants lean to C"
 
 

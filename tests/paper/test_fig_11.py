@@ -7,7 +7,7 @@ import pytest
 
 from modaltouch.analysis.counts import AnswerCounts, count_answers
 from modaltouch.analysis.figures import draw_counts
-from modaltouch.analysis.intervals import tango
+from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.tables import figure_names, zone_table
 from modaltouch.report.style import PAIR_COLOURS
 
@@ -38,7 +38,9 @@ def test_it_is_the_figure_of_both_hands() -> None:
     assert figure_names(["one_hand", "two_hands"])["two_hands"] == "fig_11"
 
 
-@pytest.mark.parametrize(("n", "margin"), [(10, 0.278), (35, 0.099)])
+@pytest.mark.parametrize(("n", "margin"), [(10, 0.2589), (29, 0.0981)])
 def test_the_results_are_repeated_is_a_claim_ten_people_cannot_support_closely(n, margin) -> None:
-    """Equivalence ("the results are repeated") is supported at best within Tango's z^2 / (N + z^2) in a cell."""
-    assert tango(0, 0, n).high == pytest.approx(margin, abs=5e-4)
+    """Equivalence ("the results are repeated") is shown at best within 1 - 0.05^(1/N), where nobody differs."""
+    nobody = BoundedMean([0.0] * n)
+    assert nobody.interval(0.9).high == pytest.approx(margin, abs=5e-4)
+    assert nobody.equivalence(margin + 1e-3).p < 0.05 < nobody.equivalence(margin - 1e-3).p

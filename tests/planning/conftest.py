@@ -24,7 +24,7 @@ def make_design(
     """Return a design with the speeds of the shipped stimulus."""
     one = [[[PEAKS[left] * v * 1e-3, PEAKS[right] * v * 1e-3] for v in levels] for left, right in pairs]
     oriented = tuple(Pair.of(left, right, "C") for left, right in pairs)
-    return Design("paper", conditions, oriented, levels, np.array([one] * len(conditions)), placements)
+    return Design("paper", conditions, oriented, levels, np.array([one] * len(conditions)), placements, margin=0.25)
 
 
 @pytest.fixture

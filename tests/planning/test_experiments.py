@@ -13,7 +13,7 @@ from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import BATCH, BATCH_CELLS, Job, Study, divide, run_job, simulate
 from modaltouch.planning.observer import Observer, Participant
 
-ALL = tuple(STATISTICS)
+ALL = tuple(family for family, statistic in STATISTICS.items() if not statistic.when_alike)
 VARIED = Observer(
     Participant(noise=0.4, criterion=0.35, side_bias=0.2, near_miss=0.3),
     side_bias_spread=0.35,

@@ -78,7 +78,7 @@ def test_intervals_are_wilsons(study: Study) -> None:
 def test_power_grows_with_participants_and_widths_shrink(study: Study) -> None:
     """Expected: monotone for a real effect, beyond the Monte Carlo error; widths like the root of N or faster."""
     found = plan(study, [(8, 1), (16, 1), (32, 1)], 250)
-    rows = [row for row in found.tests if row["family"] == "d" and row["scope"] == "one_hand A-C - B-D"]
+    rows = [row for row in found.tests if row["family"] == "d mean" and row["scope"] == "one_hand A-C - B-D"]
     assert [row["n_participants"] for row in rows] == [8, 16, 32]
     assert rows[0]["high"] < rows[1]["low"] or rows[0]["power"] < rows[1]["power"] < rows[2]["power"]
     assert rows[2]["half_width"] < rows[1]["half_width"] / math.sqrt(1.8)

@@ -17,73 +17,80 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.analysis.intervals import CONFIDENCE, Interval, student_quantile
+from modaltouch.analysis.counts import mean_of_known
+from modaltouch.analysis.intervals import CONFIDENCE, Interval
 
 FloatArray = NDArray[np.float64]
+
+_SEED, _DRAWS, _TAIL = 20080501, 999, (1 - CONFIDENCE) / 2
 
 _LEVEL = 0.05
 """Level of the tests within participants [1]."""
 
 
-def pairwise_agreement(ratings: ArrayLike) -> float:
-    """Return the chance that two participants, drawn at random, gave one answer to an item [1]; NaN where none has two.
-
-    Parameters
-    ----------
-    ratings : (n_items, n_categories) array
-        How many participants put each item into each category.
-    """
-    table = np.asarray(ratings, dtype=float)
-    raters = table.sum(axis=1)
-    table, raters = table[raters >= 2], raters[raters >= 2]
-    if not len(table):
-        return math.nan
-    return float(np.mean((table * (table - 1)).sum(axis=1) / (raters * (raters - 1))))
-
-
-def gwet_ac1(ratings: ArrayLike) -> float:
-    """Return Gwet's AC1 for any number of raters and categories [1]; 1 when all agree, NaN where none has two answers.
-
-    Parameters
-    ----------
-    ratings : (n_items, n_categories) array
-        How many participants put each item into each category; every category that could be chosen has its
-        column. Items may have different numbers of ratings.
-    """
-    table = np.asarray(ratings, dtype=float)
-    agreement = pairwise_agreement(table)
-    rated = table[table.sum(axis=1) > 0]
-    shares = (rated / rated.sum(axis=1, keepdims=True)).mean(axis=0)
-    chance = float((shares * (1 - shares)).sum() / (table.shape[1] - 1))
-    return (agreement - chance) / (1 - chance)
-
-
 def ac1_interval(answers: ArrayLike) -> Interval:
-    """Return AC1 with an interval over participants; from -1 to 1 with fewer than three.
+    """Return AC1 between participants, with an interval over them; from -1 to 1 with fewer than three.
 
-    The interval is the jackknife over participants. Where all agree the jackknife has no width; the lower
-    bound is then the smallest AC1 compatible with the exact upper bound on the share of participants who would
-    ever answer otherwise.
+    As for a bounded mean, one more participant joins: for the lower bound one who gives the answer that is rarest with
+    each item, for the upper bound the most frequent. The bounds are quantiles over random weights of all participants.
+    Coverage is shown by simulation alone.
 
     Parameters
     ----------
-    answers : (n_participants, n_items, n_categories) array
+    answers : (..., n_participants, n_items, n_categories) array
         How often each participant gave each answer to each item.
+
+    References
+    ----------
+    Rubin, "The Bayesian bootstrap", Ann. Stat. 9 (1981) 130-134.
     """
     table = np.asarray(answers, dtype=float)
-    n = table.shape[0]
-    total = table.sum(axis=0)
-    estimate = gwet_ac1(total) if n > 1 else math.nan
+    n = table.shape[-3]
+    _, estimate = agreement_between(table, np.ones((1, n)))
     if n < 3:
-        return Interval(estimate, -1.0, 1.0, n)
-    left_out = np.array([gwet_ac1(total - one) for one in table])
-    if np.ptp(left_out) < 1e-12:
-        low = min(_least_ac1(1 - ((1 - CONFIDENCE) / 2) ** (1 / n)), estimate)
-        return Interval(estimate, low, max(estimate, low), n)
-    groups = left_out.size
-    error = math.sqrt((groups - 1) / groups * float(((left_out - left_out.mean()) ** 2).sum()))
-    half = student_quantile(groups - 1) * error
-    return Interval(estimate, max(estimate - half, -1.0), min(estimate + half, 1.0), n)
+        return Interval(estimate[..., 0], *(np.full(table.shape[:-3], each)[()] for each in (-1.0, 1.0, n)))
+    weights, kinds = np.random.default_rng(_SEED).dirichlet(np.ones(n + 1), _DRAWS), np.arange(table.shape[-1])
+    bounds = []
+    total = table.sum(axis=-3, keepdims=True)
+    for chosen, tail in ((total.argmin(axis=-1), _TAIL), (total.argmax(axis=-1), 1 - _TAIL)):
+        further = (chosen[..., np.newaxis] == kinds).astype(float)
+        _, drawn = agreement_between(np.concatenate([table, further], axis=-3), weights)
+        bounds.append(np.quantile(drawn, tail, axis=-1))
+    low, high = np.minimum(bounds[0], estimate[..., 0]), np.maximum(bounds[1], estimate[..., 0])
+    return Interval(estimate[..., 0], low, high, n)
+
+
+def agreement_between(answers: ArrayLike, weights: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return the agreement of two different participants, and AC1, by each of some weightings of participants [1].
+
+    Of several answers to an item each counts as a part of one.
+
+    Parameters
+    ----------
+    answers : (..., n_participants, n_items, n_categories) array
+        How often each participant gave each answer to each item.
+    weights : (n_weightings, n_participants) array
+        Weights.
+
+    Returns
+    -------
+    agreement, ac1 : (..., n_weightings) array
+        Not a number where no two participants answered one item.
+    """
+    table, weight = np.asarray(answers, dtype=float), np.asarray(weights, dtype=float)
+    n_given = table.sum(axis=-1, keepdims=True)
+    shares, known = table / np.maximum(n_given, 1), (n_given[..., 0] > 0).astype(float)
+    flat = shares.reshape(*shares.shape[:-2], -1)
+    chosen = (weight @ flat).reshape(*flat.shape[:-2], len(weight), *shares.shape[-2:])
+    total, own = weight @ known, weight**2 @ known
+    same = (chosen**2).sum(axis=-1) - weight**2 @ (shares**2).sum(axis=-1)
+    pairs, mass = total**2 - own, np.maximum(total, 1e-300)[..., np.newaxis]
+    alike = np.divide(same, pairs, out=np.full(same.shape, math.nan), where=pairs > 1e-12)
+    agreement = mean_of_known(alike)
+    rated = np.where((total > 0)[..., np.newaxis], chosen / mass, math.nan)
+    popular = mean_of_known(np.moveaxis(rated, -2, -1))
+    chance = (popular * (1 - popular)).sum(axis=-1) / (table.shape[-1] - 1)
+    return agreement, (agreement - chance) / (1 - chance)
 
 
 def prevalence(n_positive: int, n_participants: int) -> float:
@@ -102,11 +109,3 @@ def prevalence(n_positive: int, n_participants: int) -> float:
         Ince et al. (2021): (k/n - alpha) / (1 - alpha), not below zero [1].
     """
     return max((n_positive / n_participants - _LEVEL) / (1 - _LEVEL), 0.0)
-
-
-def _least_ac1(deviating: float) -> float:
-    """Return the smallest AC1 when a share of participants deviates, all alike or spread over the rest."""
-    u = deviating
-    alike, alike_chance = (1 - u) ** 2 + u**2, u * (1 - u)
-    spread, spread_chance = (1 - u) ** 2 + u**2 / 2, u - 0.75 * u**2
-    return min((alike - alike_chance) / (1 - alike_chance), (spread - spread_chance) / (1 - spread_chance))

@@ -15,7 +15,8 @@ import numpy as np
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.covariates import detection
 from modaltouch.analysis.findings import Finding, finding_of
-from modaltouch.analysis.intervals import Interval, clopper_pearson, korn_graubard
+from modaltouch.analysis.intervals import Interval
+from modaltouch.analysis.means import BoundedMean
 
 _ABSENT = "none"
 """Stands for the answer that nothing was felt where none says it."""
@@ -71,16 +72,16 @@ def catch_rows(answers: AnswerCounts, catches: Catches) -> tuple[CatchRow, ...]:
     if not catches and not answers.offers_none:
         return ()
     missed, nothing = _missed(answers), answers.answers.naming()
+    driven: list[int] = answers.counts.sum(axis=(1, 2, 3, 4)).tolist()
     words = [answer.name for answer in answers.answers.ranked] + ([] if nothing else [_ABSENT])
     name_of_nothing = nothing.name if nothing else _ABSENT
-    n_driven = answers.n_answers * len(answers.pairs) * len(answers.finger_conditions)
     rows = []
-    for name, n_missed in zip(answers.participants, missed, strict=True):
+    for name, n_missed, n_driven in zip(answers.participants, missed, driven, strict=True):
         own = catches.get(name, Counter())
         given = {word: own[word] for word in words}
         rows.append(CatchRow(name, sum(given.values()), given, n_driven, n_missed, name_of_nothing))
     total = {word: sum(row.answers[word] for row in rows) for word in words}
-    rows.append(CatchRow("all", sum(total.values()), total, n_driven * len(rows), sum(missed), name_of_nothing))
+    rows.append(CatchRow("all", sum(total.values()), total, sum(driven), sum(missed), name_of_nothing))
     return tuple(rows)
 
 
@@ -128,10 +129,6 @@ def _missed(answers: AnswerCounts) -> list[int]:
 
 def _rate(name: str, counts: list[int], totals: list[int], note: str, total: CatchRow) -> Finding:
     quantity = "P(a finger | nothing driven)" if name == "false alarms" else f"P({total.nothing} | stimulus)"
-    if len(set(totals)) == 1:
-        interval = korn_graubard(np.array(counts), totals[0])
-        method = "Korn-Graubard interval over participants"
-    else:
-        interval = clopper_pearson(sum(counts), sum(totals))
-        method = "Clopper-Pearson interval over answers"
-    return finding_of("catch", f"{name}, {method}", "all", None, quantity, interval, len(counts), notes=[note])
+    mean = BoundedMean([k / n if n else np.nan for k, n in zip(counts, totals, strict=True)], 0.0, 1.0)
+    method = "interval of a bounded mean over participants"
+    return finding_of("catch", f"{name}, {method}", "all", None, quantity, mean.interval(), int(mean.n), notes=[note])

@@ -9,64 +9,53 @@ from itertools import combinations, product
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.analysis.agreement import ac1_interval, pairwise_agreement, prevalence
-from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.agreement import ac1_interval, agreement_between, prevalence
+from modaltouch.analysis.counts import AnswerCounts, Shares
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import ALPHA, Finding, finding_of
-from modaltouch.analysis.intervals import (
-    Interval,
-    clopper_pearson,
-    korn_graubard,
-    matched_odds_ratio,
-    tango,
-)
-from modaltouch.analysis.shuffles import level_association, pair_association, participant_heterogeneity
+from modaltouch.analysis.intervals import Interval, clopper_pearson, matched_odds_ratio
+from modaltouch.analysis.means import BoundedMean
 
 IntArray = NDArray[np.int64]
 
 _NO_INTERVAL = Interval(math.nan, math.nan, math.nan, 0.0)
 
+AGREEMENT = "agreement between participants"
+SHARE = "share of answers over levels, interval of a bounded mean over participants"
+PAIRED = "paired difference in a cell, interval of a bounded mean over participants"
+
 
 def consistency_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield question e, agreement between participants and whether they differ from each other."""
+    """Yield question e, agreement between participants and how many of them show the effect by themselves."""
     n = answers.n_participants
     for f, q, scope in answers.pair_cells:
         pair, own = answers.pairs[q], answers.counts[:, f, q]
-        first = own[..., answers.effects(pair)[0][1]]
-        second = own[..., answers.other_place(pair)] if answers.compares else own.sum(axis=-1) - first
-        shuffled = participant_heterogeneity(first - second)
-        agreement = pairwise_agreement(own.sum(axis=0))
-        notes = ["" if math.isnan(agreement) else f"pairwise agreement {agreement:.2f}", shuffled.note]
-        yield finding_of(
-            "e", "agreement, and shuffle test of differences between participants", scope, shuffled.test,
-            "Gwet AC1", ac1_interval(own), n, notes=notes,
-        )  # fmt: skip
+        agreement = float(agreement_between(own, np.ones((1, n)))[0][0])
+        notes = ["" if math.isnan(agreement) else f"pairwise agreement {agreement:.2f}"]
+        yield finding_of("e", AGREEMENT, scope, None, "Gwet AC1", ac1_interval(own), n, notes=notes)
         if answers.compares:
-            yield _prevalence(answers, first.sum(axis=1), second.sum(axis=1), scope, pair.dominant)
-
-
-def association_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield the Monte Carlo checks of questions b and d, on all answers at once."""
-    n = answers.n_participants
-    for f, q, scope in answers.pair_cells:
-        shuffled = level_association(answers.counts[:, f, q])
-        name = "shuffle test of any association of level and answer"
-        yield finding_of("b", name, scope, shuffled.test, "", _NO_INTERVAL, n, notes=[shuffled.note])
-    for f, condition in enumerate(answers.finger_conditions if len(answers.pairs) > 1 else ()):
-        shuffled = pair_association(answers.counts[:, f].sum(axis=2))
-        name = "shuffle test of any association of pair and answer"
-        yield finding_of("d", name, condition, shuffled.test, "", _NO_INTERVAL, n, notes=[shuffled.note])
+            first, second = (
+                own[..., place(pair)].sum(axis=1) for place in (answers.dominant_place, answers.other_place)
+            )
+            yield _prevalence(answers, first, second, scope, pair.dominant)
 
 
 def effect_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield question f, every proportion over levels, and every paired difference cell by cell."""
-    n = answers.n_participants
     for f, q, scope in answers.pair_cells:
         for label, place in answers.labelled(answers.pairs[q]):
-            share = korn_graubard(answers.counts[:, f, q, :, place].sum(axis=1), answers.n_answers)
-            worth = f"worth {share.n_effective:.1f} independent answers of {n * answers.n_answers}"
-            name = "Korn-Graubard interval over levels"
-            yield finding_of("f", name, scope, None, f"P({label})", share, n, notes=[worth])
+            given = answers.counts[:, f, q, :, place]
+            shares = Shares(given, answers.counts[:, f, q].sum(axis=-1), answers.n_repetitions)
+            mean = BoundedMean(shares.mean, 0.0, 1.0)
+            bounds = [BoundedMean(each.mean(axis=-1), 0.0, 1.0) for each in (shares.least, shares.most)]
+            n_missing = shares.asked * given.size - int(shares.answered.sum())
+            low, high = bounds[0].interval(), bounds[1].interval()
+            worst = (
+                f"{n_missing} answers missing; with them the share could be {low.estimate:.3g} to {high.estimate:.3g}, "
+                f"its interval {low.low:.3g} to {high.high:.3g}"
+            )
+            notes = [worst] if n_missing else []
+            yield finding_of("f", SHARE, scope, None, f"P({label})", mean.interval(), int(mean.n), notes=notes)
     yield from _paired_cells(answers)
 
 
@@ -83,15 +72,20 @@ def _paired_cells(answers: AnswerCounts) -> Iterator[Finding]:
         both = f"{answers.finger_conditions[f]} - {answers.finger_conditions[g]}"
         scope = f"{both} {pair.label} {answers.scale.say(answers.levels[v])}"
         note = f"{b} chose {shown} only in the first, {c} only in the second" + (
-            f"; {n - m} participants tied and left out" if m < n else ""
+            f"; {n - m} participants tied or without an answer left out" if m < n else ""
         )
-        difference = tango(b, c, m) if m else _NO_INTERVAL
-        quantity = f"difference of P({shown})"
-        name = "Tango interval of the paired difference"
-        yield finding_of("f", name, scope, None, quantity, difference, m, notes=[note])
+        difference = BoundedMean([1.0] * b + [-1.0] * c + [0.0] * (m - b - c)).interval()
+        yield finding_of("f", PAIRED, scope, None, f"difference of P({shown})", difference, m, notes=[note])
         notes = [note] if b + c else ["no information: no discordant pair", note]
         quantity, odds = f"odds ratio of {shown}", matched_odds_ratio(b, c)
         yield finding_of("f", "matched odds ratio, exact", scope, None, quantity, odds, m, notes=notes)
+
+
+def shows_dominance(first: IntArray, second: IntArray) -> NDArray[np.bool_]:
+    """Return whose own answers lean to the first zone beyond chance, by the sign test of one participant's answers."""
+    pairs, which = np.unique(np.stack([first, second], axis=-1).reshape(-1, 2), axis=0, return_inverse=True)
+    own = [a > b and bool(sign_flip_test([1] * a + [-1] * b).p <= ALPHA) for a, b in pairs.tolist()]
+    return np.array(own)[which].reshape(first.shape)
 
 
 def _prevalence(answers: AnswerCounts, first: IntArray, second: IntArray, scope: str, zone: str) -> Finding:
@@ -101,9 +95,7 @@ def _prevalence(answers: AnswerCounts, first: IntArray, second: IntArray, scope:
     if least > ALPHA:
         note = f"no information: {answers.n_answers} answers of one participant cannot give p below {least:.2g}"
         return finding_of("e", "prevalence of dominance", scope, None, quantity, _NO_INTERVAL, n, notes=[note])
-    pairs = list(zip(first.tolist(), second.tolist(), strict=True))
-    own = {pair: sign_flip_test([1] * pair[0] + [-1] * pair[1]).p for pair in set(pairs)}
-    shown = sum(own[pair] <= ALPHA and pair[0] > pair[1] for pair in pairs)
+    shown = int(shows_dominance(first, second).sum())
     note = (
         f"{shown} of {n} have a significant sign test by themselves; "
         f"likeliest prevalence {prevalence(shown, n):.2f} (Ince 2021)"

@@ -74,6 +74,73 @@ class Pair:
 
 
 @dataclass(frozen=True, eq=False)
+class Shares:
+    """How often one answer was given, of those that were asked for; arrays of one shape, levels last.
+
+    Attributes
+    ----------
+    given : array of int
+        Times that this answer was given.
+    answered : array of int
+        Times that any answer was given.
+    asked : int
+        Times that one was asked for.
+    """
+
+    given: NDArray[np.int64]
+    answered: NDArray[np.int64]
+    asked: int
+
+    @property
+    def is_short(self) -> bool:
+        """Whether any answer is missing."""
+        return bool((self.answered < self.asked).any())
+
+    def at(self, place: int | list[int], axis: int) -> Shares:
+        """Return some along an axis."""
+        return Shares(self.given.take(place, axis), self.answered.take(place, axis), self.asked)
+
+    def joined(self, n_after: int) -> Shares:
+        """Return finger conditions and pairs, which end before some axes, as one axis of tests."""
+        after = self.given.ndim - n_after
+        shape = (*self.given.shape[: after - 2], -1, *self.given.shape[after:])
+        return Shares(self.given.reshape(shape), self.answered.reshape(shape), self.asked)
+
+    @classmethod
+    def stacked(cls, parts: Sequence[Shares]) -> Shares:
+        """Return several as one, their tests side by side."""
+        given, answered = (np.concatenate([getattr(p, name) for p in parts], axis=-3) for name in ("given", "answered"))
+        return cls(given, answered, parts[0].asked)
+
+    @property
+    def known(self) -> NDArray[np.float64]:
+        """Share of the answers [1]; not a number without any."""
+        nothing = np.full(self.given.shape, np.nan)
+        return np.asarray(np.divide(self.given, self.answered, out=nothing, where=self.answered > 0))
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """Mean share over the levels with answers [1]; not a number without any."""
+        return mean_of_known(self.known)
+
+    @property
+    def least(self) -> NDArray[np.float64]:
+        """Share if every missing answer had been another one [1]."""
+        return np.asarray(self.given / self.asked)
+
+    @property
+    def most(self) -> NDArray[np.float64]:
+        """Share if every missing answer had been this one [1]."""
+        return np.asarray((self.given + self.asked - self.answered) / self.asked)
+
+
+def mean_of_known(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean along the last axis of the values that are numbers; not a number without any."""
+    n = np.isfinite(values).sum(axis=-1)
+    return np.asarray(np.divide(np.nansum(values, axis=-1), n, out=np.full(n.shape, np.nan), where=n > 0))
+
+
+@dataclass(frozen=True, eq=False)
 class AnswerCounts:
     """How often each participant gave each answer in each cell.
 
@@ -88,7 +155,7 @@ class AnswerCounts:
     counts : (..., n_participants, n_finger_conditions, n_pairs, n_levels, n_answers) array of int
         Counts of the `answers`; of a batch of experiments, along axes before these.
     n_repetitions : int
-        Answers of each participant in each cell.
+        Answers that each participant was asked for in each cell; what `counts` lacks is missing.
     focus : str
         Zone of the focus; empty if unknown.
     scale : LevelScale
@@ -97,6 +164,8 @@ class AnswerCounts:
         Participants who sat at the beam turned end to end: what is left here was on their right.
     answers : AnswerList
         What could be answered.
+    margin : float or None
+        Difference of shares within which finger conditions count as alike [1], fixed in the protocol.
     """
 
     participants: tuple[str, ...]
@@ -109,6 +178,7 @@ class AnswerCounts:
     mirrored: frozenset[str] = frozenset()
     scale: LevelScale = VELOCITY
     answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
+    margin: float | None = None
 
     @property
     def offers_none(self) -> bool:
@@ -236,6 +306,28 @@ class AnswerCounts:
         own = [np.moveaxis(self.counts[..., q, :, place], -3, -2) for q, place in enumerate(places)]
         return np.stack(own, axis=-3)
 
+    @cached_property
+    def answered(self) -> NDArray[np.int64]:
+        """Counts of all answers, shaped as those of effects."""
+        return np.moveaxis(self.counts.sum(axis=-1), -4, -2)
+
+    def shares(self, given: NDArray[np.int64]) -> Shares:
+        """Return the shares of counts that are shaped as those of effects."""
+        return Shares(given, self.answered, self.n_repetitions)
+
+    @cached_property
+    def missing(self) -> list[tuple[str, str, int]]:
+        """Participant, cell and number of the answers that are missing in a single experiment."""
+        lacks = self.n_repetitions - self.counts.sum(axis=-1)
+        return [
+            (
+                self.participants[who],
+                f"{self.finger_conditions[f]} {self.pairs[q].label} {self.scale.say(self.levels[v])}",
+                int(lacks[who, f, q, v]),
+            )
+            for who, f, q, v in np.argwhere(lacks).tolist()
+        ]
+
     def sided(self) -> NDArray[np.int64]:
         """Return the counts of left and right alone, along the last axis."""
         return self.counts[..., [self._found("left"), self._found("right")]]
@@ -265,17 +357,27 @@ class AnswerCounts:
         return np.where(tied, -1, self.counts.argmax(axis=-1))
 
 
-def count_answers(frame: pd.DataFrame, focus: str = "", offered: AnswerList | None = None) -> AnswerCounts:
+def count_answers(
+    frame: pd.DataFrame,
+    focus: str = "",
+    offered: AnswerList | None = None,
+    margin: float | None = None,
+    asked: int | None = None,
+) -> AnswerCounts:
     """Return the answers of a tidy table as one array.
 
     Parameters
     ----------
     frame : DataFrame
-        Tidy answers, every participant's in every cell equally often; a column ``n`` counts equal ones.
+        Tidy answers; a column ``n`` counts equal ones.
     focus : str
         Zone of the focus; guessed by `find_focus` if empty.
     offered : AnswerList, optional
         What could be answered; by default the paper's answers, with none where the table knows that word.
+    margin : float, optional
+        As the attribute of `AnswerCounts`.
+    asked : int, optional
+        Answers that each participant was asked for in each cell; by default the most that any cell holds.
 
     Returns
     -------
@@ -316,11 +418,12 @@ def count_answers(frame: pd.DataFrame, focus: str = "", offered: AnswerList | No
         tuple(Pair.of(*pair, focus) for pair in zones),
         tuple(levels.tolist()),
         counts,
-        int(counts[0, 0, 0, 0].sum()),
+        asked or int(counts.sum(axis=-1).max()),
         focus,
         _mirrored(frame),
         scale,
         offered,
+        margin,
     )
 
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.covariates import ANTICIPATION, has_values, ranked_answers
 from modaltouch.analysis.figures import ANSWER_COLOURS, pair_colours
-from modaltouch.analysis.intervals import korn_graubard
+from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.words import say_condition
 from modaltouch.protocol import AnswerList
 from modaltouch.report import FAINT, INK, house_style, quiet_grid
@@ -123,9 +123,9 @@ def _draw_ratios(axes: Axes, frame: pd.DataFrame, answers: AnswerList) -> None:
             continue
         colour, marker = styles[answer.side]
         chosen = (frame["response"] == answer.name).groupby([frame["ratio"], frame["participant"]], observed=True)
-        hits, n_answers = chosen.sum().unstack(), chosen.size().unstack().iloc[:, 0]
-        shares = [korn_graubard(own, n) for own, n in zip(hits.to_numpy(), n_answers, strict=True)]
-        estimate, low, high = np.array([(share.estimate, share.low, share.high) for share in shares]).T
+        hits = chosen.mean().unstack()
+        share = BoundedMean(hits.to_numpy(), 0.0, 1.0).interval()
+        estimate, low, high = share.estimate, share.low, share.high
         axes.errorbar(
             hits.index * (1 + 0.03 * answer.side), estimate, yerr=np.maximum([estimate - low, high - estimate], 0),
             marker=marker, color=colour, label=answer.name, capsize=2, markersize=5, linewidth=0.9, elinewidth=0.7,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from statistics import NormalDist
@@ -12,10 +12,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.counts import AnswerCounts, Shares, mean_of_known
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import Finding, finding_of
-from modaltouch.analysis.intervals import CONFIDENCE, Interval, paired_mean, student_interval
+from modaltouch.analysis.intervals import CONFIDENCE, Interval
+from modaltouch.analysis.means import BoundedMean
 
 FEW = 30
 """Participants below which clustered standard errors are known to be too small."""
@@ -126,6 +127,7 @@ def _derivatives(values: np.ndarray, x: np.ndarray, codes: np.ndarray) -> tuple[
 
 
 IntArray = NDArray[np.int64]
+FloatArray = NDArray[np.float64]
 
 ANTICIPATION = 0.15
 """Answers earlier than this cannot be answers to the stimulus [s]; they are left out of reaction times."""
@@ -164,20 +166,24 @@ def side_findings(answers: AnswerCounts) -> Iterator[Finding]:
     left, right = focused_pairs(answers)
     if not (right and left):
         return
-    dominant = answers.dominant.sum(axis=-1)
-    n = answers.n_participants
+    dominant = answers.shares(answers.dominant).mean
     for f, condition in enumerate(answers.finger_conditions):
-        on_right, on_left = dominant[f, right].sum(axis=0), dominant[f, left].sum(axis=0)
-        score = (on_right * len(left) - on_left * len(right)) * answers.facing
-        interval = paired_mean(score, answers.n_answers * len(left) * len(right))
+        on_right, on_left = (mean_of_known(dominant[f, places].T) for places in (right, left))
         labels = [", ".join(answers.pairs[q].label for q in group) for group in (right, left)]
         sensitivity, criterion = detection(*_seen(answers, f, right, left))
         notes = [f"d' {sensitivity:.2f}, criterion c {criterion:.2f} with the log-linear correction, all answers"]
-        name = "exact sign-flip test of side bias"
-        yield finding_of(
-            "side", name, f"{condition} {labels[0]} - {labels[1]}", sign_flip_test(score),
-            "P(focus) on the right less on the left", interval, n, notes=notes,
+        yield _mean_finding(
+            "side", "side bias", f"{condition} {labels[0]} - {labels[1]}", (on_right - on_left) * answers.facing,
+            "P(focus) on the right less on the left", notes,
         )  # fmt: skip
+
+
+def _mean_finding(
+    question: str, what: str, scope: str, scores: ArrayLike, quantity: str, notes: Sequence[str]
+) -> Finding:
+    """Return the mean over participants of scores from -1 to 1, with its test and interval."""
+    mean, name = BoundedMean(scores), f"{what}, test and interval of a bounded mean"
+    return finding_of(question, name, scope, mean.test(), quantity, mean.interval(), int(mean.n), notes=notes)
 
 
 def focused_pairs(answers: AnswerCounts) -> tuple[list[int], list[int]]:
@@ -206,13 +212,14 @@ def _aliased_side_findings(answers: AnswerCounts) -> Iterator[Finding]:
     for f, q, scope in answers.pair_cells:
         if answers.pairs[q].focused:
             continue
-        on_left, on_right = answers.sided()[:, f, q].sum(axis=1).T
-        score = (on_right - on_left) * answers.facing
-        yield finding_of(
-            "side", "exact sign-flip test of side preference", scope,
-            sign_flip_test(score), "P(right) - P(left), as the participant sees the beam",
-            paired_mean(score, answers.n_answers), answers.n_participants,
-            notes=[f"{len(answers.mirrored)} of {answers.n_participants} participants with the beam turned end to end"],
+        on_left, on_right = (
+            Shares(answers.sided()[:, f, q, :, place], answers.answered[f, q], answers.n_repetitions).known
+            for place in (0, 1)
+        )
+        yield _mean_finding(
+            "side", "side preference", scope, mean_of_known(on_right - on_left) * answers.facing,
+            "P(right) - P(left), as the participant sees the beam",
+            [f"{len(answers.mirrored)} of {answers.n_participants} participants with the beam turned end to end"],
         )  # fmt: skip
 
 
@@ -239,27 +246,23 @@ def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
     ranked = ranked_answers(answers, frame)
     scores = ranked.groupby("participant", observed=True)["drift"].sum().to_numpy()
     largest = float(ranked.groupby("participant", observed=True)["reach"].sum().max())
-    interval = paired_mean(scores, largest) if largest else Interval(math.nan, math.nan, math.nan, 0)
-    yield finding_of(
-        "order", "exact sign-flip test of drift over the session", "all", sign_flip_test(scores),
-        "drift of P(dominant), -1 to 1", interval, answers.n_participants,
-        notes=["rank of the trial within its pair and finger condition against choosing the dominant zone"],
+    yield _mean_finding(
+        "order", "drift over the session", "all", scores / (largest or math.nan), "drift of P(dominant), -1 to 1",
+        ["rank of the trial within its pair and finger condition against choosing the dominant zone"],
     )  # fmt: skip
     if len(answers.finger_conditions) != 2:
         return
     first = ranked.groupby(["participant", "finger_condition"], observed=True)["trial"].min().unstack()
     began = first.columns.to_numpy()[first.to_numpy().argmin(axis=1)]
-    total = ranked.groupby(["participant", "finger_condition"], observed=True)["dominant"].sum().unstack()
+    total = ranked.groupby(["participant", "finger_condition"], observed=True)["dominant"].mean().unstack()
     sign = np.where(began == total.columns[0], 1, -1)
     score = sign * (total.iloc[:, 0] - total.iloc[:, 1]).to_numpy()
     counted = ", ".join(
         f"{int((began == name).sum())} began with {name.replace('_', ' ')}" for name in answers.finger_conditions
     )
-    yield finding_of(
-        "order", "exact sign-flip test of first against second finger condition", "all", sign_flip_test(score),
-        "P(dominant), first less second", paired_mean(score, answers.n_answers * len(answers.pairs)),
-        answers.n_participants, notes=[counted],
-    )  # fmt: skip
+    yield _mean_finding(
+        "order", "first against second finger condition", "all", score, "P(dominant), first less second", [counted]
+    )
 
 
 def time_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
@@ -280,8 +283,34 @@ def time_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findin
             yield finding_of(
                 "time", "exact sign-flip test of median reaction times",
                 f"{condition} {first.label} - {second.label}", test, "difference of medians [s]",
-                _rounded(student_interval(gap), known), int(gap.size), notes=notes,
+                _rounded(centre_interval(gap), known), int(gap.size), notes=notes,
             )  # fmt: skip
+
+
+def centre_interval(seconds: FloatArray) -> Interval:
+    """Return the centres, to a millisecond, about which the sign-flip test does not reject symmetry; mean as estimate.
+
+    Parameters
+    ----------
+    seconds : (n,) array
+        One value a participant [s].
+
+    References
+    ----------
+    Hartigan, J. Am. Stat. Assoc. 64 (1969) 1303-1317 (typical values).
+    """
+    values = np.rint(seconds * 1000).astype(np.int64)
+    if 2.0 ** (1 - values.size) > 1 - CONFIDENCE:
+        return Interval(float(seconds.mean()) if values.size else math.nan, -math.inf, math.inf, values.size)
+
+    def lowest(values: IntArray) -> int:
+        low, high = int(values.min()) - 1, int(np.rint(values.mean()))
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (low, middle) if sign_flip_test(values - middle).p > 1 - CONFIDENCE else (middle, high)
+        return high
+
+    return Interval(float(seconds.mean()), lowest(values) / 1000, -lowest(-values) / 1000, values.size)
 
 
 def known_to(frame: pd.DataFrame) -> float:
@@ -341,7 +370,7 @@ def ranked_answers(answers: AnswerCounts, frame: pd.DataFrame) -> pd.DataFrame:
         named |= (own & (frame["response"] == word)).to_numpy(dtype=bool)
     table["dominant"] = named.astype(int)
     ranks = table.groupby(keys)["trial"].rank(method="first").astype(int)
-    centred = 2 * ranks - (answers.n_answers + 1)
+    centred = 2 * ranks - (table.groupby(keys)["trial"].transform("size") + 1)
     table["drift"] = centred * table["dominant"]
     table["reach"] = centred.where(centred > 0, 0)
     return table

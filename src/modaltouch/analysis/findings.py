@@ -96,10 +96,11 @@ def finding_of(
     family: str = "",
     notes: Sequence[str] = (),
 ) -> Finding:
-    """Return a finding from an interval and, if any, an exact test; says so where the data hold no information."""
+    """Return a finding from an interval and, if any, a test; says so where the data hold no information."""
     words = [note for note in notes if note]
     if test is not None and test.p_min > ALPHA:
-        words.insert(0, f"no information: whatever the answers, p could not fall below {test.p_min:.2g}")
+        whose = f"only {int(test.n_informative)} could move the statistic" if test.n_informative else "nothing varies"
+        words.insert(0, f"no information: {whose}, and whichever way, p could not fall below {test.p_min:.2g}")
     estimate, low, high = (float(each) for each in (interval.estimate, interval.low, interval.high))
     row = Finding(question, name, scope, quantity, estimate, low, high, n, family=family, note="; ".join(words))
     if test is None:

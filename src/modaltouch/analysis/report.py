@@ -11,7 +11,6 @@ from modaltouch.analysis.catches import catch_rows
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.covariates import has_values
 from modaltouch.analysis.findings import ALPHA, Finding
-from modaltouch.analysis.intervals import tango
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.responses import cell_of
 from modaltouch.analysis.scale import OWN_THRESHOLD
@@ -34,8 +33,13 @@ def _cautions(answers: AnswerCounts) -> dict[str, str]:
         "b": "A lack of information is not evidence that the level does not matter."
         if len(answers.levels) > 1
         else "One level only: a trend needs two.",
-        "c": "The conditions are alike only within the bounds of these intervals. A difference that is not significant "
-        "does not show that the conditions are alike.",
+        "c": "A difference that is not significant does not show that the conditions are alike; "
+        + (
+            "that takes analysis.equivalence_margin, fixed in the protocol beforehand, and here there is none."
+            if answers.margin is None
+            else f"the tests of equivalence do, within the protocol's margin of {answers.margin:g}; that all are alike "
+            "is shown where every one of their p is at most 0.05."
+        ),
         "e": "Gwet's AC1 is 1 where all agree; kappa is undefined there and is not used."
         if answers.n_participants > 1
         else "One participant alone: agreement between participants has no meaning.",
@@ -133,8 +137,8 @@ def design_limits(analysis: Analysis) -> list[str]:
         ),
         (
             True,
-            f"Equivalence of the finger conditions can be shown at best within {tango(0, 0, n).high:.2f} in one cell, "
-            f"with {n} participants (half width of Tango's interval without any discordant pair).",
+            f"With {n} participants, finger conditions can be shown to be alike on average at best within "
+            f"{1 - 0.05 ** (1 / n):.2f}, where nobody's answers differ: people who differ may be missing by chance.",
         ),
         (
             "trial" not in analysis.responses.frame.columns and len(answers.finger_conditions) > 1,

@@ -128,6 +128,10 @@ class Responses:
         Zone in focus of each of several stimuli.
     answers : AnswerList
         What could be answered.
+    margin : float or None
+        Difference within which finger conditions count as alike [1]; of sessions their protocol tells it.
+    asked : int or None
+        Answers that each participant was asked for in each cell; None where the table alone tells.
     """
 
     frame: pd.DataFrame
@@ -140,6 +144,8 @@ class Responses:
     stimulus: str = ""
     foci: dict[str, str] = field(default_factory=dict)
     answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
+    margin: float | None = None
+    asked: int | None = None
 
     def count(self, focus: str = "") -> AnswerCounts:
         """Return the answers as one array.
@@ -156,7 +162,7 @@ class Responses:
         """
         from modaltouch.analysis.counts import count_answers
 
-        return count_answers(self.frame, self.focus or focus, self.answers)
+        return count_answers(self.frame, self.focus or focus, self.answers, self.margin, self.asked)
 
     @property
     def in_multiples(self) -> bool:

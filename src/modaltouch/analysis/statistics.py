@@ -1,7 +1,8 @@
 """The statistics of the experiment: every question of the plan as rows of one tidy table.
 
-The participant is the unit of inference. Tests are exact, or Monte Carlo with a stated seed and interval; each
-p stands beside the smallest p its data could have given.
+The participant is the unit of inference. Two claims are kept apart: that somebody differs, by exact tests that shuffle
+or flip within participants, and that participants differ on average, by the mean of a bounded score, whose interval
+inverts its test. The first is found sooner; only the second says how much.
 
 `STATISTICS` holds the families of tests. Each is one function of the counted answers, of one experiment or of a batch:
 the analysis prints what it finds, and planning counts in how many of its simulated experiments it finds it.
@@ -9,62 +10,44 @@ the analysis prints what it finds, and planning counts in how many of its simula
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, combinations, product
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from modaltouch.analysis.catches import Catches, catch_findings
-from modaltouch.analysis.consistency import association_findings, consistency_findings, effect_findings
-from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.consistency import consistency_findings, effect_findings
+from modaltouch.analysis.contrasts import Contrast, FamilyResult, MeanScores, equivalence_of, means_of, signs_of
+from modaltouch.analysis.counts import AnswerCounts, Shares
 from modaltouch.analysis.covariates import secondary_findings
-from modaltouch.analysis.exact import ExactTest, multinomial_test, sign_flip_test, sign_test
+from modaltouch.analysis.exact import multinomial_test, sign_test
 from modaltouch.analysis.findings import Finding, correct, finding_of
-from modaltouch.analysis.intervals import Interval, clopper_pearson, clustered_difference, mean_slope
+from modaltouch.analysis.intervals import Interval, clopper_pearson
+from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.trend import smallest_trend_p, trend_test
 
-IntArray = NDArray[np.int64]
 
-
-@dataclass(frozen=True, eq=False)
-class FamilyResult:
-    """What a family of tests, corrected together by Holm's method, finds in an experiment or a batch of them.
-
-    Attributes
-    ----------
-    scopes : sequence of str
-        What each test is about.
-    quantities : sequence of str
-        What each test estimates.
-    test : ExactTest
-        The tests, arrays of shape (..., n_tests).
-    interval : Interval
-        The estimates, of the same shape.
-    n : array of int, optional
-        Participants that each test rests on, of the same shape; by default all.
-    notes : callable
-        The notes of a test of a single experiment, by its place.
-    """
-
-    scopes: Sequence[str]
-    quantities: Sequence[str]
-    test: ExactTest
-    interval: Interval
-    n: IntArray | None = None
-    notes: Callable[[int], Sequence[str]] = lambda place: ()
-
-
-def _unanimous_p(levels: Sequence[float], n_participants: int, n_repetitions: int) -> float:
+def _unanimous_p(levels: Sequence[float], n_participants: int, n_repetitions: int, margin: float | None) -> float:
     """Return p where all participants lean one way."""
     return float(2.0 ** (1 - n_participants))
 
 
-def _one_answer_p(levels: Sequence[float], n_participants: int, n_repetitions: int) -> float:
+def _one_answer_p(levels: Sequence[float], n_participants: int, n_repetitions: int, margin: float | None) -> float:
     """Return p where all participants give one answer of three."""
     return float(multinomial_test([n_participants, 0, 0]).p)
+
+
+def _trend_p(levels: Sequence[float], n_participants: int, n_repetitions: int, margin: float | None) -> float:
+    """Return the smallest p of a trend."""
+    return smallest_trend_p(levels, n_participants, n_repetitions)
+
+
+def _alike_p(levels: Sequence[float], n_participants: int, n_repetitions: int, margin: float | None) -> float:
+    """Return p of equivalence where no participant differs."""
+    return float(BoundedMean([0.0] * n_participants).equivalence(margin or 0.0).p)
 
 
 @dataclass(frozen=True)
@@ -85,10 +68,12 @@ class Statistic:
     unit : str
         What its intervals are of.
     smallest_p : callable
-        From the levels, the number of participants and that of repetitions, the smallest p that a test can give,
-        however the answers fall; by default that of sign flips.
+        From the levels, the number of participants, that of repetitions and the margin of equivalence, the smallest p
+        that a test can give, however the answers fall; by default that of sign flips, and of a bounded mean.
     against_guessing : bool
         Whether there is nothing to be found where participants guess, rather than where both fingers feel alike.
+    when_alike : bool
+        Whether there is something to be found where both fingers feel alike.
     """
 
     question: str
@@ -96,8 +81,9 @@ class Statistic:
     name: str
     compute: Callable[[AnswerCounts], FamilyResult | None]
     unit: str = "difference of shares"
-    smallest_p: Callable[[Sequence[float], int, int], float] = _unanimous_p
+    smallest_p: Callable[[Sequence[float], int, int, float | None], float] = _unanimous_p
     against_guessing: bool = False
+    when_alike: bool = False
 
 
 def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
@@ -136,12 +122,12 @@ def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
     )
 
 
-def dominance_tests(answers: AnswerCounts) -> FamilyResult | None:
-    """Return whether one zone of a pair is chosen more than the other, over all levels."""
+def dominance(answers: AnswerCounts) -> Contrast | None:
+    """Return the choices of one zone of each pair against those of the other, over all levels."""
     if not answers.compares:
         return None
-    first, second = (_joined(each.sum(axis=-1), 1) for each in (answers.dominant, answers.other))
-    score, pairs = first - second, answers.pairs
+    first, second = (answers.shares(each).joined(2) for each in (answers.dominant, answers.other))
+    score, pairs = (first.given - second.given).sum(axis=-1), answers.pairs
 
     def notes(place: int) -> list[str]:
         f, q, _ = answers.pair_cells[place]
@@ -154,41 +140,49 @@ def dominance_tests(answers: AnswerCounts) -> FamilyResult | None:
         leaning = (
             f"{int((score[place] > 0).sum())} of {answers.n_participants} participants lean to {pairs[q].dominant}"
         )
-        return [f"{chosen} of {answers.n_participants * answers.n_answers} answers", leaning]
+        return [f"{chosen} of {int(first.answered[place].sum())} answers", leaning]
 
-    return FamilyResult(
+    return Contrast(
         [scope for *_, scope in answers.pair_cells],
         [f"P({pairs[q].dominant}) - P({pairs[q].other})" for _, q, _ in answers.pair_cells],
-        sign_flip_test(score),
-        clustered_difference(first, second, answers.n_answers),
-        notes=notes,
+        first,
+        second,
+        notes,
     )
 
 
 def leaning_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield how many participants lean to the dominant zone of each pair."""
-    n = answers.n_participants
-    score = _joined((answers.dominant - answers.other).sum(axis=-1), 1)
-    test, share = sign_test(score), clopper_pearson((score > 0).sum(axis=-1), n)
+    """Yield how many of those who lean to either zone of a pair lean to the dominant one."""
+    score = answers.shares(answers.dominant - answers.other).joined(2).given.sum(axis=-1)
+    leaning = (score != 0).sum(axis=-1)
+    test, share = sign_test(score), clopper_pearson((score > 0).sum(axis=-1), leaning)
     for place, (_, q, scope) in enumerate(answers.pair_cells):
-        quantity = f"share of participants leaning to {answers.pairs[q].dominant}"
+        quantity = f"share leaning to {answers.pairs[q].dominant} of those who lean"
         name = "exact sign test of leaning participants"
-        yield finding_of("a2", name, scope, test[place], quantity, share[place], n)
+        yield finding_of("a2", name, scope, test[place], quantity, share[place], int(leaning[place]))
+
+
+def _levels_of(answers: AnswerCounts) -> tuple[list[str], list[str], Shares]:
+    """Return scopes, labels and shares of what may change with the level: the dominant zone; else each answer."""
+    effects = answers.of_effects[: 1 if answers.compares else None]
+    of_pairs = effects[0] if len(effects) == 1 else np.stack(effects, axis=-3)
+    asked = answers.answered if len(effects) == 1 else np.stack([answers.answered] * len(effects), axis=-3)
+    shape = (*answers.counts.shape[:-5], -1, *of_pairs.shape[-2:])
+    labels = [label for _, q, _ in answers.pair_cells for label, _ in answers.effects(answers.pairs[q])[: len(effects)]]
+    scopes = [scope for *_, scope in answers.pair_cells for _ in effects]
+    return scopes, labels, Shares(of_pairs.reshape(shape), asked.reshape(shape), answers.n_repetitions)
 
 
 def level_tests(answers: AnswerCounts) -> FamilyResult:
-    """Return whether the choice of the dominant zone changes with the level; else that of each answer."""
-    effects = answers.of_effects[: 1 if answers.compares else None]
-    of_pairs = effects[0] if len(effects) == 1 else np.stack(effects, axis=-3)
-    chosen = of_pairs.reshape(*answers.counts.shape[:-5], -1, *effects[0].shape[-2:])
-    test = trend_test(chosen, answers.levels, answers.n_repetitions)
-    labels = [label for _, q, _ in answers.pair_cells for label, _ in answers.effects(answers.pairs[q])[: len(effects)]]
+    """Return whether the choice of the dominant zone changes with the level in any participant."""
+    scopes, labels, shares = _levels_of(answers)
+    test = trend_test(shares.given, answers.levels, shares.answered if shares.is_short else shares.asked)
     alone = ["one level only: a trend needs two"] if len(answers.levels) < 2 else []
     return FamilyResult(
-        [scope for *_, scope in answers.pair_cells for _ in effects],
-        [f"change of P({label}) per {answers.scale.step_in_words}" for label in labels],
+        scopes,
+        [f"change of P({label}) with the level" for label in labels],
         test,
-        mean_slope(chosen / answers.n_repetitions, answers.levels, answers.scale.step),
+        Interval.point(np.full(test.statistic.shape, math.nan), answers.n_participants),
         notes=lambda place: [
             f"{test.n_informative[place]} of {answers.n_participants} participants changed their answer",
             *alone,
@@ -196,74 +190,72 @@ def level_tests(answers: AnswerCounts) -> FamilyResult:
     )
 
 
-def condition_tests(answers: AnswerCounts, effects: slice) -> FamilyResult | None:
-    """Return whether finger conditions differ in the shares of some effects."""
-    names, chosen = answers.finger_conditions, answers.of_effects[effects]
+def slopes(answers: AnswerCounts) -> MeanScores | None:
+    """Return the least-squares slopes over the level of participants with an answer at every level."""
+    scopes, labels, shares = _levels_of(answers)
+    centred = np.asarray(answers.levels) - np.mean(answers.levels)
+    if not centred.any():
+        return None
+    weights = answers.scale.step * centred / (centred**2).sum()
+    rising, falling = np.maximum(weights, 0), np.maximum(-weights, 0)
+    steepest = float(rising.sum())
+    return MeanScores(
+        scopes,
+        [f"change of P({label}) per {answers.scale.step_in_words}" for label in labels],
+        shares.known @ weights,
+        steepest,
+        shares,
+        shares.least @ rising - shares.most @ falling,
+        shares.most @ rising - shares.least @ falling,
+    )
+
+
+def conditions_compared(answers: AnswerCounts) -> Contrast | None:
+    """Return the shares of each effect in one finger condition against another, pair by pair."""
+    names, chosen = answers.finger_conditions, [answers.shares(each) for each in answers.of_effects]
     compared = list(combinations(range(len(names)), 2))
     if not (compared and chosen):
         return None
-    first, second = (
-        np.concatenate([each[..., places[i], :, :, :] for each in chosen for places in compared], axis=-3)
-        for i in (0, 1)
-    )
-    test, interval = _compare(first, second, answers)
-    labels = [[label for label, _ in answers.effects(pair)[effects]] for pair in answers.pairs]
+    first, second = (Shares.stacked([each.at(places[i], -4) for each in chosen for places in compared]) for i in (0, 1))
+    labels = [[label for label, _ in answers.effects(pair)] for pair in answers.pairs]
     places = list(product(range(len(chosen)), compared, range(len(answers.pairs))))
-
-    def notes(place: int) -> list[str]:
-        margin = max(abs(interval.low[place]), abs(interval.high[place]))
-        return [f"shows equivalence only within a margin of {margin:.2f}"]
-
-    return FamilyResult(
+    return Contrast(
         [f"{names[f]} - {names[g]} {answers.pairs[q].label}" for _, (f, g), q in places],
         [f"difference of P({labels[q][nth]})" for nth, _, q in places],
-        test,
-        interval,
-        notes=notes,
+        first,
+        second,
     )
 
 
-def pair_tests(answers: AnswerCounts) -> FamilyResult | None:
-    """Return whether "both" is answered more often for one pair of zones than for another.
-
-    Without a dominant zone the same is asked of each answer.
-    """
+def pairs_compared(answers: AnswerCounts) -> Contrast | None:
+    """Return the shares of "both" for one pair of zones against another; without a dominant zone, of each answer."""
     effects = slice(1 if answers.compares else 0, None)
-    names, chosen = [pair.label for pair in answers.pairs], answers.of_effects[effects]
+    names, chosen = (
+        [pair.label for pair in answers.pairs],
+        [answers.shares(each) for each in answers.of_effects[effects]],
+    )
     compared = list(combinations(range(len(names)), 2))
     if not (compared and chosen):
         return None
     first, second = (
-        np.concatenate([_joined(each[..., [places[i] for places in compared], :, :], 2) for each in chosen], axis=-3)
-        for i in (0, 1)
+        Shares.stacked([each.at([places[i] for places in compared], -3).joined(2) for each in chosen]) for i in (0, 1)
     )
     labels = [label for label, _ in answers.effects(answers.pairs[0])[effects]]
     tests = list(product(labels, answers.finger_conditions, compared))
-    return FamilyResult(
+    return Contrast(
         [f"{condition} {names[q]} - {names[r]}" for _, condition, (q, r) in tests],
         [f"difference of P({label})" for label, _, _ in tests],
-        *_compare(first, second, answers),
+        first,
+        second,
     )
 
 
-def _compare(first: IntArray, second: IntArray, answers: AnswerCounts) -> tuple[ExactTest, Interval]:
-    """Return the tests between counts, (..., n_tests, n_participants, n_levels) arrays, and the differences of shares.
-
-    Answers to the same level are paired. Repetitions have no natural partner, so every pairing is averaged.
-    """
-    n = answers.n_repetitions
-    only_first, only_second = (first * (n - second)).sum(axis=-1), (second * (n - first)).sum(axis=-1)
-    interval = clustered_difference(only_first / n, only_second / n, answers.n_answers)
-    return sign_flip_test((only_first - only_second) // n), interval
+def _scores(contrast: Contrast | None) -> MeanScores | None:
+    return None if contrast is None else contrast.scores
 
 
-def _joined(counts: IntArray, n_after: int) -> IntArray:
-    """Return counts with finger conditions and pairs, which end before some axes, as one axis of tests."""
-    after = counts.ndim - n_after
-    return counts.reshape(*counts.shape[: after - 2], -1, *counts.shape[after:])
-
-
-_DOMINANT, _REST = slice(0, 1), slice(1, None)
+_ANYBODY = "exact sign-flip test that no participant differs"
+_ON_AVERAGE = "mean over participants, test and interval of a bounded mean"
 
 STATISTICS: dict[str, Statistic] = {
     "a1": Statistic(
@@ -271,24 +263,42 @@ STATISTICS: dict[str, Statistic] = {
         "share", _one_answer_p, against_guessing=True,
     ),
     "a2": Statistic(
-        "a2", "is one zone chosen more than the other", "exact sign-flip test of net dominance", dominance_tests,
+        "a2", "is one zone chosen more than the other", "exact sign-flip test of net dominance",
+        lambda answers: signs_of(dominance(answers)),
+    ),
+    "a2 mean": Statistic(
+        "a2", "is one zone chosen more than the other on average", f"net dominance, {_ON_AVERAGE}",
+        lambda answers: means_of(_scores(dominance(answers))),
     ),
     "b": Statistic(
-        "b", "does the choice of the dominant zone change with the level",
-        "exact trend test, levels shuffled within participants", level_tests, "slope per 100 mm/s", smallest_trend_p,
+        "b", "does the choice of the dominant zone change with the level in anybody",
+        "exact trend test that no participant's answers change with the level", level_tests, "", _trend_p,
+    ),
+    "b mean": Statistic(
+        "b", "does the choice of the dominant zone change with the level on average", f"slope, {_ON_AVERAGE}",
+        lambda answers: means_of(slopes(answers)), "slope per 100 mm/s",
     ),
     "c": Statistic(
-        "c", "does the choice of the dominant zone differ between finger conditions",
-        "exact sign-flip test between finger conditions",
-        lambda answers: condition_tests(answers, _DOMINANT if answers.compares else slice(None)),
+        "c", "do the answers differ between finger conditions in anybody", _ANYBODY,
+        lambda answers: signs_of(conditions_compared(answers)),
     ),
-    "c both": Statistic(
-        "c", 'does "both" differ between finger conditions', "exact sign-flip test between finger conditions",
-        lambda answers: condition_tests(answers, _REST) if answers.compares else None,
+    "c mean": Statistic(
+        "c", "do the answers differ between finger conditions on average", f"difference, {_ON_AVERAGE}",
+        lambda answers: means_of(_scores(conditions_compared(answers))),
+    ),
+    "c alike": Statistic(
+        "c", "are the finger conditions alike on average, within the margin of the protocol",
+        "equivalence, two one-sided tests of a bounded mean, with the 90 % interval",
+        lambda answers: equivalence_of(_scores(conditions_compared(answers)), answers.margin),
+        smallest_p=_alike_p, when_alike=True,
     ),
     "d": Statistic(
-        "d", 'is "both" answered more often for one pair than for another', "exact sign-flip test between pairs",
-        pair_tests,
+        "d", 'is "both" answered more often for one pair than for another in anybody', _ANYBODY,
+        lambda answers: signs_of(pairs_compared(answers)),
+    ),
+    "d mean": Statistic(
+        "d", 'is "both" answered more often for one pair than for another on average', f"difference, {_ON_AVERAGE}",
+        lambda answers: means_of(_scores(pairs_compared(answers))),
     ),
 }  # fmt: skip
 """Families of tests, each corrected by Holm's method."""
@@ -323,10 +333,9 @@ def find(answers: AnswerCounts, frame: pd.DataFrame, catches: Catches | None = N
     """
     tested = {family: list(family_findings(family, answers)) for family in STATISTICS}
     if answers.compares:
-        tested["a2"] = list(chain.from_iterable(zip(tested["a2"], leaning_findings(answers), strict=True)))
+        tested["a2"] += leaning_findings(answers)
     findings = [
         *chain.from_iterable(tested.values()),
-        *association_findings(answers),
         *consistency_findings(answers),
         *effect_findings(answers),
         *catch_findings(answers, catches or {}),

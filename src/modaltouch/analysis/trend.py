@@ -25,7 +25,7 @@ GRID_STEPS = 1000
 _RAREST = 4
 
 
-def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: int = 1) -> ExactTest:
+def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: ArrayLike = 1) -> ExactTest:
     """Return the exact test of a trend over levels, answers shuffled within each participant.
 
     Under the null hypothesis a participant's answers have nothing to do with the level, so any assignment of
@@ -37,8 +37,8 @@ def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: int = 
         How often the answer was chosen at each level.
     levels : sequence of float
         Levels, as scores of the trend; only their ratios of distances matter.
-    n_repetitions : int
-        Presentations of each level.
+    n_repetitions : int, or array of int like `chosen`
+        Answers to each level.
 
     Returns
     -------
@@ -57,14 +57,25 @@ def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: int = 
         raise ValueError(
             f"chosen has shape {counts.shape}, but there are {len(scores)} levels: give participants by levels"
         )
-    if counts.size and (counts.min() < 0 or counts.max() > n_repetitions):
-        raise ValueError(f"chosen runs from {counts.min()} to {counts.max()}, allowed are 0 to {n_repetitions}")
-    totals = counts.sum(axis=-1)
-    laws = draws_without_replacement(scores, n_repetitions)[1:-1] if scores.any() else []
-    drawn = np.arange(1, len(laws) + 1)
-    moving = (totals > 0) & (totals <= len(laws))
-    observed = np.where(moving, counts @ scores, 0).sum(axis=-1)
-    return sum_test(Sums(laws, drawn * scores.sum(), len(scores), count_each(totals, drawn)), observed)
+    answered = np.broadcast_to(np.asarray(n_repetitions, dtype=np.int64), counts.shape)
+    if counts.size and (counts.min() < 0 or (counts > answered).any()):
+        raise ValueError(f"chosen runs from {counts.min()} to {counts.max()}, allowed are 0 to {answered.max()}")
+    patterns, which = np.unique(answered.reshape(-1, len(scores)), axis=0, return_inverse=True)
+    which, totals = which.reshape(counts.shape[:-1]), counts.sum(axis=-1)
+    scale = int(np.lcm.reduce(np.maximum(patterns.sum(axis=1), 1)))
+    laws: list[Law] = []
+    means: list[int] = []
+    columns, observed = [], np.zeros(counts.shape[:-2], dtype=np.int64)
+    for place, pattern in enumerate(patterns):
+        own = draws_without_replacement(scores, pattern)[1:-1] if (scores * (pattern > 0)).any() else []
+        drawn = np.arange(1, len(own) + 1)
+        here = np.where(which == place, totals, 0)
+        moving = (here > 0) & (here <= len(own))
+        observed = observed + np.where(moving, counts @ scores, 0).sum(axis=-1)
+        laws += own
+        means += [scale // (len(own) + 1) * k * int(pattern @ scores) for k in drawn.tolist()]
+        columns.append(count_each(here, drawn))
+    return sum_test(Sums(laws, np.array(means, dtype=np.int64), scale, np.concatenate(columns, axis=1)), observed)
 
 
 def smallest_trend_p(levels: Sequence[float], n_participants: int, n_repetitions: int) -> float:
@@ -121,31 +132,30 @@ def level_scores(levels: Sequence[float]) -> IntArray:
     return np.asarray(scores, dtype=np.int64)
 
 
-def draws_without_replacement(scores: IntArray, n_repetitions: int) -> list[Law]:
+def draws_without_replacement(scores: IntArray, n_repetitions: ArrayLike) -> list[Law]:
     """Return, for every k, the distribution of the sum of k presentations drawn without replacement.
 
     Parameters
     ----------
     scores : (n_levels,) array of int
         Score of each level, from zero.
-    n_repetitions : int
-        Presentations of each level.
+    n_repetitions : int, or (n_levels,) array of int
+        Answers to each level.
 
     Returns
     -------
     list of (sums, probabilities)
         For k from 0 to all presentations: the sums that occur, increasing, and their probabilities [1].
     """
-    n_answers = n_repetitions * len(scores)
-    ways = np.zeros((n_answers + 1, n_repetitions * int(scores.sum()) + 1))
+    answered = np.broadcast_to(np.asarray(n_repetitions, dtype=np.int64), scores.shape)
+    n_answers = int(answered.sum())
+    ways = np.zeros((n_answers + 1, int(answered @ scores) + 1))
     ways[0, 0] = 1.0
-    for score in scores.tolist():
+    for score, own in zip(scores.tolist(), answered.tolist(), strict=True):
         grown = ways.copy()
-        for taken in range(1, n_repetitions + 1):
+        for taken in range(1, own + 1):
             shift = taken * score
-            grown[taken:, shift:] += (
-                math.comb(n_repetitions, taken) * ways[: n_answers + 1 - taken, : ways.shape[1] - shift]
-            )
+            grown[taken:, shift:] += math.comb(own, taken) * ways[: n_answers + 1 - taken, : ways.shape[1] - shift]
         ways = grown
     distributions = []
     for k in range(n_answers + 1):

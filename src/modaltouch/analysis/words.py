@@ -99,7 +99,7 @@ def say_interval(finding: Finding) -> str:
 
 
 def answer_question(own: Sequence[Finding], claim: str, answers: AnswerCounts) -> str:
-    """Return the answer to a question in one or two plain sentences, with its number.
+    """Return the answer to a question in plain sentences, with their numbers; on average first, then for somebody.
 
     Parameters
     ----------
@@ -110,10 +110,26 @@ def answer_question(own: Sequence[Finding], claim: str, answers: AnswerCounts) -
     answers : AnswerCounts
         Counts of the answers.
     """
-    tested = [row for row in own if row.family]
-    if not tested:
+    families = sorted({row.family for row in own if row.family}, key=lambda name: (" " not in name, name))
+    if not families:
         return _estimate(own, answers)
-    claim, m = claim or "there is such an effect", len(tested)
+    claim = claim or "there is such an effect"
+    parts = {name: [row for row in own if row.family == name] for name in families}
+    return " ".join(_answer_family(rows, _claim(claim, name), answers) for name, rows in parts.items())
+
+
+def _claim(claim: str, family: str) -> str:
+    """Return what a family of tests claims: of people on average, of somebody at least, or that they are alike."""
+    if family == "c alike":
+        return "the finger conditions are alike on average, within the margin"
+    if family.endswith(" mean"):
+        return f"{claim} on average"
+    return f"{claim} for somebody" if f"{family} mean" in STATISTICS else claim
+
+
+def _answer_family(tested: Sequence[Finding], claim: str, answers: AnswerCounts) -> str:
+    """Return what a family of tests shows, with the number of its clearest."""
+    m = len(tested)
     shown = [row for row in tested if row.p_holm <= ALPHA]
     clearest = min(tested, key=lambda row: (row.p_holm, row.p, -abs(row.estimate)))
     number = f"{_about(clearest, answers)}, p {say_p(clearest.p)}, Holm p {say_p(clearest.p_holm)}"
@@ -148,7 +164,11 @@ def _estimate(own: Sequence[Finding], answers: AnswerCounts) -> str:
 
 def _about(row: Finding, answers: AnswerCounts) -> str:
     scope = "" if row.scope == "all" else f" ({say_scope(row.scope, answers.finger_conditions, answers.pairs)})"
-    return f"{row.quantity} = {say_interval(row)}{scope}"
+    return (
+        f"{row.quantity}{scope}"
+        if row.family and row.estimate != row.estimate
+        else (f"{row.quantity} = {say_interval(row)}{scope}")
+    )
 
 
 def state_families(findings: Sequence[Finding]) -> str:

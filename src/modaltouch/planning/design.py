@@ -33,6 +33,8 @@ class Design:
         Whether the beam is turned for the first, second, ... participant; repeated for more participants.
     stimulus : str
         Which of several stimuli the cells are presented with; empty where the protocol has one.
+    margin : float or None
+        Difference within which finger conditions count as alike [1].
     """
 
     protocol: str
@@ -42,6 +44,7 @@ class Design:
     speeds: FloatArray
     placements: tuple[bool, ...] = (False,)
     stimulus: str = ""
+    margin: float | None = None
 
     @property
     def title(self) -> str:
@@ -75,7 +78,9 @@ class Design:
             Answers of each participant in each cell.
         """
         names = tuple(f"p{number}" for number in range(1, counts.shape[-5] + 1))
-        return AnswerCounts(names, self.finger_conditions, self.pairs, self.levels, counts, n_repetitions)
+        return AnswerCounts(
+            names, self.finger_conditions, self.pairs, self.levels, counts, n_repetitions, margin=self.margin
+        )
 
     @cached_property
     def _scopes(self) -> dict[str, tuple[str, ...]]:

@@ -42,8 +42,9 @@ class Floor:
 def find_floor(design: Design, family: str, n_repetitions: int, alpha: float = ALPHA) -> Floor:
     """Return how few participants can make a family's tests significant."""
     n_tests, smallest_p = len(design.scopes(family)), STATISTICS[family].smallest_p
-    reach = (n for n in range(1, _MOST) if smallest_p(design.levels, n, n_repetitions) * n_tests <= alpha)
-    least = next(reach, None) if len(design.levels) > 1 or family != "b" else None
+    levels, margin = design.levels, design.margin
+    reach = (n for n in range(1, _MOST) if smallest_p(levels, n, n_repetitions, margin) * n_tests <= alpha)
+    least = next(reach, None) if len(levels) > 1 or family != "b" else None
     return Floor(family, n_tests, n_repetitions, least)
 
 
@@ -143,8 +144,11 @@ class Power:
 
     @cached_property
     def _p_min(self) -> dict[tuple[Size, str], float]:
-        levels = self.study.design.levels
-        return {(size, family): STATISTICS[family].smallest_p(levels, *size) for size, family in self._order()}
+        known = self.study.design
+        return {
+            (size, family): STATISTICS[family].smallest_p(known.levels, *size, known.margin)
+            for size, family in self._order()
+        }
 
     def needed(self, target: float) -> list[dict[str, Any]]:
         """Return how many participants reach a power, for each family and each test at each repetition.

@@ -75,7 +75,8 @@ def _design(name: str, preflight: Preflight, observer: Observer, placements: tup
         [[felt(condition, pair.left, pair.right, level * 1e-3) for level in levels] for pair in pairs]
         for condition in fingers
     ]
-    return Design(protocol.protocol, fingers, pairs, levels, np.array(speeds), placements, name)
+    margin = protocol.analysis.equivalence_margin
+    return Design(protocol.protocol, fingers, pairs, levels, np.array(speeds), placements, name, margin)
 
 
 def felt_speeds(preflight: Preflight, front_end: FrontEnd) -> Callable[[str, str, str, float], tuple[float, float]]:

@@ -249,6 +249,15 @@ class AnswersSection(Section):
         return max(self.pause_s, self.settling_s) if self.settles(finger_condition) else self.pause_s
 
 
+class AnalysisSection(Section):
+    """What the analysis is to be judged by, fixed before anybody answers."""
+
+    equivalence_margin: Annotated[float, Field(strict=True, gt=0, lt=1)] | None = described(
+        "Difference of the share of an answer within which finger conditions count as alike; null for no such test.",
+        default=None,
+    )
+
+
 class CalibrationLimits(Section):
     """What a calibration may leave at most, its uncertainty included; one that misses them is marked."""
 
@@ -303,6 +312,7 @@ class Protocol(Section):
     )
     answers: AnswersSection = described("How the question is asked and answered.")
     calibration: CalibrationSection = described("Which calibration the stimulus needs.", default=CalibrationSection())
+    analysis: AnalysisSection = described("What the analysis is judged by.", default=AnalysisSection())
     people: dict[Word, PersonField] = described(
         "What each participant is asked once, before the first session, by column of participants.tsv; nothing that "
         "identifies a person.",

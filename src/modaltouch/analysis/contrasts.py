@@ -1,0 +1,168 @@
+"""Shares of answers against each other: whether anybody differs, whether people differ on average, or are alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.analysis.counts import Shares, mean_of_known
+from modaltouch.analysis.exact import ExactTest, sign_flip_test
+from modaltouch.analysis.findings import ALPHA
+from modaltouch.analysis.intervals import Interval
+from modaltouch.analysis.means import BoundedMean
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FamilyResult:
+    """What a family of tests, corrected together by Holm's method, finds in an experiment or a batch of them.
+
+    Attributes
+    ----------
+    scopes : sequence of str
+        What each test is about.
+    quantities : sequence of str
+        What each test estimates.
+    test : ExactTest
+        The tests, arrays of shape (..., n_tests).
+    interval : Interval
+        The estimates, of the same shape.
+    n : array of int, optional
+        Participants that each test rests on, of the same shape; by default all.
+    notes : callable
+        The notes of a test of a single experiment, by its place.
+    """
+
+    scopes: Sequence[str]
+    quantities: Sequence[str]
+    test: ExactTest
+    interval: Interval
+    n: NDArray[np.int64] | None = None
+    notes: Callable[[int], Sequence[str]] = lambda place: ()
+
+
+@dataclass(frozen=True, eq=False)
+class MeanScores:
+    """A bounded score of each participant in some tests, whose mean is asked for.
+
+    Attributes
+    ----------
+    scopes, quantities : sequence of str
+        As in `FamilyResult`.
+    scores : (..., n_tests, n_participants) array
+        Scores from -scale to scale; not a number for those without one.
+    scale : float
+        Largest score.
+    shares : Shares
+        The answers that the scores rest on.
+    lowest, highest : array
+        The scores if all missing answers had fallen one way, and the other.
+    notes : callable
+        The notes of a test of a single experiment, by its place.
+    """
+
+    scopes: Sequence[str]
+    quantities: Sequence[str]
+    scores: FloatArray
+    scale: float
+    shares: Shares
+    lowest: FloatArray
+    highest: FloatArray
+    notes: Callable[[int], Sequence[str]] = lambda place: ()
+
+    @property
+    def mean(self) -> BoundedMean:
+        """Their mean."""
+        return BoundedMean(self.scores, -self.scale, self.scale)
+
+    def say(self, place: int) -> list[str]:
+        """Return the notes of a test, with how many answers are missing and what they could change at worst."""
+        answered = self.shares.answered[place]
+        n_asked = answered.size * self.shares.asked
+        n_missing = n_asked - int(answered.sum())
+        if not n_missing:
+            return [*self.notes(place)]
+        means = [BoundedMean(each[place], -self.scale, self.scale) for each in (self.lowest, self.highest)]
+        low, high = (mean.interval() for mean in means)
+        # Fallen one way and the other, they may leave a mean of zero in between.
+        p = 1.0 if low.estimate <= 0 <= high.estimate else max(float(mean.test().p) for mean in means)
+        return [
+            *self.notes(place),
+            f"{n_missing} of {n_asked} answers missing; with them the estimate could be {low.estimate:.3g} to "
+            f"{high.estimate:.3g}, its interval {low.low:.3g} to {high.high:.3g} and p at most {p:.2g}",
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Contrast:
+    """One share against another, participant by participant, in some tests.
+
+    Attributes
+    ----------
+    scopes, quantities, notes
+        As in `MeanScores`.
+    first, second : Shares
+        The shares, (..., n_tests, n_participants, n_levels) arrays.
+    """
+
+    scopes: Sequence[str]
+    quantities: Sequence[str]
+    first: Shares
+    second: Shares
+    notes: Callable[[int], Sequence[str]] = lambda place: ()
+
+    @property
+    def scores(self) -> MeanScores:
+        """Difference of the two shares, mean over the levels with answers to both [1]."""
+        first, second = self.first, self.second
+        return MeanScores(
+            self.scopes,
+            self.quantities,
+            mean_of_known(first.known - second.known),
+            1.0,
+            Shares(first.given, np.minimum(first.answered, second.answered), first.asked),
+            (first.least - second.most).mean(axis=-1),
+            (first.most - second.least).mean(axis=-1),
+            self.notes,
+        )
+
+
+def signs_of(contrast: Contrast | None) -> FamilyResult | None:
+    """Return exact tests that no participant's answers differ: their two shares could be exchanged.
+
+    Repetitions have no natural partner, so every pairing of answers to the same level counts.
+    """
+    if contrast is None:
+        return None
+    first, second = contrast.first, contrast.second
+    score = (first.given * second.answered - second.given * first.answered).sum(axis=-1)
+    score = score if first.is_short or second.is_short else score // first.asked
+    mean = contrast.scores.mean
+    interval = Interval.point(mean.estimate, mean.n)
+    return FamilyResult(contrast.scopes, contrast.quantities, sign_flip_test(score), interval, notes=contrast.notes)
+
+
+def means_of(scores: MeanScores | None) -> FamilyResult | None:
+    """Return tests that participants do not differ on average, with the intervals that invert them."""
+    if scores is None:
+        return None
+    mean = scores.mean
+    return FamilyResult(scores.scopes, scores.quantities, mean.test(), mean.interval(), mean.n, scores.say)
+
+
+def equivalence_of(scores: MeanScores | None, margin: float | None) -> FamilyResult | None:
+    """Return tests that participants differ by less than a margin on average; None without one."""
+    if scores is None or margin is None:
+        return None
+    mean = scores.mean
+    test, interval = mean.equivalence(margin), mean.interval(0.9)
+
+    def notes(place: int) -> list[str]:
+        shown = "shown" if test.p[place] <= ALPHA else "not shown"
+        return [f"{shown} to be alike within {margin:g} by this test alone; 90 % interval"]
+
+    return FamilyResult(scores.scopes, scores.quantities, test, interval, mean.n, notes)

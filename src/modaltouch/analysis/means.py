@@ -1,0 +1,151 @@
+"""The mean of a bounded score over participants: its interval, and the tests that the interval inverts.
+
+One more participant, at the far end of the scale, joins those who came; weights drawn evenly from all that add up to
+one then give the distribution of the mean that the sample supports (Gaffke 2005). A lower bound takes that participant
+at the low end, an upper bound at the high end. Only the ends of the scale are assumed, neither symmetry nor a shape, so
+the bounds hold where few participants differ. For scores at the two ends alone they are those of Clopper and Pearson.
+
+References
+----------
+Gaffke, "Three test statistics for a nonparametric one-sided hypothesis on the mean of a nonnegative variable",
+Math. Methods Stat. 14 (2005) 451-467.
+Learned-Miller and Thomas, "A new confidence interval for the mean of a bounded random variable", arXiv:1905.06208
+(2019). Coverage is conjectured for all distributions, and proven for scores at the two ends.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from modaltouch.analysis.exact import ExactTest
+from modaltouch.analysis.intervals import CONFIDENCE, Interval
+
+FloatArray = NDArray[np.float64]
+
+_MOST_STEPS = 60
+"""Steps to a bound; about eight are taken."""
+
+
+class BoundedMean:
+    """The mean of one bounded score for each participant, of one experiment or a batch.
+
+    Parameters
+    ----------
+    scores : (..., n_participants) array
+        Scores between `low` and `high`; those that are not a number are left out.
+    low, high : float
+        Ends of the scale.
+
+    Examples
+    --------
+    >>> interval = BoundedMean([0] * 10).interval()
+    >>> float(interval.low.round(4)), float(interval.high.round(4))  # 1 - 0.025^(1/10)
+    (-0.3085, 0.3085)
+    """
+
+    def __init__(self, scores: ArrayLike, low: float = -1.0, high: float = 1.0) -> None:
+        values = np.clip(np.asarray(scores, dtype=float), low, high)
+        self.low, self.high, self.shape = low, high, values.shape[:-1]
+        # Scores that are not a number come last.
+        self._rows = np.sort(values.reshape(math.prod(self.shape), values.shape[-1]), axis=-1)
+        self._n = np.isfinite(self._rows).sum(axis=-1)
+
+    @property
+    def n(self) -> NDArray[np.int64]:
+        """Participants with a score, by test."""
+        return np.asarray(self._n.reshape(self.shape)[()])
+
+    @property
+    def estimate(self) -> FloatArray:
+        """Mean score; not a number without any."""
+        total = np.nansum(self._rows, axis=-1)
+        mean = np.divide(total, self._n, out=np.full(total.shape, math.nan), where=self._n > 0)
+        return np.asarray(np.clip(mean, self.low, self.high).reshape(self.shape)[()])
+
+    def p_above(self, mean: ArrayLike) -> FloatArray:
+        """Return p of the one-sided tests that the mean is not above a value [1]."""
+        values = np.broadcast_to(np.asarray(mean, dtype=float), self.shape).reshape(-1)
+        p = np.ones(len(self._rows))
+        for n in np.unique(self._n).tolist():
+            here = self._n == n
+            p[here] = _weighted_tail(self._rows[here, :n], self.low, values[here])
+        return np.asarray(p.reshape(self.shape)[()])
+
+    def p_below(self, mean: ArrayLike) -> FloatArray:
+        """Return p of the one-sided tests that the mean is not below a value [1]."""
+        return self.mirrored.p_above(-np.asarray(mean, dtype=float))
+
+    @property
+    def mirrored(self) -> BoundedMean:
+        """The same scores with the other sign."""
+        return BoundedMean(-self._rows.reshape(*self.shape, -1), -self.high, -self.low)
+
+    def test(self, mean: ArrayLike = 0.0) -> ExactTest:
+        """Return the two-sided test of a mean: twice the smaller of the two one-sided p."""
+        reach = (np.asarray(mean, dtype=float) - self.low) / (self.high - self.low)
+        least = 2 * np.minimum(reach, 1 - reach) ** self.n
+        both = np.minimum(1.0, 2 * np.minimum(self.p_above(mean), self.p_below(mean)))
+        return ExactTest(self.estimate - np.asarray(mean), both, np.minimum(1.0, least), self.n)
+
+    def equivalence(self, margin: float) -> ExactTest:
+        """Return the two one-sided tests that the mean is no farther from zero than a margin; the larger p counts.
+
+        References
+        ----------
+        Schuirmann, J. Pharmacokin. Biopharm. 15 (1987) 657-680.
+        """
+        p = np.maximum(self.p_above(-margin), self.p_below(margin))
+        alike = BoundedMean(np.zeros(self._rows.shape[-1:]), self.low, self.high)
+        least = alike.p_above(-margin) if self._rows.shape[-1] else 1.0
+        return ExactTest(self.estimate, p, np.minimum(least, p), self.n)
+
+    def interval(self, confidence: float = CONFIDENCE) -> Interval:
+        """Return the means that the two-sided test does not reject at 1 - confidence."""
+        tail, other = (1 - confidence) / 2, self.mirrored
+        return Interval(self.estimate, self._bound(tail), -other._bound(tail), self.n)
+
+    def _bound(self, tail: float) -> FloatArray:
+        """Return the lowest means that the one-sided test does not reject."""
+        # The n-th root of p is nearly straight, so the false position with halved weights (Illinois) is there soon.
+        power = 1 / np.maximum(self.n, 1)
+        low, high = np.full(self.shape, self.low), np.where(self.n > 0, self.estimate, self.low)
+        below, above = -(tail**power), self.p_above(high) ** power - tail**power
+        bound = low
+        for _ in range(_MOST_STEPS):
+            before, bound = bound, np.where(high > low, high - above * (high - low) / (above - below), low)
+            found = self.p_above(bound) ** power - tail**power
+            is_low = found < 0
+            low, high = np.where(is_low, bound, low), np.where(is_low, high, bound)
+            below, above = np.where(is_low, found, below / 2), np.where(is_low, above / 2, found)
+            if not (np.abs(bound - before) > 1e-13).any():
+                break
+        return np.asarray(bound[()])
+
+
+def _weighted_tail(rows: FloatArray, low: float, values: FloatArray) -> FloatArray:
+    """Return the chance that a randomly weighted mean of sorted scores and of `low` is not above a value.
+
+    Of the lowest and the highest score one is dropped at a time, by the recursion of integrated B-splines (de Boor
+    1972), whose terms are all positive.
+
+    Parameters
+    ----------
+    rows : (n_tests, n_participants) array
+        Scores, increasing.
+    low : float
+        Score of the participant who joins them.
+    values : (n_tests,) array
+        Values.
+    """
+    knots = np.concatenate([np.full((len(rows), 1), low), rows], axis=-1)
+    at = values[:, np.newaxis]
+    chance = (knots <= at).astype(float)
+    for dropped in range(1, knots.shape[-1]):
+        least, most = knots[:, :-dropped], knots[:, dropped:]
+        share = np.divide(most - at, most - least, out=np.zeros(least.shape), where=most > least)
+        share = np.clip(share, 0.0, 1.0)  # outside both ends all are alike, and rounding must not be blown up
+        chance = share * chance[:, 1:] + (1 - share) * chance[:, :-1]
+    return np.asarray(chance[:, 0])
