@@ -27,7 +27,7 @@ def test_each_question_has_its_paragraph(paper_frame) -> None:
 
 
 def test_numbers_are_filled_in(paper_frame) -> None:
-    """Each question is answered first, with its number, on average and for somebody; p of unanimous leaning is 2/2^10."""
+    """Each question is answered first, with its number, on average and for somebody; p of leaning alike is 2/2^10."""
     told = paragraphs(paper_frame)
     assert told["a2"].startswith(
         "Yes, in 4 of 6 tests: one zone is chosen more than the other on average. Clearest: P(C) - P("

@@ -1,8 +1,8 @@
 """Every command and every snippet of the site is run, and its pages are looked at. Part of ``make docs-check``.
 
-A page is a folder: its blocks run there in their order. ``$`` begins a command; what stands below it must appear in what
-the command says, line by line, where ``...`` skips any number of lines. A block of Python goes on where the one before
-it ended. A YAML block with a file for a caption is that file. A comment ``% needs:`` names what a page needs.
+A page is a folder: its blocks run there in their order. ``$`` begins a command; what stands below it must appear in
+what the command says, line by line, where ``...`` skips any number of lines. A block of Python goes on where the one
+before it ended. A YAML block with a file for a caption is that file. A comment ``% needs:`` names what a page needs.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 SITE = Path(os.environ.get("MODALTOUCH_SITE", ROOT / "build" / "docs"))
 WRITTEN = sorted(
-    page for page in DOCS.rglob("*.md") if not page.is_relative_to(DOCS / "generated") and "```" in page.read_text("utf-8")
+    page
+    for page in DOCS.rglob("*.md")
+    if not page.is_relative_to(DOCS / "generated") and "```" in page.read_text("utf-8")
 )
 
 SHORTER = {
