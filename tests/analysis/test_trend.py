@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from modaltouch.analysis import convolution
+from modaltouch.analysis import convolution, trend
 from modaltouch.analysis.trend import level_scores, trend_test
 
 
@@ -93,6 +93,26 @@ class TestTrend:
         rng = np.random.default_rng(8)
         p = [trend_test(rng.integers(0, 2, (10, 4)), [80, 100, 150, 200]).p for _ in range(2000)]
         assert np.mean(np.array(p) <= 0.05) <= 0.05 + 3 * np.sqrt(0.05 * 0.95 / 2000)
+
+    @pytest.mark.parametrize("n_participants", [1, 3, 10])
+    @pytest.mark.parametrize("slope", [0.0, 0.01, 0.03])
+    def test_many_answers_are_judged_by_the_normal_law(self, n_participants, slope, monkeypatch) -> None:
+        """240 answers each, exactly and by the normal law: the same statistic, p to 4 %; the smallest p is as tiny."""
+        rates = 0.5 + slope * np.arange(-1.5, 2)
+        rows = np.random.default_rng(3).binomial(60, rates, (n_participants, 4))
+        exact = trend_test(rows, [80, 100, 150, 200], 60)
+        monkeypatch.setattr(trend, "MOST_EXACT", 239)
+        normal = trend_test(rows, [80, 100, 150, 200], 60)
+        assert normal.statistic == pytest.approx(exact.statistic, abs=1e-9)
+        assert normal.p == pytest.approx(exact.p, rel=0.04)
+        assert normal.p_min < 1e-6 > exact.p_min
+        assert normal.n_informative == exact.n_informative == n_participants
+
+    def test_a_thousand_answers_a_level_are_judged(self) -> None:
+        """The numbers of ways overflow a float there; participants without any preference give no small p."""
+        rows = np.random.default_rng(3).binomial(1000, 0.5, (42, 4))
+        assert trend_test(rows, [80, 100, 150, 200], 1000).p > 0.01
+        assert trend_test(rows + [[0, 0, 0, 90]], [80, 100, 150, 200], 1000).p < 1e-6
 
     def test_counts_beyond_the_repetitions_are_refused(self) -> None:
         """House rule: what was given, what is allowed."""

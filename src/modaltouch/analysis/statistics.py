@@ -27,7 +27,7 @@ from modaltouch.analysis.exact import multinomial_test, sign_test
 from modaltouch.analysis.findings import Finding, correct, finding_of
 from modaltouch.analysis.intervals import Interval, clopper_pearson
 from modaltouch.analysis.means import BoundedMean
-from modaltouch.analysis.trend import smallest_trend_p, trend_test
+from modaltouch.analysis.trend import MOST_EXACT, smallest_trend_p, trend_test
 
 
 def _unanimous_p(levels: Sequence[float], n_participants: int, n_repetitions: int, margin: float | None) -> float:
@@ -178,6 +178,8 @@ def level_tests(answers: AnswerCounts) -> FamilyResult:
     scopes, labels, shares = _levels_of(answers)
     test = trend_test(shares.given, answers.levels, shares.answered if shares.is_short else shares.asked)
     alone = ["one level only: a trend needs two"] if len(answers.levels) < 2 else []
+    if shares.asked * len(answers.levels) > MOST_EXACT:
+        alone.append(f"p by the normal law of the sum, as there are more than {MOST_EXACT} answers of each participant")
     return FamilyResult(
         scopes,
         [f"change of P({label}) with the level" for label in labels],

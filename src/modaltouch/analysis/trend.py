@@ -9,6 +9,7 @@ Armitage, Biometrics 11 (1955) 375-386 (linear trend in proportions).
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,6 +22,9 @@ IntArray = NDArray[np.int64]
 
 GRID_STEPS = 1000
 """Levels that share no coarser grid are placed on one of this many steps between the lowest and the highest."""
+
+MOST_EXACT = 400
+"""Answers of a participant up to which all shuffles are counted; beyond, the normal law gives p from 1e-6 on to 4 %."""
 
 _RAREST = 4
 
@@ -60,6 +64,8 @@ def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: ArrayL
     answered = np.broadcast_to(np.asarray(n_repetitions, dtype=np.int64), counts.shape)
     if counts.size and (counts.min() < 0 or (counts > answered).any()):
         raise ValueError(f"chosen runs from {counts.min()} to {counts.max()}, allowed are 0 to {answered.max()}")
+    if counts.size and answered.sum(axis=-1).max() > MOST_EXACT:
+        return _normal_trend(counts, answered, scores)
     patterns, which = np.unique(answered.reshape(-1, len(scores)), axis=0, return_inverse=True)
     which, totals = which.reshape(counts.shape[:-1]), counts.sum(axis=-1)
     scale = int(np.lcm.reduce(np.maximum(patterns.sum(axis=1), 1)))
@@ -78,6 +84,33 @@ def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: ArrayL
     return sum_test(Sums(laws, np.array(means, dtype=np.int64), scale, np.concatenate(columns, axis=1)), observed)
 
 
+def _normal_trend(counts: IntArray, answered: IntArray, scores: IntArray) -> ExactTest:
+    """Return the test with the normal law of the same variance, corrected for continuity by half a step."""
+    from scipy.special import ndtr
+
+    n, chosen = answered.sum(axis=-1), counts.sum(axis=-1)
+    mean = (answered @ scores) / n
+    scatter = (answered @ scores**2) / n - mean**2
+    variance = chosen * (n - chosen) / np.maximum(n - 1, 1) * scatter
+    deviation = (counts @ scores - chosen * mean).sum(axis=-1)
+    spread = np.sqrt(variance.sum(axis=-1))
+    half = 0.5 * int(np.gcd.reduce(scores))
+
+    def p(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(2 * ndtr(-np.maximum(distance - half, 0.0) / np.where(spread > 0, spread, np.inf)))
+
+    left, highest = chosen.copy(), -chosen * mean
+    for level in range(len(scores) - 1, -1, -1):
+        taken = np.minimum(left, answered[..., level])
+        left, highest = left - taken, highest + taken * scores[level]
+    return ExactTest(
+        deviation,
+        lambda: p(np.abs(deviation)),
+        lambda: p(highest.sum(axis=-1)),
+        np.count_nonzero(variance > 0, axis=-1),
+    )
+
+
 def smallest_trend_p(levels: Sequence[float], n_participants: int, n_repetitions: int) -> float:
     """Return the smallest p that a trend test can give, however the answers fall [1].
 
@@ -88,6 +121,8 @@ def smallest_trend_p(levels: Sequence[float], n_participants: int, n_repetitions
     n_participants, n_repetitions : int
         Participants, and presentations of each level.
     """
+    if len(levels) * n_repetitions > MOST_EXACT:
+        return sys.float_info.min
     extremes = _extreme_choices(levels, n_repetitions)
     # All participants alike reach both tails at once; one who differs may leave the other tail out.
     chosen = [[most] * (n_participants - 1) + [one] for side in extremes for most in side for one in side]
