@@ -77,7 +77,7 @@ def show(bars: list[dict[str, Any]]) -> None:
 
 
 def main() -> int:
-    """Print all promises."""
+    """Print all promises; 1 where one is not met."""
     unmet = 0
     for path in sorted(RESULTS.glob("*.json")):
         bars = json.loads(path.read_text(encoding="utf-8")).get("bars", [])
@@ -86,7 +86,7 @@ def main() -> int:
             show(bars)
             unmet += sum(not each["met"] for each in bars)
     print(f"{unmet} not met" if unmet else "all met")
-    return 0
+    return int(unmet > 0)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """How long the analysis takes and how much memory it needs, against the number of trials.
 
 Writes ``results/benchmarks/analysis.json``. Every run is a process of its own, imports included, on synthetic answers
-of a stated seed. The exponent is the slope of log CPU time over log trials, less the time of the smallest table.
+of a stated seed; trees hold sessions of the paper's design, every tenth incomplete, damaged, pilot or simulated.
 """
 
 from __future__ import annotations
@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import resource
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from bars import at_most, write
 
 from modaltouch.preflight import Preflight, examine, examine_findings
 from modaltouch.protocol import Findings
@@ -143,81 +143,47 @@ def spend(command: list[str]) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def bar(what: str, measured: float | None, highest: float) -> dict[str, Any]:
-    """Return whether a figure stays below its bar; None where it could not be measured."""
-    return {
-        "what": what,
-        "bar": highest,
-        "measured": measured,
-        "met": None if measured is None else measured <= highest,
-    }
+def exponent(rows: list[dict[str, Any]], of: str) -> float:
+    """Return the slope of log CPU time over log size, less the time of the smallest."""
+    base, *larger = rows
+    sizes, times = [row[of] for row in larger], [row["cpu_s"] - base["cpu_s"] for row in larger]
+    return float(np.polyfit(np.log(sizes), np.log(times), 1)[0])
 
 
-def main() -> None:
+def main() -> int:
     """Measure and write the results."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--participants", type=int, nargs="+", default=[10, 500, 1000, 2000])
-    parser.add_argument("--repetitions", type=int, default=10)
-    parser.add_argument("--sessions", type=int, default=1000)
-    parser.add_argument("--out", type=Path, default=ROOT / "results" / "benchmarks" / "analysis.json")
+    parser.add_argument("--sessions", type=int, nargs="+", default=[10, 300, 1000, 3000])
     options = parser.parse_args()
-    rows = []
-    numpy_s = min(spend([sys.executable, "-c", "import numpy"]) for _ in range(5))
+    tables, trees = [], []
     with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
         for n in options.participants:
-            table = Path(scratch) / f"{n}.csv"
-            write_table(table, n, options.repetitions)
-            rows.append({"participants": n, **measure(table, Path(scratch) / f"out{n}")})
-            print(rows[-1])
-        write_table(Path(scratch) / "ten.csv", 10, 1)
-        write_tree(Path(scratch) / "ten", 11, 1)
-        ratios = {
-            kind: min(
-                spend([sys.executable, "-m", "modaltouch", "analyse", str(Path(scratch) / name)]) for _ in range(3)
-            )
-            / numpy_s
-            for kind, name in (("a table", "ten.csv"), ("sessions", "ten"))
-        }
-        print(ratios)
-        write_tree(Path(scratch) / "results", options.sessions, options.repetitions)
-        tree = {"sessions": options.sessions, **measure(Path(scratch) / "results", Path(scratch) / "tree")}
-        print(tree)
-    base = rows[0]["cpu_s"]
-    large = [row for row in rows[1:] if row["cpu_s"] > base]
-    trials = np.log([row["n_responses"] for row in large])
-    exponent = (
-        float(np.polyfit(trials, np.log([row["cpu_s"] - base for row in large]), 1)[0]) if len(large) > 1 else None
-    )
-    results = {
-        "what": "modaltouch analyse, whole command with imports, figures and report; synthetic answers, seed 1; wall "
-        "time only means something where the load average is near zero",
-        "machine": {
-            "python": platform.python_version(),
-            "system": platform.platform(),
-            "cores": os.cpu_count(),
-            "load_average": [round(load, 1) for load in os.getloadavg()],
-        },
-        "tables": rows,
-        "exponent_of_cpu_time_beyond_the_smallest": exponent,
-        "tree": tree,
-        "bars": [
-            *(
-                bar("CPU time of 1,000 participants [s]", row["cpu_s"], 10.0)
-                for row in rows
-                if row["participants"] == 1000
-            ),
-            *(
-                bar(f"CPU time of ten participants from {kind}: times import numpy", round(ratio, 1), 20)
-                for kind, ratio in ratios.items()
-            ),
-            bar(f"CPU time of a tree of {options.sessions} sessions [s]", tree["cpu_s"], 10.0),
-            bar("exponent of CPU time over trials", exponent, 1.25),
-        ],
-    }
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    options.out.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
-    print(f"exponent {exponent}; written to {options.out}")
+            write_table(folder / f"{n}.csv", n, 10)
+            tables.append({"participants": n, **measure(folder / f"{n}.csv", folder / f"table{n}")})
+            print(tables[-1])
+        write_table(folder / "million.csv", 42, 1000)
+        million = measure(folder / "million.csv", folder / "million")
+        print(million)
+        for n in options.sessions:
+            write_tree(folder / f"results{n}", n, 1)
+            trees.append({"sessions": n, **measure(folder / f"results{n}", folder / f"tree{n}")})
+            print(trees[-1])
+    of_thousand = {name: [row["cpu_s"] for row in rows if 1000 in row.values()]
+                   for name, rows in (("participants", tables), ("sessions", trees))}  # fmt: skip
+    promises = [
+        *(at_most(f"CPU time of 1,000 {name}", cpu, 10, "s") for name, found in of_thousand.items() for cpu in found),
+        at_most("exponent of CPU time over trials", exponent(tables, "n_responses"), 1.25, ""),
+        at_most("exponent of CPU time over sessions", exponent(trees, "sessions"), 1.05, ""),
+        at_most(
+            "memory for the most sessions, of that for the fewest", trees[-1]["peak_MB"] / trees[0]["peak_MB"], 1.5
+        ),
+        at_most("CPU time of 42 participants with 1,000 repetitions", million["cpu_s"], 30, "s"),
+        at_most("memory for 42 participants with 1,000 repetitions", million["peak_MB"], 1000, "MB"),
+    ]
+    return write("analysis", {"tables": tables, "million_answers": million, "trees": trees}, promises)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
