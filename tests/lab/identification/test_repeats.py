@@ -104,6 +104,9 @@ def test_double_impacts_are_left_out_and_counted(tmp_path: Path) -> None:
     assert responses.marks == ("2 of 6 hits of a.csv were left out: double impacts, or cut by the end of the record",)
     found = identify_each(responses.between(60, 900))
     assert [mode.natural_frequency.value for mode in found.modes] == pytest.approx([own for own, _ in POLES], rel=2e-4)
+    rng, once, twice = np.random.default_rng(4), hit([60]), hit([60, 183])
+    mixed = write_csv(tmp_path / "c.csv", [(force, moved(force, rng)) for force in (once, twice, once)])
+    assert read_responses([mixed], ACCELERATION).marks[0].startswith("2 of 4 hits of c.csv were left out")
     force = hit([60, 183])
     double = write_csv(tmp_path / "b.csv", [(force, moved(force, np.random.default_rng(4)))])
     with pytest.raises(ValueError, match=r"b.csv: all of its impacts are double ones \(2 hits\): strike again"):
@@ -177,6 +180,17 @@ def test_burst_that_comes_to_rest_is_divided_as_it_is(tmp_path: Path) -> None:
     assert [mode.damping_ratio.value for mode in found.modes] == pytest.approx([ratio for _, ratio in POLES], rel=5e-3)
 
 
+def test_steps_of_eight_bits_are_no_saturation(tmp_path: Path) -> None:
+    """A sine of 100 steps, which is at its highest one in every cycle; cut at half of it, it is refused."""
+    force = np.round(100 * np.sin(2 * np.pi * np.arange(8192) / 40.3))
+    arrays = {"time": np.arange(8192) / RATE, "drive": force[None, None], "sets": ["shaker"], "quantity": "velocity"}
+    np.savez(tmp_path / "a.npz", motion=force[None, None], **arrays)
+    assert read_responses([tmp_path / "a.npz"], ResponseFormat(n_averages=4)).n_points == 1
+    np.savez(tmp_path / "b.npz", motion=np.clip(force, -50, 50)[None, None], **arrays)
+    with pytest.raises(ValueError, match="the motion stays at 50 for .* it was saturated"):
+        read_responses([tmp_path / "b.npz"], ResponseFormat(n_averages=4))
+
+
 def test_gains_hold_the_scatter_of_repeated_scans(make) -> None:
     """Two scans of eight points, the second with a drive that reads 10 % low: the gains' intervals hold both."""
     scans = [make(seed, n_points=8, highest=12e3).between(1200, 9000) for seed in (0, 1)]
@@ -200,7 +214,7 @@ def test_gains_hold_the_scatter_of_repeated_scans(make) -> None:
     [
         (np.zeros(8192), "its excitation is the same throughout"),
         (np.clip(hit([40]), 0, 60), "the excitation stays at 60 for .* it was saturated"),
-        (np.ones(20), "holds 20 samples; at least 64 are needed"),
+        (np.ones(20), "holds 20 samples of the excitation and 20 of the motion; needed are"),
     ],
 )
 def test_records_that_say_nothing_are_refused(tmp_path: Path, force: np.ndarray, words: str) -> None:

@@ -42,6 +42,9 @@ DRIVES = {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3, "n": 1.0, "newton": 1
 MOST_AT_END = 3
 """Samples at its highest or lowest value up to which a record was not saturated."""
 
+CUT = 4
+"""Samples there over those at the value below it, from which it was [1]."""
+
 FEWEST_SAMPLES = 64
 """Samples of a record from which it is used."""
 
@@ -118,9 +121,13 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
     """
     found: list[tuple[Key, FloatArray, ComplexArray, FloatArray | None]] = []
     marks: list[str] = []
+    n_double, n_hits = 0, 0
     for key, drive, motion, step in records:
-        if drive.size < FEWEST_SAMPLES:
-            raise ValueError(f"{path}: holds {drive.size} samples; at least {FEWEST_SAMPLES} are needed")
+        if not FEWEST_SAMPLES <= drive.size == motion.size:
+            raise ValueError(
+                f"{path}: holds {drive.size} samples of the excitation and {motion.size} of the motion; needed are as "
+                f"many of both, at least {FEWEST_SAMPLES}"
+            )
         if not np.ptp(drive) > 0:
             raise ValueError(f"{path}: its excitation is the same throughout, or no finite number; measure it again")
         last_drive, last = (_last_cut(path, *each, step, how) for each in (("excitation", drive), ("motion", motion)))
@@ -138,14 +145,13 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
         if hits is None:
             found.append((key, *averaged(motion, drive, step, how.n_averages)))
             continue
-        if not hits:
-            raise ValueError(f"{path}: all of its impacts are double ones ({n_left_out} hits): strike again")
+        n_double, n_hits = n_double + n_left_out, n_hits + n_left_out + len(hits)
         found += [(key, *transfer(motion[hit], drive[hit], step), None) for hit in hits]
-        if n_left_out:
-            marks.append(
-                f"{n_left_out} of {n_left_out + len(hits)} hits of {path.name} were left out: double impacts, or cut "
-                "by the end of the record"
-            )
+    if not found:
+        raise ValueError(f"{path}: all of its impacts are double ones ({n_hits} hits): strike again, or leave it out")
+    if n_double:
+        words = "were left out: double impacts, or cut by the end of the record"
+        marks.append(f"{n_double} of {n_hits} hits of {path.name} {words}")
     # Spectra of equal records differ in how far their drive reaches.
     n_bins = min(frequency.size for _, frequency, _, _ in found)
     axis = found[0][1][:n_bins]
@@ -196,8 +202,13 @@ def averaged(
 
 def _last_cut(path: Path, name: str, row: FloatArray, step: float, how: ResponseFormat) -> int:
     """Return the last sample at which a record stays at its highest or lowest value, as a converter does; else -1."""
-    cut = [np.flatnonzero(row == end) for end in (row.max(), row.min()) if abs(end) > 0.5 * np.abs(row).max()]
-    cut = [at for at in cut if at.size > MOST_AT_END]
+    cut = []
+    for end in (each for each in (row.max(), row.min()) if abs(each) > 0.5 * np.abs(row).max()):
+        at = np.flatnonzero(row == end)
+        # Of a converter's steps each holds about as many samples as the one below it.
+        below = np.abs(row[(row != end) & (row / end > 0.9)])
+        if at.size > max(MOST_AT_END, CUT * int((below == below.max(initial=0.0)).sum())):
+            cut.append(at)
     last = max((int(at[-1]) for at in cut), default=-1)
     if cut and not how.use_clipped:
         raise ValueError(
