@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from modaltouch.preflight.design_inputs import DesignInputs
+from modaltouch.preflight.figures import estimated_duration
 from modaltouch.protocol import Apparatus, Protocol
 from modaltouch.stimulus import Stimulus
 
@@ -17,6 +18,12 @@ _UNREACHED = 0.25
 
 LOUD = 80.0
 """Level at which hearing protection begins to be a matter of hours (2003/10/EC, lower action value) [dB SPL]."""
+
+_ALPHA = 0.05
+"""Level of significance of the analysis [1]."""
+
+_LONG = 60.0
+"""Length of a session beyond which attention and skin tire [min]."""
 
 _PRESENTED = ("stimulus.", "conditions.", "schedule.order")
 """Keys whose defaults are told in `check`."""
@@ -109,6 +116,35 @@ def repetition_warnings(apparatus: Apparatus) -> list[str]:
         f"generator.repetition is {section.repeats}{former}: {_UNPROMISED[section.repeats]}, and only the watchdog "
         "process ends it if this program dies; `single` promises all three"
     ]
+
+
+def design_warnings(protocol: Protocol) -> list[str]:
+    """Return where no finger touches the focus, what no test can tell whatever is answered, and too long a session."""
+    conditions, said = protocol.conditions, []
+    for name in protocol.stimulus_names:
+        section = protocol.stimulus_of(name)
+        foci = dict.fromkeys((section.focus, *section.further_foci))
+        without = [f"{left}-{right}" for left, right in conditions.zone_pairs if not foci.keys() & {left, right}]
+        where = "any pair" if len(without) == len(conditions.zone_pairs) else ", ".join(without)
+        if without:
+            said.append(
+                f"{f'stimulus {name}: ' if name else ''}no finger touches the focus {', '.join(foci)} on {where}"
+            )
+    n_pairs, n_fingers = len(conditions.zone_pairs), len(conditions.finger_conditions)
+    if protocol.adaptive is None:
+        numbers = {"level": len(protocol.scheduled_levels), "finger condition": n_fingers, "pair of zones": n_pairs}
+        alone = " and one ".join(noun for noun, number in numbers.items() if number == 1)
+        said += [f"there is one {alone}: no test can tell whether that matters"] if alone else []
+        # All lean one way: p is 2/2^n, and Holm's method takes the smallest times the number of tests.
+        fewest = 1 + math.ceil(math.log2(n_pairs * n_fingers / _ALPHA))
+        told = f"with fewer than {fewest} participants no test can tell which zone of a pair is chosen more"
+        said += [told] if protocol.answers.offered.compares else []
+    minutes = estimated_duration(protocol)
+    if minutes > _LONG:
+        said.append(
+            f"a session takes about {minutes:.0f} min, longer than an hour: repeat less, or in several sessions"
+        )
+    return said
 
 
 def answer_warnings(protocol: Protocol) -> list[str]:

@@ -331,7 +331,13 @@ class Preflight:
             values |= _design_figures(reading.value)
         if self.problems:
             return values
-        from modaltouch.preflight.advice import answer_warnings, default_warnings, repetition_warnings, sound_warnings
+        from modaltouch.preflight.advice import (
+            answer_warnings,
+            default_warnings,
+            design_warnings,
+            repetition_warnings,
+            sound_warnings,
+        )
 
         inputs, _ = self.sound
         protocol, apparatus = self.experiment.protocol, inputs.apparatus
@@ -339,6 +345,7 @@ class Preflight:
             "warnings": [
                 *self._marks(),
                 *self._stimulus_warnings(),
+                *design_warnings(protocol),
                 *answer_warnings(protocol),
                 *repetition_warnings(self.experiment.apparatus),
                 *sound_warnings(protocol, self.experiment.apparatus),

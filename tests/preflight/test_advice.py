@@ -1,0 +1,74 @@
+"""`check` thinks along: what a design cannot show is said before anybody sits down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from modaltouch.analysis import ALPHA
+from modaltouch.analysis.statistics import STATISTICS
+from modaltouch.planning import designs_for, read_observer
+from modaltouch.planning.power import find_floor
+from modaltouch.preflight import advice, examine
+from modaltouch.preflight.advice import design_warnings
+from modaltouch.protocol import Protocol
+
+Edit = Callable[..., Path]
+PAPER = "differentiated_stimulation.yaml"
+PAIRS = "[[A, C], [B, D], [C, E]]"
+ONE_PAIR = (PAIRS, "[[A, C]]"), ("  max_same_pair_running: 2\n", "")
+FINGERS, LEVELS = "[one_hand, two_hands]", "[80, 100, 150, 200]"
+
+
+def read(edit: Edit, *changes: tuple[str, str]) -> Protocol:
+    """Return the paper's protocol, changed."""
+    return examine(edit(PAPER, *changes)).experiment.protocol
+
+
+def test_pairs_without_a_finger_on_the_focus_are_named(edit: Edit) -> None:
+    """B-D of the paper; where it is every pair, that is said; a second focus counts."""
+    assert "no finger touches the focus C on B-D" in examine(edit(PAPER)).as_dict()["warnings"]
+    far = edit("demo.yaml", (PAIRS, "[[A, B], [D, E]]"))
+    assert "no finger touches the focus C on any pair" in examine(far).as_dict()["warnings"]
+    two = edit(PAPER, ("  focus: C  ", "  focus: C\n  further_foci: [B]  "))
+    assert not any("no finger" in each for each in design_warnings(examine(two).findings.experiment().protocol))
+    fields = far.with_name("two_fields.yaml")
+    fields.write_text(fields.read_text().replace("[[A, C], [C, E]]", "[[A, B], [B, C]]"))
+    several = design_warnings(examine(fields).experiment.protocol)
+    told = [f"stimulus {name}: no finger touches the focus C on A-B" for name in ("sharp", "blunt")]
+    assert [each for each in several if "no finger" in each] == told
+
+
+@pytest.mark.parametrize(
+    ("changes", "silent"),
+    [
+        ((), set()),
+        (((LEVELS, "[200]"),), {"b"}),
+        (((FINGERS, "[one_hand]"),), {"c", "c both"}),
+        (ONE_PAIR, {"d"}),
+        ((*ONE_PAIR, (FINGERS, "[two_hands]"), (LEVELS, "[200]")), {"b", "c", "c both", "d"}),
+    ],
+    ids=["paper", "one level", "one finger condition", "one pair", "one cell"],
+)
+def test_what_no_test_can_tell_is_what_the_analysis_cannot_reach(
+    edit: Edit, changes: tuple[tuple[str, str], ...], silent: set[str]
+) -> None:
+    """Families whose smallest p stays above 0.05 however many take part; and the fewest for whom dominance can show."""
+    preflight = examine(edit(PAPER, *changes)).require()
+    said = " ".join(design_warnings(preflight.experiment.protocol))
+    design = designs_for(preflight, read_observer("paper"))[""]
+    floors = {name: find_floor(design, name, 1) for name in STATISTICS}
+    assert {name for name, each in floors.items() if not each.n_tests or each.least_participants is None} == silent
+    named = {"b": "one level", "c": "one finger condition", "d": "one pair of zones"}
+    assert {name for name, words in named.items() if words in said} == silent - {"c both"}
+    assert f"with fewer than {floors['a2'].least_participants} participants no test" in said
+    assert advice._ALPHA == ALPHA
+
+
+def test_a_session_longer_than_an_hour_is_told(edit: Edit) -> None:
+    """Twenty repetitions of the paper's 24 trials take an hour and a quarter."""
+    assert not any(" min" in each for each in design_warnings(read(edit)))
+    (said,) = [each for each in design_warnings(read(edit, ("repetitions: 1", "repetitions: 20"))) if " min" in each]
+    assert said.endswith("longer than an hour: repeat less, or in several sessions")
