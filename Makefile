@@ -14,7 +14,7 @@ endef
 export UV_SYSTEM_CERTS := 1
 export MPLBACKEND := agg
 # Tests share the cores out among processes; threads of theirs would only wait for each other, busily.
-test soak soak-identification soak-calibration spoilt fuzz oldest mutants: export OPENBLAS_NUM_THREADS := 1
+test certify soak soak-identification soak-calibration spoilt fuzz oldest mutants: export OPENBLAS_NUM_THREADS := 1
 
 ## help: list the targets
 .PHONY: help
@@ -144,6 +144,11 @@ soak-calibration: install
 	MODALTOUCH_CALIBRATED_BEAMS=40 MODALTOUCH_SEEDED_BEAMS=40 \
 	  $(PYTHON) -m pytest --timeout 600 tests/lab/calibration/test_through_the_driver.py tests/lab/calibration/test_seeded_beams.py
 	$(PYTHON) tests/lab/intervals.py --twins 200 --out results/benchmarks/intervals.json
+
+## certify: how often each test and interval of the report errs in 210 populations, into results/benchmarks; 30 minutes
+.PHONY: certify
+certify: install
+	$(PYTHON) tests/certify.py
 
 ## fuzz: 20,000 spoilt files through every reader, and new examples for every property
 .PHONY: fuzz

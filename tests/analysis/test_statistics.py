@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -150,3 +151,51 @@ def test_guesses_are_seldom_called_dominance(build) -> None:
         found = correct(family_findings("a2", count_answers(frame)))
         rejected += any(row.p_holm <= 0.05 for row in found if not math.isnan(row.p_holm))
     assert rejected <= 6
+
+
+class TestMissingAnswers:
+    @pytest.fixture
+    def gaps(self, paper_frame):
+        """The synthetic set without two answers of p01 to (C, E), one hand, and one of p02 to (B, D)."""
+        own = (paper_frame["participant"] == "p01") & (paper_frame["finger_condition"] == "one_hand")
+        first = paper_frame.index[own & (paper_frame["zone_left"] == "C")][:2]
+        other = paper_frame.index[(paper_frame["participant"] == "p02") & (paper_frame["zone_left"] == "B")][:1]
+        return paper_frame.drop(index=[*first, *other])
+
+    def test_they_are_counted_and_bounded_where_they_matter(self, gaps, paper_frame) -> None:
+        """The bounds hold the estimate of the whole table, as they hold whatever was answered."""
+        tests, whole = run_tests(gaps), run_tests(paper_frame)
+        row = rows(tests, "a2", "net dominance, mean", "one_hand C-E").iloc[0]
+        known = rows(whole, "a2", "net dominance, mean", "one_hand C-E").iloc[0]["estimate"]
+        told = re.search(r"2 of 40 answers missing; with them the estimate could be (\S+) to (\S+),", row["note"])
+        assert float(told[1]) <= known <= float(told[2])
+        assert "missing" not in rows(tests, "a2", "net dominance, mean", "two_hands A-C").iloc[0]["note"]
+
+    def test_the_worst_is_what_the_answers_would_have_done(self, gaps) -> None:
+        """By hand: 36 or fewer of 40 to C, two unknown; all C, or both to E, on p01's four answers."""
+        row = rows(run_tests(gaps), "f", "share of answers", "one_hand C-E")
+        note = row[row["quantity"] == "P(C)"]["note"].iloc[0]
+        given = int(
+            ((gaps["zone_left"] == "C") & (gaps["response"] == "left") & (gaps["finger_condition"] == "one_hand")).sum()
+        )
+        assert f"the share could be {given / 40:.3g} to {(given + 2) / 40:.3g}" in note
+
+    def test_every_question_is_still_answered(self, gaps, paper_frame) -> None:
+        """The same rows as without a gap, every p a probability."""
+        tests, whole = run_tests(gaps), run_tests(paper_frame)
+        assert tests[["question", "name", "scope"]].equals(whole[["question", "name", "scope"]])
+        assert tests["p"].dropna().between(0, 1, inclusive="right").all()
+
+
+def test_equivalence_is_said_where_it_is_shown_and_where_it_is_not(paper_frame) -> None:
+    """Ten participants: within 0.5 it is shown for (A, C), where two differ by a quarter; within 0.1 for nothing."""
+    for margin, shown in ((0.5, True), (0.1, False)):
+        tests = to_frame(find(count_answers(paper_frame, margin=margin), paper_frame))
+        alike = tests[tests["family"] == "c alike"]
+        assert len(alike) == 6
+        row = alike[alike["scope"].str.contains("A-C")].iloc[0]
+        assert row["note"].startswith("shown to be alike" if shown else "not shown to be alike") or not shown
+        assert ("not shown to be alike" in row["note"]) is not shown
+        inside = (-margin < alike["low"]) & (alike["high"] < margin)
+        assert inside.equals(alike["p"] <= 0.05)
+    assert "c alike" not in set(run_tests(paper_frame)["family"])

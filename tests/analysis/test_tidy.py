@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.responses import Reading
 from modaltouch.protocol.problems import InputError
 
 HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,response"
@@ -124,8 +125,7 @@ class TestFaults:
         ("old", "new", "words"),
         [
             (",both", ",middle", r":5:21: response: given 'middle'; allowed: left, right, both"),
-            (",both", ",Both", r":5:21: response: given 'Both'; .*; write both"),
-            (",both", ",", r":5:21: response: given nothing"),
+            (",both", ",Both", r":5:21: response: given 'Both'; .*; write both, or map it"),
             (",80,", ",fast,", r":5:18: velocity_mm_s: given 'fast'; allowed: a peak velocity in mm/s, above 0"),
             (",80,", ",-80,", r"given '-80'"),
             (",80,", ",nan,", r"given 'nan'"),
@@ -199,24 +199,33 @@ class TestFaults:
         (problem,) = fails(tmp_path / "no.csv")
         assert "no such file or folder" in problem
 
-    def test_a_mode_makes_no_sense_for_a_table(self, write_csv, paper_rows) -> None:
-        """A CSV does not say whether it is simulated."""
-        with pytest.raises(InputError, match="a mode only with recorded sessions"):
+    def test_a_mode_makes_no_sense_for_a_table_without_one(self, write_csv, paper_rows) -> None:
+        """A CSV need not say whether it is simulated."""
+        with pytest.raises(InputError, match="given mode 'real' with a CSV file; allowed: no column mode with a word"):
             read_responses(write_csv(paper_rows), mode="real")
 
 
 class TestBalance:
-    def test_a_missing_cell_is_named_with_participant_and_cell(self, write_csv, paper_rows) -> None:
-        """One row removed."""
+    def test_a_missing_answer_is_counted_with_participant_and_cell(self, write_csv, paper_rows) -> None:
+        """One row removed of 240: the others are analysed."""
         rows = [
             row
             for row in paper_rows
             if (row["participant"], row["finger_condition"], row["zone_left"], row["velocity_mm_s"])
             != ("p03", "one_hand", "A", 80)
         ]
-        (problem,) = fails(write_csv(rows))
-        assert "given no answer of participant p03 in one_hand A-C 80 mm/s" in problem
-        assert "add the missing rows" in problem
+        answers = read_responses(write_csv(rows)).count()
+        assert answers.missing == [("p03", "one_hand A-C 80 mm/s", 1)]
+        assert answers.counts.sum() == 239
+
+    @pytest.mark.parametrize("word", ["", "n/a", "time_out", "NA"])
+    def test_a_missing_word_is_a_missing_answer(self, write_csv, paper_rows, word) -> None:
+        """An empty field, BIDS's n/a, the record's own time_out; any other word where it is named."""
+        rows = [dict(row) for row in paper_rows]
+        rows[5]["response"] = word
+        responses = read_responses(write_csv(rows), reading=Reading(missing=("NA",)))
+        assert [n for *_, n in responses.count().missing] == [1]
+        assert len(responses.frame) == 239
 
     def test_a_cell_that_nobody_answered_is_missing_too(self, write_csv, paper_rows) -> None:
         """The design is every finger condition with every pair at every level."""
@@ -339,3 +348,47 @@ def test_a_faulty_multiple_is_told_in_its_place(write_csv, paper_rows, word, wor
     rows[0] = rows[0] | {"multiple_of_threshold": word}
     told = fails(write_csv(rows))
     assert any(words in line for line in told), told
+
+
+def test_words_are_mapped_as_they_are_told(write_csv, paper_rows) -> None:
+    """L, B and R; an unknown word names the option that maps it."""
+    short = {"left": "L", "both": "B", "right": "R"}
+    path = write_csv([row | {"response": short[row["response"]]} for row in paper_rows], "short.csv")
+    read = read_responses(path, reading=Reading(words={word: name for name, word in short.items()}))
+    assert (read.count().counts == counted(write_csv(paper_rows))).all()
+    assert all("--answers L=left,R=right" in problem and "--missing" in problem for problem in fails(path))
+
+
+class TestSessionsAndModes:
+    def test_several_modes_are_never_mixed(self, write_csv, paper_rows) -> None:
+        """Real and simulated rows of the same cells: refused, or one of them chosen."""
+        rows = [row | {"mode": mode} for mode in ("real", "simulated") for row in paper_rows]
+        path = write_csv(rows)
+        assert "rows of several words under mode (real, simulated)" in fails(path)[0]
+        chosen = read_responses(path, mode="simulated")
+        assert (chosen.source.mode, chosen.count().n_repetitions) == ("simulated", 1)
+
+    def test_a_mode_of_another_meaning_is_refused(self, write_csv, paper_rows) -> None:
+        """Neither real, nor pilot, nor simulated."""
+        assert "a column mode with fast" in fails(write_csv([row | {"mode": "fast"} for row in paper_rows]))[0]
+
+    def test_several_stimuli_are_chosen_among(self, write_csv, paper_rows) -> None:
+        """As with recorded sessions."""
+        path = write_csv([row | {"stimulus": name} for name in ("near", "far") for row in paper_rows])
+        assert "choose one with --stimulus" in fails(path)[0]
+        assert read_responses(path, stimulus="far").count().n_repetitions == 1
+
+    def test_sessions_are_repetitions_and_said_to_be(self, write_csv, paper_rows) -> None:
+        """Two sessions of everybody."""
+        read = read_responses(write_csv([row | {"session": number} for number in (1, 2) for row in paper_rows]))
+        assert read.count().n_repetitions == 2
+        assert read.notes == ("2 sessions of each participant taken together, as repetitions",)
+
+    def test_a_session_that_others_lack_stays_out(self, write_csv, paper_rows) -> None:
+        """One participant came twice: the second time is named and left out."""
+        again = [row | {"session": 2} for row in paper_rows if row["participant"] == "p01"]
+        read = read_responses(write_csv([*(row | {"session": 1} for row in paper_rows), *again]))
+        assert read.count().n_repetitions == 1
+        assert [item.reason for item in read.left_out] == [
+            "sessions beyond the first 1: not every participant has as many"
+        ]

@@ -74,7 +74,7 @@ def test_power_fits_a_terminal_of_80_columns(monkeypatch: pytest.MonkeyPatch) ->
         (["--participants", "40:6"], "given --participants '40:6'"),
         (["--participants", "six"], "whole numbers from 1 to 1000"),
         (["--reps", "0"], "given --reps '0'"),
-        (["--questions", "z"], "a1, a2, b, c, d"),
+        (["--questions", "z"], "a1, a2, a2 mean, b"),
         (["--observer", "papr"], "did you mean 'paper'?"),
         (["--participants", "1000", "--reps", "100"], "400000 answers to each pair"),
     ],

@@ -12,9 +12,14 @@ from modaltouch.analysis.responses import answers_per_cell, cell_of, describe_ce
 from modaltouch.analysis.scale import scale_of
 from modaltouch.protocol import Problem
 
+_MOST_MISSING = 0.25
+"""A participant who lacks so many of the design's answers did another design, or gave up [1]."""
 
-def check_balance(table: Table, frame: pd.DataFrame) -> list[Problem]:
-    """Return doubled rows, missing cells and unequal numbers of answers.
+
+def check_balance(table: Table, frame: pd.DataFrame) -> tuple[list[Problem], int]:
+    """Return doubled rows, lacking cells and surplus answers, and how many answers most cells hold.
+
+    Single answers may be missing; a cell that nobody answered may not, nor a quarter of those of a participant.
 
     The design is every finger condition with every zone pair at every level that occurs. Rows of the same
     participant and cell are repetitions where a column ``repetition`` tells them apart, or where all cells have
@@ -28,7 +33,7 @@ def check_balance(table: Table, frame: pd.DataFrame) -> list[Problem]:
         Its rows, indexed by their lines.
     """
     if frame["n"].sum() == 0:
-        return [Problem(table.file, 1, 1, "", "no answers", "at least one answer that is not practice", "")]
+        return [Problem(table.file, 1, 1, "", "no answers", "at least one answer that is not practice", "")], 0
     answers = answers_per_cell(frame)
     counts = answers.to_numpy()
     usual = int(np.bincount(counts[counts > 0]).argmax())
@@ -54,19 +59,22 @@ def check_balance(table: Table, frame: pd.DataFrame) -> list[Problem]:
         remedy = "remove the doubled row; repetitions must be as many in every cell"
         return table.problem(int(lines[-1]), "participant", given, f"{usual}, as in the other cells", remedy)
 
-    fewer = list(answers.index[(answers < usual).any(axis=1)])
+    lacks = np.maximum(usual - counts, 0)
+    far = lacks.sum(axis=1) >= _MOST_MISSING * usual * len(cells)
+    fewer = list(answers.index[far | ((counts == 0) & (counts == 0).all(axis=0)).any(axis=1)])
     more = [(answers.index[who], *cells[cell]) for who, cell in np.argwhere(counts > usual).tolist()]
-    return [
+    problems = [
         *_doubled(table, frame),
         *list_faults(table.file, fewer, "participants with missing answers", missing, f"{usual} in every cell"),
         *list_faults(table.file, more, "cells with surplus answers", surplus, f"{usual} in every cell"),
     ]
+    return problems, usual
 
 
 def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:
     """Return rows that say the same thing twice: one repetition, or one count, given again."""
     told = [name for name, column in (("repetition", "repetition"), ("response", "n")) if column in table.fields]
-    keys = [*keys_of(frame.columns), *told]
+    keys = [*keys_of(frame.columns), *told, *({"session"} & set(frame.columns) if told else ())]
     again = frame[frame.duplicated(keys, keep=False)] if told else frame[:0]
 
     def problem(lines: pd.Index) -> Problem:

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from modaltouch.analysis.outcome import Analysis
+    from modaltouch.analysis.responses import Reading
     from modaltouch.analysis.thresholds import ThresholdAnalysis
-    from modaltouch.protocol import AnswerList
 
 
 def analyse(
@@ -27,7 +27,7 @@ def analyse(
     *,
     mode: str | None = None,
     stimulus: str | None = None,
-    answers: AnswerList | None = None,
+    reading: Reading | None = None,
     figures: Collection[str] = (),
     prereg: Path | str | None = None,
     model: bool = False,
@@ -44,8 +44,9 @@ def analyse(
         Which sessions of a tree to take.
     stimulus : str, optional
         Whose trials to take, of sessions with several stimuli and fixed levels.
-    answers : AnswerList, optional
-        What could be answered, for a CSV; by default the paper's answers. Sessions tell it themselves.
+    reading : Reading, optional
+        What could be answered, how answers are written and the margin of equivalence, for a CSV. Sessions tell it
+        themselves.
     figures : collection of str
         Figures to draw besides Fig. 10 and Fig. 11: ``fields``, ``order``, ``reaction_times``, ``speed_ratio``,
         or ``all``.
@@ -67,7 +68,7 @@ def analyse(
         If a file would be overwritten that this command did not write, or cannot be written.
     """
     asked = _figures(figures)
-    responses = read_responses(path, mode=mode, stimulus=stimulus, answers=answers)
+    responses = read_responses(path, mode=mode, stimulus=stimulus, reading=reading)
     folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
     about = {
         "version": version(),

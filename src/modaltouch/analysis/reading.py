@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 from modaltouch.protocol import InputError
 
 if TYPE_CHECKING:
-    from modaltouch.analysis.responses import Responses
-    from modaltouch.protocol import AnswerList
+    from modaltouch.analysis.responses import Reading, Responses
 
 
 def read_responses(
-    path: Path | str, *, mode: str | None = None, stimulus: str | None = None, answers: AnswerList | None = None
+    path: Path | str, *, mode: str | None = None, stimulus: str | None = None, reading: Reading | None = None
 ) -> Responses:
     """Return the answers in a CSV file, a session log, or a tree of sessions.
 
@@ -23,11 +22,12 @@ def read_responses(
         A CSV file; or a results folder, or any folder or session log in it.
     mode : {"real", "pilot", "simulated"}, optional
         Which sessions of a tree to take. By default the real ones; where there are none, whichever single kind
-        there is.
+        there is. Of a CSV with a column ``mode``, which rows.
     stimulus : str, optional
         Whose trials to take, of sessions with several stimuli.
-    answers : AnswerList, optional
-        What could be answered, for a CSV; by default the paper's answers. Sessions tell it themselves.
+    reading : Reading, optional
+        What could be answered, how answers are written and the margin of equivalence, for a CSV. Sessions tell it
+        themselves.
 
     Raises
     ------
@@ -40,16 +40,12 @@ def read_responses(
         remedy = "check the name; results lie under results/<protocol> unless --results said otherwise"
         raise InputError.of(place, "no such file or folder", "a CSV file or a results folder", remedy)
     if place.is_dir() or place.suffix == ".jsonl":
-        if answers is not None:
-            given = "a protocol with recorded sessions, which hold their own"
-            raise InputError.of(place, given, "a protocol only with a CSV file", "leave the option out")
+        if reading is not None:
+            given = "a protocol, or words of answers, with recorded sessions, which hold their own"
+            raise InputError.of(place, given, "these only with a CSV file", "leave the option out")
         from modaltouch.analysis.results_tree import read_tree
 
         return read_tree(place, mode, stimulus)
-    for name, value in (("stimulus", stimulus), ("mode", mode)):
-        if value:
-            allowed = f"a {name} only with recorded sessions"
-            raise InputError.of(place, f"{name} {value!r} with a CSV file", allowed, "leave the option out")
     from modaltouch.analysis.tidy import read_csv
 
-    return read_csv(place, answers)
+    return read_csv(place, reading, mode, stimulus)

@@ -81,6 +81,7 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
         preregistration=analysis.preregistration,
         departures=analysis.departures,
         left_out=analysis.responses.left_out,
+        notes=analysis.responses.notes,
         record=describe_record(analysis.responses.sessions),
         own_thresholds=answers.scale == OWN_THRESHOLD,
         alpha=ALPHA,
@@ -235,6 +236,7 @@ def _part(name: str, rows: Sequence[Finding], answers: AnswerCounts) -> dict[str
     tested, corrected = any(row.p == row.p for row in rows), any(row.family for row in rows)
     return {
         "name": name + (" (exploratory, not corrected)" if tested and not corrected else ""),
+        "certificate": certificate_of(rows[0]),
         "tested": tested,
         "corrected": corrected,
         "folded": len(rows) > MOST_ROWS,
@@ -253,3 +255,16 @@ def _part(name: str, rows: Sequence[Finding], answers: AnswerCounts) -> dict[str
             for row in rows
         ],
     }
+
+
+_CERTIFICATES = {
+    "leaning": "leaning", "agreement": "agreement", "prevalence": "prevalence", "share of answers": "share",
+    "paired difference": "paired difference", "odds ratio": "odds ratio", "reaction times": "time", "false": "share",
+    "misses": "share", "bounded mean": "c mean",
+}  # fmt: skip
+"""Certificates of what stands in no family, by a part of its name; the first that fits counts."""
+
+
+def certificate_of(finding: Finding) -> str:
+    """Return the word under which ``make certify`` certifies a test or interval; empty where it does not."""
+    return finding.family or next((word for part, word in _CERTIFICATES.items() if part in finding.name), "")

@@ -10,7 +10,7 @@ Of sessions with levels calibrated by participant it has ``multiple_of_threshold
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 REQUIRED = ("participant", "finger_condition", "zone_left", "zone_right", "velocity_mm_s", "response")
 CELL = ("finger_condition", "zone_left", "zone_right", "velocity_mm_s")
+
+MODES = ("real", "pilot", "simulated")
 
 _SIDES = (("zone_left", "zone_right"), ("speed_left_mm_s", "speed_right_mm_s"))
 
@@ -62,6 +64,28 @@ def describe_cell(cell: Iterable[object], scale: LevelScale = VELOCITY) -> str:
     """Return a cell in words, as in ``one_hand A-C 80 mm/s``."""
     condition, left, right, level = cell
     return f"{condition} {left}-{right} {scale.say(float(str(level)))}"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How a CSV file is to be read.
+
+    Attributes
+    ----------
+    answers : AnswerList or None
+        What could be answered; by default the paper's answers.
+    words : dict of str to str
+        Words of the file, and the answers that they stand for.
+    missing : tuple of str
+        Words of the file that stand for no answer, beside an empty field, ``n/a`` and ``time_out``.
+    margin : float or None
+        Difference within which finger conditions count as alike [1].
+    """
+
+    answers: AnswerList | None = None
+    words: Mapping[str, str] = field(default_factory=dict)
+    missing: tuple[str, ...] = ()
+    margin: float | None = None
 
 
 @dataclass(frozen=True)
@@ -132,6 +156,8 @@ class Responses:
         Difference within which finger conditions count as alike [1]; of sessions their protocol tells it.
     asked : int or None
         Answers that each participant was asked for in each cell; None where the table alone tells.
+    notes : tuple of str
+        How the table was taken, for the report.
     """
 
     frame: pd.DataFrame
@@ -146,6 +172,7 @@ class Responses:
     answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
     margin: float | None = None
     asked: int | None = None
+    notes: tuple[str, ...] = ()
 
     def count(self, focus: str = "") -> AnswerCounts:
         """Return the answers as one array.

@@ -20,6 +20,7 @@ import pandas as pd
 
 from modaltouch.analysis.provenance import SessionFacts, take_facts
 from modaltouch.analysis.responses import (
+    MODES,
     AnswerSource,
     ExcludedSource,
     Responses,
@@ -162,9 +163,6 @@ def _unfit(session: Session) -> str:
     return f"damaged: {faults[0]}" if faults else session.unfit
 
 
-MODES = ("real", "pilot", "simulated")
-
-
 def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None) -> Responses:
     """Return the answers of the complete, sound sessions in a folder.
 
@@ -209,20 +207,24 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
         raise InputError.of(place, given, "at least one complete session", remedy)
     answers = _one_list(place, taken)
     frame = _join(place, taken, levels, answers, stimulus)
+    asked = int(answers_per_cell(frame).to_numpy().max()) if levels != "adaptive" else None
+    frame = frame[frame["response"] != TIME_OUT].reset_index(drop=True)
     frame["response"] = pd.Categorical(frame["response"], categories=list(answers.ranked.names))
     digest = hashlib.sha256("".join(item.digest for item in taken).encode()).hexdigest()
-    foci = taken[0].foci
+    foci, start = taken[0].foci, read_session(taken[0].path).start
     return Responses(
         frame,
         tuple(item.facts for item in taken if item.facts is not None),
         tuple(sorted(left_out, key=lambda item: Path(item.source))),
         AnswerSource(str(place), "results", digest, chosen),
         foci.get(stimulus or "", taken[0].focus),
-        read_session(taken[0].path).start,
+        start,
         _sum_catches(taken),
         stimulus or "",
         foci,
         answers,
+        start.get("design", {}).get("analysis", {}).get("equivalence_margin"),
+        asked,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,17 @@ import pandas as pd
 
 from modaltouch.analysis.balance import check_balance
 from modaltouch.analysis.csv_table import Table, list_faults, read_table
-from modaltouch.analysis.responses import REQUIRED, AnswerSource, ExcludedSource, Responses, unmirror
+from modaltouch.analysis.responses import (
+    MODES,
+    REQUIRED,
+    AnswerSource,
+    ExcludedSource,
+    Reading,
+    Responses,
+    unmirror,
+)
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY
-from modaltouch.protocol import AnswerList, InputError, Problem, suggest
+from modaltouch.protocol import TIME_OUT, AnswerList, InputError, Problem, suggest
 
 NUMBERS = ("trial", "block", "response_time", "speed_left_mm_s", "speed_right_mm_s")
 """Further columns the analysis uses where they are there, named as in the record's own table."""
@@ -24,27 +33,34 @@ _TRUTH = {"0": False, "false": False, "no": False, "": False, "1": True, "true":
 _EMPTY = ("", "n/a")
 
 
-def read_csv(path: Path, answers: AnswerList | None = None) -> Responses:
+def read_csv(
+    path: Path, reading: Reading | None = None, mode: str | None = None, stimulus: str | None = None
+) -> Responses:
     """Return the answers in a tidy CSV file.
 
     Parameters
     ----------
     path : Path
         A table with the six columns, and optionally ``n`` (count of equal answers), ``repetition``, ``practice``,
-        ``catch`` (1 where nothing was driven, whatever the velocity) and any others, which are kept. Where any
-        response is ``none``, that is taken to have been an answer, unless `answers` tells. Where
-        ``multiple_of_threshold`` is filled in, as in the record's own table, that is the level in place of the
-        velocity.
-    answers : AnswerList, optional
-        What could be answered.
+        ``catch`` (1 where nothing was driven, whatever the velocity), ``mode``, ``stimulus``, ``session`` and any
+        others, which are kept. Where any response is ``none``, that is taken to have been an answer, unless `reading`
+        tells. Where ``multiple_of_threshold`` is filled in, as in the record's own table, that is the level in place
+        of the velocity. Sessions of a participant count as repetitions, as many of each participant as all have.
+    reading : Reading, optional
+        How the words are to be read.
+    mode, stimulus : str, optional
+        Which rows to take, where these columns hold several words.
 
     Raises
     ------
     InputError
         With every fault of a field; where there is none, with every one of the balance.
     """
+    reading = reading or Reading()
     table = read_table(path, REQUIRED)
-    fields, columns = table.fields, _Columns(table)
+    table = choose_rows(choose_rows(table, "mode", mode), "stimulus", stimulus)
+    table, left_out, notes = choose_sessions(table)
+    fields, columns, answers = table.fields, _Columns(table), reading.answers
     caught, practice = columns.flags("catch", "a catch trial"), columns.flags("practice", "a practice trial")
     frame = pd.DataFrame({name: columns.words(name) for name in REQUIRED[:4]})
     level = VELOCITY if set(fields.get(OWN_THRESHOLD.column, ())) <= set(_EMPTY) else OWN_THRESHOLD
@@ -53,11 +69,12 @@ def read_csv(path: Path, answers: AnswerList | None = None) -> Responses:
         OWN_THRESHOLD: "a multiple of the participant's own threshold, above 0",
     }
     frame[level.column] = columns.numbers(level.column, allowed[level], lambda value: value > 0, where=~caught)
-    remedy = "write one of these words"
+    given = {reading.words.get(word, word) for word in fields["response"].cat.categories}
+    remedy = "map it as in --answers L=left,R=right, or, if it stands for no answer, name it with --missing"
     if answers is None:
-        answers = AnswerList.of_words(("none",) if "none" in fields["response"].cat.categories else ())
-        remedy += ", or name the protocol that offers other answers with --protocol"
-    frame["response"] = columns.answers(answers.ranked.names, remedy)
+        answers = AnswerList.of_words(("none",) if "none" in given else ())
+        remedy += "; or name the protocol that offers other answers with --protocol"
+    frame["response"] = columns.answers(answers.ranked.names, remedy, reading)
     frame["n"] = columns.whole_numbers("n", 0) if "n" in fields else 1
     if "repetition" in fields:
         frame["repetition"] = columns.whole_numbers("repetition", 1)
@@ -69,19 +86,61 @@ def read_csv(path: Path, answers: AnswerList | None = None) -> Responses:
     columns.check_zones()
     caught &= ~practice
     if not columns.problems:
-        answered = frame[~practice & ~caught]
-        columns.problems += check_balance(table, unmirror(answered, answers))
+        asked = frame[~practice & ~caught]
+        problems, usual = check_balance(table, unmirror(asked, answers))
+        columns.problems += problems
     if columns.problems:
         raise InputError(columns.problems)
     apart = ((practice, "practice trials"), (caught, "catch trials, counted apart"))
+    left_out += [ExcludedSource(f"{table.file}: {rows.sum()} rows", why) for rows, why in apart if rows.any()]
+    told = set(fields["mode"]) - set(_EMPTY) if "mode" in fields else set()
     return Responses(
-        unmirror(answered, answers),
+        unmirror(asked[asked["response"].notna()], answers),
         (),
-        tuple(ExcludedSource(f"{table.file}: {rows.sum()} rows", why) for rows, why in apart if rows.any()),
-        AnswerSource(table.file, "csv", table.sha256),
-        catches=_count_catches(frame[caught]),
+        tuple(left_out),
+        AnswerSource(table.file, "csv", table.sha256, str(next(iter(told), ""))),
+        catches=_count_catches(frame[caught & frame["response"].notna()]),
         answers=answers,
+        margin=reading.margin,
+        asked=usual,
+        notes=tuple(notes),
     )
+
+
+def choose_rows(table: Table, name: str, chosen: str | None) -> Table:
+    """Return the rows with one word in a column, of a table that may lack it.
+
+    Raises
+    ------
+    InputError
+        If the column holds several words and none is chosen, or not the one that is.
+    """
+    words = set(table.fields[name]) - set(_EMPTY) if name in table.fields else set()
+    listed = ", ".join(sorted(map(str, words))) or f"no column {name} with a word"
+    if chosen is None and len(words) > 1:
+        given, remedy = f"rows of several words under {name} ({listed})", f"choose one with --{name}"
+        raise InputError.of(Path(table.file), given, f"rows of one {name}", remedy)
+    if chosen is not None and chosen not in words:
+        remedy = "choose one of them, or leave the option out"
+        raise InputError.of(Path(table.file), f"{name} {chosen!r} with a CSV file", listed, remedy)
+    if name == "mode" and words and not words <= set(MODES):
+        given, remedy = f"a column mode with {listed}", "correct it, or rename the column if it means something else"
+        raise InputError.of(Path(table.file), given, ", ".join(MODES), remedy)
+    return table if chosen is None else replace(table, fields=table.fields[table.fields[name] == chosen])
+
+
+def choose_sessions(table: Table) -> tuple[Table, list[ExcludedSource], list[str]]:
+    """Return as many sessions of each participant as all have, what stays out, and how they were taken."""
+    if "session" not in table.fields:
+        return table, [], []
+    who, session = (table.fields[name].astype("str") for name in ("participant", "session"))
+    place = session.groupby(who, sort=False).transform(lambda own: pd.factorize(own)[0])
+    fewest = int(place.groupby(who).max().min()) + 1
+    beyond = place >= fewest
+    reason = f"sessions beyond the first {fewest}: not every participant has as many"
+    left_out = [ExcludedSource(f"{table.file}: {beyond.sum()} rows", reason)] if beyond.any() else []
+    notes = [f"{fewest} sessions of each participant taken together, as repetitions"] if fewest > 1 else []
+    return replace(table, fields=table.fields[~beyond]), left_out, notes
 
 
 def _count_catches(frame: pd.DataFrame) -> dict[str, Counter[str]]:
@@ -105,16 +164,21 @@ class _Columns:
         self.problems += self._table.check_words(column, bool, "a word", lambda word: ("nothing", "fill it in"))
         return column
 
-    def answers(self, words: tuple[str, ...], remedy: str) -> pd.Series:
-        """Return the responses, each one of the answers."""
+    def answers(self, words: tuple[str, ...], remedy: str, reading: Reading) -> pd.Series:
+        """Return the responses, each one of the answers, or not there."""
+        missing = {*_EMPTY, TIME_OUT, *reading.missing}
 
         def say(word: str) -> tuple[str, str]:
             meant = suggest(word, words)
-            return repr(word) if word else "nothing", f"write {meant}" if meant else remedy
+            return repr(word), f"write {meant}, or {remedy}" if meant else remedy
+
+        def is_sound(word: str) -> bool:
+            return reading.words.get(word, word) in words or word in missing
 
         column = self._table.fields["response"]
-        self.problems += self._table.check_words(column, words.__contains__, ", ".join(words), say)
-        return column.cat.set_categories(list(words))
+        self.problems += self._table.check_words(column, is_sound, ", ".join(words), say)
+        found = column.astype("str").map(lambda word: reading.words.get(word, word))
+        return pd.Series(pd.Categorical(found.where(found.isin(words)), list(words)), column.index)
 
     def flags(self, name: str, what: str) -> pd.Series:
         """Return which rows a column of 0 and 1 marks, none where there is no such column."""

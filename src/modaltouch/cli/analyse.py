@@ -12,7 +12,7 @@ from modaltouch.cli.exit_status import print_json, reporting
 from modaltouch.cli.options import JSON, MODE
 
 if TYPE_CHECKING:
-    from modaltouch.protocol import AnswerList
+    from modaltouch.analysis import Reading
 
 
 def analyse(
@@ -37,7 +37,16 @@ def analyse(
     ] = None,
     protocol: Annotated[
         str | None,
-        typer.Option(help="Protocol that a CSV's answers were given in, where they are not left, both, right, none."),
+        typer.Option(
+            help="Protocol that a CSV's answers were given in: what could be answered, and the margin of equivalence."
+        ),
+    ] = None,
+    answers: Annotated[
+        str | None, typer.Option(help="What a CSV's words stand for, such as L=left,B=both,R=right.")
+    ] = None,
+    missing: Annotated[
+        str | None,
+        typer.Option(help="Words of a CSV that stand for no answer, such as NA,-; an empty field and n/a always do."),
     ] = None,
     figures: Annotated[
         str,
@@ -60,14 +69,17 @@ def analyse(
     gc.set_threshold(100_000)
     from modaltouch.analysis import analyse as run_analysis
 
+    words = _mapped(answers)
     with reporting(json_output=json_output):
-        answers = None if protocol is None else _offered(protocol)
+        reading = None
+        if any(option is not None for option in (protocol, answers, missing)):
+            reading = _reading(protocol, words, missing)
         analysis = run_analysis(
             source,
             out,
             mode=mode,
             stimulus=stimulus,
-            answers=answers,
+            reading=reading,
             figures=figures.replace(",", " ").split(),
             prereg=prereg,
             model=model,
@@ -78,11 +90,25 @@ def analyse(
             tell(analysis)
 
 
-def _offered(protocol: str) -> AnswerList:
-    """Return the answers of a protocol; what reads one is loaded only here."""
+def _reading(protocol: str | None, words: dict[str, str] | None, missing: str | None) -> Reading:
+    """Return how a CSV is to be read; what reads a protocol is loaded only here."""
+    from modaltouch.analysis import Reading
     from modaltouch.protocol import Findings
 
-    return Findings.read(protocol).experiment().protocol.answers.offered
+    given = None if protocol is None else Findings.read(protocol).experiment().protocol
+    margin = given.analysis.equivalence_margin if given else None
+    codes = tuple(word.strip() for word in (missing or "").split(","))
+    return Reading(given.answers.offered if given else None, words or {}, codes, margin)
+
+
+def _mapped(answers: str | None) -> dict[str, str] | None:
+    """Return what words stand for, as they are given in an option."""
+    if answers is None:
+        return None
+    pairs = [part.strip().partition("=") for part in answers.split(",")]
+    if not all(word.strip() and sign and answer.strip() for word, sign, answer in pairs):
+        raise typer.BadParameter(f"given --answers {answers!r}; allowed: words and answers, such as L=left,R=right")
+    return {word.strip(): answer.strip() for word, _, answer in pairs}
 
 
 def participants(number: int) -> str:
@@ -94,6 +120,12 @@ def tell(analysis: Any) -> None:
     """Print what an analysis found and where it is."""
     values = analysis.as_dict()
     print(f"{values['n_responses']} answers of {participants(values['n_participants'])}")
+    for note in values.get("notes", ()):
+        print(note)
+    if values.get("missing"):
+        cells = "; ".join(f"{each['participant']} {each['cell']}" for each in values["missing"][:5])
+        more = f" and {len(values['missing']) - 5} more cells" if len(values["missing"]) > 5 else ""
+        typer.secho(f"{values['n_missing']} answers missing: {cells}{more}", err=True, fg=typer.colors.YELLOW)
     for left_out in values["left_out"]:
         typer.secho(f"left out: {left_out['source']}: {left_out['reason']}", err=True, fg=typer.colors.YELLOW)
     for departure in values.get("departures", ()):

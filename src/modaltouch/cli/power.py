@@ -37,7 +37,13 @@ def power(
     reps: REPETITIONS = None,
     observer: OBSERVER = "paper",
     experiments: Annotated[int, typer.Option(min=1, max=1_000_000, help="Experiments simulated of each size.")] = 1000,
-    questions: Annotated[str, typer.Option(help="Which questions of the analysis.")] = "a1,a2,b,c,d",
+    questions: Annotated[
+        str | None,
+        typer.Option(
+            help="Which families of tests: a1, a2, b, c, d, the means `a2 mean` to `d mean`, and `c alike`.",
+            show_default="a1,a2,b,c,d, and c alike where the protocol fixes a margin",
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed; the same seed gives the same figures.")] = 1,
     null: NULL = False,
     target: Annotated[float, typer.Option(min=0.01, max=0.999, help="Power to reach.")] = 0.8,
@@ -74,7 +80,7 @@ def power(
             for name, design in designs.items():
                 with progress(f"{name}: experiments" if name else "experiments") as on_progress:
                     planned = plan(
-                        Study(design, model, _families(questions, design.scopes), null, seed),
+                        Study(design, model, _families(questions, design.scopes, null=null), null, seed),
                         [(n, r) for r in repetitions for n in sizes_n],
                         experiments,
                         n_processes=jobs,
@@ -160,20 +166,25 @@ def _refuse_too_large(n_answers: int) -> None:
         )
 
 
-def _families(questions: str, scopes: Callable[[str], tuple[str, ...]]) -> tuple[str, ...]:
-    """Return the families of the questions that the protocol has tests for."""
+def _families(questions: str | None, scopes: Callable[[str], tuple[str, ...]], *, null: bool) -> tuple[str, ...]:
+    """Return the families of tests that are asked for and that the protocol has."""
     from modaltouch.analysis import STATISTICS
 
-    known = tuple(dict.fromkeys(statistic.question for statistic in STATISTICS.values()))
-    asked = [word.strip() for word in questions.split(",")]
+    asked = [word.strip() for word in (questions or "a1,a2,b,c,d,c alike").split(",")]
     for word in asked:
-        if word not in known:
-            raise typer.BadParameter(f"given --questions {word!r}; allowed: {', '.join(known)}, separated by commas")
-    found = tuple(family for family, each in STATISTICS.items() if each.question in asked and scopes(family))
+        if word not in STATISTICS:
+            allowed = ", ".join(STATISTICS)
+            raise typer.BadParameter(f"given --questions {word!r}; allowed: {allowed}, separated by commas")
+    # Where no effect is simulated, finding the conditions alike is no false alarm.
+    found = tuple(
+        family
+        for family, each in STATISTICS.items()
+        if family in asked and scopes(family) and not (null and each.when_alike)
+    )
     if not found:
         raise typer.BadParameter(
             f"given --questions {questions!r}, for which this protocol has no test: c needs two finger conditions, d "
-            "two pairs of zones"
+            "two pairs of zones, c alike analysis.equivalence_margin and no --null"
         )
     return found
 

@@ -217,7 +217,8 @@ class Session:
             total = self.start.get("schedule", {}).get("n_trials", 0)
             return f"incomplete: {self.n_answered} of {total} trials answered (go on with `modaltouch resume`)"
         n_timed_out = sum(event["response"]["answer"] == TIME_OUT for event in self.trials)
-        return f"without an answer to {n_timed_out} trials, which timed out" if n_timed_out else ""
+        is_adaptive = bool(self.start.get("design", {}).get("adaptive"))
+        return f"without an answer to {n_timed_out} trials, which timed out" if n_timed_out and is_adaptive else ""
 
 
 def count(counting: dict[int, dict[str, Any]], event: dict[str, Any]) -> None:

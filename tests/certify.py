@@ -1,0 +1,332 @@
+"""Certificates: how often each test and interval of the report errs, in populations whose truth is known.
+
+Every row is a test or interval in one population: the share of simulated experiments in which a test rejects what is
+true, or a 95 % interval misses what is true. The functions are those of the report. A row fails where that share is
+above 0.05 beyond doubt, by an exact bound that allows for all rows (Bonferroni).
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import joblib
+import numpy as np
+
+from modaltouch.analysis.agreement import ac1_interval
+from modaltouch.analysis.consistency import shows_dominance
+from modaltouch.analysis.counts import AnswerCounts, Pair, Shares
+from modaltouch.analysis.exact import sign_flip_test, sign_test
+from modaltouch.analysis.findings import holm
+from modaltouch.analysis.intervals import clopper_pearson, matched_odds_ratio
+from modaltouch.analysis.means import BoundedMean
+from modaltouch.analysis.statistics import STATISTICS, conditions_compared, dominance, pairs_compared, slopes
+from modaltouch.system import version
+
+LEVELS = (80.0, 100.0, 150.0, 200.0)
+KINDS = ("alike", "minority", "skew", "slopes", "spread", "sure", "guessing")
+CROWD = 40_000
+"""Participants whose mean is taken for the truth."""
+
+BATCH = 500
+ALPHA = 0.05
+TIES = 1 + 1e-9
+
+
+@dataclass(frozen=True)
+class Population:
+    """People, and how many of them answer how often.
+
+    Attributes
+    ----------
+    kind : str
+        What they do: the same with either hand and pair (alike, sure, guessing, spread), a minority the opposite of the
+        others (minority), the others a little against it so that the mean difference is near zero (skew), or each with
+        a slope of the own (slopes).
+    participants, repetitions : int
+        Size of the experiments.
+    minority : float
+        Share of those who do the opposite [1].
+    slope_sd : float
+        Standard deviation of slopes of mean zero [logit per 50 mm/s].
+    lapses : float
+        Share of answers that are guesses [1].
+    correlation : float
+        Correlation of the answers of one participant to one pair under one finger condition [1].
+    missing : float
+        Chance of an answer to be missing [1].
+    """
+
+    kind: str
+    participants: int
+    repetitions: int
+    minority: float
+    slope_sd: float
+    lapses: float
+    correlation: float
+    missing: float
+
+    @classmethod
+    def draw(cls, number: int) -> Population:
+        """Return one of the populations."""
+        rng = np.random.default_rng([19, number])
+
+        def one_of(*values):
+            return values[rng.integers(len(values))]
+
+        kind, missing, repetitions = (
+            KINDS[number % len(KINDS)],
+            one_of(0.0, 0.0, 0.02, 0.05, 0.1),
+            one_of(1, 1, 2, 4, 8),
+        )
+        n = one_of(6, 8, 10, 10, 12, 16, 20, 30, 60)
+        n = min(n, 10) if missing and repetitions > 2 else n  # exact trends of many patterns of gaps take long
+        opposite, sd = one_of(0.05, 0.1, 0.15, 0.2, 0.3), one_of(0.5, 1.0, 2.0)
+        return cls(kind, n, repetitions, opposite, sd, one_of(0.0, 0.05, 0.15), one_of(0.0, 0.2, 0.5), missing)
+
+    def chances(self, rng, shape, null):
+        """Return the chances of dominant zone, both and other zone, (*shape, 2, 2, 4, 3); of a null, nobody differs."""
+        few = rng.random(shape) < self.minority
+        base = {"guessing": 0.0, "sure": 4.0}.get(self.kind, 2.0) + (self.kind == "spread") * rng.normal(0, 1.5, shape)
+        hand = {"minority": -5.0 * few, "skew": np.where(few, -5.0, 0.7)}.get(self.kind, np.zeros(shape))
+        slope = (self.kind == "slopes") * rng.normal(0, self.slope_sd, shape) * (not null)
+        hands = np.stack([np.zeros(shape), hand * (not null)], axis=-1)[..., :, None, None]
+        steps = (np.array(LEVELS) - np.mean(LEVELS)) / 50
+        level = base[..., None, None, None] + slope[..., None, None, None] * steps + hands
+        first = 1 / (1 + np.exp(-np.broadcast_to(level, (*shape, 2, 2, 4))))
+        undecided = 0.5 if null else np.array([0.3, 0.7])[:, None]
+        both = (1 - first) * undecided
+        chances = np.stack([first, both, 1 - first - both], axis=-1)
+        if null:  # as many lean one way as the other
+            turned = (rng.random(shape) < 0.5)[..., None, None, None, None]
+            chances = np.where(turned, chances[..., ::-1], chances)
+        return (1 - self.lapses) * chances + self.lapses / 3
+
+    def answers(self, rng, shape, *, null=False, guesses=False):
+        """Return the counted answers of some experiments of participants, and the chances before they correlate."""
+        chances = np.full((*shape, 2, 2, 4, 3), 1 / 3) if guesses else self.chances(rng, shape, null)
+        own = chances
+        if self.correlation and not guesses:
+            # One draw for a pair under a finger condition, whichever level: the same mean, varying together.
+            strength = (1 - self.correlation) / self.correlation
+            uniform = rng.random((*shape, 2, 2, 1, 1))
+            picked = (uniform > np.cumsum(chances, axis=-1)[..., :-1]).sum(axis=-1)
+            share = rng.beta(1, strength, (*shape, 2, 2, 1, 1))
+            own = (1 - share) * chances + share * np.eye(3)[picked]
+        given = np.full((*shape, 2, 2, 4), self.repetitions)
+        if self.missing:
+            given = rng.binomial(given, 1 - self.missing)
+        first = rng.binomial(given, np.clip(own[..., 0], 0, 1))
+        both = rng.binomial(given - first, np.clip(own[..., 1] / np.maximum(1 - own[..., 0], 1e-12), 0, 1))
+        other = given - first - both
+        # (A, C): C lies on the right; (B, D): B, the left one, counts as dominant.
+        counts = np.stack([[other[..., 0, :], both[..., 0, :], first[..., 0, :]],
+                           [first[..., 1, :], both[..., 1, :], other[..., 1, :]]], axis=0)  # fmt: skip
+        counts = np.moveaxis(counts, (0, 1), (-2, -1))
+        pairs = (Pair.of("A", "C", "C"), Pair.of("B", "D", "C"))
+        names = tuple(f"p{number}" for number in range(shape[-1]))
+        hands = ("one_hand", "two_hands")
+        return AnswerCounts(names, hands, pairs, LEVELS, np.swapaxes(counts, -2, -3), self.repetitions), chances
+
+
+def errors_of_means(answers, truths, margins):
+    """Yield the name of each mean, whether its interval misses the truth, and half its width."""
+    for name, scores in {
+        "a2 mean": dominance(answers).scores,
+        "b mean": slopes(answers),
+        "c mean": conditions_compared(answers).scores,
+        "d mean": pairs_compared(answers).scores,
+    }.items():
+        mean = BoundedMean(scores.scores[..., 0, :], -scores.scale, scores.scale)
+        yield name, mean.test(truths[name]).p <= ALPHA / TIES, mean
+        if name == "c mean":
+            yield "c alike", mean.equivalence(margins).p <= ALPHA / TIES, None
+
+
+def truths_of(population, rng):
+    """Return what a very large crowd shows."""
+    answers, chances = population.answers(rng, (CROWD,))
+    mean = chances.mean(axis=0)
+    weights = 100 * (np.array(LEVELS) - np.mean(LEVELS)) / ((np.array(LEVELS) - np.mean(LEVELS)) ** 2).sum()
+    shown = mean[0, 0]
+    alike, popular = (shown**2).sum(axis=-1).mean(), shown.mean(axis=0)
+    chance = (popular * (1 - popular)).sum() / 2
+    score = answers.dominant[0, 0].sum(axis=-1) - answers.other[0, 0].sum(axis=-1)
+    modal = answers.modal()[:, :, 0, 0]
+    known = (modal >= 0).all(axis=1)
+    hit = modal[known] == answers.dominant_place(answers.pairs[0])
+    one = modal[modal[:, 0] >= 0, 0] == answers.dominant_place(answers.pairs[0])
+    b, c = np.mean(hit[:, 0] & ~hit[:, 1]), np.mean(hit[:, 1] & ~hit[:, 0])
+    showing = shows_dominance(answers.dominant[0, 0].sum(axis=-1), answers.other[0, 0].sum(axis=-1))
+    return {
+        "a1 share": one.mean(),
+        "a2 mean": (shown[:, 0] - shown[:, 2]).mean(),
+        "leaning share": (score > 0).sum() / max((score != 0).sum(), 1),
+        "b mean": shown[:, 0] @ weights,
+        "c mean": (mean[0, 0, :, 0] - mean[1, 0, :, 0]).mean(),
+        "d mean": (mean[0, 0, :, 1] - mean[0, 1, :, 1]).mean(),
+        "agreement": (alike - chance) / (1 - chance),
+        "prevalence": showing.mean(),
+        "share": shown[:, 0].mean(),
+        "paired difference": b - c,
+        "odds ratio": b / c if c else np.inf,
+    }
+
+
+def errors_of_shares(answers, truth):
+    """Yield the name of each other interval and whether it misses the truth."""
+    place = answers.dominant_place(answers.pairs[0])
+    kinds = answers.n_modal[..., 0, 0, 0, :]
+    yield "a1 share", missed(clopper_pearson(kinds[..., place], kinds.sum(axis=-1)), truth["a1 share"])
+    first, second = (each[..., 0, 0, :, :].sum(axis=-1) for each in (answers.dominant, answers.other))
+    score = first - second
+    share = clopper_pearson((score > 0).sum(axis=-1), (score != 0).sum(axis=-1))
+    yield "leaning share", missed(share, truth["leaning share"])
+    n = np.full(len(score), score.shape[-1])
+    yield "prevalence", missed(clopper_pearson(shows_dominance(first, second).sum(axis=-1), n), truth["prevalence"])
+    own = Shares(answers.dominant[..., 0, 0, :, :], answers.answered[..., 0, 0, :, :], answers.n_repetitions)
+    yield "share", BoundedMean(own.mean, 0.0, 1.0).test(truth["share"]).p <= ALPHA / TIES
+    modal = answers.modal()[..., 0, 0]
+    hit, known = modal == place, (modal >= 0).all(axis=-1)
+    gap = np.where(known, hit[..., 0].astype(float) - hit[..., 1], np.nan)
+    yield "paired difference", BoundedMean(gap).test(truth["paired difference"]).p <= ALPHA / TIES
+    b, c = (gap == 1).sum(axis=-1), (gap == -1).sum(axis=-1)
+    ratios = {pair: matched_odds_ratio(*pair) for pair in set(zip(b.tolist(), c.tolist(), strict=True))}
+    odds = [ratios[pair] for pair in zip(b.tolist(), c.tolist(), strict=True)]
+    yield "odds ratio", np.array([not each.low <= truth["odds ratio"] * TIES or each.high < truth["odds ratio"] / TIES
+                                  for each in odds])  # fmt: skip
+    rated = answers.counts[..., 0, 0, :, :]
+    parts = [rated[start : start + 50] for start in range(0, len(rated), 50)]
+    yield "agreement", np.concatenate([missed(ac1_interval(part), truth["agreement"]) for part in parts])
+
+
+def missed(interval, truth):
+    """Return which intervals do not hold the truth."""
+    return (truth < interval.low - 1e-9) | (interval.high + 1e-9 < truth)
+
+
+def errors_of_tests(population, rng, shape):
+    """Yield the name of each exact test and whether it rejects, where nobody differs, and their families after Holm."""
+    nobody, _ = population.answers(rng, shape, null=True)
+    guesses, _ = population.answers(rng, shape, guesses=True)
+    for family in ("a1", "a2", "b", "c", "d"):
+        p = STATISTICS[family].compute(guesses if family == "a1" else nobody).test.quick_p
+        yield family, p[:, 0] <= ALPHA * TIES
+        yield f"{family} Holm", (holm(p) <= ALPHA * TIES).any(axis=-1)
+    score = (nobody.dominant - nobody.other)[..., 0, 0, :, :].sum(axis=-1)
+    yield "leaning", sign_test(score).quick_p <= ALPHA * TIES
+    # Medians of reaction times [0.01 s]: heavy tails, and every difference as likely with either sign.
+    medians = np.exp(rng.normal(-0.5, 0.4, (*shape, 2)))
+    gaps = np.rint(100 * (medians[..., 0] - medians[..., 1])).astype(int)
+    yield "time", sign_flip_test(gaps).quick_p <= ALPHA * TIES
+
+
+def certify(number, n_experiments):
+    """Return the rows of one population."""
+    population = Population.draw(number)
+    rng = np.random.default_rng([1906, number])
+    truth = truths_of(population, rng)
+    wrong: dict[str, list[np.ndarray]] = {}
+    widths: dict[str, float] = {}
+    for start in range(0, n_experiments, BATCH):
+        shape = (min(BATCH, n_experiments - start), population.participants)
+        answers, _ = population.answers(rng, shape)
+        margin = max(abs(float(truth["c mean"])), 0.02)
+        for name, errors, mean in errors_of_means(answers, truth, margin):
+            wrong.setdefault(name, []).append(errors)
+            if mean is not None and name not in widths:
+                widths[name] = float(np.mean(mean.interval().half_width[:100]))
+        for name, errors in (*errors_of_shares(answers, truth), *errors_of_tests(population, rng, shape)):
+            wrong.setdefault(name, []).append(errors)
+    rows = []
+    for name, parts in wrong.items():
+        errors = np.concatenate(parts)
+        row = {"certificate": name, "population": number, "n": errors.size, "errors": int(errors.sum())}
+        rows.append(row | ({"half_width": round(widths[name], 4)} if name in widths else {}))
+    return {"population": asdict(population), "rows": rows}
+
+
+def judge(parts):
+    """Return the certificates: worst rate over the populations, and how many populations fail."""
+    rows = [row for part in parts for row in part["rows"]]
+    level = 1 - 2 * ALPHA / len(rows)
+    for row in rows:
+        row["rate"] = row["errors"] / row["n"]
+        row["fails"] = bool(clopper_pearson(row["errors"], row["n"], level).low > ALPHA)
+    told = {}
+    for name in dict.fromkeys(row["certificate"] for row in rows):
+        own = [row for row in rows if row["certificate"] == name]
+        worst = max(own, key=lambda row: row["rate"])
+        told[name] = {
+            "populations": len(own),
+            "experiments_each": worst["n"],
+            "mean_rate": round(float(np.mean([row["rate"] for row in own])), 4),
+            "worst_rate": worst["rate"],
+            "worst_population": parts[worst["population"]]["population"],
+            "fails": sum(row["fails"] for row in own),
+        }
+    return told, rows
+
+
+def draw(rows, place):
+    """Write the picture: the error rate of every test and interval in every population."""
+    from matplotlib.figure import Figure
+
+    names = list(dict.fromkeys(row["certificate"] for row in rows))
+    figure = Figure(figsize=(7, 0.27 * len(names) + 1.1), layout="constrained")
+    axes, rng = figure.subplots(), np.random.default_rng(1)
+    for y, name in enumerate(names):
+        own = [row for row in rows if row["certificate"] == name]
+        colours = ["#b3261e" if row["fails"] else "#0b3c8c" for row in own]
+        axes.scatter([row["rate"] for row in own], y + rng.uniform(-0.25, 0.25, len(own)), s=5, c=colours, alpha=0.6)
+    axes.axvline(ALPHA, color="#444444", linewidth=0.8, linestyle=":")
+    axes.set_yticks(range(len(names)), names)
+    axes.invert_yaxis()
+    axes.set_xlim(left=-0.001)
+    axes.set_xlabel("rate of errors: a true null rejected, or the truth outside the 95 % interval")
+    axes.set_title("Each dot a population; red: above 0.05 beyond doubt", fontsize=9)
+    figure.savefig(place, dpi=160)
+
+
+def main() -> None:
+    """Certify every test and interval, and write the table and the picture."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--populations", type=int, default=210)
+    parser.add_argument("--experiments", type=int, default=2000)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster that does the work")
+    parser.add_argument("--out", type=Path, default=Path("results/benchmarks/certify.json"))
+    asked = parser.parse_args()
+    began, cluster = time.perf_counter(), contextlib.nullcontext()
+    if asked.dask:
+        from distributed import Client
+
+        Client(asked.dask)
+        cluster = joblib.parallel_config("dask")
+    with cluster:
+        work = (joblib.delayed(certify)(number, asked.experiments) for number in range(asked.populations))
+        parts = joblib.Parallel(n_jobs=asked.jobs, verbose=1)(work)
+    told, rows = judge(parts)
+    minutes = (time.perf_counter() - began) / 60
+    table = {"version": version(), "minutes": round(minutes, 1), "certificates": told,
+             "populations": [part["population"] for part in parts], "rows": rows}  # fmt: skip
+    asked.out.write_text(compact(table) + "\n", encoding="utf-8")
+    draw(rows, asked.out.with_suffix(".png"))
+    for name, each in told.items():
+        print(f"{name:20} worst {each['worst_rate']:.4f}  mean {each['mean_rate']:.4f}  fails {each['fails']}")
+
+
+def compact(table):
+    """Return a table as JSON, a row a line."""
+    parts = [f'"{key}": {json.dumps(value)}' for key, value in table.items() if not isinstance(value, list)]
+    for key in ("populations", "rows"):
+        parts.append(f'"{key}": [\n' + ",\n".join(json.dumps(row) for row in table[key]) + "\n]")
+    return "{\n" + ",\n".join(parts) + "\n}"
+
+
+if __name__ == "__main__":
+    main()
