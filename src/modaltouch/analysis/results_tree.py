@@ -29,7 +29,7 @@ from modaltouch.analysis.responses import (
     unmirror,
 )
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, scale_of
-from modaltouch.protocol import AnswerList, InputError
+from modaltouch.protocol import TIME_OUT, AnswerList, InputError
 from modaltouch.record import RecordError, Session, SessionFolder, audit_session, read_session
 
 
