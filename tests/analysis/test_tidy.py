@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.reading import read_responses
-from modaltouch.analysis.responses import Reading
+from modaltouch.analysis.responses import TableFormat
 from modaltouch.protocol.problems import InputError
 
 HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,response"
@@ -223,7 +223,7 @@ class TestBalance:
         """An empty field, BIDS's n/a, the record's own time_out; any other word where it is named."""
         rows = [dict(row) for row in paper_rows]
         rows[5]["response"] = word
-        responses = read_responses(write_csv(rows), reading=Reading(missing=("NA",)))
+        responses = read_responses(write_csv(rows), table_format=TableFormat(missing=("NA",)))
         assert [n for *_, n in responses.count().missing] == [1]
         assert len(responses.frame) == 239
 
@@ -354,7 +354,7 @@ def test_words_are_mapped_as_they_are_told(write_csv, paper_rows) -> None:
     """L, B and R; an unknown word names the option that maps it."""
     short = {"left": "L", "both": "B", "right": "R"}
     path = write_csv([row | {"response": short[row["response"]]} for row in paper_rows], "short.csv")
-    read = read_responses(path, reading=Reading(words={word: name for name, word in short.items()}))
+    read = read_responses(path, table_format=TableFormat(words={word: name for name, word in short.items()}))
     assert (read.count().counts == counted(write_csv(paper_rows))).all()
     assert all("--answers L=left,R=right" in problem and "--missing" in problem for problem in fails(path))
 

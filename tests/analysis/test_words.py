@@ -1,12 +1,14 @@
 from __future__ import annotations
 
+import json
 import re
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
 from modaltouch.analysis.counts import count_answers
-from modaltouch.analysis.report import list_questions, speed_rows
+from modaltouch.analysis.report import certificate_of, list_questions, speed_rows
 from modaltouch.analysis.statistics import find
 from modaltouch.analysis.words import say_p, say_scope, state_families
 from modaltouch.report import say_number
@@ -59,10 +61,10 @@ def test_conditions_and_zones_are_said_in_words(paper_frame, scope, words) -> No
 
 
 def test_families_and_their_error_rates_are_stated_once(paper_frame) -> None:
-    """Six families at 5 % each; by Bonferroni's inequality 30 % over all of them."""
+    """Nine families at 5 % each; by Bonferroni's inequality 45 % over all of them."""
     stated = state_families(find(count_answers(paper_frame), paper_frame))
-    assert "a1 (24), a2 (6), b (6), c (3), c both (3), d (6)" in stated
-    assert "over all 6, that chance is 30 % at most" in stated
+    assert "a1 (24), a2 (6), a2 mean (6), b (6), b mean (6), c (6), c mean (6), d (6), d mean (6)" in stated
+    assert "over all 9, that chance is 45 % at most" in stated
 
 
 def test_every_p_is_corrected_or_exploratory(paper_frame) -> None:
@@ -121,3 +123,16 @@ def test_speeds_under_the_fingers_stand_beside_the_level_asked() -> None:
         {"finger_condition": "two hands", "pair": "C and E", "cells": ["", "200 | 123"]},
     ]
     assert speed_rows(frame.drop(columns="speed_left_mm_s")) == []
+
+
+def test_every_test_and_interval_has_its_certificate(paper_frame) -> None:
+    """Each row that prints a p or bounds names a certificate of at least 200 populations, none of which fails."""
+    table = json.loads((Path(__file__).parents[2] / "results/benchmarks/certify.json").read_text(encoding="utf-8"))
+    rows = find(count_answers(paper_frame, margin=0.2), paper_frame)
+    named = {certificate_of(row) for row in rows if row.p == row.p or row.low == row.low}
+    assert named <= set(table["certificates"])
+    assert named >= {"a1", "a2", "a2 mean", "c alike", "agreement", "prevalence", "share", "paired difference"}
+    assert len(table["populations"]) >= 200
+    for certificate in table["certificates"].values():
+        assert len(certificate["errors"]) == len(table["populations"])
+        assert certificate["fails"] == []

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from modaltouch.analysis.pipeline import analyse
     from modaltouch.analysis.preregistration import terms_of
     from modaltouch.analysis.reading import read_responses
-    from modaltouch.analysis.responses import Reading, Responses
+    from modaltouch.analysis.responses import Responses, TableFormat
     from modaltouch.analysis.statistics import STATISTICS
     from modaltouch.analysis.thresholds.analysis import analyse_runs
     from modaltouch.analysis.words import say_scope
@@ -33,7 +33,7 @@ else:
             "pipeline": "analyse",
             "preregistration": "terms_of",
             "reading": "read_responses",
-            "responses": "Reading Responses",
+            "responses": "TableFormat Responses",
             "statistics": "STATISTICS",
             "thresholds.analysis": "analyse_runs",
             "words": "say_scope",
@@ -44,7 +44,7 @@ __all__ = [
     "ALPHA",
     "AnswerCounts",
     "Pair",
-    "Reading",
+    "TableFormat",
     "Responses",
     "STATISTICS",
     "analyse",

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from modaltouch.analysis.outcome import Analysis
-    from modaltouch.analysis.responses import Reading
+    from modaltouch.analysis.responses import TableFormat
     from modaltouch.analysis.thresholds import ThresholdAnalysis
 
 
@@ -27,7 +27,7 @@ def analyse(
     *,
     mode: str | None = None,
     stimulus: str | None = None,
-    reading: Reading | None = None,
+    table_format: TableFormat | None = None,
     figures: Collection[str] = (),
     prereg: Path | str | None = None,
     model: bool = False,
@@ -44,7 +44,7 @@ def analyse(
         Which sessions of a tree to take.
     stimulus : str, optional
         Whose trials to take, of sessions with several stimuli and fixed levels.
-    reading : Reading, optional
+    table_format : TableFormat, optional
         What could be answered, how answers are written and the margin of equivalence, for a CSV. Sessions tell it
         themselves.
     figures : collection of str
@@ -68,7 +68,7 @@ def analyse(
         If a file would be overwritten that this command did not write, or cannot be written.
     """
     asked = _figures(figures)
-    responses = read_responses(path, mode=mode, stimulus=stimulus, reading=reading)
+    responses = read_responses(path, mode=mode, stimulus=stimulus, table_format=table_format)
     folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
     about = {
         "version": version(),

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 from modaltouch.protocol import InputError
 
 if TYPE_CHECKING:
-    from modaltouch.analysis.responses import Reading, Responses
+    from modaltouch.analysis.responses import Responses, TableFormat
 
 
 def read_responses(
-    path: Path | str, *, mode: str | None = None, stimulus: str | None = None, reading: Reading | None = None
+    path: Path | str, *, mode: str | None = None, stimulus: str | None = None, table_format: TableFormat | None = None
 ) -> Responses:
     """Return the answers in a CSV file, a session log, or a tree of sessions.
 
@@ -25,7 +25,7 @@ def read_responses(
         there is. Of a CSV with a column ``mode``, which rows.
     stimulus : str, optional
         Whose trials to take, of sessions with several stimuli.
-    reading : Reading, optional
+    table_format : TableFormat, optional
         What could be answered, how answers are written and the margin of equivalence, for a CSV. Sessions tell it
         themselves.
 
@@ -40,7 +40,7 @@ def read_responses(
         remedy = "check the name; results lie under results/<protocol> unless --results said otherwise"
         raise InputError.of(place, "no such file or folder", "a CSV file or a results folder", remedy)
     if place.is_dir() or place.suffix == ".jsonl":
-        if reading is not None:
+        if table_format is not None:
             given = "a protocol, or words of answers, with recorded sessions, which hold their own"
             raise InputError.of(place, given, "these only with a CSV file", "leave the option out")
         from modaltouch.analysis.results_tree import read_tree
@@ -48,4 +48,4 @@ def read_responses(
         return read_tree(place, mode, stimulus)
     from modaltouch.analysis.tidy import read_csv
 
-    return read_csv(place, reading, mode, stimulus)
+    return read_csv(place, table_format, mode, stimulus)

@@ -67,7 +67,7 @@ def describe_cell(cell: Iterable[object], scale: LevelScale = VELOCITY) -> str:
 
 
 @dataclass(frozen=True)
-class Reading:
+class TableFormat:
     """How a CSV file is to be read.
 
     Attributes

@@ -19,8 +19,8 @@ from modaltouch.analysis.responses import (
     REQUIRED,
     AnswerSource,
     ExcludedSource,
-    Reading,
     Responses,
+    TableFormat,
     unmirror,
 )
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY
@@ -34,7 +34,7 @@ _EMPTY = ("", "n/a")
 
 
 def read_csv(
-    path: Path, reading: Reading | None = None, mode: str | None = None, stimulus: str | None = None
+    path: Path, table_format: TableFormat | None = None, mode: str | None = None, stimulus: str | None = None
 ) -> Responses:
     """Return the answers in a tidy CSV file.
 
@@ -43,10 +43,10 @@ def read_csv(
     path : Path
         A table with the six columns, and optionally ``n`` (count of equal answers), ``repetition``, ``practice``,
         ``catch`` (1 where nothing was driven, whatever the velocity), ``mode``, ``stimulus``, ``session`` and any
-        others, which are kept. Where any response is ``none``, that is taken to have been an answer, unless `reading`
-        tells. Where ``multiple_of_threshold`` is filled in, as in the record's own table, that is the level in place
-        of the velocity. Sessions of a participant count as repetitions, as many of each participant as all have.
-    reading : Reading, optional
+        others, which are kept. Where any response is ``none``, that is taken to have been an answer, unless
+        `table_format` tells. Where ``multiple_of_threshold`` is filled in, as in the record's own table, that is the
+        level in place of the velocity. Sessions of a participant count as repetitions, as many of each as all have.
+    table_format : TableFormat, optional
         How the words are to be read.
     mode, stimulus : str, optional
         Which rows to take, where these columns hold several words.
@@ -56,11 +56,11 @@ def read_csv(
     InputError
         With every fault of a field; where there is none, with every one of the balance.
     """
-    reading = reading or Reading()
+    table_format = table_format or TableFormat()
     table = read_table(path, REQUIRED)
     table = choose_rows(choose_rows(table, "mode", mode), "stimulus", stimulus)
     table, left_out, notes = choose_sessions(table)
-    fields, columns, answers = table.fields, _Columns(table), reading.answers
+    fields, columns, answers = table.fields, _Columns(table), table_format.answers
     caught, practice = columns.flags("catch", "a catch trial"), columns.flags("practice", "a practice trial")
     frame = pd.DataFrame({name: columns.words(name) for name in REQUIRED[:4]})
     level = VELOCITY if set(fields.get(OWN_THRESHOLD.column, ())) <= set(_EMPTY) else OWN_THRESHOLD
@@ -69,12 +69,12 @@ def read_csv(
         OWN_THRESHOLD: "a multiple of the participant's own threshold, above 0",
     }
     frame[level.column] = columns.numbers(level.column, allowed[level], lambda value: value > 0, where=~caught)
-    given = {reading.words.get(word, word) for word in fields["response"].cat.categories}
+    given = {table_format.words.get(word, word) for word in fields["response"].cat.categories}
     remedy = "map it as in --answers L=left,R=right, or, if it stands for no answer, name it with --missing"
     if answers is None:
         answers = AnswerList.of_words(("none",) if "none" in given else ())
         remedy += "; or name the protocol that offers other answers with --protocol"
-    frame["response"] = columns.answers(answers.ranked.names, remedy, reading)
+    frame["response"] = columns.answers(answers.ranked.names, remedy, table_format)
     frame["n"] = columns.whole_numbers("n", 0) if "n" in fields else 1
     if "repetition" in fields:
         frame["repetition"] = columns.whole_numbers("repetition", 1)
@@ -101,7 +101,7 @@ def read_csv(
         AnswerSource(table.file, "csv", table.sha256, str(next(iter(told), ""))),
         catches=_count_catches(frame[caught & frame["response"].notna()]),
         answers=answers,
-        margin=reading.margin,
+        margin=table_format.margin,
         asked=usual,
         notes=tuple(notes),
     )
@@ -164,20 +164,20 @@ class _Columns:
         self.problems += self._table.check_words(column, bool, "a word", lambda word: ("nothing", "fill it in"))
         return column
 
-    def answers(self, words: tuple[str, ...], remedy: str, reading: Reading) -> pd.Series:
+    def answers(self, words: tuple[str, ...], remedy: str, table_format: TableFormat) -> pd.Series:
         """Return the responses, each one of the answers, or not there."""
-        missing = {*_EMPTY, TIME_OUT, *reading.missing}
+        missing = {*_EMPTY, TIME_OUT, *table_format.missing}
 
         def say(word: str) -> tuple[str, str]:
             meant = suggest(word, words)
             return repr(word), f"write {meant}, or {remedy}" if meant else remedy
 
         def is_sound(word: str) -> bool:
-            return reading.words.get(word, word) in words or word in missing
+            return table_format.words.get(word, word) in words or word in missing
 
         column = self._table.fields["response"]
         self.problems += self._table.check_words(column, is_sound, ", ".join(words), say)
-        found = column.astype("str").map(lambda word: reading.words.get(word, word))
+        found = column.astype("str").map(lambda word: table_format.words.get(word, word))
         return pd.Series(pd.Categorical(found.where(found.isin(words)), list(words)), column.index)
 
     def flags(self, name: str, what: str) -> pd.Series:

@@ -12,7 +12,7 @@ from modaltouch.cli.exit_status import print_json, reporting
 from modaltouch.cli.options import JSON, MODE
 
 if TYPE_CHECKING:
-    from modaltouch.analysis import Reading
+    from modaltouch.analysis import TableFormat
 
 
 def analyse(
@@ -71,15 +71,15 @@ def analyse(
 
     words = _mapped(answers)
     with reporting(json_output=json_output):
-        reading = None
+        table_format = None
         if any(option is not None for option in (protocol, answers, missing)):
-            reading = _reading(protocol, words, missing)
+            table_format = _table_format(protocol, words, missing)
         analysis = run_analysis(
             source,
             out,
             mode=mode,
             stimulus=stimulus,
-            reading=reading,
+            table_format=table_format,
             figures=figures.replace(",", " ").split(),
             prereg=prereg,
             model=model,
@@ -90,15 +90,15 @@ def analyse(
             tell(analysis)
 
 
-def _reading(protocol: str | None, words: dict[str, str] | None, missing: str | None) -> Reading:
+def _table_format(protocol: str | None, words: dict[str, str] | None, missing: str | None) -> TableFormat:
     """Return how a CSV is to be read; what reads a protocol is loaded only here."""
-    from modaltouch.analysis import Reading
+    from modaltouch.analysis import TableFormat
     from modaltouch.protocol import Findings
 
     given = None if protocol is None else Findings.read(protocol).experiment().protocol
     margin = given.analysis.equivalence_margin if given else None
     codes = tuple(word.strip() for word in (missing or "").split(","))
-    return Reading(given.answers.offered if given else None, words or {}, codes, margin)
+    return TableFormat(given.answers.offered if given else None, words or {}, codes, margin)
 
 
 def _mapped(answers: str | None) -> dict[str, str] | None:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from modaltouch.analysis import AnswerCounts, Reading, Responses, read_responses
+from modaltouch.analysis import AnswerCounts, Responses, TableFormat, read_responses
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.observer.fit import Fit, fit_observer
 from modaltouch.planning.observer.likelihood import RecordedAnswers
@@ -84,7 +84,9 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
     is_table = path.is_file() and path.suffix != ".jsonl"
     offered = preflight.experiment.protocol.answers.offered
     taken = {
-        name: read_responses(path, mode=mode, stimulus=name or None, reading=Reading(offered) if is_table else None)
+        name: read_responses(
+            path, mode=mode, stimulus=name or None, table_format=TableFormat(offered) if is_table else None
+        )
         for name in preflight.parts
     }
     recorded = []
