@@ -37,7 +37,7 @@ LIMITS = {
     "means, share, paired difference": "coverage is proven for scores at both ends of the scale, else shown here alone",
     "agreement": "coverage is shown here alone",
     "time": "holds where differences are as likely with either sign about their centre",
-    "all": "missing answers are missing by chance; d', the ordered probit and adaptive thresholds have no certificate",
+    "all": "missing answers are missing by chance; d', mixed models and adaptive thresholds have no certificate",
 }
 BATCH = 500
 ALPHA = 0.05

@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from modaltouch.analysis.counts import count_answers
-from modaltouch.analysis.covariates import centre_interval, detection, order_findings, side_findings, time_findings
+from modaltouch.analysis.covariates import (
+    centre_interval,
+    detection,
+    order_findings,
+    side_findings,
+    speed_findings,
+    time_findings,
+)
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.intervals import student_interval
 
@@ -107,3 +114,27 @@ def test_equal_values_have_no_t_interval() -> None:
     interval = student_interval(np.array([0.2, 0.2, 0.2]))
     assert interval.estimate == pytest.approx(0.2)
     assert np.isnan(interval.low)
+
+
+def test_naming_the_faster_finger_is_a_share_of_each_participant(build) -> None:
+    """All name it: 1, p 2/2^6; all say both: 0; of weights of one octave and two, the slower named for one: 1/3."""
+    frame = build["tidy"](build["paper"](6))
+    frame = frame[frame["zone_left"] != "B"]
+    speeds = {"speed_left_mm_s": frame["zone_left"].map({"A": 50.0, "C": 200.0}),
+              "speed_right_mm_s": frame["zone_right"].map({"C": 100.0, "E": 50.0})}  # fmt: skip
+    faster = frame.assign(**speeds, response=frame["zone_left"].map({"A": "right", "C": "left"}))
+    found = list(speed_findings(count_answers(faster), faster))
+    assert [row.scope for row in found] == ["one_hand", "two_hands"]
+    assert all(row.estimate == 1 and row.p == 2 * 0.5**6 and row.role == "exploratory" for row in found)
+    both = faster.assign(response="both")
+    assert {row.estimate for row in speed_findings(count_answers(both), both)} == {0.0}
+    mixed = faster.assign(response="left")
+    assert [row.estimate for row in speed_findings(count_answers(mixed), mixed)] == pytest.approx([1 / 3] * 2)
+
+
+def test_where_no_finger_is_named_there_is_no_share(build) -> None:
+    """An answer that nothing was felt says nothing of the speeds, nor does a speed of zero."""
+    frame = build["tidy"](build["constant"](3, "none")).assign(speed_left_mm_s=50.0, speed_right_mm_s=100.0)
+    assert list(speed_findings(count_answers(frame), frame)) == []
+    still = build["tidy"](build["constant"](3, "left")).assign(speed_left_mm_s=0.0, speed_right_mm_s=100.0)
+    assert list(speed_findings(count_answers(still), still)) == []

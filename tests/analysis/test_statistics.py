@@ -136,7 +136,7 @@ def test_order_times_and_speeds_are_used_where_they_are_there(build) -> None:
     )
     tests = run_tests(frame)
     assert {"order", "time", "speed", "side"} <= set(tests["question"])
-    assert rows(tests, "speed")["p"].isna().all()
+    assert (rows(tests, "speed")["role"] == "exploratory").all()
 
 
 def test_guesses_are_seldom_called_dominance(build) -> None:

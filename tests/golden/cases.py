@@ -203,12 +203,10 @@ def cohort() -> Path:
 
 
 def analysed(folder: Path) -> dict[str, Any]:
-    """Return what an analysis said, with the heads of its tables, and its iterated fits apart from the exact tests."""
+    """Return what an analysis said, with the heads of its tables."""
     said = masked(json.loads((folder / "said.json").read_text(encoding="utf-8")), ("version", "source"))
     heads = {file.name: file.read_text(encoding="utf-8").splitlines()[0] for file in sorted(folder.glob("*.csv"))}
-    exact = [row for row in said["tests"] if row["question"] != "speed"]
-    fitted = [row for row in said["tests"] if row["question"] == "speed"]
-    return {**said, "tests": exact, "fitted": fitted, "files": sorted(said["files"]), "heads": heads}
+    return {**said, "files": sorted(said["files"]), "heads": heads}
 
 
 COLLECTIONS: dict[str, Callable[[Path], dict[str, Any]]] = {

@@ -18,114 +18,6 @@ from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import CONFIDENCE, Interval
 from modaltouch.analysis.means import BoundedMean
 
-FEW = 30
-"""Participants below which clustered standard errors are known to be too small."""
-
-LARGEST = 10.0
-"""A coefficient or standard error beyond this is taken as a sign of separation (probit units)."""
-
-_MOST_STEPS = 60
-_FAR = 1e3
-"""Stands for an infinite cut (probit units)."""
-
-
-def fit_ordered_probit(predictor: ArrayLike, answers: ArrayLike, participants: ArrayLike) -> tuple[Interval, str]:
-    """Return the ordered probit of answers on one predictor, errors clustered by participant; never a p value.
-
-    Parameters
-    ----------
-    predictor : (n,) array
-        Predictor, finite.
-    answers : (n,) array of int
-        0 left, 1 both, 2 right.
-    participants : (n,) array
-        Who answered.
-
-    Returns
-    -------
-    slope : Interval
-        Coefficient with its interval over participants; not a number where it cannot be estimated.
-    note : str
-        What a reader must know.
-
-    References
-    ----------
-    McCullagh, "Regression models for ordinal data", J. R. Stat. Soc. B 42 (1980) 109-142.
-    Albert and Anderson, Biometrika 71 (1984) 1-10 (separation).
-    """
-    x, y = np.asarray(predictor, dtype=float), np.asarray(answers, dtype=int)
-    _, groups = np.unique(np.asarray(participants), return_inverse=True)
-    reason = _unfit(x, y, groups)
-    slope, error = (math.nan, math.nan) if reason else _maximise(x, y, groups)
-    if not (abs(slope) <= LARGEST and error <= LARGEST):
-        reason = reason or f"separation (coefficient {slope:.3g}, standard error {error:.3g})"
-        return Interval(math.nan, math.nan, math.nan, 0.0), f"not estimable: {reason}"
-    half = NormalDist().inv_cdf(1 - (1 - CONFIDENCE) / 2) * error
-    n = int(groups.max()) + 1
-    note = f"secondary model; standard error {error:.2g} clustered over {n} participants"
-    note += f", which is too small for fewer than {FEW} of them" if n < FEW else ""
-    return Interval(slope, slope - half, slope + half, n), note
-
-
-def _unfit(x: np.ndarray, y: np.ndarray, groups: np.ndarray) -> str:
-    if not np.isfinite(x).all():
-        return "a speed ratio is zero or not a number"
-    if np.ptp(x) == 0:
-        return "all ratios are the same"
-    if len(np.unique(y)) < 2:
-        return "all answers are the same"
-    if len(np.unique(groups)) < 2:
-        return "one participant only"
-    # Complete or quasi-complete separation along one predictor: sorted by x, the answers are sorted too.
-    for sign in (1, -1):
-        cuts = np.unique(y)[1:]
-        if any((sign * x[y >= cut]).min() >= (sign * x[y < cut]).max() for cut in cuts):
-            return "the predictor separates the answers"
-    return ""
-
-
-def _maximise(x: np.ndarray, y: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
-    """Return the slope of largest likelihood, by Newton's method, and its standard error from the clustered sandwich.
-
-    Not numbers where it does not converge.
-    """
-    from scipy.special import ndtri
-
-    codes = np.unique(y, return_inverse=True)[1]
-    values = np.append(0.0, ndtri(np.cumsum(np.bincount(codes))[:-1] / len(codes)))
-    # A broken fit is judged by its numbers, which are said in the note.
-    with np.errstate(all="ignore"):
-        for _ in range(_MOST_STEPS):
-            scores, hessian = _derivatives(values, x, codes)
-            if not (np.isfinite(hessian).all() and np.linalg.cond(hessian) < 1e12):
-                return math.nan, math.nan
-            step = np.linalg.solve(hessian, scores.sum(axis=0))
-            values -= step
-            if np.abs(step).max() < 1e-8:
-                break
-        else:
-            return math.nan, math.nan
-    of_groups = np.array([scores[groups == group].sum(axis=0) for group in np.unique(groups)])
-    n, n_groups, bread = len(x), len(of_groups), np.linalg.inv(hessian)
-    small_sample = n_groups / (n_groups - 1) * (n - 1) / (n - len(values))
-    return float(values[0]), math.sqrt((bread @ of_groups.T @ of_groups @ bread)[0, 0] * small_sample)
-
-
-def _derivatives(values: np.ndarray, x: np.ndarray, codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the score of each answer, and the Hessian of their log likelihood, in the slope and the cuts."""
-    from scipy.special import ndtr
-
-    # Nothing lies beyond the outer cuts: finite ones keep the product with their density zero.
-    cuts = np.concatenate([[-_FAR], values[1:], [_FAR]])
-    bounds = np.stack([cuts[codes + 1], cuts[codes]]) - values[0] * x
-    density = np.exp(-(bounds**2) / 2) / math.sqrt(2 * math.pi)
-    slopes = density * [[1], [-1]] / (ndtr(bounds[0]) - ndtr(bounds[1]))
-    is_cut = np.stack([codes + 1, codes])[..., np.newaxis] == np.arange(1, len(values))
-    ways = np.concatenate([np.broadcast_to(-x, bounds.shape)[..., np.newaxis], is_cut], axis=-1)
-    scores = (slopes[..., np.newaxis] * ways).sum(axis=0)
-    return scores, np.einsum("en,eni,enj->ij", -bounds * slopes, ways, ways) - scores.T @ scores
-
-
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
@@ -330,19 +222,23 @@ def _rounded(interval: Interval, known: float) -> Interval:
 
 
 def speed_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
-    """Yield ordered probit fits on the ratio of predicted speeds: left, both, right in this order; estimates, no p."""
-    ratio = np.log2((frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).to_numpy())
-    order = {answer.name: answer.side + 1 for answer in answers.answers if answer.fingers}
-    places = frame["response"].astype(str).map(lambda word: order.get(word, -1)).to_numpy()
+    """Yield whether answers name the finger with the higher predicted speed, a share of each participant.
+
+    An answer counts by the octaves between the speeds, 1 if it names the faster finger, -1 the slower and 0 both; one
+    that names no finger is left out.
+    """
+    ratio = (frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).astype(float)
+    octaves = ratio.where((ratio > 0) & np.isfinite(ratio)).transform(np.log2)
+    side = frame["response"].astype(str).map({each.name: each.side for each in answers.answers if each.fingers})
+    table = pd.DataFrame({"towards": octaves * side, "most": octaves.where(side.notna()).abs()})
+    sums = table.groupby([frame[name].astype(str) for name in ("finger_condition", "participant")]).sum()
+    share = sums["towards"] / sums["most"].where(sums["most"] > 0)
     for condition in answers.finger_conditions:
-        # What names no finger lies outside that order.
-        own = (frame["finger_condition"].astype(str) == condition).to_numpy() & (places >= 0)
-        groups = frame["participant"].astype(str).to_numpy()[own]
-        slope, note = fit_ordered_probit(ratio[own], places[own], groups)
-        yield finding_of(
-            "speed", "ordered probit on the log ratio of predicted speeds", condition, None,
-            "probit slope per doubling of right over left", slope, answers.n_participants, notes=[note],
-        )  # fmt: skip
+        own = share[condition].dropna().to_numpy()
+        if own.size:
+            notes = ["answers weighted by the octaves between the two speeds"]
+            quantity = "share naming the faster finger less the slower"
+            yield _mean_finding("speed", "naming the faster finger", condition, own, quantity, notes)
 
 
 def _medians(frame: pd.DataFrame, condition: str) -> pd.DataFrame:
