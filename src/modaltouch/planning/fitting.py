@@ -81,6 +81,10 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
     _refuse_adaptive(path, is_adaptive=preflight.experiment.protocol.adaptive is not None)
     refuse_answers(preflight)
     _refuse_unnamed(path, tuple(preflight.variants))
+    if preflight.findings.measured:
+        given, remedy = "measured, so that everybody felt other speeds", "see `modaltouch analyse --speed predicted`"
+        allowed = "fingers that are the same for all"
+        raise InputError([preflight.findings.problem(("stimulus", "fingers"), given, allowed, remedy)])
     is_table = path.is_file() and path.suffix != ".jsonl"
     offered = preflight.experiment.protocol.answers.offered
     taken = {
