@@ -141,10 +141,8 @@ class Generator:
 
         Parameters
         ----------
-        burst : Burst
-            One record for each of the two outputs.
-        *further : Burst
-            More to choose from when firing; one for whose records there is no memory is loaded before it is fired.
+        burst, *further : Burst
+            One record for each of the two outputs; of several, one whose records find no memory is loaded when fired.
         repetition : str, optional
             How these repeat, until others are loaded, instead of as usual.
 
