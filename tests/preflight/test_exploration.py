@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,21 @@ def test_fewest_samples_keep_the_tolerance(explored: dict[str, Any]) -> None:
     found = explored["samples"]
     assert found["error"] <= 0.01
     assert 2.5 * 87855 * 0.05 <= found["n_samples"] < 125_000
+
+
+def test_the_focus_can_be_told_from_the_other_zone_but_not_below_1_khz(edit: Callable[..., Path]) -> None:
+    """Nine times the contrast of the exact law at less than 250 V; what is left of the level below 1 kHz moves both."""
+    short = ("focusing_instant_ms: 25", "focusing_instant_ms: 10"), ("duration_ms: 50", "duration_ms: 20")
+    file = edit("differentiated_stimulation.yaml", *short, ("n_samples: 125000", "n_samples: 50000"))
+    done = CliRunner().invoke(app, ["check", str(file), "--contrast", "--json"])
+    rows = {(row["placement"], row["design"]): row for row in json.loads(done.stdout)["contrast"]}
+    assert [place for place, _ in rows] == ["A-C", "A-C", "C-E", "C-E"]
+    designed, best = rows["A-C", "designed"], rows["A-C", "contrast"]
+    assert 9 * designed["contrast"] < best["contrast"] < best["bound"]
+    assert best["peak_drive_V"] <= 250 * (1 + 1e-9)
+    assert best["contrast_below_1_kHz"] == pytest.approx(1, abs=0.01)
+    assert best["focus_below_1_kHz_mm_s"] < 0.2 * designed["focus_below_1_kHz_mm_s"]
+    assert rows["C-E", "contrast"] == {**best, "placement": "C-E"}
 
 
 def test_nothing_is_computed_that_nobody_asked_for(explored: dict[str, Any]) -> None:

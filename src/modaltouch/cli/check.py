@@ -37,6 +37,13 @@ def check(
         bool,
         typer.Option("--designs", help="Also show designs of lower peak voltage for the field, and their cost."),
     ] = False,
+    contrast: Annotated[
+        bool,
+        typer.Option(
+            "--contrast",
+            help="Also show how much faster than the other touched zone the focus could move; some seconds.",
+        ),
+    ] = False,
     fingers: Annotated[
         str | None,
         typer.Option(
@@ -67,7 +74,7 @@ def check(
         if tolerance is not None and not 0 < tolerance < 1:
             raise typer.BadParameter(f"--tolerance is {tolerance:g}; allowed: above 0 and below 1, such as 0.001")
         preflight = examine(protocol, calibration, marked=with_marked_calibration)
-        asked = {} if preflight.problems else _explore(preflight, sensitivity, designs, tolerance)
+        asked = {} if preflight.problems else _explore(preflight, sensitivity, designs, contrast, tolerance)
         if export is not None and not preflight.problems:
             _export(preflight, export)
         if json_output:
@@ -151,19 +158,25 @@ def show(preflight: Preflight, *, compare: bool = False, fingers: str | None = N
         console.print(f"[yellow]{escape(warning)}[/]")
 
 
-def _explore(preflight: Preflight, sensitivity: bool, designs: bool, tolerance: float | None) -> dict[str, Any]:
+def _explore(
+    preflight: Preflight, sensitivity: bool, compared: bool, contrast: bool, tolerance: float | None
+) -> dict[str, Any]:
     """Return what was asked for besides the check; what nobody asked for is not computed."""
     asked: dict[str, Any] = {}
-    if not (sensitivity or designs or tolerance is not None):
+    if not (sensitivity or compared or contrast or tolerance is not None):
         return asked
-    from modaltouch.preflight import design_figures, sample_figures, sensitivity_figures
+    from modaltouch.preflight import contrast_figures, design_figures, sample_figures, sensitivity_figures
 
     inputs, stimulus = preflight.of_one_stimulus().sound
     if sensitivity:
         place = next(iter(preflight.placed), "")
         asked["sensitivity"] = {**({"placement": place} if place else {}), **sensitivity_figures(inputs, stimulus)}
-    if designs:
+    if compared:
         asked["designs"] = design_figures(stimulus)
+    if contrast:
+        pairs = ("-".join(pair) for pair in preflight.experiment.protocol.conditions.zone_pairs)
+        designs = {name: part.sound for name, part in preflight.placed.items()}
+        asked["contrast"] = contrast_figures(designs or dict.fromkeys(pairs, preflight.sound))
     if tolerance is not None:
         asked["samples"] = sample_figures(inputs, stimulus, tolerance)
     return asked
@@ -212,6 +225,22 @@ def _show_explored(asked: dict[str, Any]) -> None:
             )
         console.print(table)
         console.print("[dim]The last column is the speed of a supposed mode that the table of the beam lacks.[/]")
+    if rows := asked.get("contrast"):
+        table = Table(title="Highest speed of the focus over that under the other finger", title_justify="left")
+        for heading in ("pair", "design", "contrast", "below 1 kHz", "focus below 1 kHz mm/s", "peak V"):
+            table.add_column(heading, justify="left" if heading in ("pair", "design") else "right")
+        for row in rows:
+            table.add_row(
+                row["placement"],
+                row["design"],
+                *(f"{row[key]:.2f}" for key in ("contrast", "contrast_below_1_kHz")),
+                *(f"{row[key]:.0f}" for key in ("focus_below_1_kHz_mm_s", "peak_drive_V")),
+            )
+        console.print(table)
+        console.print(
+            "[dim]contrast: the drive that moves the other zone least, whatever becomes of the field and of modes that "
+            "the table lacks; what is felt lies below 1 kHz.[/]"
+        )
     if found := asked.get("samples"):
         console.print(found["said"])
 

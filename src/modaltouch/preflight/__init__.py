@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from modaltouch.preflight.checked import Preflight
     from modaltouch.preflight.design_inputs import DesignInputs, design
     from modaltouch.preflight.examination import design_to_fit, examine, examine_findings
-    from modaltouch.preflight.exploration import design_figures, sample_figures, sensitivity_figures
+    from modaltouch.preflight.exploration import contrast_figures, design_figures, sample_figures, sensitivity_figures
     from modaltouch.preflight.figures import estimated_duration, finite
     from modaltouch.preflight.measured import with_measured
 else:
@@ -25,7 +25,7 @@ else:
             "checked": "Preflight",
             "design_inputs": "DesignInputs design",
             "examination": "design_to_fit examine examine_findings",
-            "exploration": "design_figures sample_figures sensitivity_figures",
+            "exploration": "contrast_figures design_figures sample_figures sensitivity_figures",
             "figures": "estimated_duration finite",
             "measured": "with_measured",
         },
@@ -34,6 +34,7 @@ else:
 __all__ = [
     "DesignInputs",
     "Preflight",
+    "contrast_figures",
     "design",
     "design_figures",
     "design_to_fit",

@@ -83,6 +83,51 @@ def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
     ]
 
 
+def contrast_figures(designs: dict[str, tuple[DesignInputs, Stimulus]]) -> list[dict[str, Any]]:
+    """Return how much faster than a finger on the other zone the focus moves, and could: two rows to each placement.
+
+    That is the highest speed of the focus over that within 5 mm of the other zone's centre, over the whole burst.
+
+    Parameters
+    ----------
+    designs : dict of str to (DesignInputs, Stimulus)
+        By placement, such as ``A-C``; those that leave the focus out have no contrast.
+    """
+    rows: list[dict[str, Any]] = []
+    known: dict[tuple[int, float], Any] = {}
+    for place, (inputs, stimulus) in designs.items():
+        focus, zones = inputs.section.focus, place.split(" ")[0].split("-")
+        if focus not in zones:
+            continue
+        centre = inputs.apparatus.zones[zones[zones[0] == focus]].centre_mm * 1e-3
+        beam, level = stimulus.touched(stimulus.model.fingers), stimulus.target_field.velocity
+        # Modes that are all symmetric move both sides alike.
+        key = id(stimulus), abs(centre) if all(label % 2 for label in stimulus.model.label) else centre
+        if key not in known:
+            known[key] = beam.highest_contrast(inputs.centre_mm * 1e-3, centre + np.linspace(-4e-3, 4e-3, 3), level)
+        best, bound = known[key]
+        places = [inputs.centre_mm * 1e-3, *(centre + np.linspace(-5e-3, 5e-3, 5))]
+        unit = stimulus.volts_per_code(level)
+        for name, played, volts, most in (
+            ("designed", beam, unit, None),
+            ("contrast", best, np.ones(unit.size), bound),
+        ):
+            peak, *others = played.peak_velocity(places, volts)
+            slow, *slow_others = (played.peak_below(1e3, point, volts) for point in places)
+            rows.append(
+                {
+                    "placement": place,
+                    "design": name,
+                    "contrast": float(peak / max(others)),
+                    "bound": most,
+                    "contrast_below_1_kHz": slow / max(slow_others),
+                    "focus_below_1_kHz_mm_s": slow * 1e3,
+                    "peak_drive_V": float((np.abs(played.codes).max(axis=1) * volts).max()),
+                }
+            )
+    return rows
+
+
 def sample_figures(inputs: DesignInputs, stimulus: Stimulus, tolerance: float) -> dict[str, Any]:
     """Return the fewest samples that keep the field around the focus within a tolerance.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -85,6 +85,29 @@ class TouchedBeam:
         lifted = LiftedBeam.of(*systems, self.codes * unit[:, None], self.timing.hold)
         known = np.stack([each.peak_velocity(positions, unit) for each in (self, left)])
         return lifted.peaks(left.model.shapes(positions), known, floor)
+
+    def highest_contrast(self, focus: float, points: FloatArray, level: float) -> tuple[TouchedBeam, float]:
+        """The beam under a drive that moves other points least, and a bound (see `stimulus.contrast`).
+
+        Parameters
+        ----------
+        focus, points : float and (n_points,) array
+            What reaches the level at the focusing instant, and the others, origin at mid-beam [m].
+        level : float
+            Velocity of the focus [m/s].
+
+        Returns
+        -------
+        played : TouchedBeam
+            Its codes are volts: a code is worth 1 V at the beam.
+        bound : float
+            Level over the highest speed of the points that no drive of the family passes [1].
+        """
+        from modaltouch.stimulus.contrast import HOLD, contrast_drive
+
+        timing = replace(self.timing, n_samples=2 * round(self.timing.duration / HOLD / 2))
+        drive, bound = contrast_drive(self.model, self.amplifier, timing, np.append(focus, points), level)
+        return replace(self, timing=timing, codes=drive), bound
 
     def pull(self, unit: FloatArray) -> FloatArray:
         """Largest force by which each finger would have to stick to the beam to follow it, (n_fingers,) array [N].

@@ -1,0 +1,132 @@
+r"""The drive that moves the focus most beside another zone: how far the two can be told apart.
+
+Least is the highest speed s of the zone over the whole burst, while the focus reaches its level at the focusing
+instant: a linear programme in the drive, :math:`\min s` under :math:`v_{focus}(t_F) = level`,
+:math:`|v_{zone}(t)| \le s` and :math:`|u(t)| \le limit`. It is solved within a family of drives, each mode's frequency
+under raised cosines that grow longer away from the focusing instant, by a barrier and Newton's method (Boyd and
+Vandenberghe 2004, sec. 11.3), whose gap bounds what any drive of the family can reach.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from modaltouch.stimulus.blocks import BlockKernel
+from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
+from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.quantities import FloatArray
+from modaltouch.stimulus.timing import Timing
+
+HOLD = 2e-6
+"""Length of a sample [s], about: six to a cycle of the highest mode of Table I."""
+
+_NEAR, _SPARSE = 1.5e-3, 10
+"""How near the focusing instant every sample is bounded [s]; elsewhere every so many."""
+
+_GROWTH, _FORGOTTEN = 3.0, 6.0
+"""Length of a raised cosine over the next one inwards; time constants after which a mode is forgotten [1]."""
+
+_GAP = 0.15
+"""Of the highest speed of the zone, at which the programme counts as solved [1]."""
+
+_NEWTON_STEPS = 30
+
+
+def contrast_drive(
+    model: ModalModel, amplifier: Amplifier, timing: Timing, places: FloatArray, level: float
+) -> tuple[FloatArray, float]:
+    """Return the drive under which the focus reaches its level while other points move least.
+
+    Parameters
+    ----------
+    model, amplifier, timing
+        The beam, and the clock of the samples, about `HOLD` long.
+    places : (n_places,) array
+        The focus, then the other points, origin at mid-beam [m].
+    level : float
+        Velocity of the focus [m/s].
+
+    Returns
+    -------
+    voltage : (n_channels, n_samples) array
+        At the beam [V].
+    bound : float
+        Level over the highest speed of the other points which no drive of the family passes [1].
+    """
+    focused = timing.focusing_instant - amplifier.delay
+    time = np.asarray((np.arange(timing.n_samples) + 0.5) * timing.hold - focused, dtype=float)
+    waves = _family(model, time)
+    bounded = np.flatnonzero((np.abs(time) < _NEAR) | (np.arange(time.size) % _SPARSE == 0))
+    speeds = _speeds(DiagonalSystem.of(model, amplifier), model.shapes(places), timing.hold, waves)
+    # In volts over the limit and speeds over the level; what reaches the level with least energy, and the rest.
+    speeds *= amplifier.limit / level
+    focus = speeds[0, :, int((time < 0).sum())]
+    first, rest = focus / (focus @ focus), np.linalg.qr(focus[:, None], mode="complete")[0][:, 1:]
+    speed = speeds[1:, :, bounded].transpose(0, 2, 1).reshape(-1, focus.size)
+    volts = np.kron(np.eye(model.n_channels), waves[:, bounded].T)
+    rows, slack = np.concatenate([speed, volts]), np.repeat([1.0, 0.0], [len(speed), len(volts)])
+    weight, least = least_peak(rows @ first, rows @ rest, slack)
+    return (first + rest @ weight).reshape(model.n_channels, -1) * amplifier.limit @ waves, 1 / least
+
+
+def _family(model: ModalModel, time: FloatArray) -> FloatArray:
+    """Return orthogonal waves, (n_waves, n_samples) array; times count from the focusing instant [s]."""
+    rows: list[FloatArray] = []
+    for s in model.exponent:
+        last = min(-_FORGOTTEN / s.real, float(np.abs(time).max()))
+        nearest = max(60e-6, np.pi / s.imag)
+        lags = [*nearest * _GROWTH ** np.arange(max(1, np.ceil(np.log(last / nearest) / np.log(_GROWTH)))), last]
+        knots = np.array([*(-lag for lag in reversed(lags)), 0.0, *lags])
+        for left, middle, right in zip(knots, knots[1:], knots[2:], strict=False):
+            rise = np.clip(np.minimum((time - left) / (middle - left), (right - time) / (right - middle)), 0, 1)
+            swing = np.sin(np.pi / 2 * rise) ** 2 * np.exp(1j * s.imag * time)
+            rows += [swing.real, swing.imag]
+    waves = np.array(rows)
+    size, direction = np.linalg.eigh(waves @ waves.T / time.size)
+    kept = size > 1e-8 * size[-1]
+    return np.asarray((direction[:, kept] / np.sqrt(size[kept])).T @ waves)
+
+
+def _speeds(system: DiagonalSystem, shapes: FloatArray, hold: float, waves: FloatArray) -> FloatArray:
+    """Return the speeds of points under a volt of each wave on each channel, (n_points, n_waves of all, n_samples)."""
+    n, n_channels = waves.shape[1], system.input_gain.shape[1]
+    spectrum = np.fft.rfft(waves, 2 * n)
+    speeds = np.empty((shapes.shape[1], n_channels, len(waves), n))
+    kernel = BlockKernel.of(system, shapes.T @ system.velocity, hold)
+    for channel in range(n_channels):
+        pulse, response = np.zeros((n_channels, n)), np.empty((shapes.shape[1], n))
+        pulse[channel, 0] = 1.0
+        blocks = BlockKernel.blocks(pulse)
+        begin, _ = kernel.states(blocks, np.zeros(system.exponent.size, dtype=complex))
+        kernel.respond(blocks, begin, response)
+        for speed, answer in zip(speeds[:, channel], np.fft.rfft(response, 2 * n), strict=True):
+            speed[:] = np.fft.irfft(answer * spectrum, 2 * n)[:, :n]
+    return speeds.reshape(len(speeds), -1, n)
+
+
+def least_peak(offset: FloatArray, rows: FloatArray, slack: FloatArray) -> tuple[FloatArray, float]:
+    """Return weights of least s under |offset + rows @ weights| <= s where there is slack, else <= 1; a bound of s."""
+    n, n_sides = rows.shape[1], 2 * len(rows)
+    point = np.append(np.zeros(n), 1.2 * np.abs(offset[slack > 0]).max())
+    sharpness = n_sides / point[n] / 2
+    while True:
+        for _ in range(_NEWTON_STEPS):
+            value, most = offset + rows @ point[:n], 1 - slack + slack * point[n]
+            above, below = 1 / (most - value), 1 / (most + value)
+            gradient = np.append(rows.T @ (above - below), sharpness - slack @ (above + below))
+            curvature, cross = above**2 + below**2, -(slack * (above**2 - below**2)) @ rows
+            hessian = np.block([[(rows * curvature[:, None]).T @ rows, cross[:, None]], [cross, slack @ curvature]])
+            scale = 1 / np.sqrt(np.diag(hessian))
+            step = -scale * np.linalg.solve(hessian * scale[:, None] * scale + 1e-13 * np.eye(n + 1), scale * gradient)
+            move, room = rows @ step[:n], slack * step[n]
+            towards = np.concatenate([(move - room) * above, (-move - room) * below])
+            length, gain = min(1.0, 0.95 / max(float(towards.max()), 0.95)), -float(gradient @ step)
+            # Shorter until the barrier falls as it should.
+            while sharpness * length * step[n] - np.log1p(-length * towards).sum() > -0.1 * length * gain:
+                length /= 2
+            point = point + length * step
+            if gain < 1:
+                break
+        if n_sides / sharpness < _GAP * point[n]:
+            return point[:n], float(point[n] - n_sides / sharpness)
+        sharpness *= 20
