@@ -20,6 +20,8 @@ from modaltouch.system.interruption import Interrupted, Interruption
 APPARATUS = str(Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml")
 RUN = CliRunner()
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 
 def responses_file(folder: Path) -> Path:
     """Write one velocity response of two modes."""

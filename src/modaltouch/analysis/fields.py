@@ -76,6 +76,7 @@ def _draw_field(axes: Axes, fields: list[dict[str, Any]]) -> None:
         }
         axes.plot(place, predicted, linewidth=1.6, label=label, **style)
     axes.set_ylim(min(0, 1.1 * np.min(reached)), 1.16 * max(np.max(target), np.max(reached)))
+    axes.set_xlim(-half, half)
     axes.set_xlabel("place along the beam [mm]")
     axes.set_ylabel(f"velocity at the focusing\ninstant [mm/s], level {field['velocity_mm_s']:g}")
     axes.legend(frameon=False, loc="center left", fontsize=7)

@@ -22,6 +22,8 @@ from modaltouch.protocol.source import Source
 from modaltouch.rig.simulator.true_beam import TrueBeam
 from modaltouch.stimulus.measured_shapes import MeasuredShapes
 
+pytestmark = pytest.mark.usefixtures("svg_alone")
+
 APPARATUS = Path(__file__).parents[3] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 LABELS = (1, 3, 5, 7, 9, 11, 13, 15, 17)
 FACTS = {"date": "2026-01-01T00:00:00", "mode": "simulated", "source": "test"}
@@ -92,7 +94,8 @@ def test_folder_holds_table_shapes_and_figures(found: Identification, tmp_path: 
     row = shapes.label.index(13)
     np.testing.assert_allclose(shapes.shape[row], found.mode(13).shape, rtol=2e-3, atol=2e-3)
     for picture in ("responses", "fits", "stability", "complexity", "coherence", "fig_4"):
-        assert files[f"{picture}.png"].stat().st_size > 10_000
+        assert files[f"{picture}.svg"].stat().st_size > 10_000
+        assert f"{picture}.png" in files
 
 
 def test_missing_and_incoherent_modes_are_all_named(found: Identification) -> None:

@@ -38,6 +38,7 @@ def draw_fields(contest: Contest) -> Figure:
                       linewidth=1, label="target")  # fmt: skip
             axes.plot(place, verdict.field * 1e3, color=DARK, linewidth=1.2, label="made")
             axes.set_title(designed.method.name, loc="left")
+            axes.set_xlim(place[0], place[-1])
             quiet_grid(axes)
         for axes in panels[-1]:
             axes.set_xlabel("position [mm]")
