@@ -108,12 +108,12 @@ def test_words_are_read_as_answers(field: dict[str, Any], words: str, answer: ob
 @pytest.mark.parametrize(
     ("field", "words", "allowed"),
     [
-        ({"kind": "number", "lowest": 18.0, "highest": 99.0}, "17", "a number at least 18 and at most 99"),
+        ({"kind": "number", "lowest": 18.0, "highest": 99.0}, "17", "a number of at least 18, at most 99"),
         ({"kind": "number"}, "nan", "a number"),
         ({"kind": "number"}, "0x20", "a number"),
         ({"kind": "choice", "choices": ("a", "b")}, "c", "a, b"),
         ({"kind": "consent"}, "", "yes, no"),
-        ({"kind": "text"}, "  ", "some words"),
+        ({"kind": "text"}, "  ", "text"),
     ],
 )
 def test_words_that_are_no_answer_are_refused(field: dict[str, Any], words: str, allowed: str) -> None:
@@ -143,8 +143,8 @@ def test_a_file_of_answers_is_read_with_every_fault_in_its_place(asking: Preflig
     with pytest.raises(InputError) as refused:
         asking.experiment.protocol.read_people(file)
     said = str(refused.value).replace(str(file), "file")
-    assert "file:1:1: age: given '12'; allowed: a number at least 18 and at most 99" in said
-    assert "file:2:1: height: given '180'; allowed: what is asked: age, sex, remark, consent" in said
+    assert "file:1:6: age: given 12; allowed: a number of at least 18, at most 99" in said
+    assert "file:2:1: height: given 'height', which is not a key here; allowed: age, sex, remark, consent" in said
     assert "file:1:1: consent: given nothing; allowed: yes, no" in said
 
 

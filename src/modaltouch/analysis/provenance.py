@@ -144,16 +144,11 @@ def describe_record(sessions: Sequence[SessionFacts]) -> RecordFacts | None:
 
 def _describe_people(sessions: Sequence[SessionFacts]) -> Iterator[str]:
     """Yield mean and range of each number, and how often each choice was made, over participants."""
-    by_name: dict[str, dict[str, Any]] = {}
-    for session in sessions:
-        for name, answer in session.people.items():
-            by_name.setdefault(name, {}).setdefault(session.participant, answer)
-    for name, answers in by_name.items():
-        values = list(answers.values())
-        if all(isinstance(value, str) for value in values):
-            said = ", ".join(f"{n} {value}" for value, n in Counter(values).most_common())
-        else:
-            said = f"mean {fmean(values):.1f}, range {min(values):g} to {max(values):g}"
+    for name in dict.fromkeys(name for session in sessions for name in session.people):
+        values = list({each.participant: each.people[name] for each in sessions if name in each.people}.values())
+        counted = ", ".join(f"{n} {value}" for value, n in Counter(values).most_common())
+        numbers = [value for value in values if not isinstance(value, str)]
+        said = f"mean {fmean(numbers):.1f}, range {min(numbers):g} to {max(numbers):g}" if numbers else counted
         yield f"{name}: {said} (n = {len(values)})"
 
 

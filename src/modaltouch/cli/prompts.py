@@ -106,7 +106,7 @@ def ask_people(fields: Mapping[str, Any], may_ask: bool) -> dict[str, Any]:
         listed = ", ".join(fields)
         raise typer.BadParameter(f"the protocol asks each participant for {listed}: give a YAML file with --people")
     answers: dict[str, Any] = {}
-    for name in sorted(fields, key=lambda name: bool(fields[name].kind != "consent")):
+    for name in sorted(fields, key=lambda name: str(fields[name].kind) != "consent"):
         while name not in answers:
             words = str(_prompt(f"{fields[name].question} ({fields[name].allowed})", default="", shown=False))
             try:
@@ -115,7 +115,7 @@ def ask_people(fields: Mapping[str, Any], may_ask: bool) -> dict[str, Any]:
                 typer.secho(str(error), err=True, fg=typer.colors.RED)
         if fields[name].kind == "consent" and fields[name].required and answers[name] == "no":
             break
-    return {name: answers[name] for name in fields if name in answers}
+    return answers
 
 
 def wait_for_start(setup: Setup, rig: str) -> None:

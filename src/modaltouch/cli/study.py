@@ -70,10 +70,8 @@ def _show(told: dict[str, Any]) -> None:
     print_table("", _SESSION_HEADINGS, [list(map(escape, row)) for row in told["sessions"]], n_words=3)
     if told["orders"]:
         print_table("", _ORDER_HEADINGS, [list(map(escape, row)) for row in told["orders"]])
-    for line in told["remarks"]:
-        console.print(f"[yellow]{escape(line)}[/]", soft_wrap=False)
-    for line in told["next"]:
-        console.print(f"next: {escape(line)}")
+    remarks = (f"[yellow]{escape(line)}[/]" for line in told["remarks"])
+    console.print(*remarks, *(f"next: {escape(line)}" for line in told["next"]), sep="\n")
 
 
 _SESSION_HEADINGS = ("participant", "session", "state", "begun (UTC)", "min", "answers")

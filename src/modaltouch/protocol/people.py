@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, TypeAdapter, ValidationError, create_model, model_validator
 
 from modaltouch.protocol.problems import InputError, Problem, fault
-from modaltouch.protocol.reading import Reading
-from modaltouch.protocol.section import Number, Section, Text, described
+from modaltouch.protocol.reading import Reading, read
+from modaltouch.protocol.section import Number, Section, Text, describe, described
 from modaltouch.protocol.source import Source
-from modaltouch.protocol.tree import parse_tree
 
 if TYPE_CHECKING:
     import numpy as np
@@ -59,17 +57,20 @@ class PersonField(Section):
         return self
 
     @property
+    def answer(self) -> Any:
+        """Type of its answers."""
+        known: dict[str, Any] = {
+            "number": Annotated[float, Field(ge=self.lowest, le=self.highest, allow_inf_nan=False)],
+            "choice": Literal[self.choices],
+            "text": Annotated[str, Field(min_length=1)],
+            "consent": Literal["yes", "no"],
+        }
+        return known[self.kind] if self.required else known[self.kind] | None
+
+    @property
     def allowed(self) -> str:
         """What may be answered, in words."""
-        ends = (("at least", self.lowest), ("at most", self.highest))
-        bounds = " and ".join(f"{words} {end:g}" for words, end in ends if end is not None)
-        said = {
-            "number": f"a number {bounds}".strip(),
-            "choice": ", ".join(self.choices),
-            "text": "some words",
-            "consent": "yes, no",
-        }
-        return said[self.kind] + ("" if self.required else "; or nothing")
+        return describe(_model({"answer": self}), ("answer",)).replace("null", "nothing")
 
     def read(self, words: str) -> float | str | None:
         """Answer that words stand for; None where the question is left out.
@@ -85,18 +86,14 @@ class PersonField(Section):
             If they are no answer.
         """
         given = " ".join(words.split())
-        if self.kind == "number" and re.fullmatch(r"[-+]?\d{1,9}([.,]\d{1,9})?", given):
-            value = float(given.replace(",", "."))
-            low, high = -math.inf if self.lowest is None else self.lowest, self.highest
-            if low <= value <= (math.inf if high is None else high):
-                return int(value) if value.is_integer() else value
-        elif given and self.kind != "number":
-            offered = {"choice": self.choices, "text": (given,), "consent": ("yes", "no")}[self.kind]
-            for each in (each for each in offered if each.casefold() == given.casefold()):
-                return each
-        elif not given and not self.required:
-            return None
-        raise ValueError(f"given {given or 'nothing'}; allowed: {self.allowed}")
+        given = given.replace(",", ".") if self.kind == "number" else given
+        offered = {"choice": self.choices, "consent": ("yes", "no")}
+        meant = next((each for each in offered.get(self.kind, ()) if each.casefold() == given.casefold()), given)
+        try:
+            answer: float | str | None = TypeAdapter(self.answer).validate_python(meant or None)
+        except ValidationError:
+            raise ValueError(f"given {given or 'nothing'}; allowed: {self.allowed}") from None
+        return answer
 
     def draw(self, rng: np.random.Generator) -> float | str | None:
         """Answer of a simulated participant: of what is allowed, each as likely.
@@ -110,8 +107,7 @@ class PersonField(Section):
             high = max(65.0, self.lowest or 0.0) if self.highest is None else self.highest
             low = min(18.0, high) if self.lowest is None else self.lowest
             return min(max(round(float(rng.uniform(low, high))), low), high)
-        words = {"choice": self.choices, "text": ("simulated",), "consent": ("yes",)}[self.kind]
-        return str(rng.choice(words))
+        return str(rng.choice({"choice": self.choices, "text": ("simulated",), "consent": ("yes",)}[self.kind]))
 
 
 def check_people(reading: Reading[Any]) -> Iterator[Problem]:
@@ -140,17 +136,13 @@ def read_people(fields: Mapping[str, PersonField], path: Path) -> dict[str, floa
     InputError
         With every fault of the file and its place.
     """
-    root, problems = parse_tree(Source.load(path))
-    given = {} if root is None or not isinstance(root.content, dict) else root.content
-    answers: dict[str, float | str | None] = {}
-    for name in dict.fromkeys((*fields, *given)):
-        words = given[name].text if name in given and given[name].content is not None else ""
-        try:
-            answers[name] = fields[name].read(words)
-        except (KeyError, ValueError):
-            line, column = root.keys.get(name, (1, 1)) if root is not None else (1, 1)
-            allowed = fields[name].allowed if name in fields else f"what is asked: {', '.join(fields)}"
-            problems.append(Problem(str(path), line, column, name, repr(words) if words else "nothing", allowed))
-    if problems:
-        raise InputError(problems)
-    return answers
+    reading = read(Source.load(path), _model(fields))
+    if reading.value is None:
+        raise InputError(reading.problems)
+    return reading.value.model_dump()
+
+
+def _model(fields: Mapping[str, PersonField]) -> type[Section]:
+    """Return what a file of answers holds."""
+    answers: dict[str, Any] = {name: (each.answer, ... if each.required else None) for name, each in fields.items()}
+    return create_model("People", __base__=Section, **answers)

@@ -12,6 +12,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
@@ -214,25 +215,23 @@ class SessionFolder:
         fields = (start or {}).get("design", {}).get("people", {})
         answers = (start or {}).get("people", {})
         with self.hold_dataset():  # two sessions may begin at once: none may write a list that lacks the other
-            path = self.dataset / "participants.tsv"
+            path, own = self.dataset / "participants.tsv", f"sub-{self.participant}"
             try:
                 text = path.read_text(encoding="utf-8") if path.exists() else ""
-                rows = [line.split("\t") for line in text.splitlines()] or [["participant_id"]]
-                rows[0] += [name for name in fields if name not in rows[0]]
-                listed = {row[0] for row in rows}
-                folders = sorted(folder.name for folder in self.dataset.glob("sub-*") if folder.is_dir())
-                rows += [[name] for name in folders if name not in listed]
-                for row in rows[1:]:
-                    row += ["n/a"] * (len(rows[0]) - len(row))
-                    for name in answers if row[0] == f"sub-{self.participant}" else ():
-                        place = rows[0].index(name)
-                        row[place] = _cell(answers[name]) if row[place] == "n/a" else row[place]
+                rows = [line.split("\t") for line in text.splitlines() if line] or [["participant_id"]]
                 side = path.with_suffix(".json")
                 known = json.loads(side.read_text(encoding="utf-8")) if fields and side.exists() else {}
                 described = {name: _describe(field) for name, field in fields.items()} | known
             except (OSError, ValueError, TypeError) as error:
                 raise RecordError(f"{path}: cannot be read ({error}); mend it or move it away") from error
-            made = "".join("\t".join(row) + "\n" for row in rows)
+            header = [*rows[0], *(name for name in fields if name not in rows[0])]
+            listed = {row[0] for row in rows}
+            folders = sorted(folder.name for folder in self.dataset.glob("sub-*") if folder.is_dir())
+            made = "\t".join(header) + "\n"
+            for row in (*rows[1:], *([name] for name in folders if name not in listed)):
+                cells = zip_longest(header, row, fillvalue="n/a")
+                mine = answers if row[0] == own else {}
+                made += "\t".join(_cell(mine.get(name)) if cell == "n/a" else cell for name, cell in cells) + "\n"
             if made != text:
                 replace_text(path, made)
             if described != known:
@@ -240,7 +239,7 @@ class SessionFolder:
 
 
 def _cell(answer: object) -> str:
-    return "n/a" if answer is None else str(answer)
+    return "n/a" if answer is None else f"{answer:g}" if isinstance(answer, float) else " ".join(str(answer).split())
 
 
 def _describe(field: Mapping[str, Any]) -> dict[str, Any]:

@@ -5,7 +5,6 @@ Only logs are read. A session is taken as its log tells it; `modaltouch verify` 
 
 from __future__ import annotations
 
-import math
 from collections import Counter, defaultdict
 from dataclasses import replace
 from pathlib import Path
@@ -97,12 +96,13 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
     is_readable = problems == session.chain.problems and not session.chain.damage
     state, why = _state(session) if is_readable else ("damaged", problems[0])
     schedule = session.start["schedule"] if is_readable else {}
+    sittings = _sittings(session)
     row = {
         "participant": log.parts[-4:][0].removeprefix("sub-"),
         "session": SessionFolder.number_of(log),
         "begun": session.start.get("time"),
-        "duration_min": round(_duration(session) / 60, 1),
-        "n_sittings": sum(event.get("event") in ("start", "resume") for event in session.events),
+        "duration_min": round(sum(sittings) / 60, 1),
+        "n_sittings": len(sittings),
         "n_answered": session.n_answered if is_readable else None,
         "n_trials": schedule.get("n_trials"),
         "state": state,
@@ -116,25 +116,22 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
 
 def _state(session: Session) -> tuple[str, str]:
     """Return how a session that can be read stands, and why."""
-    if session.complete:
-        return "complete", ""
-    if session.is_running:
-        return "running", ""
-    if session.begun_anew_as is not None:
-        return "closed", f"begun anew as session {session.begun_anew_as}"
-    last = session.events[-1]
-    return "interrupted", str(last.get("reason", "")) if last["event"] == "stop" else "killed"
+    last, anew = session.events[-1], session.begun_anew_as
+    known = (
+        (session.complete, "complete", ""),
+        (session.is_running, "running", ""),
+        (anew is not None, "closed", f"begun anew as session {anew}"),
+        (True, "interrupted", str(last.get("reason", "")) if last["event"] == "stop" else "killed"),
+    )
+    return next((state, why) for holds, state, why in known if holds)
 
 
-def _duration(session: Session) -> float:
-    """Return how long the sittings of a session took together [s]; the clock counts anew after a restart."""
-    spans: list[list[float]] = []
-    for event in session.events:
-        if event.get("event") in ("start", "resume"):
-            spans.append([])
-        if spans and event.get("event") not in _AFTER_THE_END:
-            spans[-1].append(float(event.get("clock", 0.0)))
-    return math.fsum(span[-1] - span[0] for span in spans)
+def _sittings(session: Session) -> list[float]:
+    """Return how long each sitting of a session took [s]; the clock counts anew after a restart of the machine."""
+    begins = [place for place, event in enumerate(session.events) if event.get("event") in ("start", "resume")]
+    parts = (session.events[begin:end] for begin, end in zip(begins, [*begins[1:], None], strict=True))
+    clocks = ([e.get("clock", 0.0) for e in part if e.get("event") not in _AFTER_THE_END] for part in parts)
+    return [each[-1] - each[0] for each in clocks]
 
 
 def _next_of(participant: str, rows: list[dict[str, Any]], n_each: int) -> dict[str, Any] | None:
@@ -164,15 +161,20 @@ def _balance(protocol: Protocol, turns: list[tuple[int, str]]) -> list[dict[str,
     filled = Counter(turn % n_turns for turn, state in turns if state in ("complete", "running"))
     left = Counter(turn % n_turns for turn, state in turns if state not in ("complete", "running"))
     most = max(filled.values(), default=1)
-    rows: dict[str, dict[str, Any]] = {}
-    for number in range(n_turns):
-        order = _order(Turn(number, ""), protocol)
-        row = rows.setdefault(str(order), {**order, "n_turns": 0, "filled": 0, "left_incomplete": 0, "open": 0})
-        row["n_turns"] += 1
-        row["filled"] += filled[number]
-        row["left_incomplete"] += left[number]
-        row["open"] += most - filled[number]
-    return list(rows.values())
+    orders = [_order(Turn(number, ""), protocol) for number in range(n_turns)]
+    alike: dict[str, list[int]] = defaultdict(list)
+    for number, order in enumerate(orders):
+        alike[str(order)].append(number)
+    return [
+        orders[own[0]]
+        | {
+            "n_turns": len(own),
+            "filled": sum(filled[number] for number in own),
+            "left_incomplete": sum(left[number] for number in own),
+            "open": sum(most - filled[number] for number in own),
+        }
+        for own in alike.values()
+    ]
 
 
 def _notes(begun: dict[str, Session], rows: list[dict[str, Any]]) -> list[str]:
