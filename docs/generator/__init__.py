@@ -5,7 +5,7 @@ from pathlib import Path
 
 def write_all(folder: Path) -> None:
     """Write every generated page, picture and table into a folder."""
-    from generator import api, commands, fields, keys
+    from generator import api, architecture, commands, field, fields, figures, gallery, keys
     from generator.pages import remove_others
 
     (folder / "static").mkdir(parents=True, exist_ok=True)
@@ -14,4 +14,8 @@ def write_all(folder: Path) -> None:
     commands.write_statuses(folder)
     fields.write_fields(folder)
     api.write_api(folder / "api")
+    field.write_tables(folder / "static")
+    figures.write_figures(folder / "static")
+    architecture.write_architecture(folder / "static")
+    gallery.write_gallery(folder / "gallery", folder / "static")
     remove_others(folder)

@@ -7,6 +7,7 @@ import json
 import re
 import shutil
 import subprocess
+from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -23,26 +24,28 @@ class Browser:
     """
 
     def __enter__(self) -> Browser:
-        self._folder = TemporaryDirectory(ignore_cleanup_errors=True)
-        options = ("--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0", "--hide-scrollbars",
-                   "--disable-dev-shm-usage", "--no-first-run", f"--user-data-dir={self._folder.name}")  # fmt: skip
-        self._process = subprocess.Popen(
-            [CHROMIUM, *options, "about:blank"], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
-        )
-        address = next(found for line in self._process.stderr if (found := re.search(r"ws://\S+", line)))
-        self._socket = connect(address.group(), max_size=None)
-        self._number, self._session, self.problems = 0, None, []
-        target = self._ask("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self._ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        for domain in ("Page", "Runtime", "Log"):
-            self._ask(f"{domain}.enable")
+        with ExitStack() as opened:
+            folder = opened.enter_context(TemporaryDirectory(ignore_cleanup_errors=True))
+            options = ("--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0", "--no-first-run",
+                       "--hide-scrollbars", "--disable-dev-shm-usage", f"--user-data-dir={folder}")  # fmt: skip
+            process = opened.enter_context(
+                subprocess.Popen(
+                    [CHROMIUM, *options, "about:blank"], stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+                )
+            )
+            opened.callback(process.terminate)
+            address = next(found for line in process.stderr if (found := re.search(r"ws://\S+", line)))
+            self._socket = opened.enter_context(connect(address.group(), max_size=None))
+            self._number, self._session, self.problems = 0, None, []
+            target = self._ask("Target.createTarget", url="about:blank")["targetId"]
+            self._session = self._ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+            for domain in ("Page", "Runtime", "Log"):
+                self._ask(f"{domain}.enable")
+            self._opened = opened.pop_all()
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._socket.close()
-        self._process.terminate()
-        self._process.wait()
-        self._folder.cleanup()
+        self._opened.close()
 
     def _ask(self, method: str, **parameters: Any) -> Any:
         self._number += 1

@@ -1,8 +1,8 @@
 """Every command and every snippet of the site is run, and its pages are looked at. Part of ``make docs-check``.
 
-A page is a folder: its blocks run there in their order. ``$`` begins a command; what stands below it must appear in
-what the command says, line by line, where ``...`` skips any number of lines. A block of Python goes on where the one
-before it ended. A YAML block with a file for a caption is that file. A comment ``% needs:`` names what a page needs.
+A page is a folder: its blocks run there in their order. ``$`` begins a command; what stands below it must appear,
+line by line, in what the command says; ``...`` stands for any letters. A block of Python goes on where the one before
+it ended. A YAML block with a file for a caption is that file.
 """
 
 from __future__ import annotations
@@ -12,10 +12,13 @@ import re
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from browser import CHROMIUM, Browser
+
+import modaltouch
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -132,3 +135,78 @@ def test_no_page_is_wider_than_its_window_or_complains(browser, width, dark):
             wide.append(str(page.relative_to(SITE)))
     assert wide == []
     assert browser.problems == []
+
+
+def told(browser, finger):
+    """Return what the page says that a finger gets: at the focusing instant, and at most [mm/s]."""
+    cells = browser.run(f"[...document.querySelectorAll('#field-row-{finger} td')].map((each) => each.textContent)")
+    return [float(cell.removesuffix(" mm/s")) for cell in cells[2:]]
+
+
+def dragged(browser, name, places):
+    """Drag a handle of the field along the beam by so many millimetres, with the mouse."""
+    box = f"document.querySelector('[data-name={name}] circle, [data-name={name}] path').getBoundingClientRect()"
+    x, y, width, height, scale = browser.run(
+        f"(() => {{ const b = {box}; const s = document.querySelector('#field svg').getBoundingClientRect();"
+        "return [b.x, b.y, b.width, b.height, s.width / 720]; })()"
+    )
+    x, y = x + width / 2, y + height / 2
+    browser.mouse("mousePressed", x, y)
+    browser.mouse("mouseMoved", x + places * 6.28 * scale / 2, y)
+    browser.mouse("mouseMoved", x + places * 6.28 * scale, y)
+    browser.mouse("mouseReleased", x + places * 6.28 * scale, y)
+
+
+def test_the_interactive_field_tells_what_the_engine_computes(browser):
+    """Untouched and under fingers, for the modes of the paper and for others; with mouse, boxes and keys."""
+    from generator.field import typical_finger
+
+    stimulus = modaltouch.examine("differentiated_stimulation").require().stimulus
+    browser.open(SITE / "look" / "field.html")
+    for finger, place in (("left", -0.04), ("right", 0.0)):
+        at_focus = float(stimulus.velocity_at_focus([place], 0.2)[0]) * 1e3
+        highest = float(stimulus.peak_velocity([place], 0.2)[0]) * 1e3
+        assert told(browser, finger) == pytest.approx([at_focus, highest], abs=0.2)
+    browser.run("document.querySelector('#field-heavy').click()")
+    beam = stimulus.touched((typical_finger(-40), typical_finger(0)))
+    under = beam.velocity_at_focus([-0.04, 0.0], stimulus.volts_per_code(0.2)) * 1e3
+    assert [told(browser, finger)[0] for finger in ("left", "right")] == pytest.approx(under.tolist(), abs=0.2)
+    browser.run("document.querySelector('#field-heavy').click()")
+    for mode in (4, 6, 8):
+        browser.run(f"document.querySelectorAll('[data-mode]')[{mode}].click()")
+    few = replace(stimulus, target_field=replace(stimulus.target_field, selection=(1, 3, 5, 7, 9, 11, 17)))
+    at_focus = float(few.velocity_at_focus([-0.04], 0.2)[0]) * 1e3
+    assert told(browser, "left")[0] == pytest.approx(at_focus, abs=0.2)
+    browser.run("document.querySelector('#field-reset').click()")
+    dragged(browser, "right", 20)
+    assert browser.run("document.querySelector('#field-right').value") == "20"
+    at_d = float(stimulus.peak_velocity([0.02], 0.2)[0]) * 1e3
+    assert told(browser, "right")[1] == pytest.approx(at_d, abs=0.2)
+    dragged(browser, "focus", -10)
+    assert browser.run("document.querySelector('#field-focus').value") == "-10"
+    assert browser.run("Number(document.querySelector('#field').dataset.reached)") == pytest.approx(200, abs=0.01)
+    browser.run("document.querySelector('#field-left').focus()")
+    before = browser.run("document.querySelector('#field-left').value")
+    browser.press("ArrowRight", code=39)
+    assert browser.run("document.querySelector('#field-left').value") == str(int(before) + 1)
+    assert browser.problems == []
+
+
+def test_keys_alone_reach_everything_on_the_interactive_page(browser):
+    """Tab goes through the four sliders, nine modes, the box of the fingers and the button, in that order."""
+    browser.open(SITE / "look" / "field.html")
+    browser.run("document.querySelector('#field-focus').focus()")
+    seen = []
+    for _ in range(15):
+        seen.append(browser.run("document.activeElement.id || document.activeElement.dataset.mode || ''"))
+        browser.press("Tab", code=9)
+    expected = [
+        "field-focus",
+        "field-level",
+        "field-left",
+        "field-right",
+        *map(str, range(9)),
+        "field-heavy",
+        "field-reset",
+    ]
+    assert seen == expected
