@@ -41,9 +41,7 @@ def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
     trials = ranked.groupby("participant", observed=True)["trial"].rank(method="first")
     step = int(np.ceil(trials.max() / MOST_TRIALS))
     shares = ranked["dominant"].groupby([(trials - 1) // step * step + (step + 1) / 2, labels]).mean().unstack()
-    with house_style():
-        figure = Figure(figsize=(6.4, 2.8))
-        axes = figure.subplots()
+    with house_style(6.4, 2.8) as (figure, [[axes]]):
         for (label, colour), marker in zip(
             pair_colours([pair.label for pair in answers.pairs]).items(),
             "os^Dvp" * len(answers.pairs),
@@ -71,9 +69,7 @@ def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
     kept = frame[frame["response_time"] >= ANTICIPATION]
     if kept.empty:
         return None
-    with house_style():
-        figure = Figure(figsize=(6.4, 3.0))
-        axes = figure.subplots()
+    with house_style(6.4, 3.0) as (figure, [[axes]]):
         groups, ticks = [], []
         for pair in answers.pairs:
             for condition in answers.finger_conditions:
@@ -102,9 +98,9 @@ def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
     octaves = (frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).astype(float).transform(np.log2)
     cells = [frame[name].astype(str) for name in ("finger_condition", "zone_left", "zone_right")]
     ratio = 2 ** octaves.groupby(cells).transform("median").to_numpy(dtype=float).round(1)
-    with house_style():
-        figure = Figure(figsize=(3.3 * len(answers.finger_conditions) + 0.6, 3.0))
-        panels = figure.subplots(1, len(answers.finger_conditions), sharey=True, squeeze=False)[0]
+    with house_style(
+        3.3 * len(answers.finger_conditions) + 0.6, 3.0, 1, len(answers.finger_conditions), sharey=True
+    ) as (figure, [panels]):
         for axes, condition in zip(panels, answers.finger_conditions, strict=True):
             own = (frame["finger_condition"].astype(str) == condition).to_numpy()
             _draw_ratios(axes, frame[own].assign(ratio=ratio[own]), answers.answers)

@@ -69,16 +69,14 @@ def draw_counts(table: pd.DataFrame, finger_condition: str, n_participants: int 
     rows = [pairs[i : i + names.n_pairs] for i in range(0, len(pairs), names.n_pairs)]
     totals = {pair: table.loc[pair].sum() for pair in pairs}
     most = int(max(total.max() for total in totals.values()))
-    with house_style():
-        figure = Figure(figsize=(7.6, 0.5 + 2.9 * len(rows)))
-        panels = figure.subplots(len(rows), 1, squeeze=False)[:, 0]
-        for axes, row in zip(panels, rows, strict=True):
+    with house_style(7.6, 0.5 + 2.9 * len(rows), len(rows)) as (figure, panels):
+        for axes, row in zip(panels[:, 0], rows, strict=True):
             _draw_row(axes, table, row, colours, totals, n_participants, names)
             axes.set_ylim(0, most * 1.02)
             axes.yaxis.set_major_locator(MaxNLocator(nbins=6, integer=True, steps=[1, 2, 5, 10]))
             axes.set_ylabel(f"answers out of {most}")
             quiet_grid(axes)
-        panels[-1].set_xlabel(f"answer, and below each bar the {scale_of([str(table.columns.name)]).quantity}")
+        panels[-1, 0].set_xlabel(f"answer, and below each bar the {scale_of([str(table.columns.name)]).quantity}")
         named = finger_condition.replace("_", " ")
         figure.suptitle(
             f"{named}: {FINGERS[finger_condition]}" if finger_condition in FINGERS else named, fontsize=10.5
