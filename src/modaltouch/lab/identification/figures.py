@@ -207,7 +207,7 @@ def _mark_modes(axes: Axes, identification: Identification, *, labelled: bool = 
     """Draw a line at each identified mode, with its label above in two rows."""
     for mode in identification.modes:
         place = mode.natural_frequency.value / 1e3
-        axes.axvline(place, color=FAINT, lw=0.5, ls="-" if mode.label else ":", zorder=0.9)
+        axes.axvline(place, color=FAINT, lw=0.5, alpha=0.5, ls="-" if mode.label else ":", zorder=0.9)
         if labelled and mode.label:
             axes.annotate(
                 str(mode.label), (place, 1), xytext=(0, 2 + 8 * (mode.label % 2)), xycoords=axes.get_xaxis_transform(),
