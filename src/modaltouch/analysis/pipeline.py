@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from modaltouch.analysis.gallery import FIGURES, draw_all
 from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.scale import Speed
 from modaltouch.protocol import InputError
 from modaltouch.report import write_files
 from modaltouch.system import version
@@ -31,6 +32,7 @@ def analyse(
     figures: Collection[str] = (),
     prereg: Path | str | None = None,
     model: bool = False,
+    speed: Speed = "nominal",
 ) -> Analysis | ThresholdAnalysis:
     """Analyse answers and write tables, figures, statistics and a report.
 
@@ -54,6 +56,8 @@ def analyse(
         The preregistration, as ``modaltouch prereg`` wrote it; by default the one beside the protocol, if any.
     model : bool
         Whether the mixed logistic model is fitted, too, for which statsmodels is loaded.
+    speed : {"nominal", "predicted"}
+        What levels are told by: the speed asked at the focus, or the one predicted under the faster finger.
 
     Returns
     -------
@@ -69,6 +73,7 @@ def analyse(
     """
     asked = _figures(figures)
     responses = read_responses(path, mode=mode, stimulus=stimulus, table_format=table_format)
+    responses = responses.by_predicted_speed() if speed == "predicted" else responses
     folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
     about = {
         "version": version(),

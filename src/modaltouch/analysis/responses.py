@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Container, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, LevelScale, scale_of
-from modaltouch.protocol import AnswerList
+from modaltouch.analysis.scale import OWN_THRESHOLD, PREDICTED, VELOCITY, LevelScale, scale_of
+from modaltouch.protocol import AnswerList, InputError
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -190,6 +190,27 @@ class Responses:
         from modaltouch.analysis.counts import count_answers
 
         return count_answers(self.frame, self.focus or focus, self.answers, self.margin, self.asked)
+
+    def by_predicted_speed(self) -> Responses:
+        """Return the answers with their levels told by the peak speed predicted under the faster finger.
+
+        Of adaptive sessions each trial has its own; a fixed level has the mean of its trials, so that the cells of the
+        design stay.
+
+        Raises
+        ------
+        InputError
+            If the answers do not tell it.
+        """
+        column, sides = scale_of(self.frame.columns).column, list(_SIDES[1])
+        if column != VELOCITY.column or not set(sides) <= set(self.frame) or self.frame[sides].isna().to_numpy().any():
+            given = "answers that do not tell the speeds predicted under the fingers in mm/s"
+            raise InputError.of(self.source.path, given, "recorded sessions of levels in mm/s", "take --speed nominal")
+        speed = self.frame[sides].max(axis=1)
+        if not self.is_adaptive:
+            speed = speed.groupby(self.frame[column]).transform("mean")
+        told = self.frame.drop(columns=column).assign(**{PREDICTED.column: speed.round(3)})
+        return replace(self, frame=told)
 
     @property
     def in_multiples(self) -> bool:

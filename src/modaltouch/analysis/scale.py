@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,12 @@ OWN_THRESHOLD = LevelScale(
 )
 """Levels calibrated by participant."""
 
+PREDICTED = LevelScale("speed_mm_s", "predicted peak speed under the faster finger [mm/s]", "mm/s", 100.0, "100 mm/s")
+"""Levels by what they are predicted to do under the fingers."""
+
+Speed = Literal["nominal", "predicted"]
+"""What levels are told by: the speed asked at the focus, or that predicted under the fingers."""
+
 
 def scale_of(columns: Container[str]) -> LevelScale:
     """Return what the levels of a table are.
@@ -62,4 +69,4 @@ def scale_of(columns: Container[str]) -> LevelScale:
     columns : container of str
         Names of its columns.
     """
-    return OWN_THRESHOLD if OWN_THRESHOLD.column in columns else VELOCITY
+    return next((scale for scale in (OWN_THRESHOLD, PREDICTED) if scale.column in columns), VELOCITY)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -62,6 +62,10 @@ def analyse(
     model: Annotated[
         bool, typer.Option("--model", help="Also fit a mixed logistic model, refused where answers are separated.")
     ] = False,
+    speed: Annotated[
+        Literal["nominal", "predicted"],
+        typer.Option(help="What levels are told by: speed asked at the focus, or predicted under the faster finger."),
+    ] = "nominal",
     json_output: JSON = False,
 ) -> None:
     """Write the tables and bars of Fig. 10 and Fig. 11, exact statistics, and an HTML report."""
@@ -83,6 +87,7 @@ def analyse(
             figures=figures.replace(",", " ").split(),
             prereg=prereg,
             model=model,
+            speed=speed,
         )
         if json_output:
             print_json(analysis.as_dict())

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.analysis.responses import Responses
+from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.thresholds.runs import Run, find_runs, in_words, over_participants
 from modaltouch.report import ReportFigure, page_files
 
@@ -114,6 +115,7 @@ def _report_files(
         both="" if both is None else both.name,
         nothing="" if nothing is None else nothing.name,
         rule=responses.start.get("adaptive", {}),
+        scale=scale_of(responses.frame.columns),
         focus=" or ".join(sorted(set(responses.foci.values()) or {responses.focus})),
         n_participants=len({run.participant for run in analysis.runs}),
         n_sessions=n_sessions,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.intervals import student_interval
 from modaltouch.analysis.responses import Responses
+from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.thresholds.psychometric import Psychometric, ThresholdEstimate, fit_psychometric
 from modaltouch.report import say_number
 
@@ -109,7 +110,7 @@ def find_runs(responses: Responses) -> tuple[Run, ...]:
     frame = responses.frame.sort_values(["participant", "session", "trial"], kind="stable")
     runs = []
     for key, part in frame.groupby(list(KEYS), sort=True, observed=True):
-        silent = part["velocity_mm_s"] == 0
+        silent = part[scale_of(part.columns).column] == 0
         for stimulus in sorted(part["stimulus"][~silent].unique()):
             # A catch trial has no stimulus: it counts for the run of each, at that one's focus.
             runs.append(_run(key, stimulus, part[silent | (part["stimulus"] == stimulus)], rule, responses))
@@ -121,7 +122,7 @@ def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str
     focus = responses.foci.get(stimulus, responses.focus)
     succeeds = responses.answers.is_success
     success = np.array([succeeds(str(answer), rule["success"], focus, left) for answer in part["response"]])
-    level = part["velocity_mm_s"].to_numpy(dtype=float)
+    level = part[scale_of(part.columns).column].to_numpy(dtype=float)
     driven = level > 0
     fitted = fit_psychometric(
         [20 * math.log10(each) for each in level[driven]],

@@ -1,0 +1,46 @@
+"""Levels told by the speed predicted under the fingers, instead of the one asked at the focus."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from modaltouch import analyse, simulate_session
+from modaltouch.analysis.reading import read_responses
+from modaltouch.protocol import InputError
+
+pytestmark = pytest.mark.usefixtures("undrawn")
+
+
+def test_a_fixed_level_has_the_mean_of_its_trials(tmp_path: Path) -> None:
+    """Of the faster finger over the three pairs, as the record predicts them: the cells of the design stay."""
+    log = simulate_session("demo", "p01", tmp_path).path
+    told = read_responses(log)
+    frame = told.frame
+    faster = frame[["speed_left_mm_s", "speed_right_mm_s"]].max(axis=1)
+    expected = [faster[frame["velocity_mm_s"] == level].mean() for level in (80, 200)]
+    analysis = analyse(log, tmp_path / "analysis", speed="predicted")
+    assert analysis.answers.levels == pytest.approx(expected, abs=1e-3)
+    assert analysis.answers.scale.quantity == "predicted peak speed under the faster finger [mm/s]"
+    assert np.array_equal(analysis.answers.counts, told.count().counts)
+
+
+def test_a_run_is_fitted_over_the_speed_of_each_trial(tmp_path: Path) -> None:
+    """In proportion to the level on the untouched beam, so that the threshold is too; silence stays silent."""
+    log = simulate_session("threshold", "p01", tmp_path).path
+    nominal, predicted = (analyse(log, tmp_path / speed, speed=speed).runs for speed in ("nominal", "predicted"))
+    for one, other in zip(nominal, predicted, strict=True):
+        share = other.levels / one.levels
+        assert share == pytest.approx(share[0], rel=1e-3)
+        assert other.fitted.n_catch == one.fitted.n_catch
+        assert other.fitted.threshold.value == pytest.approx(share[0] * one.fitted.threshold.value, rel=1e-3)
+
+
+def test_a_table_without_speeds_is_refused(tmp_path: Path) -> None:
+    """It cannot tell them."""
+    rows = ["participant,finger_condition,zone_left,zone_right,velocity_mm_s,response"]
+    (tmp_path / "answers.csv").write_text("\n".join([*rows, "p1,one_hand,A,C,80,right"]) + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"do not tell the speeds predicted.*recorded sessions.*take --speed nominal"):
+        analyse(tmp_path / "answers.csv", speed="predicted")
