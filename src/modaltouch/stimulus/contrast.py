@@ -29,6 +29,9 @@ _GROWTH, _FORGOTTEN = 3.0, 6.0
 _GAP = 0.15
 """Of the highest speed of the zone, at which the programme counts as solved [1]."""
 
+_KEPT = 0.95
+"""Of the amplifier's limit, what samples that are bounded may take: those between may pass it by a little [1]."""
+
 _NEWTON_STEPS = 30
 
 
@@ -59,14 +62,15 @@ def contrast_drive(
     bounded = np.flatnonzero((np.abs(time) < _NEAR) | (np.arange(time.size) % _SPARSE == 0))
     speeds = _speeds(DiagonalSystem.of(model, amplifier), model.shapes(places), timing.hold, waves)
     # In volts over the limit and speeds over the level; what reaches the level with least energy, and the rest.
-    speeds *= amplifier.limit / level
+    limit = _KEPT * amplifier.limit
+    speeds *= limit / level
     focus = speeds[0, :, int((time < 0).sum())]
     first, rest = focus / (focus @ focus), np.linalg.qr(focus[:, None], mode="complete")[0][:, 1:]
     speed = speeds[1:, :, bounded].transpose(0, 2, 1).reshape(-1, focus.size)
     volts = np.kron(np.eye(model.n_channels), waves[:, bounded].T)
     rows, slack = np.concatenate([speed, volts]), np.repeat([1.0, 0.0], [len(speed), len(volts)])
     weight, least = least_peak(rows @ first, rows @ rest, slack)
-    return (first + rest @ weight).reshape(model.n_channels, -1) * amplifier.limit @ waves, 1 / least
+    return (first + rest @ weight).reshape(model.n_channels, -1) * limit @ waves, 1 / least
 
 
 def _family(model: ModalModel, time: FloatArray) -> FloatArray:
