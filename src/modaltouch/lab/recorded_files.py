@@ -29,7 +29,7 @@ from modaltouch.protocol import Apparatus
 from modaltouch.record import replace_file
 from modaltouch.rig import Acquisition, Recording, RigError, Scope
 
-POLL = 0.25
+POLL = 0.5
 """Between two looks for a file, which is whole once it has not changed from one to the next [s]."""
 
 MOST_OVERSAMPLED = 50.0

@@ -36,13 +36,14 @@ def write(path: Path, recording: Recording, volts: float) -> None:
         "velocity_V": recording.velocity / volts,
     }
     table |= {f"drive_{number}_V": recording.drive[:, number - 1] for number in range(1, recording.drive.shape[1] + 1)}
+    part = path.with_suffix(".part")
     if path.suffix == ".npz":
-        with path.with_suffix(".part").open("wb") as file:
+        with part.open("wb") as file:
             np.savez(file, **table)
-        path.with_suffix(".part").rename(path)
     else:
         rows = np.stack([column.ravel() for column in table.values()], axis=1)
-        np.savetxt(path, rows, fmt="%.7g", delimiter=",", header=",".join(table), comments="")
+        np.savetxt(part, rows, fmt="%.7g", delimiter=",", header=",".join(table), comments="")
+    part.rename(path)
 
 
 class LabScope(threading.Thread):
