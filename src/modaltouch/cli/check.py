@@ -9,6 +9,7 @@ import typer
 
 from modaltouch.cli.exit_status import BAD_INPUT, print_json, reporting
 from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, WITH_MARKED
+from modaltouch.cli.tables import print_table
 
 if TYPE_CHECKING:
     from modaltouch.preflight import Preflight
@@ -184,19 +185,23 @@ def _explore(
 
 def _show_explored(asked: dict[str, Any]) -> None:
     from rich.console import Console
-    from rich.table import Table
 
     console = Console()
     if found := asked.get("sensitivity"):
-        under = f" under fingers at {found['placement']}" if "placement" in found else ""
-        title = f"What an error of a parameter does at {found['velocity_mm_s']:g} mm/s{under}"
-        table = Table(title=title, title_justify="left")
-        for heading in ("parameter", "mode", "error %", "field mm/s", "displacement mm/s"):
-            table.add_column(heading, justify="left" if heading == "parameter" else "right")
-        for row in found["table"][:_MOST_ROWS]:
-            numbers = (f"{row['error'] * 100:g}", f"{row['field_mm_s']:.2f}", f"{row['displacement_mm_s']:.2f}")
-            table.add_row(str(row["parameter"]).replace("_", " "), str(row["mode"]), *numbers)
-        console.print(table)
+        print_table(
+            f"What an error of a parameter does at {found['velocity_mm_s']:g} mm/s",
+            ("parameter", "mode", "error %", "field mm/s", "displacement mm/s"),
+            [
+                (
+                    str(row["parameter"]).replace("_", " "),
+                    str(row["mode"]),
+                    f"{row['error'] * 100:g}",
+                    f"{row['field_mm_s']:.2f}",
+                    f"{row['displacement_mm_s']:.2f}",
+                )
+                for row in found["table"][:_MOST_ROWS]
+            ],
+        )
         drawn, spread = found["drawn"], found["drawn"]["deviations"]
         console.print(
             f"{drawn['n_draws']} beams drawn with deviations of {spread['natural_frequency']:.1%} in frequency, "
@@ -205,38 +210,42 @@ def _show_explored(asked: dict[str, Any]) -> None:
             "in one of twenty"
         )
     if rows := asked.get("designs"):
-        table = Table(title="Other voltages for the same field at the highest level", title_justify="left")
-        headings = (
-            "design",
-            "peak V",
-            "energy V²s",
-            "residual mm/s",
-            f"mode of {rows[0]['unmodelled_frequency_Hz']:.0f} Hz mm/s",
+        print_table(
+            "Other voltages for the same field at the highest level",
+            (
+                "design",
+                "peak V",
+                "energy V²s",
+                "residual mm/s",
+                f"mode of {rows[0]['unmodelled_frequency_Hz']:.0f} Hz mm/s",
+            ),
+            [
+                (
+                    row["design"],
+                    f"{row['peak_drive_V']:.0f}",
+                    f"{row['energy_V2_s']:.1f}",
+                    f"{row['residual_mm_s']:.0e}",
+                    f"{row['unmodelled_speed_mm_s']:.2f}",
+                )
+                for row in rows
+            ],
         )
-        for heading in headings:
-            table.add_column(heading, justify="left" if heading == "design" else "right")
-        for row in rows:
-            table.add_row(
-                row["design"],
-                f"{row['peak_drive_V']:.0f}",
-                f"{row['energy_V2_s']:.1f}",
-                f"{row['residual_mm_s']:.0e}",
-                f"{row['unmodelled_speed_mm_s']:.2f}",
-            )
-        console.print(table)
         console.print("[dim]The last column is the speed of a supposed mode that the table of the beam lacks.[/]")
     if rows := asked.get("contrast"):
-        table = Table(title="Highest speed of the focus over that under the other finger", title_justify="left")
-        for heading in ("pair", "design", "contrast", "below 1 kHz", "focus below 1 kHz mm/s", "peak V"):
-            table.add_column(heading, justify="left" if heading in ("pair", "design") else "right")
-        for row in rows:
-            table.add_row(
-                row["placement"],
-                row["design"],
-                *(f"{row[key]:.2f}" for key in ("contrast", "contrast_below_1_kHz")),
-                *(f"{row[key]:.0f}" for key in ("focus_below_1_kHz_mm_s", "peak_drive_V")),
-            )
-        console.print(table)
+        print_table(
+            "Highest speed of the focus over that under the other finger",
+            ("pair", "design", "contrast", "below 1 kHz", "focus below 1 kHz mm/s", "peak V"),
+            [
+                (
+                    row["placement"],
+                    row["design"],
+                    *(f"{row[key]:.2f}" for key in ("contrast", "contrast_below_1_kHz")),
+                    *(f"{row[key]:.0f}" for key in ("focus_below_1_kHz_mm_s", "peak_drive_V")),
+                )
+                for row in rows
+            ],
+            n_words=2,
+        )
         console.print(
             "[dim]contrast: the drive that moves the other zone least, whatever becomes of the field and of modes that "
             "the table lacks; what is felt lies below 1 kHz.[/]"

@@ -331,13 +331,7 @@ class Preflight:
             values |= _design_figures(reading.value)
         if self.problems:
             return values
-        from modaltouch.preflight.advice import (
-            answer_warnings,
-            default_warnings,
-            design_warnings,
-            repetition_warnings,
-            sound_warnings,
-        )
+        from modaltouch.preflight import advice
 
         inputs, _ = self.sound
         protocol, apparatus = self.experiment.protocol, inputs.apparatus
@@ -345,11 +339,11 @@ class Preflight:
             "warnings": [
                 *self._marks(),
                 *self._stimulus_warnings(),
-                *design_warnings(protocol),
-                *answer_warnings(protocol),
-                *repetition_warnings(self.experiment.apparatus),
-                *sound_warnings(protocol, self.experiment.apparatus),
-                *default_warnings(values["defaults"]),
+                *advice.design_warnings(protocol),
+                *advice.answer_warnings(protocol),
+                *advice.repetition_warnings(self.experiment.apparatus),
+                *advice.sound_warnings(protocol, self.experiment.apparatus),
+                *advice.default_warnings(values["defaults"]),
             ],
             "contrasts": self._contrasts(),
             "unknown_gains": [{"mode": label, "set": name} for label, name in apparatus.unknown_gains()],

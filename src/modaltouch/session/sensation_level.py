@@ -108,12 +108,7 @@ def _latest(place: SessionFolder) -> tuple[Path | None, str]:
 
     Also what is wrong with it: an older session behind a damaged one may tell another threshold.
     """
-    folders = place.dataset.glob(f"sub-{place.participant}/ses-*/beh")
-    numbers = (folder.parent.name[4:] for folder in folders)
-    for number in sorted((int(each) for each in numbers if each.isdecimal()), reverse=True):
-        log = replace(place, session=number).log
-        if not log.exists():
-            continue
+    for log in reversed(SessionFolder.logs_of(place.dataset / f"sub-{place.participant}")):
         try:
             session = read_session(log)
         except RecordError as error:

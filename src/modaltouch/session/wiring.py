@@ -81,14 +81,9 @@ def wire_run(
     preflight, calibrated = _at_own_levels(preflight, place, threshold_mm_s)
     schedule = Schedule.draw(preflight.experiment.protocol, participant, seed, drawn_as)
     wires = SessionParts(
-        preflight,
-        place,
-        seed=seed,
-        rig=rig,
-        answers=answers,
-        window_options=window_options,
+        preflight, place, seed=seed, rig=rig, answers=answers, window_options=window_options,
         observer=observer or _usual(protocol, answers),
-    )
+    )  # fmt: skip
     setup = wires.setup(schedule)
     setup = replace(setup, facts=setup.facts | calibrated)
     if answers != "window" and (fields := setup.to_ask):
