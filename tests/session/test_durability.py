@@ -1,4 +1,4 @@
-"""An answer confirmed on screen survives anything, at any instant (README, "What it promises").
+"""An answer confirmed on screen survives anything, at any instant (docs/explanation/promises.md).
 
 Sessions run in processes of their own against a rig in this one. Each is cut short at a seeded point, resumed and cut
 again until it is complete. After every cut: no answer confirmed to the participant is missing, the answers are those
