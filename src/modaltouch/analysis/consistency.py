@@ -47,14 +47,13 @@ def effect_findings(answers: AnswerCounts) -> Iterator[Finding]:
             given = answers.counts[:, f, q, :, place]
             shares = Shares(given, answers.counts[:, f, q].sum(axis=-1), answers.n_repetitions)
             mean = BoundedMean(shares.mean, 0.0, 1.0)
-            bounds = [BoundedMean(each.mean(axis=-1), 0.0, 1.0) for each in (shares.least, shares.most)]
-            n_missing = shares.asked * given.size - int(shares.answered.sum())
-            low, high = bounds[0].interval(), bounds[1].interval()
-            worst = (
-                f"{n_missing} answers missing; with them the share could be {low.estimate:.3g} to {high.estimate:.3g}, "
-                f"its interval {low.low:.3g} to {high.high:.3g}"
-            )
-            notes = [worst] if n_missing else []
+            notes = []
+            if n_missing := shares.asked * given.size - int(shares.answered.sum()):
+                low, high = (BoundedMean(s.mean(axis=-1), 0.0, 1.0).interval() for s in (shares.least, shares.most))
+                notes = [
+                    f"{n_missing} answers missing; with them the share could be {low.estimate:.3g} to "
+                    f"{high.estimate:.3g}, its interval {low.low:.3g} to {high.high:.3g}"
+                ]
             yield finding_of("f", SHARE, scope, None, f"P({label})", mean.interval(), int(mean.n), notes=notes)
     yield from _paired_cells(answers)
 

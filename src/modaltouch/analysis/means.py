@@ -113,13 +113,16 @@ class BoundedMean:
         power = 1 / np.maximum(self.n, 1)
         low, high = np.full(self.shape, self.low), np.where(self.n > 0, self.estimate, self.low)
         below, above = -(tail**power), self.p_above(high) ** power - tail**power
-        bound = low
+        bound, was_low = low, None
         for _ in range(_MOST_STEPS):
             before, bound = bound, np.where(high > low, high - above * (high - low) / (above - below), low)
             found = self.p_above(bound) ** power - tail**power
             is_low = found < 0
             low, high = np.where(is_low, bound, low), np.where(is_low, high, bound)
-            below, above = np.where(is_low, found, below / 2), np.where(is_low, above / 2, found)
+            # An end that stays twice running counts half, which is what draws it in.
+            half = 1.0 if was_low is None else np.where(is_low == was_low, 0.5, 1.0)
+            below, above = np.where(is_low, found, half * below), np.where(is_low, half * above, found)
+            was_low = is_low
             if not (np.abs(bound - before) > 1e-13).any():
                 break
         return np.asarray(bound[()])
