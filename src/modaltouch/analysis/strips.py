@@ -51,7 +51,7 @@ def kinds_of(answers: AnswerCounts, pair: Pair) -> list[Kind]:
     letters = [name[:2] if is_clear else str(place + 1) for place, name in rest.items()]
     kinds += [Kind(*each) for each in zip(rest, rest.values(), letters, OTHER_COLOURS, strict=False)]
     kinds += [Kind(p, each.name, "–", NOTHING) for p, each in enumerate(answers.answers) if each.says_nothing_felt]
-    return [*kinds, Kind(-1, "tie between repetitions", "?", TIED)]
+    return [*kinds, Kind(-1, "no answer, or a tie between repetitions", "?", TIED)]
 
 
 def participant_strips(answers: AnswerCounts) -> dict[str, Any]:
