@@ -47,6 +47,13 @@ def test_the_papers_design_has_these_tests(design: Design) -> None:
     }  # fmt: skip
 
 
+def test_no_two_tests_of_a_family_are_about_the_same(design: Design) -> None:
+    """Plans add up by what a test is about, such as one hand against two on (A, C): the dominant zone, or both."""
+    for family in STATISTICS:
+        assert len(set(design.scopes(family))) == len(design.scopes(family))
+    assert "one_hand - two_hands A-C both" in design.scopes("c")
+
+
 def test_a_design_of_one_cell_has_two_tests(small_design: Design) -> None:
     """Expected: chance and dominance; a trend of one level says nothing and has no interval."""
     answers = simulate(small_design, UNSURE, Job(9, 1, 0, 5), np.random.default_rng(1))

@@ -162,6 +162,11 @@ def leaning_findings(answers: AnswerCounts) -> Iterator[Finding]:
         yield finding_of("a2", name, scope, test[place], quantity, share[place], int(leaning[place]))
 
 
+def _of(label: str, needed: object) -> str:
+    """Return an answer as the end of a scope, where that would mean several tests without it."""
+    return f" {label}" if needed else ""
+
+
 def _levels_of(answers: AnswerCounts) -> tuple[list[str], list[str], Shares]:
     """Return scopes, labels and shares of what may change with the level: the dominant zone; else each answer."""
     effects = answers.of_effects[: 1 if answers.compares else None]
@@ -169,7 +174,8 @@ def _levels_of(answers: AnswerCounts) -> tuple[list[str], list[str], Shares]:
     asked = answers.answered if len(effects) == 1 else np.stack([answers.answered] * len(effects), axis=-3)
     shape = (*answers.counts.shape[:-5], -1, *of_pairs.shape[-2:])
     labels = [label for _, q, _ in answers.pair_cells for label, _ in answers.effects(answers.pairs[q])[: len(effects)]]
-    scopes = [scope for *_, scope in answers.pair_cells for _ in effects]
+    places = [scope for *_, scope in answers.pair_cells for _ in effects]
+    scopes = [f"{place}{_of(label, len(effects) > 1)}" for place, label in zip(places, labels, strict=True)]
     return scopes, labels, Shares(of_pairs.reshape(shape), asked.reshape(shape), answers.n_repetitions)
 
 
@@ -222,7 +228,10 @@ def conditions_compared(answers: AnswerCounts) -> Contrast | None:
     labels = [[label for label, _ in answers.effects(pair)] for pair in answers.pairs]
     places = list(product(range(len(chosen)), compared, range(len(answers.pairs))))
     return Contrast(
-        [f"{names[f]} - {names[g]} {answers.pairs[q].label}" for _, (f, g), q in places],
+        [
+            f"{names[f]} - {names[g]} {answers.pairs[q].label}{_of(labels[q][nth], nth or not answers.compares)}"
+            for nth, (f, g), q in places
+        ],
         [f"difference of P({labels[q][nth]})" for nth, _, q in places],
         first,
         second,
@@ -245,7 +254,7 @@ def pairs_compared(answers: AnswerCounts) -> Contrast | None:
     labels = [label for label, _ in answers.effects(answers.pairs[0])[effects]]
     tests = list(product(labels, answers.finger_conditions, compared))
     return Contrast(
-        [f"{condition} {names[q]} - {names[r]}" for _, condition, (q, r) in tests],
+        [f"{condition} {names[q]} - {names[r]}{_of(label, len(labels) > 1)}" for label, condition, (q, r) in tests],
         [f"difference of P({label})" for label, _, _ in tests],
         first,
         second,

@@ -1,0 +1,63 @@
+"""The certificates themselves: what they count, and that an interval that errs too often fails."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+from modaltouch.analysis.statistics import STATISTICS
+
+PLACE = Path(__file__).with_name("certify.py")
+
+
+@pytest.fixture(scope="module")
+def certify():
+    """The script."""
+    spec = importlib.util.spec_from_file_location("certify", PLACE)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["certify"] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def small_crowd(certify, monkeypatch):
+    """Truths from fewer people, for speed."""
+    monkeypatch.setattr(certify, "CROWD", 2000)
+
+
+@pytest.mark.usefixtures("small_crowd")
+def test_a_population_gives_a_row_for_each_family_of_tests(certify) -> None:
+    """One population with missing answers: every family, each experiment counted once."""
+    number = next(
+        n for n in range(50) if certify.Population.draw(n).missing and certify.Population.draw(n).participants < 9
+    )
+    part = certify.certify(number, 12)
+    rows = {row["certificate"]: row for row in part["rows"]}
+    assert set(STATISTICS) <= set(rows)
+    assert all(0 <= row["errors"] <= row["n"] == 12 for row in rows.values())
+
+
+@pytest.mark.parametrize(("errors", "fails"), [(100, []), (125, []), (200, [0])])
+def test_a_rate_above_five_percent_beyond_doubt_fails(certify, errors, fails) -> None:
+    """100, 125 and 200 of 2,000: the second is seldom by chance in one row, but not among two hundred."""
+    quiet = [{"rows": [{"certificate": "x", "n": 2000, "errors": 90}]} for _ in range(200)]
+    told = certify.judge([{"rows": [{"certificate": "x", "n": 2000, "errors": errors}]}, *quiet])
+    assert told["x"]["fails"] == fails
+    assert told["x"]["worst_rate"] == errors / 2000
+
+
+def test_the_populations_are_those_that_are_promised(certify) -> None:
+    """Minorities of 5 to 30 %, slopes to 2 logit, lapses to 0.15, gaps to 10 %, 6 to 60 people, 1 to 8 repetitions."""
+    drawn = [certify.Population.draw(number) for number in range(210)]
+    ends = {
+        name: (min(values), max(values))
+        for name in ("minority", "slope_sd", "lapses", "missing", "participants", "repetitions")
+        for values in [[getattr(each, name) for each in drawn]]
+    }
+    assert ends == {
+        "minority": (0.05, 0.3), "slope_sd": (0.5, 2.0), "lapses": (0.0, 0.15), "missing": (0.0, 0.1),
+        "participants": (6, 60), "repetitions": (1, 8),
+    }  # fmt: skip
+    assert {each.kind for each in drawn} == set(certify.KINDS)
