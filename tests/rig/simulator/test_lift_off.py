@@ -107,13 +107,13 @@ def test_a_finger_lets_go_and_lands_as_the_equations_say(
     reference = Pressed(finger, lambda t: 250 * np.sin(2 * np.pi * 180 * t) * np.sin(20 * np.pi * t) ** 2)
     expected, n_lifted = reference.speeds(held.hold * np.arange(1, 20_001))
     assert n_lifted >= 4
-    pressed = PressedBeam.of(twin.beam, twin.amplifier, [twin.finger(0.0)], PRESS)
+    pressed = PressedBeam.of(twin.beam, twin.amplifier, twin.fingers(0.0), PRESS)
     (found,) = pressed.velocities(held.voltage, held.hold)
     # At an event the speed may jump a sample early or late.
     off = np.sort(np.abs(found - expected))[: -2 * n_lifted]
     assert off.max() < 2e-3 * np.abs(expected).max()
     assert twin.felt([sine, None], [0.0])[0] == pytest.approx(np.abs(found).max(), rel=1e-12)
-    (never,) = PressedBeam.of(twin.beam, twin.amplifier, [twin.finger(0.0)], 1e3).velocities(held.voltage, held.hold)
+    (never,) = PressedBeam.of(twin.beam, twin.amplifier, twin.fingers(0.0), 1e3).velocities(held.voltage, held.hold)
     assert np.abs(found - never).max() > 0.05 * np.abs(found).max()
 
 
@@ -127,5 +127,5 @@ def test_a_finger_that_presses_hard_never_lets_go(
         for press in ({}, {"finger_press_N": 1e3})
     ]
     drive = [playback(n=5_000, hertz=7137.0), playback(n=5_000, hertz=2553.0)]
-    free, hard = (twin.felt(drive, [-0.04, 0.0, 0.02], touched=[twin.finger(0.0)]) for twin in twins)
+    free, hard = (twin.felt(drive, [-0.04, 0.0, 0.02], touched=twin.fingers(0.0)) for twin in twins)
     assert hard == pytest.approx(free, rel=5e-3)
