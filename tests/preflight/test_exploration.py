@@ -71,6 +71,18 @@ def test_the_focus_can_be_told_from_the_other_zone_but_not_below_1_khz(edit: Cal
     assert rows["C-E", "contrast"] == {**best, "placement": "C-E"}
 
 
+def test_errors_under_fingers_are_those_of_the_first_placement() -> None:
+    """At 100 mm/s, 5 % of the gain of mode 3 moves the field by 3 mm/s, and more modes than its own."""
+    done = CliRunner().invoke(app, ["check", "under_the_finger", "--sensitivity", "--json"])
+    found = json.loads(done.stdout)["sensitivity"]
+    (row,) = (each for each in found["table"] if (each["parameter"], each["mode"]) == ("modal_gain", 3))
+    assert found["placement"] == "A-C"
+    assert row["field_mm_s"] == pytest.approx(2.98, abs=0.02)
+    # On the untouched beam a gain moves no displacement at the focus.
+    assert row["displacement_mm_s"] == pytest.approx(0.013, abs=0.01)
+    assert row["displacement_mm_s"] > 1e-3
+
+
 def test_nothing_is_computed_that_nobody_asked_for(explored: dict[str, Any]) -> None:
     """Without options there is no such key."""
     plain = json.loads(check("--json").stdout)

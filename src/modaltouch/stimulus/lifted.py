@@ -17,7 +17,7 @@ from modaltouch.stimulus.blocks import SHORT, BlockKernel
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 
-_FINE = 0.4e-6
+FINE = 0.4e-6
 """Between instants at which speeds are looked at, about [s]; fingers are taken away at every sixteenth."""
 
 _BLOCK = 16 * SHORT
@@ -39,7 +39,7 @@ class LiftedBeam:
     beam : DiagonalSystem
         The latter without the amplifier.
     voltage : (n_channels, n_instants) array
-        Held at instants about `_FINE` apart [V].
+        Held at instants about `FINE` apart [V].
     hold : float
         Between instants [s].
     """
@@ -49,14 +49,6 @@ class LiftedBeam:
     beam: DiagonalSystem
     voltage: FloatArray
     hold: float
-
-    @classmethod
-    def of(
-        cls, loaded: DiagonalSystem, left: DiagonalSystem, beam: DiagonalSystem, voltage: FloatArray, hold: float
-    ) -> LiftedBeam:
-        """Return the beam under samples, (n_channels, n_samples) array [V], each held for a time [s]."""
-        times = max(1, round(hold / _FINE))
-        return cls(loaded, left, beam, np.repeat(voltage, times, axis=1), hold / times)
 
     def peaks(self, shapes: FloatArray, known: FloatArray, floor: float) -> FloatArray:
         """Return the highest speed at points, the worst instant of taking away, (n_points,) array [m/s].

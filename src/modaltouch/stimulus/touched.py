@@ -79,10 +79,12 @@ class TouchedBeam:
         floor : float
             Speed below which nobody needs to know; lower peaks are returned as it [m/s].
         """
-        from modaltouch.stimulus.lifted import LiftedBeam
+        from modaltouch.stimulus.lifted import FINE, LiftedBeam
 
+        times = max(1, round(self.timing.hold / FINE))
         systems = self._played.system, left._played.system, DiagonalSystem.of(left.model)
-        lifted = LiftedBeam.of(*systems, self.codes * unit[:, None], self.timing.hold)
+        voltage = np.repeat(self.codes * unit[:, None], times, axis=1)
+        lifted = LiftedBeam(*systems, voltage, self.timing.hold / times)
         known = np.stack([each.peak_velocity(positions, unit) for each in (self, left)])
         return lifted.peaks(left.model.shapes(positions), known, floor)
 
