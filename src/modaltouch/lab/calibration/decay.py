@@ -32,6 +32,10 @@ _LEAST_APART = 0.75
 """How many decay rates an unlisted pole must lie from its neighbours: nearer, both are one line [1]."""
 
 
+SLIP_NOISE = 5.0
+"""Standard errors of a mode's velocity up to which its slip may be noise: 2 for a fitted pole, 2.45 for 95 % [1]."""
+
+
 @dataclass(frozen=True, eq=False)
 class Decay:
     """Decays as they were fitted.
@@ -92,6 +96,15 @@ def fit_poles(time: FloatArray, records: FloatArray, pole: ComplexArray) -> Deca
         if float((np.abs(step) / -best.pole.real).max()) < _SETTLED:
             break
     return best.decay()
+
+
+def missed_swing(swing: ComplexArray, spread: FloatArray, pole: ComplexArray, error: ComplexArray) -> FloatArray:
+    """Return what errors of the poles take from complex amplitudes, where noise does not explain them [m/s].
+
+    Averaged over the decay, a residue misses half of what its pole does.
+    """
+    slip = np.abs(swing * error / pole.real)
+    return np.where(slip > SLIP_NOISE * spread, slip / 2, 0.0)
 
 
 def find_poles(time: FloatArray, records: FloatArray, listed: ComplexArray, *, most: int = 16) -> Decay:

@@ -17,7 +17,7 @@ from modaltouch.lab.calibration.acquisition import (
     probe_voltage,
     timing_voltage,
 )
-from modaltouch.lab.calibration.decay import find_poles, fit_residues
+from modaltouch.lab.calibration.decay import find_poles, fit_residues, missed_swing
 from modaltouch.lab.calibration.doubts import (
     peak_shortfall,
     refuse_changing_beam,
@@ -343,12 +343,14 @@ class _Loop:
         vibrometer = plant.vibrometer.response(plant.pole)
         at_focus = float((fitted.residue[:, 0] / vibrometer).real.sum())
         noise = float(np.sqrt(np.sum((fitted.spread / np.abs(vibrometer)) ** 2)))
+        missed = missed_swing(fitted.residue[:, 0], fitted.spread, fitted.pole, fitted.pole_error)
+        unknown = np.append(missed, plant.sensitivity_doubt * at_focus) / INTERVAL
         return Level(
             velocity=level,
             factor=factor,
             amplitude=stimulus.amplitude_for(level),
             at_focus=at_focus,
-            spread=float(np.hypot(noise, plant.sensitivity_doubt * at_focus / INTERVAL)),
+            spread=float(np.hypot(noise, np.linalg.norm(unknown))),
             highest=highest,
         )
 

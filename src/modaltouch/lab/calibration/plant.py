@@ -13,7 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray
-from modaltouch.lab.calibration.decay import Decay
+from modaltouch.lab.calibration.decay import SLIP_NOISE, Decay, missed_swing
 from modaltouch.rig import Recording
 from modaltouch.stimulus import Amplifier, DiagonalSystem, ModalModel, Timing
 
@@ -26,8 +26,8 @@ FORGOTTEN = 30.0
 INTERVAL = 1.96
 """Half width of a 95 % interval, in standard errors [1]."""
 
-SLIP_NOISE = 5.0
-"""Standard errors of a mode's velocity up to which its slip may be noise: 2 for a fitted pole, 2.45 for 95 % [1]."""
+DISAGREEMENT = 1.3
+"""Standard error by what eight points disagree by over that of the noise, up to which it may be noise (95 %) [1]."""
 
 SHORTEST_LAG = 20e-9
 """Lag below which the amplifier counts as following at once [s]."""
@@ -261,8 +261,8 @@ class ModalState:
     spread : (n_modes,) array
         Standard error of each, from the noise of the records [m/s].
     half_width : (n_modes,) array
-        Of the 95 % interval of each: noise, or what the points disagree by where that is more, with what vibrometer,
-        trigger and natural frequencies leave unknown, in quadrature [m/s].
+        Of the 95 % interval of each: noise, or what the points disagree by where noise does not explain that, with what
+        vibrometer, trigger and natural frequencies leave unknown, in quadrature [m/s].
     change : (n_modes,) array
         How far the natural frequencies lie from the identified ones, as a part of them [1].
     disagreement : (n_modes,) array
@@ -347,7 +347,8 @@ class Plant:
         spread = decay.spread[:n] / size
         disagreement = (np.abs(decay.residue[:n] - seen[:, None] * shapes) ** 2).sum(axis=1)
         by_points = np.sqrt(disagreement / (2 * max(1, shapes.shape[1] - 1))) / size
-        either = np.hypot(np.maximum(spread, by_points), np.abs(swing) * self.vibrometer.spread(pole))
+        shown = np.where(by_points > DISAGREEMENT * spread, by_points, spread)
+        either = np.hypot(shown, np.abs(swing) * self.vibrometer.spread(pole))
         # Another time of the trigger turns velocity into displacement and back.
         late = self.model.angular_frequency * np.abs(swing) * self.latency_doubt
         scale = self.sensitivity_doubt * np.abs(swing)
@@ -361,8 +362,7 @@ class Plant:
             disagreement=by_points,
             slip=np.abs(swing * error / pole.real),
         )
-        # Averaged over the decay, a residue misses half of what its pole does.
-        missed = np.where(state.shown_slip > 0, state.slip / 2, 0.0)
+        missed = missed_swing(swing, spread, pole, error)
         return replace(state, half_width=np.sqrt((INTERVAL * either) ** 2 + late**2 + scale**2 + missed**2))
 
 
