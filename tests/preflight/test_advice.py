@@ -68,6 +68,13 @@ def test_what_no_test_can_tell_is_what_the_analysis_cannot_reach(
     assert advice._ALPHA == ALPHA
 
 
+def test_an_adaptive_run_that_may_time_out_is_told(edit: Edit) -> None:
+    """The analysis has no level for a trial without an answer."""
+    keys = "answers:\n"
+    file = edit("threshold.yaml", (keys, f"{keys}  time_out_s: 10\n"))
+    assert any("a single trial times out" in each for each in examine(file).as_dict()["warnings"])
+
+
 def test_a_session_longer_than_an_hour_is_told(edit: Edit) -> None:
     """Twenty repetitions of the paper's 24 trials take an hour and a quarter."""
     assert not any(" min" in each for each in design_warnings(read(edit)))

@@ -94,6 +94,19 @@ def test_a_trial_may_end_with_the_longest_stimulus(paper_room: Callable[..., Any
     assert room.clock.now() == pytest.approx(onset + 2.0, abs=0.01)
 
 
+@pytest.mark.parametrize("until", ["answer", "question"])
+def test_an_answer_may_come_too_late(paper_room: Callable[..., Any], trial: Trial, until: str) -> None:
+    """`time_out_s`: half a second after the question the trial is over, whether the stimulus plays or has stopped."""
+    room = paper_room(answers={"stimulus_until": until, "time_out_s": 0.5, "question_delay_s": 0.3})
+    room.script = [("question", 0.6, send(room, "key", "left"))]
+    onset = room.clock.now()
+    response = ask(room, trial, onset, 0.2 if until == "question" else 5.0)
+    assert (response.answer, response.device) == ("time_out", "none")
+    assert room.clock.now() == pytest.approx(onset + 0.8, abs=0.003)
+    assert response.reaction_time == pytest.approx(0.5 if until == "question" else 0.8, abs=0.003)
+    assert len(room.stopped) == (until == "question")
+
+
 def test_an_answer_lets_no_further_burst_go_before_it_is_written(paper_room: Callable[..., Any], trial: Trial) -> None:
     """Ended within a millisecond of the key, and not stopped: the outputs are switched after the burst that plays."""
     room = paper_room()

@@ -148,7 +148,7 @@ def design_warnings(protocol: Protocol) -> list[str]:
 
 
 def answer_warnings(protocol: Protocol) -> list[str]:
-    """Return what catch trials cannot tell without the answer none, and simulated answers that name no finger."""
+    """Return what catch trials cannot tell without the answer none, nor time-outs, nor answers that name no finger."""
     n_catches, offered = protocol.schedule.catch_trials, protocol.answers.offered
     warnings = []
     if n_catches and not protocol.answers.offers_none:
@@ -156,6 +156,8 @@ def answer_warnings(protocol: Protocol) -> list[str]:
             f"the {n_catches} catch trials of a block cannot be answered rightly, as there is no answer none: they "
             "tell what is guessed, not how often; give answers.keys the keys of `none`"
         )
+    if protocol.adaptive is not None and (protocol.answers.time_out_s or protocol.answers.after_longest == "time_out"):
+        warnings.append("an adaptive session in which a single trial times out is left out of the analysis")
     if not any(answer.fingers for answer in offered):
         nothing = offered.naming()
         which = "whatever it feels" if nothing is None else f"but {nothing.name} where it feels nothing"

@@ -181,6 +181,11 @@ class AnswersSection(Section):
         "What follows the longest stimulus: the question stays with the beam at rest, or the trial ends as timed out.",
         default="ask",
     )
+    time_out_s: Annotated[Positive, Field(le=600)] | None = described(
+        "Longest time from the question to an answer; then the trial ends as timed out [s]. Null for no limit.",
+        default=None,
+        exclude_if=lambda given: given is None,
+    )
     question_delay_s: Seconds = described("From the first burst to the question [s].", default=0.5)
     pause_s: Seconds = described(
         "Between an answer, or a key to go on, and the next stimulus [s]; settling_s where that is longer and a hand "

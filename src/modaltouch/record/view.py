@@ -197,7 +197,7 @@ def _describe_answers(section: dict[str, Any]) -> dict[str, Any]:
     """Return the description of the column of answers, from the section of the protocol."""
     answers = AnswerList.of(section).ranked
     levels = {answer.name: _FINGERS.get(answer.fingers, f"the answer {answer.name}") for answer in answers}
-    if section.get("after_longest") == "time_out":
+    if section.get("after_longest") == "time_out" or section.get("time_out_s"):
         levels[TIME_OUT] = "no answer in time"
     asked = COLUMNS["response"] if any(answer.fingers for answer in answers) else {"Description": "The answer"}
     return {**asked, "Levels": levels}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -112,10 +113,12 @@ def open_window(
     if answers == "simulated" and answerer is not None:
         from modaltouch.window.simulated import SimulatedParticipant
 
-        until, after = protocol.answers.stimulus_until, protocol.answers.after_longest
+        section = protocol.answers
+        before = section.question_delay_s if section.stimulus_until == "answer" else 0.0
         return SimulatedParticipant(
-            answerer, tick=tick, log=log, stimulus_until=until, after_longest=after, clock=clock
-        )
+            answerer, tick=tick, log=log, stimulus_until=section.stimulus_until, after_longest=section.after_longest,
+            time_out=before + (section.time_out_s or math.inf), clock=clock,
+        )  # fmt: skip
     from modaltouch.window.participant import ParticipantWindow
     from modaltouch.window.robot import Robot
     from modaltouch.window.theme import THEMES

@@ -179,7 +179,7 @@ class ParticipantWindow(AnswerWindow):
         def interrupt(event: Event) -> NoReturn:
             self._interrupt(trial, event, presentation.stop)
 
-        taken = self._taker.await_answer(trial, interrupt, None if stops_first else self._end_of(presentation))
+        taken = self._taker.await_answer(trial, interrupt, self._end_of(presentation, asked))
         gap = self._loop.poll_gap
         if taken is not None and answers.change_until_confirmed:
             taken = self._taker.await_confirmation(trial, counted, *taken, interrupt)
@@ -200,16 +200,18 @@ class ParticipantWindow(AnswerWindow):
             time_uncertainty=gap,
         )
 
-    def _end_of(self, presentation: Presentation) -> Callable[[], bool]:
-        """Return what, asked again and again, ends the longest stimulus and tells whether the trial ends with it."""
-        is_over = False
+    def _end_of(self, presentation: Presentation, asked: float) -> Callable[[], bool]:
+        """Return what, asked again and again, ends the longest stimulus and tells whether the time to answer is up."""
+        is_over = stops_first = self._answers.stimulus_until == "question"
+        limit = asked + (self._answers.time_out_s or math.inf)
 
         def times_out() -> bool:
             nonlocal is_over
             if not is_over and self._clock.now() >= presentation.ends:
                 is_over = True
                 presentation.stop()
-            return is_over and self._answers.after_longest == "time_out"
+            ends_with_it = not stops_first and self._answers.after_longest == "time_out"
+            return (is_over and ends_with_it) or self._clock.now() >= limit
 
         return times_out
 

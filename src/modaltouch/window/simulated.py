@@ -87,6 +87,8 @@ class SimulatedParticipant(AnswerWindow):
         ``answer``, or ``question`` where the stimulus stops before the question.
     after_longest : str
         ``ask``, or ``time_out`` where the trial ends with the longest stimulus.
+    time_out : float
+        Longest time to an answer, from where its reaction time counts [s].
     clock : Clock
         By which reaction times and pauses pass.
     step : float, optional
@@ -101,6 +103,7 @@ class SimulatedParticipant(AnswerWindow):
         log: Log = lambda event, **facts: None,
         stimulus_until: str = "answer",
         after_longest: str = "ask",
+        time_out: float = math.inf,
         clock: Clock = SYSTEM_CLOCK,
         step: float | None = None,
     ) -> None:
@@ -108,7 +111,7 @@ class SimulatedParticipant(AnswerWindow):
         self._ticks = tick
         self._log = log
         self._onset_is = "question" if stimulus_until == "question" else "first_burst"
-        self._after_longest = after_longest
+        self._after_longest, self._time_out = after_longest, time_out
         self._clock = clock
         self._step = step or (1e-2 if isinstance(clock, VirtualClock) else 1e-3)
 
@@ -130,6 +133,7 @@ class SimulatedParticipant(AnswerWindow):
             self._pass_until(start, presentation)
             presentation.stop()
         limit = math.inf if stops_first or self._after_longest != "time_out" else presentation.ends - start
+        limit = min(limit, self._time_out)
         timed_out = reaction_time > limit
         if not stops_first and start + reaction_time > presentation.ends:
             self._pass_until(presentation.ends, presentation)
