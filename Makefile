@@ -195,6 +195,7 @@ docs: .venv/.docs
 ## docs-check: build the site, run every command and every snippet on it, and look at it in a browser where there is one
 .PHONY: docs-check
 docs-check: docs
+	@command -v chromium || command -v google-chrome || { packages=chromium; $(INSTALL_PACKAGES); }
 	$(PYTHON) -m pytest --timeout 1800 tests/docs/check_pages.py
 
 .venv/.docs: docs/requirements.lock .venv/.installed

@@ -43,11 +43,12 @@ def test_every_page_escapes_what_it_shows():
         assert keywords.get("autoescape") == "True", path
 
 
-def test_every_requirement_is_locked_by_its_hash():
-    """`requirements.lock` names a version and at least one SHA-256 to each package, and no address."""
-    text = (ROOT / "requirements.lock").read_text(encoding="utf-8")
+@pytest.mark.parametrize(("lock", "n_packages"), [("requirements.lock", 100), ("docs/requirements.lock", 25)])
+def test_every_requirement_is_locked_by_its_hash(lock, n_packages):
+    """A lock names a version and at least one SHA-256 to each package, and no address."""
+    text = (ROOT / lock).read_text(encoding="utf-8")
     packages = re.findall(r"^([a-z0-9][\w.\-\[\]]*)==", text, flags=re.MULTILINE)
-    assert len(packages) > 100
+    assert len(packages) > n_packages
     blocks = re.split(r"^(?=[a-z0-9][\w.\-\[\]]*==)", text, flags=re.MULTILINE)[1:]
     assert all("--hash=sha256:" in block for block in blocks)
     assert "://" not in text
