@@ -17,8 +17,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.analysis.counts import mean_of_known
 from modaltouch.analysis.intervals import CONFIDENCE, Interval
+from modaltouch.analysis.shares import mean_of_known
 
 FloatArray = NDArray[np.float64]
 

@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.analysis.agreement import ac1_interval, agreement_between, prevalence
-from modaltouch.analysis.counts import AnswerCounts, Shares
+from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import ALPHA, Finding, finding_of
 from modaltouch.analysis.intervals import Interval, clopper_pearson, matched_odds_ratio
 from modaltouch.analysis.means import BoundedMean
+from modaltouch.analysis.shares import Shares
 
 IntArray = NDArray[np.int64]
 

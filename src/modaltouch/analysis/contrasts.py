@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.analysis.counts import Shares, mean_of_known
 from modaltouch.analysis.exact import ExactTest, sign_flip_test
 from modaltouch.analysis.findings import ALPHA
 from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.means import BoundedMean
+from modaltouch.analysis.shares import Shares, mean_of_known
 
 FloatArray = NDArray[np.float64]
 

@@ -14,6 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.scale import VELOCITY, LevelScale, scale_of
+from modaltouch.analysis.shares import Shares
 from modaltouch.protocol import AnswerList
 
 PAPER_CONDITIONS = ("one_hand", "two_hands")
@@ -71,73 +72,6 @@ class Pair:
             if self.focused and self.dominant == self.right
             else f"{self.left} & {self.right}"
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Shares:
-    """How often one answer was given, of those that were asked for; arrays of one shape, levels last.
-
-    Attributes
-    ----------
-    given : array of int
-        Times that this answer was given.
-    answered : array of int
-        Times that any answer was given.
-    asked : int
-        Times that one was asked for.
-    """
-
-    given: NDArray[np.int64]
-    answered: NDArray[np.int64]
-    asked: int
-
-    @property
-    def is_short(self) -> bool:
-        """Whether any answer is missing."""
-        return bool((self.answered < self.asked).any())
-
-    def at(self, place: int | list[int], axis: int) -> Shares:
-        """Return some along an axis."""
-        return Shares(self.given.take(place, axis), self.answered.take(place, axis), self.asked)
-
-    def joined(self, n_after: int) -> Shares:
-        """Return finger conditions and pairs, which end before some axes, as one axis of tests."""
-        after = self.given.ndim - n_after
-        shape = (*self.given.shape[: after - 2], -1, *self.given.shape[after:])
-        return Shares(self.given.reshape(shape), self.answered.reshape(shape), self.asked)
-
-    @classmethod
-    def stacked(cls, parts: Sequence[Shares]) -> Shares:
-        """Return several as one, their tests side by side."""
-        given, answered = (np.concatenate([getattr(p, name) for p in parts], axis=-3) for name in ("given", "answered"))
-        return cls(given, answered, parts[0].asked)
-
-    @property
-    def known(self) -> NDArray[np.float64]:
-        """Share of the answers [1]; not a number without any."""
-        nothing = np.full(self.given.shape, np.nan)
-        return np.asarray(np.divide(self.given, self.answered, out=nothing, where=self.answered > 0))
-
-    @property
-    def mean(self) -> NDArray[np.float64]:
-        """Mean share over the levels with answers [1]; not a number without any."""
-        return mean_of_known(self.known)
-
-    @property
-    def least(self) -> NDArray[np.float64]:
-        """Share if every missing answer had been another one [1]."""
-        return np.asarray(self.given / self.asked)
-
-    @property
-    def most(self) -> NDArray[np.float64]:
-        """Share if every missing answer had been this one [1]."""
-        return np.asarray((self.given + self.asked - self.answered) / self.asked)
-
-
-def mean_of_known(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean along the last axis of the values that are numbers; not a number without any."""
-    n = np.isfinite(values).sum(axis=-1)
-    return np.asarray(np.divide(np.nansum(values, axis=-1), n, out=np.full(n.shape, np.nan), where=n > 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -397,12 +331,7 @@ def count_answers(
     scale = scale_of(frame.columns)
     levels, level = np.unique(frame[scale.column].to_numpy(dtype=float), return_inverse=True)
     focus = focus or find_focus(zones)
-    given = set(frame["response"].unique())
-    if offered is None:
-        words = frame["response"].astype("category").cat.categories
-        offered = AnswerList.of_words(("none",) if "none" in words else ())
-    if unknown := sorted(given - set(offered.names)):
-        raise ValueError(f"response {unknown[0]!r} is not an answer: allowed are {', '.join(offered.ranked.names)}")
+    offered = _offered(frame["response"], offered)
     places = (
         _codes(frame["participant"], participants),
         _codes(frame["finger_condition"], conditions),
@@ -425,6 +354,16 @@ def count_answers(
         offered,
         margin,
     )
+
+
+def _offered(responses: pd.Series, offered: AnswerList | None) -> AnswerList:
+    """Return what could be answered; refuse a response that is none of it."""
+    if offered is None:
+        words = responses.astype("category").cat.categories
+        offered = AnswerList.of_words(("none",) if "none" in words else ())
+    if unknown := sorted(set(responses.unique()) - set(offered.names)):
+        raise ValueError(f"response {unknown[0]!r} is not an answer: allowed are {', '.join(offered.ranked.names)}")
+    return offered
 
 
 def find_focus(zones: Sequence[tuple[str, str]]) -> str:

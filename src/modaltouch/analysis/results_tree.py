@@ -199,12 +199,7 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
     if levels != "adaptive":
         fewest, seen = min(Counter(item.participant for item in taken).values(), default=0), Counter[str]()
         taken = _sort(taken, left_out, lambda item: _surplus(item, fewest, seen))
-    if not taken:
-        counted = Counter(item.reason for item in left_out)
-        listed = "; ".join(f"{n} {reason}" for reason, n in counted.most_common(5))
-        remedy = "finish one with `modaltouch resume`, or choose another mode or folder"
-        given = f"no session that can be analysed ({listed})"
-        raise InputError.of(place, given, "at least one complete session", remedy)
+    _refuse_nothing(place, taken, left_out)
     answers = _one_list(place, taken)
     frame = _join(place, taken, levels, answers, stimulus)
     asked = int(answers_per_cell(frame).to_numpy().max()) if levels != "adaptive" else None
@@ -226,6 +221,15 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
         start.get("design", {}).get("analysis", {}).get("equivalence_margin"),
         asked,
     )
+
+
+def _refuse_nothing(place: Path, taken: Sequence[SessionAnswers], left_out: Sequence[ExcludedSource]) -> None:
+    if not taken:
+        counted = Counter(item.reason for item in left_out)
+        listed = "; ".join(f"{n} {reason}" for reason, n in counted.most_common(5))
+        remedy = "finish one with `modaltouch resume`, or choose another mode or folder"
+        given = f"no session that can be analysed ({listed})"
+        raise InputError.of(place, given, "at least one complete session", remedy)
 
 
 def _join(

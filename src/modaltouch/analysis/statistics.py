@@ -21,12 +21,13 @@ import pandas as pd
 from modaltouch.analysis.catches import Catches, catch_findings
 from modaltouch.analysis.consistency import consistency_findings, effect_findings
 from modaltouch.analysis.contrasts import Contrast, FamilyResult, MeanScores, equivalence_of, means_of, signs_of
-from modaltouch.analysis.counts import AnswerCounts, Shares
+from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.covariates import secondary_findings
 from modaltouch.analysis.exact import multinomial_test, sign_test
 from modaltouch.analysis.findings import Finding, correct, finding_of
 from modaltouch.analysis.intervals import Interval, clopper_pearson
 from modaltouch.analysis.means import BoundedMean
+from modaltouch.analysis.shares import Shares
 from modaltouch.analysis.trend import MOST_EXACT, smallest_trend_p, trend_test
 
 

@@ -60,29 +60,9 @@ def read_csv(
     table = read_table(path, REQUIRED)
     table = choose_rows(choose_rows(table, "mode", mode), "stimulus", stimulus)
     table, left_out, notes = choose_sessions(table)
-    fields, columns, answers = table.fields, _Columns(table), table_format.answers
+    fields, columns = table.fields, _Columns(table)
     caught, practice = columns.flags("catch", "a catch trial"), columns.flags("practice", "a practice trial")
-    frame = pd.DataFrame({name: columns.words(name) for name in REQUIRED[:4]})
-    level = VELOCITY if set(fields.get(OWN_THRESHOLD.column, ())) <= set(_EMPTY) else OWN_THRESHOLD
-    allowed = {
-        VELOCITY: "a peak velocity in mm/s, above 0",
-        OWN_THRESHOLD: "a multiple of the participant's own threshold, above 0",
-    }
-    frame[level.column] = columns.numbers(level.column, allowed[level], lambda value: value > 0, where=~caught)
-    given = {table_format.words.get(word, word) for word in fields["response"].cat.categories}
-    remedy = "map it as in --answers L=left,R=right, or, if it stands for no answer, name it with --missing"
-    if answers is None:
-        answers = AnswerList.of_words(("none",) if "none" in given else ())
-        remedy += "; or name the protocol that offers other answers with --protocol"
-    frame["response"] = columns.answers(answers.ranked.names, remedy, table_format)
-    frame["n"] = columns.whole_numbers("n", 0) if "n" in fields else 1
-    if "repetition" in fields:
-        frame["repetition"] = columns.whole_numbers("repetition", 1)
-    for name in fields.columns.difference([*frame.columns, "catch", VELOCITY.column, OWN_THRESHOLD.column], sort=False):
-        is_number = name in NUMBERS
-        frame[name] = (
-            columns.numbers(name, "a number, or nothing", empty=True) if is_number else fields[name].astype("str")
-        )
+    frame, answers = _frame_of(columns, fields, caught, table_format)
     columns.check_zones()
     caught &= ~practice
     if not columns.problems:
@@ -105,6 +85,35 @@ def read_csv(
         asked=usual,
         notes=tuple(notes),
     )
+
+
+def _frame_of(
+    columns: _Columns, fields: pd.DataFrame, caught: pd.Series, table_format: TableFormat
+) -> tuple[pd.DataFrame, AnswerList]:
+    """Return the values of all rows, and what could be answered."""
+    answers = table_format.answers
+    frame = pd.DataFrame({name: columns.words(name) for name in REQUIRED[:4]})
+    level = VELOCITY if set(fields.get(OWN_THRESHOLD.column, ())) <= set(_EMPTY) else OWN_THRESHOLD
+    allowed = {
+        VELOCITY: "a peak velocity in mm/s, above 0",
+        OWN_THRESHOLD: "a multiple of the participant's own threshold, above 0",
+    }
+    frame[level.column] = columns.numbers(level.column, allowed[level], lambda value: value > 0, where=~caught)
+    given = {table_format.words.get(word, word) for word in fields["response"].cat.categories}
+    remedy = "map it as in --answers L=left,R=right, or, if it stands for no answer, name it with --missing"
+    if answers is None:
+        answers = AnswerList.of_words(("none",) if "none" in given else ())
+        remedy += "; or name the protocol that offers other answers with --protocol"
+    frame["response"] = columns.answers(answers.ranked.names, remedy, table_format)
+    frame["n"] = columns.whole_numbers("n", 0) if "n" in fields else 1
+    if "repetition" in fields:
+        frame["repetition"] = columns.whole_numbers("repetition", 1)
+    for name in fields.columns.difference([*frame.columns, "catch", VELOCITY.column, OWN_THRESHOLD.column], sort=False):
+        is_number = name in NUMBERS
+        frame[name] = (
+            columns.numbers(name, "a number, or nothing", empty=True) if is_number else fields[name].astype("str")
+        )
+    return frame, answers
 
 
 def choose_rows(table: Table, name: str, chosen: str | None) -> Table:

@@ -1,0 +1,76 @@
+"""Shares of one answer, with those that are missing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Shares:
+    """How often one answer was given, of those that were asked for; arrays of one shape, levels last.
+
+    Attributes
+    ----------
+    given : array of int
+        Times that this answer was given.
+    answered : array of int
+        Times that any answer was given.
+    asked : int
+        Times that one was asked for.
+    """
+
+    given: NDArray[np.int64]
+    answered: NDArray[np.int64]
+    asked: int
+
+    @property
+    def is_short(self) -> bool:
+        """Whether any answer is missing."""
+        return bool((self.answered < self.asked).any())
+
+    def at(self, place: int | list[int], axis: int) -> Shares:
+        """Return some along an axis."""
+        return Shares(self.given.take(place, axis), self.answered.take(place, axis), self.asked)
+
+    def joined(self, n_after: int) -> Shares:
+        """Return finger conditions and pairs, which end before some axes, as one axis of tests."""
+        after = self.given.ndim - n_after
+        shape = (*self.given.shape[: after - 2], -1, *self.given.shape[after:])
+        return Shares(self.given.reshape(shape), self.answered.reshape(shape), self.asked)
+
+    @classmethod
+    def stacked(cls, parts: Sequence[Shares]) -> Shares:
+        """Return several as one, their tests side by side."""
+        given, answered = (np.concatenate([getattr(p, name) for p in parts], axis=-3) for name in ("given", "answered"))
+        return cls(given, answered, parts[0].asked)
+
+    @property
+    def known(self) -> NDArray[np.float64]:
+        """Share of the answers [1]; not a number without any."""
+        nothing = np.full(self.given.shape, np.nan)
+        return np.asarray(np.divide(self.given, self.answered, out=nothing, where=self.answered > 0))
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """Mean share over the levels with answers [1]; not a number without any."""
+        return mean_of_known(self.known)
+
+    @property
+    def least(self) -> NDArray[np.float64]:
+        """Share if every missing answer had been another one [1]."""
+        return np.asarray(self.given / self.asked)
+
+    @property
+    def most(self) -> NDArray[np.float64]:
+        """Share if every missing answer had been this one [1]."""
+        return np.asarray((self.given + self.asked - self.answered) / self.asked)
+
+
+def mean_of_known(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean along the last axis of the values that are numbers; not a number without any."""
+    n = np.isfinite(values).sum(axis=-1)
+    return np.asarray(np.divide(np.nansum(values, axis=-1), n, out=np.full(n.shape, np.nan), where=n > 0))
