@@ -12,16 +12,12 @@ import numpy as np
 
 from modaltouch.rig.simulator.afg import MAX_CODE, MEMORIES, Afg, Channel
 from modaltouch.rig.simulator.common import (
-    HERTZ,
     PERCENT,
-    SECONDS,
-    Default,
     choice,
     common_commands,
     get_number,
     get_of,
     keyword,
-    not_simulated,
     noticed,
     number,
     on,
@@ -109,49 +105,14 @@ def afg_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> tuple[
 def afg_commands(afg: Afg) -> CommandTable:
     """Return what the simulated instrument understands."""
     groups = (common_commands, _saved, memory_commands, _waveform, _levels, _burst, _trigger, _system)
-    commands = ChainMap(*(group(afg) for group in groups), not_simulated(NOT_SIMULATED, "{:.4E}"))
-    return CommandTable(noticed(afg, commands, FORCED), afg.n_channels)
+    commands = noticed(afg, ChainMap(*(group(afg) for group in groups)), FORCED)
+    return CommandTable(commands, afg.n_channels, further=_further)
 
 
-_MODULATION: dict[str, Default] = {
-    "INTernal:FREQuency": (10e3, HERTZ),
-    "INTernal:FUNCtion": ("SINusoid", {}),
-    "INTernal:FUNCtion:EFILe": ("", {}),
-    "SOURce": ("INTernal", {}),
-    "STATe": (False, {}),
-}
-NOT_SIMULATED: dict[str, Default] = {
-    **{f"[SOURce#]:{way}:{header}": each for way in ("AM", "FM", "PM", "PWM") for header, each in _MODULATION.items()},
-    "[SOURce#]:AM[:DEPTh]": (50.0, PERCENT),
-    "[SOURce#]:FM[:DEViation]": (1e6, HERTZ),
-    "[SOURce#]:PM[:DEViation]": (math.pi / 2, {"RAD": 1.0, "DEG": math.pi / 180}),
-    "[SOURce#]:PWM[:DEViation]:DCYCle": (5.0, PERCENT),
-    "[SOURce#]:FSKey[:FREQuency]": (1e6, HERTZ),
-    "[SOURce#]:FSKey:INTernal:RATE": (50.0, HERTZ),
-    "[SOURce#]:FSKey:SOURce": ("INTernal", {}),
-    "[SOURce#]:FSKey:STATe": (False, {}),
-    "[SOURce#]:FREQuency:MODE": ("CW", {}),
-    "[SOURce#]:FREQuency:STARt": (100e3, HERTZ),
-    "[SOURce#]:FREQuency:STOP": (1e6, HERTZ),
-    "[SOURce#]:FREQuency:CENTer": (550e3, HERTZ),
-    "[SOURce#]:FREQuency:SPAN": (900e3, HERTZ),
-    "[SOURce#]:SWEep:TIME": (10e-3, SECONDS),
-    "[SOURce#]:SWEep:HTIMe": (0.0, SECONDS),
-    "[SOURce#]:SWEep:RTIMe": (1e-3, SECONDS),
-    "[SOURce#]:SWEep:MODE": ("AUTO", {}),
-    "[SOURce#]:SWEep:SPACing": ("LINear", {}),
-    "[SOURce#]:PULSe:DELay": (0.0, SECONDS),
-    "[SOURce#]:PULSe:HOLD": ("DUTY", {}),
-    "[SOURce#]:PULSe:PERiod": (1e-6, SECONDS),
-    "[SOURce#]:PULSe:TRANsition[:LEADing]": (18e-9, SECONDS),
-    "[SOURce#]:PULSe:TRANsition:TRAiling": (18e-9, SECONDS),
-    "[SOURce#]:PULSe:WIDTh": (500e-9, SECONDS),
-    "[SOURce#]:FUNCtion:EFILe": ("", {}),
-    "[SOURce#]:COMBine:FEED": ("", {}),
-    "SOURce3|SOURce4:POWer[:LEVel][:IMMediate][:AMPLitude]": (10.0, PERCENT),
-    "TRIGger[:SEQuence]:SLOPe": ("POSitive", {}),
-}
-"""What an AFG3022B has and its twin has not, as ``*RST`` leaves it (its user manual, default settings)."""
+def _further() -> dict[str, Command]:
+    from modaltouch.rig.simulator.defaults import AFG3000, not_simulated
+
+    return not_simulated(AFG3000, "{:.4E}")
 
 
 def _saved(afg: Afg) -> dict[str, Command]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -10,25 +9,18 @@ from typing import Any
 from modaltouch.rig.simulator.scpi import (
     Arguments,
     Command,
-    ScpiError,
     asked,
     exactly,
     flag,
-    is_word,
     one,
     quantity,
     read_boolean,
     read_choice,
-    read_number,
-    short_form,
     whole,
 )
 from modaltouch.rig.simulator.state import GeneratorState
 
 State = GeneratorState[Any]
-
-Default = tuple[float | str, dict[str, float]]
-"""Default of a setting, a truth value where it is a bool, and its units."""
 
 PERCENT, SECONDS, HERTZ = {"PCT": 1.0}, {"S": 1.0}, {"HZ": 1.0}
 """Units that settings have."""
@@ -149,31 +141,3 @@ def switch(state: State, name: str) -> Command:
         return flag(getattr(state, name))
 
     return Command(set=set_switch, get=get_switch)
-
-
-def not_simulated(defaults: Mapping[str, Default], form: str) -> dict[str, Command]:
-    """Return the commands of settings that the twin lacks: each reads as its default, and takes no other value.
-
-    A driver that reads or restores everything finds an instrument so; what would change the output is refused.
-    """
-    return {header: _fixed(default, units, form) for header, (default, units) in defaults.items()}
-
-
-def _fixed(default: float | str, units: dict[str, float], form: str) -> Command:
-    def keep(channel: int, arguments: Arguments) -> None:
-        given = one(arguments)
-        if isinstance(default, str):
-            same = is_word(str(given).upper(), default)
-        elif isinstance(default, bool):
-            same = read_boolean(given) == default
-        else:
-            value = read_number(given, units=units, minimum=-9.9e37, maximum=9.9e37, default=default)
-            same = math.isclose(value, default, rel_tol=1e-4)
-        if not same:
-            raise ScpiError(-241, f"not simulated: {given!s:.40}")
-
-    if isinstance(default, str):
-        reply = short_form(default) or '""'
-    else:
-        reply = flag(default) if isinstance(default, bool) else form.format(default)
-    return Command(set=keep, get=lambda channel, arguments: reply)

@@ -180,33 +180,19 @@ class Trueform(GeneratorState[TrueformChannel]):
         self.select(number, BUILT_IN)
 
 
-NOT_SIMULATED: dict[str, common.Default] = {
-    "[SOURce#]:FREQuency:MODE": ("CW", {}),
-    "[SOURce#]:PHASe": (0.0, {"DEG": 1.0}),
-    "[SOURce#]:FUNCtion:SQUare:DCYCle": (50.0, common.PERCENT),
-    "[SOURce#]:FUNCtion:RAMP:SYMMetry": (100.0, common.PERCENT),
-    "[SOURce#]:FUNCtion:PULSe:HOLD": ("WIDTh", {}),
-    "[SOURce#]:FUNCtion:PULSe:PERiod": (1e-3, common.SECONDS),
-    "[SOURce#]:FUNCtion:PULSe:WIDTh": (100e-6, common.SECONDS),
-    "[SOURce#]:FUNCtion:PULSe:DCYCle": (10.0, common.PERCENT),
-    "[SOURce#]:FUNCtion:PULSe:TRANsition[:BOTH]": (10e-9, common.SECONDS),
-    "[SOURce#]:BURSt:GATE:POLarity": ("NORMal", {}),
-    "TRIGger#:SLOPe": ("POSitive", {}),
-    "TRIGger#:COUNt": (1.0, {"": 1.0}),
-    "OUTPut:SYNC": (True, {}),
-    "OUTPut:SYNC:SOURce": ("CH1", {}),
-}
-"""What the instrument has and its twin has not, as ``*RST`` leaves it (the guide's factory settings)."""
-
-
 def keysight_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> tuple[Trueform, CommandTable]:
     """Return the state of a simulated instrument, and what it understands."""
     identity = f"Agilent Technologies,{model},SIMULATED,4.00-1.19-2.00-58-00"
     state = Trueform(behaviour or Behaviour(queue_depth=20), identity=identity, **hardware)
     groups = (common.common_commands, _waveform, _data, _levels, _triggers)
-    settings = ChainMap(*(group(state) for group in groups), common.not_simulated(NOT_SIMULATED, NUMBER))
-    commands = common.noticed(state, settings, ("*TRG", "TRIGger#[:IMMediate]"))
-    return state, CommandTable(commands, state.n_channels, largest_reply=1 << 22)
+    commands = common.noticed(state, ChainMap(*(group(state) for group in groups)), ("*TRG", "TRIGger#[:IMMediate]"))
+    return state, CommandTable(commands, state.n_channels, largest_reply=1 << 22, further=_further)
+
+
+def _further() -> dict[str, Command]:
+    from modaltouch.rig.simulator.defaults import KEYSIGHT_33500B, not_simulated
+
+    return not_simulated(KEYSIGHT_33500B, NUMBER)
 
 
 def _waveform(state: Trueform) -> dict[str, Command]:

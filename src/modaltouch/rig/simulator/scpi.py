@@ -285,22 +285,27 @@ class CommandTable:
     """SCPI headers and what they do.
 
     Headers are written as in manuals: ``[SOURce#]:VOLTage[:LEVel]``, brackets around what may be left out,
-    ``#`` for a channel suffix, ``|`` between synonyms of one node.
+    ``#`` for a channel suffix, ``|`` between synonyms of one node. `further` returns others, when one of them is sent.
     """
 
     commands: Mapping[str, Command]
     n_channels: int
     largest_reply: int = LARGEST_REPLY
+    further: Callable[[], Mapping[str, Command]] | None = None
     _patterns: list[tuple[re.Pattern[str], Command]] = field(init=False)
     _known: dict[str, tuple[Command, int]] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
-        self._patterns = [(re.compile(_pattern(header)), command) for header, command in self.commands.items()]
+        self._patterns = _patterns(self.commands)
 
     def find(self, header: str) -> tuple[Command, int]:
         """Return the command and channel that a complete header names."""
         name = header.upper().lstrip(":")
         found = self._known.get(name) or self._search(name)
+        if found is None and self.further is not None:
+            self._patterns += _patterns(self.further())
+            self.further = None
+            found = self._search(name)
         if found is None:
             raise ScpiError(-113, header)
         # What does not exist is not remembered: there is no end to it.
@@ -366,6 +371,10 @@ def _call(command: Command, channel: int, unit: MessageUnit) -> str | bytes | No
     if handler is None:
         raise ScpiError(-113, unit.header + ("?" if unit.query else ""))
     return handler(channel, unit.arguments)
+
+
+def _patterns(commands: Mapping[str, Command]) -> list[tuple[re.Pattern[str], Command]]:
+    return [(re.compile(_pattern(header)), command) for header, command in commands.items()]
 
 
 def _pattern(header: str) -> str:
