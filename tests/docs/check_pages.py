@@ -76,7 +76,10 @@ def lacking(expected, said):
 
 
 def run(command, folder):
-    """Run a command in a folder, with this program in front of all others; return its status and what it says."""
+    """Run a command in a folder, with this program in front of all others.
+
+    Returns its status, what it says, and the folder that it leaves one in.
+    """
     words = command.split()
     place = next((i + 1 for i, word in enumerate(words) if word == "modaltouch"), None)
     if place is not None and words[place] in SHORTER:
@@ -84,10 +87,12 @@ def run(command, folder):
     environment = os.environ | {"PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}", "MPLBACKEND": "agg",
                                 "PYTHONPATH": str(ROOT / "src"), "COLUMNS": "110"}  # fmt: skip
     done = subprocess.run(
-        command, shell=True, cwd=folder, env=environment, text=True, stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=1500, check=False,
+        f'{command}\nstatus=$?; printf "\\n%s" "$PWD"; exit $status', shell=True, cwd=folder, env=environment,
+        text=True, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=1500,
+        check=False,
     )  # fmt: skip
-    return done.returncode, done.stdout
+    said, _, left_in = done.stdout.rpartition("\n")
+    return done.returncode, said, Path(left_in)
 
 
 @pytest.mark.timeout(1800)
@@ -97,7 +102,7 @@ def test_every_block_of_a_page_does_what_it_says(page, tmp_path, monkeypatch):
     shutil.copytree(ROOT / "protocols", tmp_path / "protocols")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("MPLBACKEND", "agg")
-    names = {}
+    names, folder = {}, tmp_path
     for language, caption, text in blocks(page):
         if language == "yaml" and caption:
             Path(caption).parent.mkdir(parents=True, exist_ok=True)
@@ -109,7 +114,7 @@ def test_every_block_of_a_page_does_what_it_says(page, tmp_path, monkeypatch):
                 if command.startswith("make "):
                     subprocess.run(["make", "-n", command.split()[1]], cwd=ROOT, check=True, capture_output=True)
                     continue
-                ended, said = run(command, tmp_path)
+                ended, said, folder = run(command, folder)
                 assert ended == status, f"{command}\n{said}"
                 assert "Traceback" not in said
                 assert lacking(expected, said) == "", f"{command}\n{said}"
