@@ -15,22 +15,33 @@ if TYPE_CHECKING:
     from modaltouch.analysis import TableFormat
 
 
+_SOURCE = Annotated[
+    Path,
+    typer.Argument(
+        help="A results folder, or a CSV with the columns participant, finger_condition, zone_left, zone_right, "
+        "velocity_mm_s, response.",
+        show_default=False,
+    ),
+]
+_OUT = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder for what is written.",
+        show_default="derivatives/analysis among the results, or <name>_analysis beside a CSV",
+    ),
+]
+_FIGURES = Annotated[
+    str,
+    typer.Option(
+        help="Figures besides Fig. 10 and 11: fields, order, reaction_times, speed_ratio, or all.",
+        show_default="none",
+    ),
+]
+
+
 def analyse(
-    source: Annotated[
-        Path,
-        typer.Argument(
-            help="A results folder, or a CSV with the columns participant, finger_condition, zone_left, zone_right, "
-            "velocity_mm_s, response.",
-            show_default=False,
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder for what is written.",
-            show_default="derivatives/analysis among the results, or <name>_analysis beside a CSV",
-        ),
-    ] = None,
+    source: _SOURCE,
+    out: _OUT = None,
     mode: MODE = None,
     stimulus: Annotated[
         str | None, typer.Option(help="Whose trials to take, of sessions with several stimuli.")
@@ -48,13 +59,7 @@ def analyse(
         str | None,
         typer.Option(help="Words of a CSV that stand for no answer, such as NA,-; an empty field and n/a always do."),
     ] = None,
-    figures: Annotated[
-        str,
-        typer.Option(
-            help="Figures besides Fig. 10 and 11: fields, order, reaction_times, speed_ratio, or all.",
-            show_default="none",
-        ),
-    ] = "",
+    figures: _FIGURES = "",
     prereg: Annotated[
         Path | None,
         typer.Option(help="Preregistration to hold it against.", show_default="PROTOCOL.prereg.md beside the protocol"),

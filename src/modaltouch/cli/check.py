@@ -12,6 +12,8 @@ from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, WITH_MARKED
 from modaltouch.cli.tables import print_table
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from modaltouch.preflight import Preflight
 _MOST_ROWS = 12
 """Rows of the table of sensitivities that are shown, the worst first."""
@@ -20,6 +22,15 @@ _PULL = (
     "at most: the level under the finger where the amplifier is at its limit. pull: the force by which the skin would "
     "have to stick to the beam to follow it; a finger that presses with less lifts off, and these speeds do not hold."
 )
+
+
+_TOLERANCE = Annotated[
+    float | None,
+    typer.Option(
+        help="Also show the fewest samples that keep the field around the focus within this share of the level.",
+        show_default=False,
+    ),
+]
 
 
 def check(
@@ -56,13 +67,7 @@ def check(
         Path | None,
         typer.Option(help="Also write the voltages at the beam, at the highest level, into this .npz file."),
     ] = None,
-    tolerance: Annotated[
-        float | None,
-        typer.Option(
-            help="Also show the fewest samples that keep the field around the focus within this share of the level.",
-            show_default=False,
-        ),
-    ] = None,
+    tolerance: _TOLERANCE = None,
 ) -> None:
     """Validate a protocol, synthesise its stimuli and predict the speeds at the zones.
 
@@ -232,26 +237,30 @@ def _show_explored(asked: dict[str, Any]) -> None:
         )
         console.print("[dim]The last column is the speed of a supposed mode that the table of the beam lacks.[/]")
     if rows := asked.get("contrast"):
-        print_table(
-            "Highest speed of the focus over that under the other finger",
-            ("pair", "design", "contrast", "below 1 kHz", "focus below 1 kHz mm/s", "peak V"),
-            [
-                (
-                    row["placement"],
-                    row["design"],
-                    *(f"{row[key]:.2f}" for key in ("contrast", "contrast_below_1_kHz")),
-                    *(f"{row[key]:.0f}" for key in ("focus_below_1_kHz_mm_s", "peak_drive_V")),
-                )
-                for row in rows
-            ],
-            n_words=2,
-        )
-        console.print(
-            "[dim]contrast: the drive that moves the other zone least, whatever becomes of the field and of modes that "
-            "the table lacks; what is felt lies below 1 kHz.[/]"
-        )
+        _show_contrast(console, rows)
     if found := asked.get("samples"):
         console.print(found["said"])
+
+
+def _show_contrast(console: Console, rows: list[dict[str, Any]]) -> None:
+    print_table(
+        "Highest speed of the focus over that under the other finger",
+        ("pair", "design", "contrast", "below 1 kHz", "focus below 1 kHz mm/s", "peak V"),
+        [
+            (
+                row["placement"],
+                row["design"],
+                *(f"{row[key]:.2f}" for key in ("contrast", "contrast_below_1_kHz")),
+                *(f"{row[key]:.0f}" for key in ("focus_below_1_kHz_mm_s", "peak_drive_V")),
+            )
+            for row in rows
+        ],
+        n_words=2,
+    )
+    console.print(
+        "[dim]contrast: the drive that moves the other zone least, whatever becomes of the field and of modes that "
+        "the table lacks; what is felt lies below 1 kHz.[/]"
+    )
 
 
 def _level_table(table_kind: Any, stimuli: list[dict[str, Any]]) -> Any:

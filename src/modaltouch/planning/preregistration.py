@@ -69,15 +69,7 @@ def preregister(
         levels=[f"{level:g}" for level in first.levels],
         stimuli=[name for name in designs if name],
         n=n_participants,
-        families=[
-            {
-                "name": family,
-                "asks": STATISTICS[family].asks,
-                "test": STATISTICS[family].name,
-                "scopes": [say_scope(scope, first.finger_conditions, first.pairs) for scope in first.scopes(family)],
-            }
-            for family in families
-        ],
+        families=[_describe_family(family, first) for family in families],
         level=100 * ALPHA,
         margin=terms["equivalence margin"],
         observer=observer.name,
@@ -89,6 +81,16 @@ def preregister(
         version=version(),
         commit=commit(),
     )
+
+
+def _describe_family(family: str, design: Design) -> dict[str, Any]:
+    """Return a family of tests as the page names it."""
+    return {
+        "name": family,
+        "asks": STATISTICS[family].asks,
+        "test": STATISTICS[family].name,
+        "scopes": [say_scope(scope, design.finger_conditions, design.pairs) for scope in design.scopes(family)],
+    }
 
 
 def _terms(preflight: Preflight, design: Design, n_participants: int, families: tuple[str, ...]) -> dict[str, Any]:

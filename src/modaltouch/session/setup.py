@@ -215,10 +215,7 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
             setup = _with_assigned_turn(setup)
             log = stack.enter_context(open_log(setup.place, _describe(setup, rig, window, masking, first)))
         buffer.open(log)
-        begun = max(event["n"] for event in log.events if event["event"] == first)
-        for event in log.events:
-            experimenter.tell(event, replayed=event["n"] < begun)
-        log.listener = experimenter.tell
+        _follow(log, experimenter, first)
         ending = {"reason": "finished"}
         try:
             setup.place.list_participants(log.events[0])
@@ -242,6 +239,14 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
             if ending["reason"] in _UNFORESEEN:
                 window.dismiss()
     return read_session(setup.place.log)
+
+
+def _follow(log: SessionLog, experimenter: Experimenter, first: str) -> None:
+    """Tell the experimenter's console what the record holds, and from now on what comes."""
+    begun = max(event["n"] for event in log.events if event["event"] == first)
+    for event in log.events:
+        experimenter.tell(event, replayed=event["n"] < begun)
+    log.listener = experimenter.tell
 
 
 def _levels(protocol: Protocol) -> Levels | None:

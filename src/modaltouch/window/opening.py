@@ -111,14 +111,7 @@ def open_window(
     if answers != "window" and answerer is None:
         raise ValueError(f"given answers by {answers!r} and no observer; give `answerer`, or answers by 'window'")
     if answers == "simulated" and answerer is not None:
-        from modaltouch.window.simulated import SimulatedParticipant
-
-        section = protocol.answers
-        before = section.question_delay_s if section.stimulus_until == "answer" else 0.0
-        return SimulatedParticipant(
-            answerer, tick=tick, log=log, stimulus_until=section.stimulus_until, after_longest=section.after_longest,
-            time_out=before + (section.time_out_s or math.inf), clock=clock,
-        )  # fmt: skip
+        return _simulated(answerer, protocol, tick, log, clock)
     from modaltouch.window.participant import ParticipantWindow
     from modaltouch.window.robot import Robot
     from modaltouch.window.theme import THEMES
@@ -142,6 +135,23 @@ def open_window(
     except BaseException:
         display.close()
         raise
+
+
+def _simulated(answerer: Answerer, protocol: Protocol, tick: Tick, log: Log, clock: Clock) -> AnswerWindow:
+    """Return the window of a participant who needs no screen."""
+    from modaltouch.window.simulated import SimulatedParticipant
+
+    section = protocol.answers
+    before = section.question_delay_s if section.stimulus_until == "answer" else 0.0
+    return SimulatedParticipant(
+        answerer,
+        tick=tick,
+        log=log,
+        stimulus_until=section.stimulus_until,
+        after_longest=section.after_longest,
+        time_out=before + (section.time_out_s or math.inf),
+        clock=clock,
+    )
 
 
 def _open_screen(title: str, options: WindowOptions, clock: Clock) -> Screen:
