@@ -313,10 +313,6 @@ def count_answers(
     asked : int, optional
         Answers that each participant was asked for in each cell; by default the most that any cell holds.
 
-    Returns
-    -------
-    AnswerCounts
-
     Raises
     ------
     ValueError

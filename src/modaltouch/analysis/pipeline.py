@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from modaltouch.analysis.outcome import Analysis
-    from modaltouch.analysis.responses import TableFormat
+    from modaltouch.analysis.responses import Responses, TableFormat
     from modaltouch.analysis.thresholds import ThresholdAnalysis
 
 
@@ -47,11 +47,9 @@ def analyse(
     stimulus : str, optional
         Whose trials to take, of sessions with several stimuli and fixed levels.
     table_format : TableFormat, optional
-        What could be answered, how answers are written and the margin of equivalence, for a CSV. Sessions tell it
-        themselves.
+        What could be answered, how it is written and the margin of equivalence, for a CSV; sessions tell it themselves.
     figures : collection of str
-        Figures to draw besides Fig. 10 and Fig. 11: ``fields``, ``order``, ``reaction_times``, ``speed_ratio``,
-        or ``all``.
+        Besides Fig. 10 and Fig. 11: ``fields``, ``order``, ``reaction_times``, ``speed_ratio``, or ``all``.
     prereg : Path or str, optional
         The preregistration, as ``modaltouch prereg`` wrote it; by default the one beside the protocol, if any.
     model : bool
@@ -75,17 +73,19 @@ def analyse(
     responses = read_responses(path, mode=mode, stimulus=stimulus, table_format=table_format)
     responses = responses.by_predicted_speed() if speed == "predicted" else responses
     folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
-    about = {
-        "version": version(),
-        "source": responses.source.path,
-        "sha256": responses.source.sha256,
-        "mode": responses.source.mode,
-    }
+    source = responses.source
+    about = {"version": version(), "source": source.path, "sha256": source.sha256, "mode": source.mode}
     if responses.is_adaptive:
         from modaltouch.analysis.thresholds import analyse_runs, render_runs
 
         runs = analyse_runs(responses)
         return replace(runs, files=write_files(folder, render_runs(runs), about))
+    analysis = _hold_against(prereg, _find(responses, model=model))
+    return replace(analysis, files=write_files(folder, render_files(analysis, asked), about))
+
+
+def _find(responses: Responses, *, model: bool) -> Analysis:
+    """Return what answers at levels that the protocol fixed have to say."""
     from modaltouch.analysis.outcome import Analysis
     from modaltouch.analysis.statistics import find
 
@@ -95,8 +95,7 @@ def analyse(
         from modaltouch.analysis.mixed_logistic import model_findings
 
         findings += tuple(model_findings(counts, responses.frame))
-    analysis = _hold_against(prereg, Analysis(responses, counts, findings, {}))
-    return replace(analysis, files=write_files(folder, render_files(analysis, asked), about))
+    return Analysis(responses, counts, findings, {})
 
 
 def _hold_against(prereg: Path | str | None, analysis: Analysis) -> Analysis:

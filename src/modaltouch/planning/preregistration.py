@@ -37,10 +37,8 @@ def preregister(
         The checked protocol; its levels are fixed.
     observer : Observer
         Who is simulated for the power.
-    n_participants : int
-        How many participants are planned.
-    n_experiments, seed : int
-        Simulated experiments, and their seed.
+    n_participants, n_experiments, seed : int
+        Participants that are planned, simulated experiments, and their seed.
     on_progress : callable, optional
         Called with (jobs done, jobs in all) of each stimulus.
 

@@ -28,7 +28,6 @@ from modaltouch.window import AnswerWindow, Masking
 if TYPE_CHECKING:
     from modaltouch.lab import Prober
     from modaltouch.protocol import Levels
-    from modaltouch.session.probing import Probing
 
 OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
 """Opens the instrument for a while, given a function that takes each exchange with it."""
@@ -222,9 +221,7 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
             masking.start()
             sitting = _sitting(setup, rig, window, log, buffer, tick, levels)
             if prober is not None:
-                from modaltouch.session.probing import Probing
-
-                sitting = _measuring(sitting, Probing(setup.preflight, prober, rig, window, log, setup.clock))
+                sitting = _measuring(sitting, setup, prober, window)
             conduct(replace(sitting, experimenter=experimenter, masking=masking))
         except BaseException as error:
             ending = describe_ending(error)
@@ -315,8 +312,11 @@ def _sitting(
     )
 
 
-def _measuring(sitting: SessionRun, probing: Probing) -> SessionRun:
+def _measuring(sitting: SessionRun, setup: Setup, prober: Prober, window: AnswerWindow) -> SessionRun:
     """Return the sitting with the stimuli designed for the fingers that are measured in it."""
+    from modaltouch.session.probing import Probing
+
+    probing = Probing(setup.preflight, prober, sitting.rig, window, sitting.log, setup.clock)
     return replace(
         sitting,
         probing=probing,

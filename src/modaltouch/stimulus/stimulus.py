@@ -159,8 +159,7 @@ class Stimulus:
         """Return what each design costs, and how fast it leaves modes that the model lacks, on the same channels.
 
         Each is a dict of ``name``, ``peak_voltage`` [V], ``energy`` [V^2 s], ``residual`` [m/s] and
-        ``unmodelled_speed``, the largest of ``|velocity|`` and ``|w eta|`` of those modes at the focusing instant
-        [m/s].
+        ``unmodelled_speed``, the largest ``|velocity|`` or ``|w eta|`` of those modes at the focusing instant [m/s].
         """
         from modaltouch.stimulus.alternative_designs import compare_designs
 

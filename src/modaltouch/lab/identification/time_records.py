@@ -152,9 +152,8 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
     if n_double:
         words = "were left out: double impacts, or cut by the end of the record"
         marks.append(f"{n_double} of {n_hits} hits of {path.name} {words}")
-    # Spectra of equal records differ in how far their drive reaches.
     n_bins = min(frequency.size for _, frequency, _, _ in found)
-    axis = found[0][1][:n_bins]
+    axis = found[0][1][:n_bins]  # spectra of equal records differ in how far their drive reaches
     if not all(np.allclose(frequency[:n_bins], axis) for _, frequency, _, _ in found):
         raise ValueError(f"{path}: its records differ in length or sampling rate; export them alike")
     responses = [
