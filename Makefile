@@ -189,6 +189,7 @@ lock: | $(filter .uv/bin/uv,$(UV))
 ## docs: the site, into build/docs; warnings and dead links inside it are errors
 .PHONY: docs
 docs: .venv/.docs
+	rm -rf build/docs
 	PYTHONPATH=src $(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
 	@echo 'Open build/docs/index.html'
 

@@ -1,13 +1,16 @@
 """The gallery: every shipped protocol with what it asks, the field that is predicted, and the order of a participant."""
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from typer.testing import CliRunner
 
 import modaltouch
 from generator.pages import page, table, toctree, write
+from modaltouch.cli import app
 from modaltouch.protocol import Schedule
 from modaltouch.report import CONDITION_COLOURS, PAIR_COLOURS, house_style, quiet_grid
 from modaltouch.report.style import render
@@ -15,13 +18,12 @@ from modaltouch.report.style import render
 ROOT = Path(__file__).parents[2]
 SCREENS = ROOT / "docs" / "_static" / "screens"
 PARTICIPANT, SEED = "p01", 1
+PAPER = "differentiated_stimulation"
 
 
 def protocols() -> list[Path]:
     """Return the shipped protocols, the paper's first."""
-    return sorted(
-        (ROOT / "protocols").glob("*.yaml"), key=lambda file: (file.stem != "differentiated_stimulation", file.stem)
-    )
+    return sorted((ROOT / "protocols").glob("*.yaml"), key=lambda file: (file.stem != PAPER, file.stem))
 
 
 def _field(preflight) -> Figure:
@@ -79,6 +81,18 @@ def _order(preflight) -> str:
     return table(head, rows)
 
 
+def _report(static: Path) -> str:
+    """Write the report of ten simulated participants of the paper's protocol, and return the link to it."""
+    with TemporaryDirectory() as name:
+        results, out = Path(name, "results"), Path(name, "report")
+        for words in (f"simulate {PAPER} -n 10 --results {results}", f"analyse {results} --out {out}"):
+            done = CliRunner().invoke(app, words.split())
+            if done.exit_code:
+                raise RuntimeError(f"modaltouch {words} ended with {done.exit_code}: {done.output}")
+        write(static / "report.html", (out / "report.html").read_bytes())
+    return '```{raw} html\n<p><a href="../../_static/report.html">The report of ten simulated participants</a></p>\n```'
+
+
 def write_gallery(folder: Path, static: Path) -> None:
     """Write a page for each shipped protocol, and the page that leads to them."""
     rows = []
@@ -108,6 +122,7 @@ def write_gallery(folder: Path, static: Path) -> None:
             _lead(file), table(("", ""), facts), "## The field that is predicted",
             f"```{{image}} ../static/field_{name}.svg\n:alt: Predicted and target velocity along the beam.\n:class: drawn\n```",
             f"## The first trials of {PARTICIPANT}", _order(preflight), "## What the participant sees", pictures,
+            *(("## The report", _report(static)) if name == PAPER else ()),
             "## The file", f"```{{literalinclude}} ../../../protocols/{file.name}\n:language: yaml\n```",
         ]  # fmt: skip
         title = values["title"] or name
