@@ -44,19 +44,31 @@ def consistency_findings(answers: AnswerCounts) -> Iterator[Finding]:
 def effect_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield question f, every proportion over levels, and every paired difference cell by cell."""
     for f, q, scope in answers.pair_cells:
-        for label, place in answers.labelled(answers.pairs[q]):
-            given = answers.counts[:, f, q, :, place]
-            shares = Shares(given, answers.counts[:, f, q].sum(axis=-1), answers.n_repetitions)
-            mean = BoundedMean(shares.mean, 0.0, 1.0)
-            notes = []
-            if n_missing := shares.asked * given.size - int(shares.answered.sum()):
-                low, high = (BoundedMean(s.mean(axis=-1), 0.0, 1.0).interval() for s in (shares.least, shares.most))
-                notes = [
-                    f"{n_missing} answers missing; with them the share could be {low.estimate:.3g} to "
-                    f"{high.estimate:.3g}, its interval {low.low:.3g} to {high.high:.3g}"
-                ]
-            yield finding_of("f", SHARE, scope, None, f"P({label})", mean.interval(), int(mean.n), notes=notes)
+        labelled = answers.labelled(answers.pairs[q])
+        own = answers.counts[:, f, q]
+        given = np.moveaxis(own[..., [place for _, place in labelled]], -1, 0)
+        shares = Shares(given, np.broadcast_to(own.sum(axis=-1), given.shape), answers.n_repetitions)
+        mean, worst = BoundedMean(shares.mean, 0.0, 1.0), _say_missing(shares)
+        intervals = mean.interval()
+        for place, (label, _) in enumerate(labelled):
+            notes = worst[place : place + 1]
+            yield finding_of(
+                "f", SHARE, scope, None, f"P({label})", intervals[place], int(mean.n[place]), notes=notes
+            )  # fmt: skip
     yield from _paired_cells(answers)
+
+
+def _say_missing(shares: Shares) -> list[str]:
+    """Return, of each share, what missing answers could change at worst; nothing without any."""
+    n_missing = shares.asked * shares.given[0].size - int(shares.answered[0].sum())
+    if not n_missing:
+        return []
+    low, high = (BoundedMean(each.mean(axis=-1), 0.0, 1.0).interval() for each in (shares.least, shares.most))
+    return [
+        f"{n_missing} answers missing; with them the share could be {low.estimate[place]:.3g} to "
+        f"{high.estimate[place]:.3g}, its interval {low.low[place]:.3g} to {high.high[place]:.3g}"
+        for place in range(len(shares.given))
+    ]
 
 
 def _paired_cells(answers: AnswerCounts) -> Iterator[Finding]:
