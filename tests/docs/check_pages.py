@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import sys
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 
 import pytest
@@ -118,6 +119,22 @@ def test_every_block_of_a_page_does_what_it_says(page, tmp_path, monkeypatch):
                 assert ended == status, f"{command}\n{said}"
                 assert "Traceback" not in said
                 assert lacking(expected, said) == "", f"{command}\n{said}"
+
+
+def test_no_link_inside_the_site_is_dead():
+    """Files and anchors of every link, picture and script, also of what is written in HTML."""
+    anchors, dead = {}, []
+    for page in SITE.rglob("*.html"):
+        anchors[page] = set(re.findall(r'\bid="([^"]+)"', page.read_text(encoding="utf-8")))
+    for page in anchors:
+        for target in re.findall(r'\b(?:href|src)="([^"]+)"', page.read_text(encoding="utf-8")):
+            if re.match(r"[a-z]+:", target):
+                continue
+            path, _, anchor = unescape(target).partition("#")
+            file = (page.parent / path.partition("?")[0]).resolve() if path else page
+            if not file.exists() or (anchor and file in anchors and anchor not in anchors[file]):
+                dead.append(f"{page.relative_to(SITE)}: {target}")
+    assert dead == []
 
 
 @pytest.fixture(scope="module")
