@@ -2,19 +2,32 @@
 
 The rooms, in the order in which values flow through them:
 
-``system``     clocks, locks, signals, and which build this is
-``stimulus``   modal synthesis: target field -> voltages -> codes -> predicted field
-``protocol``   YAML -> Protocol and Apparatus, every fault in its place; Protocol + participant + seed -> Schedule
-``rig``        plays the burst: a generator over PyVISA, or its simulated twin behind the same driver
-``window``     asks the question: a PsychoPy window, or a simulated participant; masking noise
-``preflight``  everything that can fail before the participant sits down
-``record``     the append-only session log, its audit and its BIDS view
-``report``     figures, pages and files in one style
-``analysis``   records -> tables, statistics, figures, report
-``planning``   observers; how many participants, by simulating the very protocol
-``session``    the one loop, its set-up, its console, its verification
-``lab``        identification, calibration, validation and comparison of a beam
-``cli``        the command line
+``system``
+    clocks, locks, signals, and which build this is
+``stimulus``
+    modal synthesis: target field -> voltages -> codes -> predicted field
+``protocol``
+    YAML -> Protocol and Apparatus, every fault in its place; Protocol + participant + seed -> Schedule
+``rig``
+    plays the burst: a generator over PyVISA, or its simulated twin behind the same driver
+``window``
+    asks the question: a PsychoPy window, or a simulated participant; masking noise
+``preflight``
+    everything that can fail before the participant sits down
+``record``
+    the append-only session log, its audit and its BIDS view
+``report``
+    figures, pages and files in one style
+``analysis``
+    records -> tables, statistics, figures, report
+``planning``
+    observers; how many participants, by simulating the very protocol
+``session``
+    the one loop, its set-up, its console, its verification
+``lab``
+    identification, calibration, validation and comparison of a beam
+``cli``
+    the command line
 
 From Python, without the command line:
 
