@@ -56,6 +56,15 @@ def test_what_symmetric_wiring_cannot_reach_is_said_with_the_residual(edit: Edit
     assert "%" in warned
 
 
+@pytest.mark.parametrize("base", ["", "stimulus:\n  field: {shape: sampled, points: [[-28, 0], [0, 7], [28, 0]]}"])
+def test_each_of_several_stimuli_has_its_own_points(edit: Edit, base: str) -> None:
+    """Or another shape, where the section they share holds points."""
+    blunt = "blunt: {field: {shape: raised_cosine, base_mm: 100}}"
+    own = f"blunt: {{field: {{shape: sampled, points: {TRIANGLE}}}}}"
+    changes = [("stimulus:", base)] if base else [(blunt, own)]
+    assert faults(edit("two_fields.yaml", *changes)) == []
+
+
 def test_a_record_keeps_the_points_of_its_field(edit: Edit, tmp_path: Path) -> None:
     """The drive is computed again from the record alone, when the file is gone."""
     file = sampled(edit, "file: field.csv")

@@ -137,7 +137,9 @@ _FIELD = ("stimulus", "field")
 def check_target_field(reading: Reading[Any]) -> Iterator[Problem]:
     """Return the faults between the keys of the target field, as far as its sound parts show them."""
     shape = reading.sound(*_FIELD, "shape")
-    named = [key for key in ("points", "file") if reading.find((*_FIELD, key)) is not None]
+    # One of several stimuli is not as the section in the file has it.
+    held = reading.sound if reading.value is not None else lambda *path: reading.find(path)
+    named = [key for key in ("points", "file") if held(*_FIELD, key) is not None]
     if shape == "sampled" and len(named) != 1:
         given = "a sampled field with " + ("points and a file" if named else "neither points nor a file")
         remedy = f"write `points: [[-20, 0], [0, 1], [20, 0]]`, or `file:` with the columns {', '.join(COLUMNS)}"

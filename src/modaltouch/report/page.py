@@ -71,7 +71,7 @@ def render_page(package: str, template: str, **values: Any) -> str:
     places = dict.fromkeys((package, "modaltouch.report"))
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(place) for place in places]),
-        autoescape=".html" in template,
+        autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
