@@ -253,7 +253,7 @@ class SessionLog:
 
     def _write(self, data: bytes) -> None:
         try:
-            # One write call: SIGKILL leaves all of a line or nothing; only a full disk or a power cut tears it.
+            # One write call: a full disk, a power cut, or SIGKILL between two pages tears it, and nothing else.
             written = os.write(self._descriptor, data)
             sync_file(self._descriptor)
         except OSError as error:
