@@ -58,6 +58,22 @@ def test_the_threshold_lies_in_its_interval_as_often_as_promised() -> None:
     assert np.mean([e.value - true for e, true in told]) == pytest.approx(0, abs=0.4)
 
 
+def test_the_fit_is_that_of_psignifit() -> None:
+    """psignifit 4.3, 2AFC, sigmoid norm, lambda and eta held at 0: threshold, width between 5 and 95 %, 95 % intervals.
+
+    Its intervals are of a posterior with weak priors, ours of the profile likelihood: they agree to 0.1 dB.
+    """
+    hits = {26: 45, 28: 50, 30: 44, 32: 56, 34: 53, 36: 63, 38: 73, 40: 79, 42: 86, 44: 88}
+    levels = [float(level) for level in hits for _ in range(90)]
+    successes = [trial < right for right in hits.values() for trial in range(90)]
+    found = fit_psychometric(levels, successes, guess_rate=0.5, most_lapse=0.0)
+    assert found.threshold is not None
+    assert found.spread is not None
+    assert found.threshold.value == pytest.approx(36.8646, abs=0.05)
+    assert (found.threshold.low, found.threshold.high) == pytest.approx((35.7965, 37.7285), abs=0.1)
+    assert found.spread.value == pytest.approx(13.6314 / (2 * 1.6449), rel=0.01)
+
+
 def test_the_fit_is_the_likeliest_one() -> None:
     """Reference: scipy.optimize on the binomial likelihood, guess and lapse rates fixed."""
     levels = np.repeat([10.0, 14.0, 18.0, 22.0, 26.0, 30.0], 10)
