@@ -59,7 +59,7 @@ def test_the_threshold_lies_in_its_interval_as_often_as_promised() -> None:
 
 
 def test_the_fit_is_that_of_psignifit() -> None:
-    """The package psignifit 4.3, 2AFC, sigmoid norm, lambda and eta held at 0: threshold, width between 5 and 95 %, 95 % intervals.
+    """The package psignifit 4.3: 2AFC, sigmoid norm, lambda and eta held at 0; its width is from 5 to 95 %.
 
     Its intervals are of a posterior with weak priors, ours of the profile likelihood: they agree to 0.1 dB.
     """
