@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.stats import beta
 
+from modaltouch.analysis import means
 from modaltouch.analysis.intervals import clopper_pearson
 from modaltouch.analysis.means import BoundedMean
 
@@ -130,3 +132,27 @@ def test_the_bounds_are_those_of_a_proportion_out_of_the_same_number() -> None:
         moved = BoundedMean([1.0] * k + [-1.0] * (n - k)).interval()
         share = clopper_pearson(k, n)
         assert ((moved.low + 1) / 2, (moved.high + 1) / 2) == pytest.approx((share.low, share.high), abs=1e-10)
+
+
+@pytest.mark.parametrize("spread", ["quarters", "any"])
+def test_many_participants_have_the_same_chance_by_transform(spread) -> None:
+    """Two independent ways to one number: scores dropped one by one, and the characteristic function inverted."""
+    rng = np.random.default_rng(2)
+    rows = rng.integers(-4, 5, (5, 260)) / 4 if spread == "quarters" else rng.uniform(-1, 1, (5, 260))
+    rows = np.sort(rows, axis=1)
+    for value in (-0.05, 0.0, 0.03, 0.3):
+        values = np.full(5, value)
+        chance, is_small = means._inverted(rows, -1.0, values)
+        assert not is_small.any()
+        assert chance == pytest.approx(means._dropped(rows, -1.0, values), abs=1e-13)
+
+
+def test_what_the_transform_cannot_tell_is_told_by_the_recursion() -> None:
+    """Hundreds without a difference and a few with one: the interval is that of the recursion, and p as small."""
+    rows = np.zeros((2, 300))
+    rows[1, :6] = 1.0
+    alike = BoundedMean(rows[0]).interval()
+    assert float(alike.high) == pytest.approx(1 - 0.025 ** (1 / 300), rel=1e-9)  # Clopper and Pearson, none of 300
+    few = BoundedMean(rows[1], low=0.0)
+    assert float(few.interval().low) == pytest.approx(beta.ppf(0.025, 6, 295), rel=1e-9)  # 6 of 300
+    assert float(few.test(0.2).p) < 1e-12

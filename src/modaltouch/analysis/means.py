@@ -25,6 +25,9 @@ from modaltouch.analysis.intervals import CONFIDENCE, Interval
 
 FloatArray = NDArray[np.float64]
 
+MOST_DROPPED = 250
+"""Participants up to which scores are dropped one by one, whose cost grows with their square."""
+
 _MOST_STEPS = 60
 """Steps to a bound; about eight are taken."""
 
@@ -132,7 +135,7 @@ def _weighted_tail(rows: FloatArray, low: float, values: FloatArray) -> FloatArr
     """Return the chance that a randomly weighted mean of sorted scores and of `low` is not above a value.
 
     Of the lowest and the highest score one is dropped at a time, by the recursion of integrated B-splines (de Boor
-    1972), whose terms are all positive.
+    1972), whose terms are all positive; of many participants the characteristic function is inverted instead.
 
     Parameters
     ----------
@@ -143,6 +146,40 @@ def _weighted_tail(rows: FloatArray, low: float, values: FloatArray) -> FloatArr
     values : (n_tests,) array
         Values.
     """
+    if rows.shape[-1] > MOST_DROPPED:
+        chance, is_small = _inverted(rows, low, values)
+        if is_small.any():
+            chance[is_small] = _dropped(rows[is_small], low, values[is_small])
+        return chance
+    return _dropped(rows, low, values)
+
+
+def _inverted(rows: FloatArray, low: float, values: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return the same from the characteristic function, and where that has not faded enough for 1e-13.
+
+    The weighted mean is not above a value where the sum of exponential variates times what scores are above it is not
+    above zero. Equal scores count together, so that the cost hardly grows with the participants.
+
+    References
+    ----------
+    Davies, Biometrika 60 (1973) 415-417.
+    """
+    distinct, places = np.unique(rows, return_inverse=True)
+    counts = np.zeros((len(rows), distinct.size))
+    np.add.at(counts, (np.arange(len(rows))[:, None], places.reshape(rows.shape)), 1.0)
+    above = np.concatenate([np.full(1, low), distinct]) - values[:, None]
+    counts = np.concatenate([np.ones((len(rows), 1)), counts], axis=1)
+    spread = np.sqrt((counts * above**2).sum(axis=1))[:, None, None]
+    angle = np.arange(0.5, 60.0) * 0.2
+    scaled = angle[:, None] * np.divide(above[:, None], spread, out=np.zeros_like(above[:, None]), where=spread > 0)
+    size = np.exp(-0.5 * np.einsum("tkj,tj->tk", np.log1p(scaled**2), counts))
+    turn = np.einsum("tkj,tj->tk", np.arctan(scaled), counts)
+    chance = 0.5 - (size * np.sin(turn) / angle).sum(axis=1) * 0.2 / math.pi
+    return np.asarray(np.clip(chance, 0.0, 1.0)), np.asarray((size[:, -1] > 1e-14) | (chance < 1e-9))
+
+
+def _dropped(rows: FloatArray, low: float, values: FloatArray) -> FloatArray:
+    """Return the same by dropping one score at a time, by the recursion of integrated B-splines."""
     knots = np.concatenate([np.full((len(rows), 1), low), rows], axis=-1)
     at = values[:, np.newaxis]
     chance = (knots <= at).astype(float)
