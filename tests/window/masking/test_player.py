@@ -14,10 +14,9 @@ import sounddevice
 
 from modaltouch.protocol import MaskingSection
 from modaltouch.protocol.apparatus import Apparatus, Sound
-from modaltouch.window import noise_masking as player
-from modaltouch.window.masking import Masking, MaskingError
+from modaltouch.window import masking as player
+from modaltouch.window.masking import Masking, MaskingError, NoiseMasking
 from modaltouch.window.noise import amplitude_at, make_noise
-from modaltouch.window.noise_masking import NoiseMasking
 
 SECTION = MaskingSection(noise="pink", level_dB_FS=-20.0, fade_s=0.05)
 ALSA = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="ALSA is Linux's")
@@ -31,7 +30,7 @@ import json
 import numpy as np
 from modaltouch.protocol.apparatus import Apparatus, Sound
 from modaltouch.window.noise import amplitude_at, make_noise
-from modaltouch.window.noise_masking import NoiseMasking
+from modaltouch.window.masking import NoiseMasking
 from modaltouch.protocol import MaskingSection
 
 events, blocks = [], []
