@@ -62,7 +62,7 @@ def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path)
         "window.noise",
         "window.screen",
     }
-    assert lines <= 21_450
+    assert lines <= 21_570
 
 
 def test_an_analysis_of_sessions_loads_what_reads_and_audits_them(results, tmp_path):
