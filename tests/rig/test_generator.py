@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import sys
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,6 +21,7 @@ from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import Bursts, RigError
 from modaltouch.rig.pacing import HELD_UP
 from modaltouch.rig.simulator import Simulator
+from modaltouch.rig.simulator.followed import FollowedSession
 from modaltouch.stimulus.burst import Burst
 from modaltouch.stimulus.fingers import Finger
 from modaltouch.system.clock import VirtualClock
@@ -278,6 +281,32 @@ def test_fingers_lie_where_the_followed_session_places_them(
     for fingers, speeds in zip(told, expected, strict=True):
         # The twin speaks of one burst from rest, the log of one after many.
         assert list(fingers.values()) == pytest.approx(speeds, rel=1e-3)
+
+
+def test_a_followed_log_is_read_by_several_threads_at_once(apparatus: Apparatus, tmp_path: Path) -> None:
+    """Every placement is noticed while others read, too, and switch between any two instructions."""
+    log, over, interval = tmp_path / "session.jsonl", threading.Event(), sys.getswitchinterval()
+    log.touch()
+    followed = FollowedSession(log, apparatus)
+
+    def read() -> None:
+        while not over.is_set():
+            followed.fingers()
+
+    readers = [threading.Thread(target=read) for _ in range(3)]
+    sys.setswitchinterval(1e-6)
+    try:
+        for reader in readers:
+            reader.start()
+        for left, right in ("AC", "BD", "CE") * 20:
+            with log.open("a", encoding="utf-8") as growing:
+                growing.write(f'{{"event":"placement","zone_left":"{left}","zone_right":"{right}"}}\n')
+            assert list(followed.fingers()) == [left, right]
+    finally:
+        over.set()
+        sys.setswitchinterval(interval)
+        for reader in readers:
+            reader.join()
 
 
 def test_fingers_differ_between_the_placements_of_a_followed_session(apparatus: Apparatus, tmp_path: Path) -> None:

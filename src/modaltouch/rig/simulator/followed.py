@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +30,15 @@ class FollowedSession:
         self._read = self._n_placements = 0
         self._who = 0, "", 0
         self._fingers: dict[str, Finger] = {}
+        self._lock = threading.Lock()
 
     def fingers(self) -> dict[str, Finger]:
         """Return the fingers on the beam by zone; none before the first placement, and while hands are off."""
+        # Bursts that end are told of by a thread of their own: a line that both read would be counted twice.
+        with self._lock:
+            return self._latest()
+
+    def _latest(self) -> dict[str, Finger]:
         try:
             if self._path.stat().st_size <= self._read:
                 return self._fingers
