@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modaltouch.analysis import convolution, trend
-from modaltouch.analysis.trend import level_scores, trend_test
+from modaltouch.analysis.trend import level_scores, smallest_trend_p, trend_test
 
 
 class TestTrend:
@@ -113,6 +113,8 @@ class TestTrend:
         rows = np.random.default_rng(3).binomial(1000, 0.5, (42, 4))
         assert trend_test(rows, [80, 100, 150, 200], 1000).p > 0.01
         assert trend_test(rows + [[0, 0, 0, 90]], [80, 100, 150, 200], 1000).p < 1e-6
+        assert smallest_trend_p([80, 100, 150, 200], 42, 1000) < 1e-300
+        assert smallest_trend_p([80], 42, 1000) == 1.0
 
     def test_counts_beyond_the_repetitions_are_refused(self) -> None:
         """House rule: what was given, what is allowed."""

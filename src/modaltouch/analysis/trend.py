@@ -122,7 +122,7 @@ def smallest_trend_p(levels: Sequence[float], n_participants: int, n_repetitions
         Participants, and presentations of each level.
     """
     if len(levels) * n_repetitions > MOST_EXACT:
-        return sys.float_info.min
+        return sys.float_info.min if len(set(levels)) > 1 else 1.0
     extremes = _extreme_choices(levels, n_repetitions)
     # All participants alike reach both tails at once; one who differs may leave the other tail out.
     chosen = [[most] * (n_participants - 1) + [one] for side in extremes for most in side for one in side]
