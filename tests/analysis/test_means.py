@@ -147,6 +147,15 @@ def test_many_participants_have_the_same_chance_by_transform(spread) -> None:
         assert chance == pytest.approx(means._dropped(rows, -1.0, values), abs=1e-13)
 
 
+@pytest.mark.parametrize("n", [300, 800, 1000])
+def test_a_thousand_alike_are_as_clear_as_they_are(n) -> None:
+    """Everyone at one end: p is 2^-n against the middle, and 1 the other way; the transform would alias."""
+    alike = BoundedMean(np.ones(n))
+    assert float(alike.p_above(0.0)) == pytest.approx(2.0**-n, rel=1e-9)
+    assert float(alike.p_below(0.0)) == 1.0
+    assert float(BoundedMean(np.full(n, -0.9)).p_above(0.0)) == pytest.approx(1.0)
+
+
 def test_what_the_transform_cannot_tell_is_told_by_the_recursion() -> None:
     """Hundreds without a difference and a few with one: the interval is that of the recursion, and p as small."""
     rows = np.zeros((2, 300))

@@ -108,6 +108,13 @@ class TestTrend:
         assert normal.p_min < 1e-6 > exact.p_min
         assert normal.n_informative == exact.n_informative == n_participants
 
+    def test_who_did_not_answer_counts_for_nothing_among_many_answers(self) -> None:
+        """And the smallest p is that of the farther end, which with uneven levels may be the lower one."""
+        alone = trend_test([[120, 140]], [80, 200], [[210, 210]])
+        assert trend_test([[120, 140], [0, 0]], [80, 200], [[210, 210], [0, 0]]).p == pytest.approx(alone.p)
+        extreme = trend_test([[170, 170, 0]], [0, 1, 10], 170)
+        assert extreme.p == extreme.p_min
+
     def test_a_thousand_answers_a_level_are_judged(self) -> None:
         """The numbers of ways overflow a float there; participants without any preference give no small p."""
         rows = np.random.default_rng(3).binomial(1000, 0.5, (42, 4))

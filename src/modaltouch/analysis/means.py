@@ -175,7 +175,10 @@ def _inverted(rows: FloatArray, low: float, values: FloatArray) -> tuple[FloatAr
     size = np.exp(-0.5 * np.einsum("tkj,tj->tk", np.log1p(scaled**2), counts))
     turn = np.einsum("tkj,tj->tk", np.arctan(scaled), counts)
     chance = 0.5 - (size * np.sin(turn) / angle).sum(axis=1) * 0.2 / math.pi
-    return np.asarray(np.clip(chance, 0.0, 1.0)), np.asarray((size[:, -1] > 1e-14) | (chance < 1e-9))
+    # Angles a fifth apart tell sums apart that lie within 31 times their spread, and no farther.
+    drift = np.abs((counts * above).sum(axis=1))
+    is_small = (size[:, -1] > 1e-14) | (chance < 1e-9) | (drift > 20 * spread[:, 0, 0])
+    return np.asarray(np.clip(chance, 0.0, 1.0)), np.asarray(is_small)
 
 
 def _dropped(rows: FloatArray, low: float, values: FloatArray) -> FloatArray:

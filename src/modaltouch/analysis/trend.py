@@ -89,8 +89,8 @@ def _normal_trend(counts: IntArray, answered: IntArray, scores: IntArray) -> Exa
     from scipy.special import ndtr
 
     n, chosen = answered.sum(axis=-1), counts.sum(axis=-1)
-    mean = (answered @ scores) / n
-    scatter = (answered @ scores**2) / n - mean**2
+    mean, square = ((answered @ each) / np.maximum(n, 1) for each in (scores, scores**2))
+    scatter = square - mean**2
     variance = chosen * (n - chosen) / np.maximum(n - 1, 1) * scatter
     deviation = (counts @ scores - chosen * mean).sum(axis=-1)
     spread = np.sqrt(variance.sum(axis=-1))
@@ -99,14 +99,17 @@ def _normal_trend(counts: IntArray, answered: IntArray, scores: IntArray) -> Exa
     def p(distance: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.asarray(2 * ndtr(-np.maximum(distance - half, 0.0) / np.where(spread > 0, spread, np.inf)))
 
-    left, highest = chosen.copy(), -chosen * mean
-    for level in range(len(scores) - 1, -1, -1):
-        taken = np.minimum(left, answered[..., level])
-        left, highest = left - taken, highest + taken * scores[level]
+    ends = []
+    for order in (np.argsort(scores), np.argsort(-scores)):
+        left, end = chosen.copy(), -chosen * mean
+        for level in order:
+            taken = np.minimum(left, answered[..., level])
+            left, end = left - taken, end + taken * scores[level]
+        ends.append(np.abs(end.sum(axis=-1)))
     return ExactTest(
         deviation,
         lambda: p(np.abs(deviation)),
-        lambda: p(highest.sum(axis=-1)),
+        lambda: p(np.maximum(*ends)),
         np.count_nonzero(variance > 0, axis=-1),
     )
 
