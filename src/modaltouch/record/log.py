@@ -41,7 +41,7 @@ class SessionLog:
         self._failure = ""
         self._rows: dict[int, str] = {}
         self._counting: dict[int, dict[str, Any]] = {}
-        self._of_trials: dict[tuple[Any, Any], list[dict[str, Any]]] = {}
+        self._of_trials: dict[tuple[str, str], list[dict[str, Any]]] = {}
         for event in self.events:
             self._sort(event)
         self._unsettled: tuple[dict[str, Any], str, int, int] | None = None
@@ -249,7 +249,9 @@ class SessionLog:
         count(self._counting, event)
         trial = event.get("trial")
         if isinstance(trial, dict):
-            self._of_trials.setdefault(_key(trial), []).append(event)
+            own = self._of_trials.setdefault(_key(trial), [])
+            if event not in own[-1:]:  # an exception out of a signal may have it noted twice
+                own.append(event)
 
     def _write(self, data: bytes) -> None:
         try:
@@ -264,8 +266,8 @@ class SessionLog:
             raise RecordError(self._failure)
 
 
-def _key(trial: dict[str, Any]) -> tuple[Any, Any]:
-    return trial.get("practice"), trial.get("index")
+def _key(trial: dict[str, Any]) -> tuple[str, str]:
+    return str(trial.get("practice")), str(trial.get("index"))
 
 
 def _open_log(path: Path) -> int:

@@ -227,9 +227,10 @@ def count(counting: dict[int, dict[str, Any]], event: dict[str, Any]) -> None:
     An answer is written down at once, and again once the end of its stimulus is confirmed.
     """
     kind = event.get("event")
-    withdrawn = event.get("lines", ()) if kind == "withdrawn" else ()
+    withdrawn = (event.get("lines") or ()) if kind == "withdrawn" else ()
     for line in (event.get("supersedes"), event.get("answered") if kind == "trial" else None, *withdrawn):
-        counting.pop(line, None)
+        if isinstance(line, int):
+            counting.pop(line, None)
     if kind in ("trial", "answered"):
         counting[event["n"]] = event
 

@@ -31,6 +31,8 @@ _NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] 
         (("stimulus", "content_hash"), str),
         (("versions",), dict),
     ),
+    "withdrawn": ((("lines",), list),),
+    "closed": ((("begun_anew_as",), int),),
     "trial": (
         (("trial", "index"), int),
         (("trial", "block"), int),
