@@ -90,8 +90,8 @@ class RecordedFiles(Scope):
         while time.monotonic() < deadline:
             self._progress.check()
             found = next((each for each in (self._folder / f"{name}{end}" for end in READERS) if each.is_file()), None)
-            seen = found and (found.name, found.stat().st_size, found.stat().st_mtime_ns)
-            if found is not None and seen == before != refused:
+            seen = None if found is None else _state(found)
+            if found is not None and seen is not None and seen == before != refused:
                 try:
                     return self._recording(found, position)
                 except (OSError, ValueError) as error:
@@ -167,6 +167,15 @@ class RecordedFiles(Scope):
             sampling_rate=1 / step,
             overloaded=("velocity",) if over else (),
         )
+
+
+def _state(path: Path) -> tuple[str, int, int] | None:
+    """Return what tells a file from itself once it has changed; None where it has just been taken away."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return path.name, found.st_size, found.st_mtime_ns
 
 
 def _window(path: Path, time_s: FloatArray, asked: Acquisition) -> tuple[float, float, int, int]:
