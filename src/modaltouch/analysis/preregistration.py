@@ -57,13 +57,15 @@ def read_preregistration(path: Path) -> dict[str, Any]:
     try:
         block = re.search(r"```json\n(.*?)\n```", path.read_text(encoding="utf-8"), re.DOTALL)
         terms = json.loads(block[1] if block else "")
+        if not isinstance(terms, dict):
+            raise ValueError
     except OSError as error:
         raise InputError.of(
             path, f"a file that cannot be read ({error.strerror})", "a preregistration", remedy
         ) from None
     except ValueError:
         raise InputError.of(path, "no block of JSON with the terms", "a preregistration", remedy) from None
-    return dict(terms)
+    return terms
 
 
 def find_departures(terms: Mapping[str, Any], analysis: Analysis) -> tuple[str, ...]:
