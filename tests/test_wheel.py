@@ -118,7 +118,7 @@ def test_a_wheel_of_the_source_distribution_is_of_the_same_commit(tmp_path):
     """The unpacked source distribution has no git to be asked."""
     source = build_in(ROOT, "sdist", tmp_path)
     with tarfile.open(source) as archive:
-        archive.extractall(tmp_path / "unpacked", filter="data")
+        archive.extractall(tmp_path / "unpacked", **({"filter": "data"} if hasattr(tarfile, "data_filter") else {}))
     (tree,) = (tmp_path / "unpacked").iterdir()
     wheel = build_in(tree, "wheel", tmp_path)
     assert wheel.name == f"{source.name.removesuffix('.tar.gz')}-py3-none-any.whl"
