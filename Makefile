@@ -97,7 +97,7 @@ results: install
 
 ## bench: run time against error, beside the peers, into results/benchmarks
 .PHONY: bench
-bench: install
+bench: .venv/.bench
 	for script in tests/benchmarks/bench_*.py; do echo $$script; $(PYTHON) $$script || exit 1; done
 	$(PYTHON) tests/benchmarks/bars.py
 
@@ -185,6 +185,8 @@ lock: | $(filter .uv/bin/uv,$(UV))
 	  --group dev pyproject.toml --upgrade --output-file requirements.lock
 	$(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
 	  --constraints requirements.lock --group docs --upgrade --output-file docs/requirements.lock
+	$(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-header \
+	  --constraints requirements.lock --group bench --upgrade --output-file tests/benchmarks/requirements.lock
 
 ## docs: the site, into build/docs; warnings and dead links inside it are errors
 .PHONY: docs
@@ -198,6 +200,10 @@ docs: .venv/.docs
 docs-check: docs
 	@command -v chromium || command -v google-chrome || { packages=chromium; $(INSTALL_PACKAGES); }
 	$(PYTHON) -m pytest --timeout 1800 tests/docs/check_pages.py
+
+.venv/.bench: tests/benchmarks/requirements.lock .venv/.installed
+	$(UV) pip install --python $(PYTHON) --quiet --require-hashes -r tests/benchmarks/requirements.lock
+	@touch $@
 
 .venv/.docs: docs/requirements.lock .venv/.installed
 	$(UV) pip install --python $(PYTHON) --quiet --require-hashes -r docs/requirements.lock

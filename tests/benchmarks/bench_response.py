@@ -12,14 +12,24 @@ from typing import Any
 import control
 import numpy as np
 from bars import at_least, at_most, write
-from peers import eighty_bits, forced_response, lsim, nine_lfilters, one_by_one, race, shipped_model, state_space
+from peers import (
+    compiled_recursion,
+    eighty_bits,
+    forced_response,
+    lsim,
+    nine_lfilters,
+    one_by_one,
+    race,
+    shipped_model,
+    state_space,
+)
 from threadpoolctl import threadpool_limits
 
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import modal_history, velocity_history
+from modaltouch.stimulus.vibration import modal_history, peak_velocity, velocity_history
 
 N_SAMPLES = 65_536
 TIMING = Timing(replace(AFG3022B.converter, clock_rate=N_SAMPLES * 20 * 190), n_samples=N_SAMPLES)
@@ -29,12 +39,16 @@ TIMING = Timing(replace(AFG3022B.converter, clock_rate=N_SAMPLES * 20 * 190), n_
 def speed(model: ModalModel, voltage: Any) -> dict[str, float]:
     """Return run times and ratios."""
     hold, system = TIMING.hold, DiagonalSystem.of(model)
+    compiled, zones = compiled_recursion(model, hold), [-0.04, -0.02, 0.0, 0.02, 0.04]
     whole, single = state_space(model), [state_space(each) for each in one_by_one(model)]
     whole_system, single_systems = control.ss(*whole), [control.ss(*each) for each in single]
     quick: dict[str, Callable[[], object]] = {
         "nine_modes_ms": lambda: modal_history(model, voltage, TIMING),
         "two_zones_ms": lambda: velocity_history(model, voltage, TIMING, [-0.04, 0.0]),
         "state_at_focus_ms": lambda: system.states_by_channel(voltage, TIMING, 0.025),
+        "five_zones_ms": lambda: velocity_history(model, voltage, TIMING, zones),
+        "peaks_of_five_zones_ms": lambda: peak_velocity(model, voltage, TIMING, zones),
+        "numba_ms": lambda: compiled(voltage),
         "nine_lfilters_ms": lambda: nine_lfilters(model, voltage, hold),
     }
     slow: dict[str, Callable[[], object]] = {
@@ -46,7 +60,7 @@ def speed(model: ModalModel, voltage: Any) -> dict[str, float]:
         "nine_forced_responses_ms": lambda: forced_response(single_systems, voltage, hold),
     }
     row = {**race(quick, 6.0), **race(slow, 6.0, 3), **race(slowest, 1.0, 2)}
-    for peer in ("lsim", "forced_response", "nine_lfilters", "nine_lsims", "nine_forced_responses"):
+    for peer in ("lsim", "forced_response", "nine_lfilters", "nine_lsims", "nine_forced_responses", "numba"):
         row[f"times_faster_than_{peer}"] = row[f"{peer}_ms"] / row["nine_modes_ms"]
     return row
 
@@ -57,6 +71,7 @@ def errors(model: ModalModel, voltage: Any) -> dict[str, float]:
     peak = np.abs(exact).max(axis=1, keepdims=True)
     found = {
         "engine": modal_history(model, voltage, TIMING),
+        "numba": compiled_recursion(model, hold)(voltage),
         "lsim": lsim([state_space(model)], voltage, hold),
         "nine_lfilters": nine_lfilters(model, voltage, hold),
     }
@@ -75,8 +90,14 @@ def main() -> int:
         at_least(f"{what}: faster than one lsim call", row["times_faster_than_lsim"], 40),
         at_least(f"{what}: faster than one forced_response call", row["times_faster_than_forced_response"], 60),
         at_least(f"{what}: faster than nine lfilter calls", row["times_faster_than_nine_lfilters"], 1),
+        at_least(f"{what}: speed beside a recursion compiled by numba", row["times_faster_than_numba"], 0.8),
         at_most(f"{what}: state at t_F alone, of its time", row["state_at_focus_ms"] / row["nine_modes_ms"], 0.5),
         at_most(f"{what}: two zones alone, of its time", row["two_zones_ms"] / row["nine_modes_ms"], 0.9),
+        at_most(
+            f"{what}: peaks of five zones, of their histories",
+            row["peaks_of_five_zones_ms"] / row["five_zones_ms"],
+            1.2,
+        ),
         at_most(f"{what}, Table I: error of each mode over its own peak", wrong["table_i"]["engine"], 1e-12, ""),
         at_most(f"{what}, damping 1e-6: error of each over its own peak", wrong["damping_1e-6"]["engine"], 1e-11, ""),
     ]

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import signal
 
 from modaltouch.rig.afg3022b import AFG3022B
-from modaltouch.stimulus.dynamics import Amplifier
+from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import Stimulus, design_stimulus
 from modaltouch.stimulus.target_field import TargetField
@@ -137,6 +137,35 @@ def nine_lfilters(model: ModalModel, voltage: Any, hold: float) -> Any:
         numerator = [0.0, h.real, -(h * z.conjugate()).real]
         velocity[k] = signal.lfilter(numerator, [1.0, -2 * z.real, abs(z) ** 2], force[k])
     return velocity
+
+
+def compiled_recursion(model: ModalModel, hold: float) -> Callable[[Any], Any]:
+    """Return a recursion of every mode, sample by sample, that numba has compiled; it takes voltages."""
+    # Slow to import, and there only where the benchmarks are run.
+    import numba
+
+    system = DiagonalSystem.of(model)
+    ratio, read = np.exp(system.exponent * hold), np.diag(system.velocity)
+    push = ((ratio - 1) / system.exponent)[:, None] * system.input_gain
+
+    @numba.njit
+    def run(ratio: Any, push: Any, read: Any, voltage: Any, out: Any) -> None:
+        for mode in range(ratio.size):
+            a, b, real, imaginary = ratio[mode].real, ratio[mode].imag, 0.0, 0.0
+            for n in range(voltage.shape[1]):
+                out[mode, n] = read[mode].real * real - read[mode].imag * imaginary
+                x, y = 0.0, 0.0
+                for channel in range(voltage.shape[0]):
+                    x += push[mode, channel].real * voltage[channel, n]
+                    y += push[mode, channel].imag * voltage[channel, n]
+                real, imaginary = a * real - b * imaginary + x, a * imaginary + b * real + y
+
+    def respond(voltage: Any) -> Any:
+        out = np.empty((ratio.size, voltage.shape[1]))
+        run(ratio, push, read, voltage, out)
+        return out
+
+    return respond
 
 
 def eighty_bits(model: ModalModel, voltage: Any, hold: float) -> Any:

@@ -223,6 +223,27 @@ class BlockKernel:
             begin, state = self.states(blocks, state)
             self.respond(blocks, begin, out[:, start:stop])
 
+    def peaks(self, inputs: FloatArray, n_samples: int) -> FloatArray:
+        """Return the largest magnitude of each output from rest, (n_outputs,) array, zeros following the inputs.
+
+        Parameters
+        ----------
+        inputs : (n_inputs, n) array
+            Their samples.
+        n_samples : int
+            How many samples are looked at, n at least.
+        """
+        state, peak = np.zeros(self.exponent.size, dtype=complex), np.zeros(len(self.output))
+        some = np.empty((len(self.output), _CHUNK))
+        for start in range(0, n_samples, _CHUNK):
+            part = inputs[:, start : start + _CHUNK]
+            n = min(_CHUNK, n_samples - start)
+            blocks = self.blocks(np.pad(part, ((0, 0), (0, n - part.shape[1]))) if part.shape[1] < n else part)
+            begin, state = self.states(blocks, state)
+            self.respond(blocks, begin, some[:, :n])
+            peak = np.maximum(peak, np.maximum(some[:, :n].max(axis=1), -some[:, :n].min(axis=1)))
+        return peak
+
     def states(self, blocks: FloatArray, state: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """Return the states at the starts of the blocks, and after the last.
 

@@ -26,6 +26,9 @@ from modaltouch.stimulus.timing import Timing
 _OUTPUTS = 256
 """Outputs whose peaks are sought together: bounds the memory, whatever the number of places."""
 
+_DENSE = 0.25
+"""Share of blocks that may hold a peak beyond which all samples are computed: that costs less than sorting them out."""
+
 
 @dataclass(frozen=True, eq=False)
 class BlockStates:
@@ -86,7 +89,11 @@ class BlockStates:
         # What the outputs reach at the starts of the blocks spares looking into most of them.
         peak = np.maximum(np.abs((some @ self.begin).real).max(axis=1), floor)
         bound = self._bounds(some)
-        self._look_into(np.flatnonzero((bound > peak[:, None]).any(axis=0)), kernel, peak)
+        which = np.flatnonzero((bound > peak[:, None]).any(axis=0))
+        if which.size > _DENSE * bound.shape[1]:
+            peak = np.maximum(peak, kernel.peaks(self.inputs, BLOCK * bound.shape[1]))
+        else:
+            self._look_into(which, kernel, peak)
         period = int(self.timing.sampling_rate / self.timing.repetition_rate)
         silence = max(0, period - BLOCK * bound.shape[1])
         return self._peak_of_decay(some * self.begin[:, -1], silence, peak)[places]
