@@ -178,7 +178,8 @@ def test_what_cannot_be_trusted_is_asked_for_again_and_ends_the_session(
 
     monkeypatch.setattr(Prober, "hands_off", moved)
     with pytest.raises(
-        RigError, match=r"could not be measured, 3 times in a row \(something moved.*`modaltouch resume`"
+        RigError,
+        match=r"the untouched beam could not be measured, 3 times in a row \(something moved.*`modaltouch resume`",
     ):
         simulate_session(preflight, "p02", tmp_path)
     (log,) = tmp_path.rglob("session.jsonl")

@@ -147,7 +147,9 @@ def test_beam_that_is_none_of_the_table_is_refused(table, beam):
 
 def test_weak_probe_is_refused(table, beam):
     """Half of the responses in their noise."""
-    with pytest.raises(ValueError, match=r"too weak: half of its responses hold more than \d+% of noise"):
+    with pytest.raises(
+        ValueError, match=r"too weak: half of its responses hold more than \d+% of noise.*`fingers probe` also takes"
+    ):
         measured(beam, noise=1.0).untouched(table)
 
 

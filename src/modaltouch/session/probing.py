@@ -67,7 +67,7 @@ class Probing:
             return
         self._window.announce("hands_off")
         self._log.append("hands_off", before_trial=trial.index)
-        found = self._measured(self._prober.hands_off, "hands_off")
+        found = self._measured("the untouched beam", self._prober.hands_off, "hands_off")
         self._log.append("probe", hands="off", **self._settings, **found)
         self._block = trial.block
 
@@ -88,7 +88,7 @@ class Probing:
             self._window.settle(trial, progress)
             return self._prober.hands_on(expected)
 
-        found = self._measured(hands_on, "measure_again")
+        found = self._measured("the fingers", hands_on, "measure_again")
         ended = self._clock.now()
         self.preflight = preflight = with_measured(self._expected, trial, found)
         place = preflight.findings.placement(condition)
@@ -111,7 +111,7 @@ class Probing:
     def _settings(self) -> dict[str, float]:
         return {"speed_mm_s": self._prober.speed * 1e3, "laser_mm": self._prober.laser * 1e3}
 
-    def _measured(self, measure: Callable[[], dict[str, Any]], once_more: str) -> dict[str, Any]:
+    def _measured(self, what: str, measure: Callable[[], dict[str, Any]], once_more: str) -> dict[str, Any]:
         """Return what is measured, the participant asked again where it is refused."""
         for attempt in range(1, ATTEMPTS + 1):
             self._window.tell_measuring(STILL)
@@ -123,6 +123,6 @@ class Probing:
                 if attempt < ATTEMPTS:
                     self._window.announce(once_more)
         raise RigError(
-            f"the fingers could not be measured, {ATTEMPTS} times in a row ({refused}); the outputs are off; go on "
+            f"{what} could not be measured, {ATTEMPTS} times in a row ({refused}); the outputs are off; go on "
             "with `modaltouch resume`, or write `stimulus.fingers: typical` in a protocol of another name"
         ) from refused

@@ -217,7 +217,8 @@ class Probe:
         if noise > _WEAK:
             raise ValueError(
                 f"the probe is too weak: half of its responses hold more than {noise:.0%} of noise, allowed are "
-                f"{_WEAK:.0%}; probe at a higher speed, or look whether the vibrometer sees the beam"
+                f"{_WEAK:.0%}; look whether the vibrometer sees the beam; `fingers probe` also takes a higher "
+                "--speed-mm-s"
             )
         start = _identified(model)
         turned = self._responses(start)[0] * np.exp(-2j * np.pi * np.outer(_DELAYS, self.frequency))
