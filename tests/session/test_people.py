@@ -16,7 +16,7 @@ from modaltouch.cli import prompts
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError
 from modaltouch.protocol.people import PersonField
-from modaltouch.record import RecordInputError, SessionFolder, audit_session, read_session, survey
+from modaltouch.record import RecordError, RecordInputError, SessionFolder, audit_session, read_session, survey
 from modaltouch.session import Setup, begin, resume, simulate_session, wire_resume, wire_run
 
 SECTION = """
@@ -189,6 +189,17 @@ def test_a_lab_may_change_the_list(asking: Preflight, tmp_path: Path) -> None:
         "consent": "yes",
     }
     assert json.loads(side.read_text())["age"] == {"Description": "Age at the visit"}
+
+
+@pytest.mark.parametrize("text", ["{", "[]"])
+def test_a_faulty_side_file_is_refused_by_its_own_name(asking: Preflight, tmp_path: Path, text: str) -> None:
+    """The list of participants beside it is sound."""
+    place = SessionFolder(tmp_path, "simulated", "demo", "p02")
+    place.folder.mkdir(parents=True)
+    (place.dataset / "participants.json").write_text(text)
+    start = {"people": ANSWERS, "design": asking.experiment.protocol.model_dump(mode="json")}
+    with pytest.raises(RecordError, match=r"participants.json: cannot be read .*mend it or move it away"):
+        place.list_participants(start)
 
 
 def test_without_consent_nothing_is_stored(protocol: Path, tmp_path: Path) -> None:

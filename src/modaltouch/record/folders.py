@@ -215,15 +215,16 @@ class SessionFolder:
         fields = (start or {}).get("design", {}).get("people", {})
         answers = (start or {}).get("people", {})
         with self.hold_dataset():  # two sessions may begin at once: none may write a list that lacks the other
-            path, own = self.dataset / "participants.tsv", f"sub-{self.participant}"
+            table, side = self.dataset / "participants.tsv", self.dataset / "participants.json"
+            read, own = table, f"sub-{self.participant}"
             try:
-                text = path.read_text(encoding="utf-8") if path.exists() else ""
+                text = table.read_text(encoding="utf-8") if table.exists() else ""
                 rows = [line.split("\t") for line in text.splitlines() if line] or [["participant_id"]]
-                side = path.with_suffix(".json")
+                read = side
                 known = json.loads(side.read_text(encoding="utf-8")) if fields and side.exists() else {}
                 described = {name: _describe(field) for name, field in fields.items()} | known
             except (OSError, ValueError, TypeError) as error:
-                raise RecordError(f"{path}: cannot be read ({error}); mend it or move it away") from error
+                raise RecordError(f"{read}: cannot be read ({error}); mend it or move it away") from error
             header = [*rows[0], *(name for name in fields if name not in rows[0])]
             listed = {row[0] for row in rows}
             folders = sorted(folder.name for folder in self.dataset.glob("sub-*") if folder.is_dir())
@@ -233,7 +234,7 @@ class SessionFolder:
                 mine = answers if row[0] == own else {}
                 made += "\t".join(_cell(mine.get(name)) if cell == "n/a" else cell for name, cell in cells) + "\n"
             if made != text:
-                replace_text(path, made)
+                replace_text(table, made)
             if described != known:
                 replace_text(side, json.dumps(described, indent=2, ensure_ascii=False) + "\n")
 
