@@ -229,12 +229,15 @@ def _is_cut(velocity: FloatArray) -> bool:
 
 def _read_csv(path: Path) -> dict[str, FloatArray]:
     """Return the columns of a CSV file, (n_records, n_samples) arrays."""
-    header, *rows = path.read_text(encoding="utf-8-sig").splitlines() or [""]
+    # A byte that is no UTF-8 is told as the cell that it spoils.
+    header, *rows = path.read_text(encoding="utf-8-sig", errors="replace").splitlines() or [""]
     names = [name.strip() for name in header.split(",")]
     if "time_s" not in names:
         raise ValueError(f"{path}:1: lacks the column time_s; it has {header[:80]!r}")
     values = np.array([_numbers(path, line, row, len(names)) for line, row in enumerate(rows or [""], start=2)])
     time_s = values[:, names.index("time_s")]
+    if not np.isfinite(time_s).all():
+        raise ValueError(f"{_place(path, ~np.isfinite(time_s)[np.newaxis])}: time_s is no finite number")
     # A record begins wherever the time begins anew.
     begins = np.append(np.flatnonzero(np.diff(time_s, prepend=math.inf) <= 0), time_s.size)
     lengths = np.diff(begins)

@@ -152,6 +152,9 @@ def changed(line: int, text: str) -> list[str]:
         (changed(4, "0.00102,oops,0"), r"csv:4:2: 'oops' is no number"),
         (changed(7, "0.00105,0.1"), r"csv:7: has 2 cells, the header has 3"),
         (changed(9, "0.00107,nan,0"), r"csv:9: velocity_V is no finite number"),
+        (changed(2, "nan,0.1,0"), r"csv:2: time_s is no finite number"),
+        (changed(9, "inf,0.1,0"), r"csv:9: time_s is no finite number"),
+        (changed(4, "0.00102,0.1\udcb5,0"), r"csv:4:2: '0.1\ufffd' is no number"),
         (changed(12, "0.001105,0.1,0"), r"csv:12: time_s is not evenly spaced"),
         (csv_of()[:-1], r"csv:52: the record that begins here has 49 samples, the first has 50"),
         (csv_of(n_records=3), r"holds 3 records of 50 samples; asked for are 2 records"),
@@ -171,7 +174,7 @@ def test_a_wrong_file_is_refused_with_its_place_and_written_again(
         heard.append(text)
         wanted = json.loads((tmp_path / "wanted.json").read_text(encoding="utf-8"))
         content = csv_of() if len(heard) > 1 else lines
-        (tmp_path / f"{wanted['file']}.csv").write_text("\n".join(content), encoding="utf-8")
+        (tmp_path / f"{wanted['file']}.csv").write_text("\n".join(content), encoding="utf-8", errors="surrogateescape")
 
     with RecordedFiles(tmp_path, apparatus, MeasurementProgress(say=hear)) as scope:
         scope.configure(ASKED)
