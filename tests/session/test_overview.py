@@ -13,6 +13,7 @@ from outside import call
 
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError
+from modaltouch.record.chain import GENESIS, encode_line, read_chain
 from modaltouch.session import survey_results
 
 SHIPPED = Path(__file__).parents[2] / "protocols"
@@ -110,6 +111,42 @@ def test_the_next_participant_fills_the_gap_where_the_records_decide(
     told = [(each["participant"], each["session"], each["finger_conditions"]) for each in found["next"]]
     assert told == [("p01", 2, TWO), ("p02", 1, TWO), ("p03", 1, TWO)]
     assert [each["open"] for each in found["orders"]] == [0, 1]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"clock": "noon"},
+        {"event": ["stop"]},
+        {"event": "start", "design": "a design", "time": 5},
+        {"event": "start", "schedule": {"n_trials": 12, "seeds": "1"}},
+    ],
+)
+def test_a_log_that_says_something_else_ends_no_survey(
+    demo: Preflight, tmp_path: Path, scribe: Callable[..., Path], change: dict[str, Any]
+) -> None:
+    """Each line proves itself, but a value is none that this program writes: the other sessions are told."""
+    scribe(demo, tmp_path, "p01")
+    log = scribe(demo, tmp_path, "p03", n_answered=3)
+    events = list(read_chain(log).events)
+    place = 0 if change.get("event") == "start" else -1
+    events[place] = events[place] | change
+    lines, check = b"", GENESIS
+    for event in events:
+        line, check = encode_line(event, check)
+        lines += line
+    log.write_bytes(lines)
+    (found,) = json.loads(call(f"study {tmp_path} --json").stdout)["datasets"]
+    states = {row["participant"]: row["state"] for row in found["sessions"]}
+    assert states == {"p01": "complete", "p03": "interrupted" if place == 0 else "damaged"}
+    assert call(f"study {tmp_path}").status == 0
+
+
+def test_a_log_without_a_sound_line_is_damaged(tmp_path: Path, demo: Preflight, scribe: Callable[..., Path]) -> None:
+    """Not even its start can be read."""
+    scribe(demo, tmp_path, "p01").write_bytes(b"x\ny\n")
+    (found,) = survey_results(tmp_path)
+    assert [(row["state"], row["n_sittings"]) for row in found["sessions"]] == [("damaged", 0)]
 
 
 def test_a_folder_without_sessions_is_refused(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -94,7 +93,7 @@ def _tell(dataset: dict[str, Any]) -> dict[str, Any]:
                 row["participant"],
                 str(row["session"]),
                 row["state"] + (f": {row['why']}" if row["state"] in ("interrupted", "closed") else ""),
-                "–" if row["begun"] is None else datetime.fromisoformat(row["begun"]).strftime("%Y-%m-%d %H:%M"),
+                "–" if row["begun"] is None else str(row["begun"])[:16].replace("T", " "),
                 f"{row['duration_min']:.0f}" + (f" in {row['n_sittings']}" if row["n_sittings"] > 1 else ""),
                 "–" if row["n_answered"] is None else f"{row['n_answered']}/{row['n_trials']}",
             )

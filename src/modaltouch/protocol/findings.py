@@ -56,7 +56,7 @@ class Sources:
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Sources:
         """Return the sources that `as_dict` described."""
-        return cls(**{name: Source(Path(each["path"]), each["text"]) for name, each in values.items()})
+        return cls(**{name: Source(Path(each["path"]), str(each["text"])) for name, each in values.items()})
 
 
 @dataclass(frozen=True)

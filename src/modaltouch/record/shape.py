@@ -65,7 +65,8 @@ def check_shape(events: Iterable[dict[str, Any]], name: str, *, to_repeat: bool 
     problems = []
     for number, event in enumerate(events, 1):
         kind = event.get("event")
-        if not isinstance(kind, str) or not isinstance(event.get("n"), int):
+        clock = event.get("clock", 0.0)
+        if not isinstance(kind, str) or not isinstance(event.get("n"), int) or not isinstance(clock, (int, float)):
             problems.append(f"{name}:{number}: is no event of a session; nothing is known of such a line")
             continue
         if kind == "start" and event.get("schema", 1) not in READABLE:

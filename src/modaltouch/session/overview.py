@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from modaltouch.protocol import Findings, InputError, Protocol, Sources, Turn
 from modaltouch.record import RecordError, Session, SessionFolder, read_session
 from modaltouch.session.assignment import assign_turn, first_turn, propose_participant
 
-_AFTER_THE_END = frozenset({"stop", "closed", "recovered"})
+_AFTER_THE_END = ("stop", "closed", "recovered")
 """Events that may be written long after a sitting, when a record is mended."""
 
 
@@ -55,7 +56,7 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
     survey: dict[str, Any] = {
         "folder": str(dataset),
         "protocol": latest.protocol,
-        "title": str(start.get("design", {}).get("title", "")),
+        "title": "",
         "mode": latest.mode,
         "n_participants": len({row["participant"] for row in rows}),
         "sessions_each": None,
@@ -65,6 +66,7 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
         "notes": [],
     }
     try:
+        survey["title"] = str(start.get("design", {}).get("title", ""))
         protocol = Findings.restored(Sources.from_dict(start["sources"])).experiment().protocol
         # Whatever its mode, the dataset is a folder of that name.
         new = SessionFolder(dataset.parent, "real", dataset.name, propose_participant(dataset))
@@ -73,7 +75,7 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
         else:
             turn = Turn.of(new.participant, int(start["seed"]), 1)
         turns = {name: first_turn(session) for name, session in begun.items()}
-    except (InputError, RecordError, LookupError, TypeError, ValueError) as error:
+    except (InputError, RecordError, LookupError, AttributeError, TypeError, ValueError) as error:
         return survey | {"notes": [f"orders and next sessions are not known: {error or type(error).__name__}"]}
     n_each = protocol.schedule.sessions
     due = [each for name in turns if (each := _next_of(name, rows, n_each))]
@@ -129,9 +131,10 @@ def _state(session: Session) -> tuple[str, str]:
 def _sittings(session: Session) -> list[float]:
     """Return how long each sitting of a session took [s]; the clock counts anew after a restart of the machine."""
     begins = [place for place, event in enumerate(session.events) if event.get("event") in ("start", "resume")]
-    parts = (session.events[begin:end] for begin, end in zip(begins, [*begins[1:], None], strict=True))
-    clocks = ([e.get("clock", 0.0) for e in part if e.get("event") not in _AFTER_THE_END] for part in parts)
-    return [each[-1] - each[0] for each in clocks]
+    parts = (session.events[begin:end] for begin, end in pairwise([*begins, None]))
+    read = ([e.get("clock") for e in part if e.get("event") not in _AFTER_THE_END] for part in parts)
+    clocks = ([clock for clock in each if isinstance(clock, (int, float))] for each in read)
+    return [each[-1] - each[0] if each else 0.0 for each in clocks]
 
 
 def _next_of(participant: str, rows: list[dict[str, Any]], n_each: int) -> dict[str, Any] | None:
