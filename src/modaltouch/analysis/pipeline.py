@@ -78,6 +78,9 @@ def analyse(
     if responses.is_adaptive:
         from modaltouch.analysis.thresholds import analyse_runs, render_runs
 
+        for option, value in {"--figures": asked, "--prereg": prereg, "--model": model}.items():
+            if value:
+                raise InputError.of(option, "adaptive sessions", "sessions at fixed levels", f"leave {option} out")
         runs = analyse_runs(responses)
         return replace(runs, files=write_files(folder, render_runs(runs), about))
     analysis = _hold_against(prereg, _find(responses, model=model))
@@ -91,9 +94,12 @@ def _find(responses: Responses, *, model: bool) -> Analysis:
 
     counts = responses.count()
     findings = tuple(find(counts, responses.frame, responses.catches))
-    if model and counts.compares:
+    if model:
         from modaltouch.analysis.mixed_logistic import model_findings
 
+        if not counts.compares:
+            given, allowed = "answers that do not name each of two fingers alone", "answers that do"
+            raise InputError.of("--model", given, allowed, "leave --model out")
         findings += tuple(model_findings(counts, responses.frame))
     return Analysis(responses, counts, findings, {})
 
