@@ -4,11 +4,12 @@ import math
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.findings import holm, to_frame
-from modaltouch.analysis.statistics import find
+from modaltouch.analysis.statistics import find, level_tests
 
 
 def run_tests(frame):
@@ -185,6 +186,13 @@ class TestMissingAnswers:
         tests, whole = run_tests(gaps), run_tests(paper_frame)
         assert tests[["question", "name", "scope"]].equals(whole[["question", "name", "scope"]])
         assert tests["p"].dropna().between(0, 1, inclusive="right").all()
+
+
+def test_the_normal_law_is_named_where_it_is_used(paper_frame) -> None:
+    """By the answers given, as the test goes: 4 a participant of 800 asked for are shuffled exactly, 404 are not."""
+    few, many = count_answers(paper_frame, asked=200), count_answers(pd.concat([paper_frame] * 101))
+    assert not any("normal law" in note for note in level_tests(few).notes(0))
+    assert any("normal law" in note for note in level_tests(many).notes(0))
 
 
 def test_equivalence_is_said_where_it_is_shown_and_where_it_is_not(paper_frame) -> None:

@@ -185,7 +185,7 @@ def level_tests(answers: AnswerCounts) -> FamilyResult:
     scopes, labels, shares = _levels_of(answers)
     test = trend_test(shares.given, answers.levels, shares.answered if shares.is_short else shares.asked)
     alone = ["one level only: a trend needs two"] if len(answers.levels) < 2 else []
-    if shares.asked * len(answers.levels) > MOST_EXACT:
+    if (shares.answered.sum(axis=-1) > MOST_EXACT).any():
         alone.append(f"p by the normal law of the sum, as there are more than {MOST_EXACT} answers of each participant")
     return FamilyResult(
         scopes,
