@@ -47,7 +47,7 @@ def test_settings_that_differ_are_listed() -> None:
     """Two generators, one protocol."""
     settings = facts(session("p01"), session("p02")).settings
     assert settings["protocol"] == "touch"
-    assert settings["rig"] == "AFG of p01 (1 sessions); AFG of p02 (1 sessions)"
+    assert settings["rig"] == "AFG of p01 (sessions: 1); AFG of p02 (sessions: 1)"
 
 
 def test_the_end_of_a_complete_sitting_is_no_deviation() -> None:

@@ -75,7 +75,7 @@ def test_every_departure_is_said(analysis: Analysis, page: Path) -> None:
     assert " preregistered, a1 (6) analysed" in said
     assert "equivalence margin: 0.1 preregistered, none analysed" in said
     assert "protocol (SHA-256): 0 preregistered" in said
-    assert "3 sessions began before the day of the preregistration, 2999-01-01" in said
+    assert "3 of 3 sessions began before the day of the preregistration, 2999-01-01" in said
     assert len(departures) == 5
 
 

@@ -65,7 +65,7 @@ def _say_missing(shares: Shares) -> list[str]:
         return []
     low, high = (BoundedMean(each.mean(axis=-1), 0.0, 1.0).interval() for each in (shares.least, shares.most))
     return [
-        f"{n_missing} answers missing; with them the share could be {low.estimate[place]:.3g} to "
+        f"missing answers: {n_missing}; with them the share could be {low.estimate[place]:.3g} to "
         f"{high.estimate[place]:.3g}, its interval {low.low[place]:.3g} to {high.high[place]:.3g}"
         for place in range(len(shares.given))
     ]
@@ -84,7 +84,7 @@ def _paired_cells(answers: AnswerCounts) -> Iterator[Finding]:
         both = f"{answers.finger_conditions[f]} - {answers.finger_conditions[g]}"
         scope = f"{both} {pair.label} {answers.scale.say(answers.levels[v])}"
         note = f"{b} chose {shown} only in the first, {c} only in the second" + (
-            f"; {n - m} participants tied or without an answer left out" if m < n else ""
+            f"; left out as tied or without an answer: {n - m} of {n} participants" if m < n else ""
         )
         difference = BoundedMean([1.0] * b + [-1.0] * c + [0.0] * (m - b - c)).interval()
         yield finding_of("f", PAIRED, scope, None, f"difference of P({shown})", difference, m, notes=[note])

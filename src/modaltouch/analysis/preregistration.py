@@ -92,7 +92,8 @@ def find_departures(terms: Mapping[str, Any], analysis: Analysis) -> tuple[str, 
     ]
     early = [each.name for each in analysis.responses.sessions if each.day < str(terms.get("date", ""))]
     if early:
-        said.append(f"{len(early)} sessions began before the day of the preregistration, {terms['date']}")
+        n = len(analysis.responses.sessions)
+        said.append(f"{len(early)} of {n} sessions began before the day of the preregistration, {terms['date']}")
     return tuple(said)
 
 

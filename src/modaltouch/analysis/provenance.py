@@ -242,4 +242,4 @@ def _unanimous(values: Sequence[object]) -> str:
     known = Counter(str(value) for value in values if value not in (None, ""))
     if len(known) <= 1:
         return next(iter(known), "")
-    return "; ".join(f"{value} ({n} sessions)" for value, n in known.most_common(4))
+    return "; ".join(f"{value} (sessions: {n})" for value, n in known.most_common(4))

@@ -133,12 +133,12 @@ def design_limits(analysis: Analysis) -> list[str]:
         ),
         (
             n < 8,
-            f"With {n} participants no sign-flip test can pass Holm's correction over six tests: its smallest p is "
-            f"2/2^{n} = {2.0 ** (1 - n):.3g}. Eight are the fewest that can.",
+            f"With n = {n} no sign-flip test can pass Holm's correction over six tests: its smallest p is "
+            f"2/2^{n} = {2.0 ** (1 - n):.3g}. Eight participants are the fewest that can.",
         ),
         (
             True,
-            f"With {n} participants, finger conditions can be shown to be alike on average at best within "
+            f"With n = {n}, finger conditions can be shown to be alike on average at best within "
             f"{1 - 0.05 ** (1 / n):.2f}, where nobody's answers differ: people who differ may be missing by chance.",
         ),
         (

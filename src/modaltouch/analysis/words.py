@@ -133,10 +133,11 @@ def _answer_family(tested: Sequence[Finding], claim: str, answers: AnswerCounts)
     shown = [row for row in tested if row.p_holm <= ALPHA]
     clearest = min(tested, key=lambda row: (row.p_holm, row.p, -abs(row.estimate)))
     number = f"{_about(clearest, answers)}, p {say_p(clearest.p)}, Holm p {say_p(clearest.p_holm)}"
+    none = f"none of {m} tests" if m > 1 else "no test"
     if all(row.p_min > ALPHA for row in tested):
-        return f"The data cannot tell whether {claim}: none of {m} tests could reach p ≤ {ALPHA:g}. Estimate: {number}."
+        return f"The data cannot tell whether {claim}: {none} could reach p ≤ {ALPHA:g}. Estimate: {number}."
     if not shown:
-        return f"Not shown: none of {m} tests finds that {claim}. Smallest p: {number}."
+        return f"Not shown: {none} finds that {claim}. Smallest p: {number}."
     where = f"in all {m} tests" if len(shown) == m else f"in {len(shown)} of {m} tests"
     return f"Yes, {where if m > 1 else 'in the one test'}: {claim}. Clearest: {number}."
 

@@ -135,7 +135,7 @@ def tell(analysis: Any) -> None:
     if values.get("missing"):
         cells = "; ".join(f"{each['participant']} {each['cell']}" for each in values["missing"][:5])
         more = f" and {len(values['missing']) - 5} more cells" if len(values["missing"]) > 5 else ""
-        typer.secho(f"{values['n_missing']} answers missing: {cells}{more}", err=True, fg=typer.colors.YELLOW)
+        typer.secho(f"missing answers, {values['n_missing']}: {cells}{more}", err=True, fg=typer.colors.YELLOW)
     for left_out in values["left_out"]:
         typer.secho(f"left out: {left_out['source']}: {left_out['reason']}", err=True, fg=typer.colors.YELLOW)
     for departure in values.get("departures", ()):

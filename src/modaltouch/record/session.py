@@ -213,12 +213,12 @@ class Session:
         """Why an analysis leaves it out, sound as it is; empty where all its answers can be used."""
         if not self.complete and self.begun_anew_as is not None:
             return f"closed: begun anew as session {self.begun_anew_as}"
+        total = self.start.get("schedule", {}).get("n_trials", 0)
         if not self.complete:
-            total = self.start.get("schedule", {}).get("n_trials", 0)
             return f"incomplete: {self.n_answered} of {total} trials answered (go on with `modaltouch resume`)"
         n_timed_out = sum(event["response"]["answer"] == TIME_OUT for event in self.trials)
         is_adaptive = bool(self.start.get("design", {}).get("adaptive"))
-        return f"without an answer to {n_timed_out} trials, which timed out" if n_timed_out and is_adaptive else ""
+        return f"{n_timed_out} of {total} trials timed out without an answer" if n_timed_out and is_adaptive else ""
 
 
 def count(counting: dict[int, dict[str, Any]], event: dict[str, Any]) -> None:
