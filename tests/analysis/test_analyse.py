@@ -12,6 +12,7 @@ from html.parser import HTMLParser
 import pytest
 
 from modaltouch.analysis.pipeline import analyse, default_folder
+from modaltouch.analysis.report import design_limits
 from modaltouch.protocol import InputError
 
 
@@ -131,6 +132,15 @@ def test_equal_answers_give_a_whole_report(build, write_csv, tmp_path) -> None:
     """Nothing breaks when everyone always says the same; warnings are errors here."""
     analysis = analyse(write_csv(build["constant"](3)), tmp_path / "out")
     assert Page(analysis.files["report.html"].read_text(encoding="utf-8")).open == []
+
+
+@pytest.mark.parametrize(("zones", "size", "fewest"), [("ABC", 6, 8), ("A", 2, 7)])
+def test_how_many_participants_a_sign_flip_test_takes(build, write_csv, tmp_path, zones, size, fewest) -> None:
+    """2/2^N times the tests of the smallest family at most 0.05; the paper's six take eight."""
+    rows = [row for row in build["constant"](3) if row["zone_left"] in zones]
+    limits = design_limits(analyse(write_csv(rows), tmp_path / "out"))
+    (told,) = [limit for limit in limits if "no sign-flip test" in limit]
+    assert f"a family of {size}: its smallest p is 2/2^3 = 0.25. The fewest participants that can are {fewest}." in told
 
 
 def test_one_answer_is_the_smallest_analysis(write_csv, paper_rows, tmp_path) -> None:

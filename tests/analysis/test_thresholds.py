@@ -239,4 +239,4 @@ def test_runs_that_tell_no_threshold_are_in_the_legend() -> None:
     fitted = fit_psychometric([to_dB(60)] * 8, [True] * 8, guess_rate=0.02, most_lapse=0.06, catches=[])
     assert fitted.threshold is None
     figure = draw_thresholds([Run("p01", 1, "one_hand", "A-C", "", levels, successes, fitted)], (2.0, 200.0))
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["one_hand A-C"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["one hand A-C"]

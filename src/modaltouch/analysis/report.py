@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -45,7 +47,6 @@ def _cautions(answers: AnswerCounts) -> dict[str, str]:
         else "One participant alone: agreement between participants has no meaning.",
         "catch": "Catch trials are in no other table or test.",
         "time": "Bursts repeat at a fixed rate, so reaction times come in steps of one burst period.",
-        "order": "The paper does not state the order of the two finger conditions.",
     }
 
 
@@ -94,6 +95,9 @@ def design_limits(analysis: Analysis) -> list[str]:
     pairs = {(pair.left, pair.right) for pair in answers.pairs}
     tied = [pair for pair in answers.pairs if not pair.focused and (pair.right, pair.left) not in pairs]
     both, nothing = (answers.answers.naming(*fingers) for fingers in (("left", "right"), ()))
+    sizes = Counter(row.family for row in analysis.findings if row.family in ("a2", "c", "d"))
+    m = min(sizes.values(), default=1)
+    fewest = 1 + math.ceil(math.log2(m / ALPHA))
     known = [
         (
             analysis.responses.source.mode == "simulated",
@@ -132,9 +136,9 @@ def design_limits(analysis: Analysis) -> list[str]:
             "false alarms stay unknown.",
         ),
         (
-            n < 8,
-            f"With n = {n} no sign-flip test can pass Holm's correction over six tests: its smallest p is "
-            f"2/2^{n} = {2.0 ** (1 - n):.3g}. Eight participants are the fewest that can.",
+            n < fewest,
+            f"With n = {n} no sign-flip test can pass Holm's correction over a family of {m}: its smallest p is "
+            f"2/2^{n} = {2.0 ** (1 - n):.3g}. The fewest participants that can are {fewest}.",
         ),
         (
             True,

@@ -47,7 +47,7 @@ VELOCITY = LevelScale("velocity_mm_s", "peak velocity at the focus [mm/s]", "mm/
 
 OWN_THRESHOLD = LevelScale(
     "multiple_of_threshold",
-    "peak velocity at the focus [own threshold]",
+    "peak velocity at the focus [multiple of own threshold]",
     "x threshold",
     1.0,
     "one threshold",

@@ -138,7 +138,8 @@ def _answer_family(tested: Sequence[Finding], claim: str, answers: AnswerCounts)
         return f"The data cannot tell whether {claim}: {none} could reach p ≤ {ALPHA:g}. Estimate: {number}."
     if not shown:
         return f"Not shown: {none} finds that {claim}. Smallest p: {number}."
-    where = f"in all {m} tests" if len(shown) == m else f"in {len(shown)} of {m} tests"
+    all_of = "both" if m == 2 else f"all {m}"
+    where = f"in {all_of if len(shown) == m else f'{len(shown)} of {m}'} tests"
     return f"Yes, {where if m > 1 else 'in the one test'}: {claim}. Clearest: {number}."
 
 

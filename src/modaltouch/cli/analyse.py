@@ -140,5 +140,6 @@ def tell(analysis: Any) -> None:
         typer.secho(f"left out: {left_out['source']}: {left_out['reason']}", err=True, fg=typer.colors.YELLOW)
     for departure in values.get("departures", ()):
         typer.secho(f"departs from the preregistration: {departure}", err=True, fg=typer.colors.YELLOW)
+    width = max(map(len, values["files"]))
     for name, path in values["files"].items():
-        print(f"{name:12} {path}")
+        print(f"{name:{width}} {path}")

@@ -56,7 +56,7 @@ class Run:
     @property
     def kind(self) -> str:
         """Finger condition, pair and stimulus in words: what runs of other participants have alike."""
-        return " ".join(filter(None, (self.finger_condition, self.pair, self.stimulus)))
+        return " ".join(filter(None, (self.finger_condition.replace("_", " "), self.pair, self.stimulus)))
 
     @property
     def name(self) -> str:
