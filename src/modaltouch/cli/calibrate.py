@@ -37,12 +37,11 @@ def calibrate(
     several stimuli all are calibrated, into one file. Nothing is written before the end, and nothing that misses the
     protocol's `calibration.limits`, unless --accept is given: `run` then takes it with --with-marked-calibration alone.
     """
-    from modaltouch.lab import CalibrateOptions
     from modaltouch.lab import calibrate as measure
 
     with reporting(json_output=json_output):
         with bars() as progress:
-            report = measure(CalibrateOptions(protocol, out, rig, person, accept, record), progress)
+            report = measure(protocol, out, rig=rig, person=person, accept=accept, record=record, progress=progress)
         give(report, lambda _: _show(report.calibration, out, protocol), json_output=json_output)
 
 

@@ -50,13 +50,22 @@ def compare(
 
     Everything runs on the twin, whose true beam is the reference. All methods learn from the same recordings.
     """
-    from modaltouch.lab import CompareOptions, TooFewPointsError
+    from modaltouch.lab import TooFewPointsError
     from modaltouch.lab import compare as measure
 
     with reporting(json_output=json_output):
         try:
             with bars() as progress:
-                report = measure(CompareOptions(protocol, out, scan, points, averages, beams, seed), progress)
+                report = measure(
+                    protocol,
+                    out=out,
+                    scan=scan,
+                    points=points,
+                    averages=averages,
+                    beams=beams,
+                    seed=seed,
+                    progress=progress,
+                )
         except TooFewPointsError as error:
             raise typer.BadParameter(str(error)) from None
         give(report, lambda values: _show(report.table, report.paragraphs, values), json_output=json_output)

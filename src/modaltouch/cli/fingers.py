@@ -56,14 +56,24 @@ def probe(
     reaches under them, and its 95 % interval. The table must have all modes of the beam, even ones too; `modaltouch
     identify --modes all` finds them.
     """
-    from modaltouch.lab import ProbeOptions, probe_fingers
+    from modaltouch.lab import probe_fingers
 
     with reporting(json_output=json_output):
         laser = None if laser_mm is None else laser_mm * 1e-3
-        options = ProbeOptions(protocol, out, rig, pair, hand, laser, speed_mm_s * 1e-3, seed)
         try:
             with bars() as progress:
-                report = probe_fingers(options, progress, ask_for)
+                report = probe_fingers(
+                    protocol,
+                    out,
+                    rig=rig,
+                    pair=pair,
+                    hand=hand,
+                    laser=laser,
+                    speed=speed_mm_s * 1e-3,
+                    seed=seed,
+                    progress=progress,
+                    lay=ask_for,
+                )
         except ValueError as error:
             leave(BAD_INPUT, str(error), json_output=json_output)
         give(report, _show, json_output=json_output)

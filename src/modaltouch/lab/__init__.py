@@ -12,37 +12,33 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.lab.calibration.command import CalibrateOptions, calibrate
-    from modaltouch.lab.comparison.command import CompareOptions, compare
+    from modaltouch.lab.calibration.command import calibrate
+    from modaltouch.lab.comparison.command import compare
     from modaltouch.lab.identification.command import IdentifyOptions, identify
     from modaltouch.lab.laboratory import Laboratory, MeasurementProgress, TooFewPointsError
-    from modaltouch.lab.probe.command import ProbeOptions, probe_fingers
+    from modaltouch.lab.probe.command import probe_fingers
     from modaltouch.lab.probe.prober import Prober
-    from modaltouch.lab.validation.command import ValidateOptions, validate
+    from modaltouch.lab.validation.command import validate
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "calibration.command": "CalibrateOptions calibrate",
-            "comparison.command": "CompareOptions compare",
+            "calibration.command": "calibrate",
+            "comparison.command": "compare",
             "identification.command": "IdentifyOptions identify",
             "laboratory": "Laboratory MeasurementProgress TooFewPointsError",
-            "probe.command": "ProbeOptions probe_fingers",
+            "probe.command": "probe_fingers",
             "probe.prober": "Prober",
-            "validation.command": "ValidateOptions validate",
+            "validation.command": "validate",
         },
     )
 
 __all__ = [
-    "CalibrateOptions",
-    "CompareOptions",
     "IdentifyOptions",
     "Laboratory",
     "MeasurementProgress",
-    "ProbeOptions",
     "Prober",
     "TooFewPointsError",
-    "ValidateOptions",
     "calibrate",
     "compare",
     "identify",

@@ -162,14 +162,14 @@ def test_what_misses_is_written_only_if_accepted(
     limits = "calibration: {limits: {velocity_mm_s: 0.02}}\n\nschedule:"
     protocol = edit("differentiated_stimulation.yaml", ("\nschedule:", f"\n{limits}"))
     monkeypatch.setattr(command, "calibrate_each", lambda *_: {"": outcome})
-    options = command.CalibrateOptions(protocol, tmp_path / "c.yaml", accept=accept)
+    out = tmp_path / "c.yaml"
     if not accept:
         with pytest.raises(RigError, match=r"velocity_mm_s 0\.\d+ at 200 mm/s \(allowed 0\.02\).*nothing is.*--accept"):
-            command.calibrate(options)
-        assert not options.out.exists()
+            command.calibrate(protocol, out, accept=accept)
+        assert not out.exists()
         return
-    command.calibrate(options).write()
-    reading = examine_calibration(Source.load(options.out))
+    command.calibrate(protocol, out, accept=accept).write()
+    reading = examine_calibration(Source.load(out))
     assert reading.problems == ()
     (problem,) = check_mark(reading)
     assert problem.path == "missed"

@@ -232,13 +232,13 @@ def test_other_instants_than_before_are_refused(
 @pytest.mark.parametrize("order", ["calibrate", "validate"])
 def test_commands_wait_for_files(order: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`--record` with nobody who writes: the wait ends with the name of the file, and nothing is written."""
-    from modaltouch.lab import CalibrateOptions, ValidateOptions, calibrate, validate
+    from modaltouch.lab import calibrate, validate
 
     monkeypatch.setattr(RecordedFiles, "slowest", 0.01)
     folder, out = tmp_path / "records", tmp_path / "out"
     orders = {
-        "calibrate": lambda: calibrate(CalibrateOptions(PROTOCOLS / "demo.yaml", out, record=folder)),
-        "validate": lambda: validate(ValidateOptions(PROTOCOLS / "demo.yaml", out=out, record=folder)),
+        "calibrate": lambda: calibrate(PROTOCOLS / "demo.yaml", out, record=folder),
+        "validate": lambda: validate(PROTOCOLS / "demo.yaml", out=out, record=folder),
     }
     with pytest.raises(RigError, match=r"no record came as .*records.0001\.csv or \.npz within 0\.00"):
         orders[order]()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from modaltouch.lab import ProbeOptions, probe_fingers
+from modaltouch.lab import probe_fingers
 from modaltouch.lab.laboratory import open_laboratory
 from modaltouch.lab.probe.excitation import Excitation
 from modaltouch.preflight import design, examine
@@ -45,7 +45,7 @@ def written(protocol):
     """What the probe of A and C found, its file on the disk; the fingers lie where they are expected."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("modaltouch.lab.probe.command.PLACE_ERROR", 0.0)
-        return probe_fingers(ProbeOptions(protocol, protocol.parent / "mine.yaml", pair="A-C", seed=5)).write()
+        return probe_fingers(protocol, protocol.parent / "mine.yaml", pair="A-C", seed=5).write()
 
 
 def test_fingers_are_what_the_twin_has(written):
@@ -99,19 +99,19 @@ def test_file_serves_a_check(written, protocol):
 def test_file_is_not_overwritten(written, protocol):
     """Somebody may have used it."""
     with pytest.raises(RecordError, match="is there already and is not overwritten; give another file with --out"):
-        probe_fingers(ProbeOptions(protocol, Path(written["file"])))
+        probe_fingers(protocol, Path(written["file"]))
 
 
 def test_shipped_table_is_refused(tmp_path):
     """It lacks even modes; nothing is opened."""
     with pytest.raises(ValueError, match=r"the table lacks modes 2, 4, .* run `modaltouch identify --modes all`"):
-        probe_fingers(ProbeOptions(Path("under_the_finger"), tmp_path / "fingers.yaml", rig="no rig"))
+        probe_fingers(Path("under_the_finger"), tmp_path / "fingers.yaml", rig="no rig")
 
 
 def test_unknown_pair_is_refused(protocol, tmp_path):
     """Given, and what is allowed."""
     with pytest.raises(ValueError, match="--pair is 'A-E'; allowed: A-C, B-D, C-E, the pairs of under_the_finger"):
-        probe_fingers(ProbeOptions(protocol, tmp_path / "fingers.yaml", pair="A-E"))
+        probe_fingers(protocol, tmp_path / "fingers.yaml", pair="A-E")
 
 
 def test_noise_is_that_of_the_records(protocol):

@@ -20,34 +20,6 @@ from modaltouch.rig import RigError
 
 
 @dataclass(frozen=True)
-class CalibrateOptions:
-    """What is calibrated.
-
-    Attributes
-    ----------
-    protocol : Path
-        A YAML file, or the name of a shipped protocol.
-    out : Path
-        The calibration file; never overwritten.
-    rig : str
-        ``simulated``, or the generator's VISA address.
-    person : str
-        Who calibrates, for the file.
-    accept : bool
-        Whether one that misses its limits is written, with a mark.
-    record : Path or None
-        Folder where another scope leaves its records as files, instead of a PicoScope.
-    """
-
-    protocol: Path
-    out: Path
-    rig: str = SIMULATED
-    person: str = ""
-    accept: bool = False
-    record: Path | None = None
-
-
-@dataclass(frozen=True)
 class CalibrationReport:
     """A finished calibration, and the file where it is to be kept."""
 
@@ -60,20 +32,34 @@ class CalibrationReport:
         return {**self.calibration.model_dump(mode="json"), "file": str(self.out)}
 
 
-def calibrate(options: CalibrateOptions, progress: MeasurementProgress | None = None) -> CalibrationReport:
+def calibrate(
+    protocol: Path,
+    out: Path,
+    *,
+    rig: str = SIMULATED,
+    person: str = "",
+    accept: bool = False,
+    record: Path | None = None,
+    progress: MeasurementProgress | None = None,
+) -> CalibrationReport:
     """Calibrate every stimulus of a protocol on a rig.
 
     Parameters
     ----------
-    options : CalibrateOptions
-        What is calibrated.
+    protocol : Path
+        A YAML file, or the name of a shipped protocol.
+    out : Path
+        The calibration file; never overwritten.
+    rig : str
+        ``simulated``, or the generator's VISA address.
+    person : str
+        Who calibrates, for the file.
+    accept : bool
+        Whether one that misses its limits is written, with a mark.
+    record : Path, optional
+        Folder where another scope leaves its records as files, instead of a PicoScope.
     progress : MeasurementProgress, optional
         What is called meanwhile.
-
-    Returns
-    -------
-    CalibrationReport
-        Nothing is written yet.
 
     Raises
     ------
@@ -84,17 +70,17 @@ def calibrate(options: CalibrateOptions, progress: MeasurementProgress | None = 
     RigError
         If the rig fails, is not the one of the apparatus file, or leaves more than ``calibration.limits`` allows.
     """
-    preflight = examine(options.protocol, uncalibrated=True).of_untouched_beam()
+    preflight = examine(protocol, uncalibrated=True).of_untouched_beam()
     experiment, inputs_of = preflight.experiment, design_inputs_of(preflight)
     between = levels_between(experiment.protocol)
-    prepare_file(options.out)
+    prepare_file(out)
     with (
         (progress or MeasurementProgress()).interruptible() as heard,
         open_laboratory(
             experiment.apparatus,
-            options.rig,
+            rig,
             aim=heard.aim,
-            scope=RecordedFiles(options.record, experiment.apparatus, heard) if options.record else None,
+            scope=RecordedFiles(record, experiment.apparatus, heard) if record else None,
         ) as laboratory,
     ):
         outcomes = calibrate_each(laboratory, experiment.apparatus, inputs_of, heard, between)
@@ -105,16 +91,16 @@ def calibrate(options: CalibrateOptions, progress: MeasurementProgress | None = 
             generator=laboratory.rig.identity,
             scope=laboratory.scope.identity,
             mode=laboratory.mode,
-            person=options.person,
+            person=person,
             made=datetime.now().astimezone(),
             marks={name: mark_of(outcome, experiment.protocol) for name, outcome in outcomes.items()},
         )
-    if calibration.mark and not options.accept:
+    if calibration.mark and not accept:
         raise RigError(
             f"the calibration misses its limits: {calibration.mark}; the outputs are off and nothing is written; with "
             "--accept it is written with a mark, and used with --with-marked-calibration"
         )
-    return CalibrationReport(calibration, options.out)
+    return CalibrationReport(calibration, out)
 
 
 N_BETWEEN = 3

@@ -83,14 +83,10 @@ def draw_price(rows: Sequence[Row], limit: float) -> Figure:
             right.scatter(row["energy_V2_s"], row[pairs[0]], linewidth=0.7, **look)
         left.axvline(limit, color=INK, linestyle="--", linewidth=0.8)
         left.text(limit, 0.5, "limit ", ha="right", fontsize=7, transform=left.get_xaxis_transform())
-        left.set_xscale("log")
-        left.set_yscale("log")
-        left.set_xlabel("peak voltage [V]")
-        left.set_ylabel("distance from the target\nfield, rms [mm/s]")
-        right.set_xscale("log")
-        right.set_xlabel("energy [V² s]")
-        right.set_ylabel(f"contrast of ({', '.join(pairs[0].split('_')[1:])})")
+        left.set(yscale="log", xlabel="peak voltage [V]", ylabel="distance from the target\nfield, rms [mm/s]")
+        right.set(xlabel="energy [V² s]", ylabel=f"contrast of ({', '.join(pairs[0].split('_')[1:])})")
         for axes in (left, right):
+            axes.set_xscale("log")
             axes.margins(0.12)
             quiet_grid(axes)
         right.set_ylim(0, 1.15 * max(row[pairs[0]] for row in rows))
@@ -125,35 +121,6 @@ def _draw_dots(axes: Axes, place: int, others: Sequence[float], learned: float) 
     shaken = place + 0.22 * np.cos(np.arange(len(others)) * 2.4)
     axes.scatter(others, shaken, s=9, color=MIDDLE, edgecolor=INK, linewidth=0.3)
     axes.plot([learned, learned], [place - 0.36, place + 0.36], color=DARK, linewidth=2)
-
-
-@dataclass(frozen=True)
-class CompareOptions:
-    """What is compared, and how much is measured.
-
-    Attributes
-    ----------
-    protocol : Path
-        A YAML file, or the name of a shipped protocol.
-    out : Path or None
-        Folder for page, figures and tables; ``comparison/<protocol>`` if not given.
-    scan : Path or None
-        Folder that keeps the recordings, so that an interrupted comparison continues there.
-    points, averages : int
-        Control points along the beam, and records at each.
-    beams : int
-        Other beams that the drives are played on.
-    seed : int
-        Of the first of them; the next ones follow.
-    """
-
-    protocol: Path
-    out: Path | None = None
-    scan: Path | None = None
-    points: int = 41
-    averages: int = 2
-    beams: int = 20
-    seed: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,20 +219,35 @@ class ComparisonReport:
         return {**values, "files": {name: str(path) for name, path in written.items()}}
 
 
-def compare(options: CompareOptions, progress: MeasurementProgress | None = None) -> ComparisonReport:
+def compare(
+    protocol: Path,
+    *,
+    out: Path | None = None,
+    scan: Path | None = None,
+    points: int = 41,
+    averages: int = 2,
+    beams: int = 20,
+    seed: int = 1,
+    progress: MeasurementProgress | None = None,
+) -> ComparisonReport:
     """Design a drive by every method from the same recordings, and judge them all by the twin's true beam.
 
     Parameters
     ----------
-    options : CompareOptions
-        What is compared.
+    protocol : Path
+        A YAML file, or the name of a shipped protocol.
+    out : Path, optional
+        Folder for page, figures and tables; ``comparison/<protocol>`` if not given.
+    scan : Path, optional
+        Folder that keeps the recordings, so that an interrupted comparison continues there.
+    points, averages : int
+        Control points along the beam, and records at each.
+    beams : int
+        Other beams that the drives are played on.
+    seed : int
+        Of the first of them; the next ones follow.
     progress : MeasurementProgress, optional
         What is called meanwhile.
-
-    Returns
-    -------
-    ComparisonReport
-        Nothing is written yet but the recordings.
 
     Raises
     ------
@@ -278,22 +260,20 @@ def compare(options: CompareOptions, progress: MeasurementProgress | None = None
     RigError
         If the twin's generator does not confirm a drive.
     """
-    preflight = examine(options.protocol).of_untouched_beam()
+    preflight = examine(protocol).of_untouched_beam()
     experiment = preflight.experiment
-    folder = options.out or Path("comparison") / experiment.protocol.protocol
+    folder = out or Path("comparison") / experiment.protocol.protocol
     refuse_other(folder, COMMAND)
-    TooFewPointsError.check(options.points, preflight.stimulus.model.label)
+    TooFewPointsError.check(points, preflight.stimulus.model.label)
     with (progress or MeasurementProgress()).interruptible() as heard:
-        responses = learn(
-            preflight, n_points=options.points, n_records=options.averages, folder=options.scan, progress=heard
-        )
-        found = contest(preflight, responses, n_beams=options.beams, seed=options.seed, progress=heard)
+        responses = learn(preflight, n_points=points, n_records=averages, folder=scan, progress=heard)
+        found = contest(preflight, responses, n_beams=beams, seed=seed, progress=heard)
     about = {
         "title": experiment.protocol.title or experiment.protocol.protocol,
-        "protocol": str(options.protocol),
+        "protocol": str(protocol),
         "apparatus": experiment.apparatus.apparatus,
-        "seed": options.seed,
-        "n_records": options.averages,
+        "seed": seed,
+        "n_records": averages,
         "commit": commit(),
     }
     return ComparisonReport(found, experiment.protocol.stimulus.focus, about, folder)

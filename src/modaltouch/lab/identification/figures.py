@@ -80,8 +80,7 @@ def draw_fits(identification: Identification) -> Figure:
         panels[0, 0].set_ylabel(_unit(identification))
         quiet = float(np.nanmedian(np.abs((flat - fitted)[list(shown)])))
         panels[0, 0].set_ylim(200 * quiet, 2e3 * float(np.abs(flat[list(shown)]).max()))
-        panels[1, 0].set_ylabel("phase [degrees]")
-        panels[1, 0].set_yticks([-180, -90, 0, 90, 180])
+        panels[1, 0].set(ylabel="phase [degrees]", yticks=range(-180, 181, 90))
         figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     return figure
 
@@ -128,8 +127,7 @@ def draw_stability(identification: Identification) -> Figure:
         for kind, (label, look) in enumerate(STABILITIES):
             given: dict[str, Any] = {"color": DARK, "ms": 3.4, "mew": 0.7, "ls": "", **look}
             axes.plot(frequency[stability == kind] / 1e3, order[stability == kind], label=label, **given)
-        axes.set_ylim(0, HIGHEST_ORDER + 1)
-        axes.set_ylabel("model order, in each band")
+        axes.set(ylabel="model order, in each band", ylim=(0, HIGHEST_ORDER + 1))
         _mark_modes(axes, identification)
         _frequency_axis(axes, responses.frequency)
         figure.legend(loc="outside lower center", ncols=3, frameon=False)
@@ -172,8 +170,7 @@ def draw_coherence(identification: Identification) -> Figure:
             axes.fill_between(frequency, low[kept], high[kept], color=LIGHT, lw=0)
             axes.plot(frequency, median[kept], color=_colour(row), lw=0.9)
             _mark_modes(axes, identification, labelled=row == 0)
-            axes.set_ylim(0, 1.02)
-            axes.set_ylabel(f"{responses.sets[row]}: coherence")
+            axes.set(ylabel=f"{responses.sets[row]}: coherence", ylim=(0, 1.02))
         _frequency_axis(panels[-1, 0], responses.frequency)
         figure.suptitle("Coherence: median over the points, and its 10th to 90th percentile (shaded)", fontsize=10)
     return figure
@@ -246,8 +243,7 @@ def _frequency_axis(axes: Axes, frequency: FloatArray) -> None:
     low, high = float(frequency[0]) / 1e3, float(frequency[-1]) / 1e3
     axes.set_xscale("log", subs=(1, 2, 5))
     _plain_ticks(axes.xaxis, (1.0,) if high > 100 * low else (1.0, 2.0, 5.0))
-    axes.set_xlim(low, high)
-    axes.set_xlabel("frequency [kHz]")
+    axes.set(xlabel="frequency [kHz]", xlim=(low, high))
 
 
 def _velocity_axis(axes: Axes) -> None:

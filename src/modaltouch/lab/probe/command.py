@@ -32,40 +32,6 @@ PLACE_ERROR = 2e-3
 
 
 @dataclass(frozen=True)
-class ProbeOptions:
-    """What is probed.
-
-    Attributes
-    ----------
-    protocol : Path
-        A YAML file, or the name of a shipped protocol.
-    out : Path
-        The file of fingers; never overwritten.
-    rig : str
-        ``simulated``, or the generator's VISA address.
-    pair : str
-        Zones under the fingers, such as ``A-C``; the protocol's first pair if empty.
-    hand : str or None
-        Hand that is used in ``one_hand``, instead of the protocol's.
-    laser : float or None
-        Where the vibrometer aims [m from mid-beam]; near the end of the beam that is farther from fingers if not given.
-    speed : float
-        Highest that the beam is moved at under fingers and laser [m/s].
-    seed : int or None
-        Of the simulated rig and its fingers, instead of its own.
-    """
-
-    protocol: Path
-    out: Path
-    rig: str = SIMULATED
-    pair: str = ""
-    hand: Literal["left", "right"] | None = None
-    laser: float | None = None
-    speed: float = SPEED
-    seed: int | None = None
-
-
-@dataclass(frozen=True)
 class ProbeReport:
     """What was found at each placement.
 
@@ -94,14 +60,35 @@ class ProbeReport:
 
 
 def probe_fingers(
-    options: ProbeOptions, progress: MeasurementProgress | None = None, lay: Callable[[str], None] = quiet
+    protocol: Path,
+    out: Path,
+    *,
+    rig: str = SIMULATED,
+    pair: str = "",
+    hand: Literal["left", "right"] | None = None,
+    laser: float | None = None,
+    speed: float = SPEED,
+    seed: int | None = None,
+    progress: MeasurementProgress | None = None,
+    lay: Callable[[str], None] = quiet,
 ) -> ProbeReport:
     """Measure the fingers of every finger condition of a protocol, on one pair of zones.
 
     Parameters
     ----------
-    options : ProbeOptions
-        What is probed.
+    protocol, out : Path
+        A YAML file or the name of a shipped protocol, and the file of fingers, which is never overwritten.
+    rig : str
+        ``simulated``, or the generator's VISA address.
+    pair : str
+        Zones under the fingers, such as ``A-C``; the protocol's first pair if empty.
+    hand : str, optional
+        Hand that is used in ``one_hand``, instead of the protocol's.
+    laser, speed : float
+        Where the vibrometer aims [m], by itself near the end of the beam that is farther from fingers, and the highest
+        speed there and under fingers [m/s].
+    seed : int, optional
+        Of the simulated rig and its fingers, instead of its own.
     progress : MeasurementProgress, optional
         What is called meanwhile.
     lay : callable
@@ -116,21 +103,21 @@ def probe_fingers(
     RigError
         If the rig fails.
     """
-    plan = _Plan(options)
-    prepare_file(options.out)
+    plan = _Plan(protocol, pair, hand, seed)
+    prepare_file(out)
     with (
         (progress or MeasurementProgress()).interruptible() as heard,
-        open_laboratory(plan.apparatus, options.rig, seed=options.seed, aim=heard.aim) as bench,
+        open_laboratory(plan.apparatus, rig, seed=seed, aim=heard.aim) as bench,
     ):
-        return plan.carried_out(bench, partial(heard.show, "probes"), lay)
+        prober = Prober(bench, plan.fingers, laser, speed)
+        return plan.carried_out(prober, bench, partial(heard.show, "probes"), lay, out)
 
 
 class _Plan:
     """What is probed and where, checked before anything is opened."""
 
-    def __init__(self, options: ProbeOptions) -> None:
-        self.options = options
-        preflight = examine(options.protocol)
+    def __init__(self, file: Path, pair: str, hand: Literal["left", "right"] | None, seed: int | None) -> None:
+        preflight = examine(file)
         self.inputs, _ = preflight.sound
         findings = preflight.findings
         if findings.fingers is None:
@@ -138,15 +125,15 @@ class _Plan:
         placements, protocol = findings.placements, findings.experiment().protocol
         if placements is None:
             raise InputError(findings.problems)
-        if options.hand is not None:
-            conditions = protocol.conditions.model_copy(update={"hand": options.hand})
+        if hand is not None:
+            conditions = protocol.conditions.model_copy(update={"hand": hand})
             placements = replace(placements, protocol=protocol.model_copy(update={"conditions": conditions}))
         self.placements = placements
-        self.rng = np.random.default_rng([options.seed or 0, 2])
+        self.rng = np.random.default_rng([seed or 0, 2])
         self.apparatus = findings.with_true_fingers(self.rng)
         Probe.check_table(self.apparatus.modal_model())
         pairs = {"-".join(pair): pair for pair in protocol.conditions.zone_pairs}
-        pair = options.pair or next(iter(pairs))
+        pair = pair or next(iter(pairs))
         if pair not in pairs:
             raise ValueError(f"--pair is {pair!r}; allowed: {', '.join(pairs)}, the pairs of {protocol.protocol}")
         self.conditions = {
@@ -161,12 +148,15 @@ class _Plan:
         places = np.array([finger.position for _, finger in expected.values()])
         bench.simulator.touch((places + PLACE_ERROR * self.rng.standard_normal(places.size)).tolist())
 
+    @property
+    def fingers(self) -> list[list[Finger]]:
+        """Those that are expected under each condition."""
+        return [[finger for _, finger in expected.values()] for expected in self.conditions.values()]
+
     def carried_out(
-        self, bench: Laboratory, show: Callable[[int, int], None], lay: Callable[[str], None]
+        self, prober: Prober, bench: Laboratory, show: Callable[[int, int], None], lay: Callable[[str], None], out: Path
     ) -> ProbeReport:
         """What was found, and the file of it; of a finger that lay on the beam twice, the first time counts."""
-        placements = [[finger for _, finger in expected.values()] for expected in self.conditions.values()]
-        prober = Prober(bench, placements, self.options.laser, self.options.speed)
         self.lay(bench, {}, lay, "Take all hands off the beam")
         prober.hands_off()
         hands: dict[str, dict[str, Any]] = {}
@@ -199,4 +189,4 @@ class _Plan:
         about = {"description": f"Measured by `modaltouch fingers probe` for {self.placements.protocol.protocol}"}
         file = self.placements.file.model_validate(about | {"fingers": hands, "probes": probes})
         values = file.model_dump(mode="json", exclude_defaults=True)
-        return ProbeReport(shown, values["fingers"], HEAD + yaml_text(values), self.options.out)
+        return ProbeReport(shown, values["fingers"], HEAD + yaml_text(values), out)

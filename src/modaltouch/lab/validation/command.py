@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, TooFewPointsError, open_laboratory
 from modaltouch.lab.output import rounded
 from modaltouch.lab.recorded_files import RecordedFiles
+from modaltouch.lab.scan import Scan
 from modaltouch.lab.validation.evidence import Evidence, evaluate
 from modaltouch.lab.validation.figures import (
     PAPER_WORST,
@@ -38,39 +39,6 @@ COMMAND = "validate"
 
 MAP_CSV_STEP = 10e-6
 """From one instant of the map's table to the next [s]."""
-
-
-@dataclass(frozen=True)
-class ValidateOptions:
-    """What is validated, and how much is measured.
-
-    Attributes
-    ----------
-    protocol : Path
-        A YAML file, or the name of a shipped protocol.
-    calibration : Path or None
-        Calibration file to use instead of the one that the protocol names.
-    rig : str
-        ``simulated``, or the generator's VISA address.
-    out : Path or None
-        Folder for page, figures and tables; ``validation/<protocol>`` if not given.
-    scan : Path or None
-        Folder that keeps the recordings: a scan that was stopped goes on there, a complete one is read and no rig is
-        opened.
-    points, averages : int
-        Points along the beam, and records at each.
-    record : Path or None
-        Folder where another scope leaves its records as files, instead of a PicoScope.
-    """
-
-    protocol: Path
-    calibration: Path | None = None
-    rig: str = SIMULATED
-    out: Path | None = None
-    scan: Path | None = None
-    points: int = 41
-    averages: int = 10
-    record: Path | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,20 +114,38 @@ class ValidationReport:
         return {**values, "files": {name: str(path) for name, path in written.items()}}
 
 
-def validate(options: ValidateOptions, progress: MeasurementProgress | None = None) -> ValidationReport:
+def validate(
+    protocol: Path,
+    *,
+    calibration: Path | None = None,
+    rig: str = SIMULATED,
+    out: Path | None = None,
+    scan: Path | None = None,
+    points: int = 41,
+    averages: int = 10,
+    record: Path | None = None,
+    progress: MeasurementProgress | None = None,
+) -> ValidationReport:
     """Play the drive of both laws, scan the beam, and compare the measured fields with the target and the prediction.
 
     Parameters
     ----------
-    options : ValidateOptions
-        What is validated.
+    protocol : Path
+        A YAML file, or the name of a shipped protocol.
+    calibration : Path, optional
+        Calibration file to use instead of the one that the protocol names.
+    rig : str
+        ``simulated``, or the generator's VISA address.
+    out : Path, optional
+        Folder for page, figures and tables; ``validation/<protocol>`` if not given.
+    scan : Path, optional
+        Folder that keeps the recordings: a scan that was stopped goes on there, a complete one needs no rig.
+    points, averages : int
+        Points along the beam, and records at each.
+    record : Path, optional
+        Folder where another scope leaves its records as files, instead of a PicoScope.
     progress : MeasurementProgress, optional
         What is called meanwhile.
-
-    Returns
-    -------
-    ValidationReport
-        Nothing is written yet but the recordings.
 
     Raises
     ------
@@ -172,17 +158,54 @@ def validate(options: ValidateOptions, progress: MeasurementProgress | None = No
     RigError
         If the rig fails.
     """
-    preflight = examine(options.protocol, options.calibration, marked=True).of_untouched_beam().of_one_stimulus()
-    experiment = preflight.experiment
-    folder = options.out or Path("validation") / experiment.protocol.protocol
+    preflight = examine(protocol, calibration, marked=True).of_untouched_beam().of_one_stimulus()
+    folder = out or Path("validation") / preflight.experiment.protocol.protocol
     refuse_other(folder, COMMAND)
-    TooFewPointsError.check(options.points, preflight.stimulus.model.label)
-    observed = _observe(preflight, options, progress or MeasurementProgress())
-    field = observed[0].field
-    calibration = preflight.findings.calibration
-    context = {
+    TooFewPointsError.check(points, preflight.stimulus.model.label)
+    observed = _observe(preflight, rig, scan, points, averages, record, progress or MeasurementProgress())
+    context = _context(preflight, protocol, observed[0].field)
+    return ValidationReport(evaluate(observed), preflight.experiment.protocol.conditions.zone_pairs, context, folder)
+
+
+def _observe(
+    preflight: Preflight,
+    rig: str,
+    folder: Path | None,
+    points: int,
+    averages: int,
+    record: Path | None,
+    progress: MeasurementProgress,
+) -> list[Observation]:
+    """Return what was recorded, now or before."""
+    experiment, (inputs, stimulus) = preflight.experiment, preflight.sound
+    if folder is not None and complete(folder):
+        return read_laws(inputs, folder)
+    with (
+        progress.interruptible() as heard,
+        open_laboratory(
+            experiment.apparatus,
+            rig,
+            aim=heard.aim,
+            scope=RecordedFiles(record, experiment.apparatus, heard) if record else None,
+        ) as laboratory,
+    ):
+        return record_laws(
+            inputs,
+            laboratory,
+            stimulus.target_field.velocity,
+            n_points=points,
+            n_records=averages,
+            folder=folder,
+            source=experiment.sources.apparatus,
+            progress=heard,
+        )
+
+
+def _context(preflight: Preflight, protocol: Path, field: Scan) -> dict[str, Any]:
+    experiment, calibration = preflight.experiment, preflight.findings.calibration
+    return {
         "title": experiment.protocol.title or experiment.protocol.protocol,
-        "protocol": str(options.protocol),
+        "protocol": str(protocol),
         "apparatus": experiment.apparatus.apparatus,
         "mode": field.mode,
         "generator": field.facts["settings"]["generator"],
@@ -191,33 +214,6 @@ def validate(options: ValidateOptions, progress: MeasurementProgress | None = No
         "calibration": None if calibration is None else str(calibration.source.path),
         "commit": commit(),
     }
-    return ValidationReport(evaluate(observed), experiment.protocol.conditions.zone_pairs, context, folder)
-
-
-def _observe(preflight: Preflight, options: ValidateOptions, progress: MeasurementProgress) -> list[Observation]:
-    """Return what was recorded, now or before."""
-    experiment, (inputs, stimulus) = preflight.experiment, preflight.sound
-    if options.scan is not None and complete(options.scan):
-        return read_laws(inputs, options.scan)
-    with (
-        progress.interruptible() as heard,
-        open_laboratory(
-            experiment.apparatus,
-            options.rig,
-            aim=heard.aim,
-            scope=RecordedFiles(options.record, experiment.apparatus, heard) if options.record else None,
-        ) as laboratory,
-    ):
-        return record_laws(
-            inputs,
-            laboratory,
-            stimulus.target_field.velocity,
-            n_points=options.points,
-            n_records=options.averages,
-            folder=options.scan,
-            source=experiment.sources.apparatus,
-            progress=heard,
-        )
 
 
 def _draw(evidences: Sequence[Evidence], limit: float) -> dict[str, tuple[Figure, str]]:

@@ -42,11 +42,9 @@ def draw_decomposition(evidence: Evidence) -> Figure:
         for name, which, look in kinds:
             axes.bar(labels[which], wished[which], width=0.72, edgecolor=INK, linewidth=0.6, label=name, **look)
         axes.axhline(0, color=INK, linewidth=0.7)
-        axes.set_xlim(0.2, min(wished.size, 50) + 0.8)
-        axes.set_xticks([*range(1, min(wished.size, 50) + 1, 2)])
+        last = min(wished.size, 50)
+        axes.set(xlabel="mode", ylabel="coefficient [mm/s]", xlim=(0.2, last + 0.8), xticks=range(1, last + 1, 2))
         axes.tick_params(axis="x", labelsize=7)
-        axes.set_xlabel("mode")
-        axes.set_ylabel("coefficient [mm/s]")
         axes.legend(frameon=False, loc="upper right")
         quiet_grid(axes)
     return figure
@@ -61,6 +59,9 @@ def draw_coefficients(evidences: Sequence[Evidence]) -> Figure:
             lines = coefficients(evidence)
             _draw_bars(row[0], lines)
             _draw_errors(row[1], lines)
+            for axes in row:
+                axes.set_xticks(range(len(lines)), [str(line["mode"]) for line in lines])
+                quiet_grid(axes)
             row[0].set_title(LAW_TITLES[evidence.law], loc="left")
             row[0].set_ylabel("coefficient [mm/s]")
             row[1].set_ylabel("achieved less desired [mm/s]")
@@ -76,14 +77,11 @@ def draw_coefficients(evidences: Sequence[Evidence]) -> Figure:
 
 
 def _draw_bars(axes: Axes, lines: list[dict[str, Any]]) -> None:
-    place = np.arange(len(lines))
     kinds = (("target_mm_s", LIGHT, ""), ("predicted_mm_s", MIDDLE, "////"), ("achieved_mm_s", DARK, ""))
     for shift, (key, colour, hatch) in zip((-0.27, 0, 0.27), kinds, strict=True):
-        values = [line[key] for line in lines]
-        axes.bar(place + shift, values, width=0.26, color=colour, hatch=hatch, edgecolor=INK, linewidth=0.5)
+        place, values = np.arange(len(lines)) + shift, [line[key] for line in lines]
+        axes.bar(place, values, width=0.26, color=colour, hatch=hatch, edgecolor=INK, linewidth=0.5)
     axes.axhline(0, color=INK, linewidth=0.7)
-    axes.set_xticks(place, [str(line["mode"]) for line in lines])
-    quiet_grid(axes)
 
 
 def _draw_errors(axes: Axes, lines: list[dict[str, Any]]) -> None:
@@ -98,8 +96,6 @@ def _draw_errors(axes: Axes, lines: list[dict[str, Any]]) -> None:
     axes.errorbar(place, error, yerr=spread, fmt="o", color=DARK, markersize=4, capsize=2, elinewidth=0.9)
     reach = 1.25 * max(PAPER_WORST, float(np.abs(error).max()))
     axes.set_ylim(-max(reach, axes.get_ylim()[1]), max(reach, axes.get_ylim()[1]))
-    axes.set_xticks(place, [str(line["mode"]) for line in lines])
-    quiet_grid(axes)
 
 
 def draw_fields(evidences: Sequence[Evidence]) -> Figure:
@@ -108,8 +104,9 @@ def draw_fields(evidences: Sequence[Evidence]) -> Figure:
         for column, evidence in zip(panels.T, evidences, strict=True):
             _draw_field(column[0], evidence)
             _draw_difference(column[1], evidence)
+            for axes in column:
+                quiet_grid(axes)
             column[0].set_title(LAW_TITLES[evidence.law], loc="left")
-            column[1].set_xlabel("position along the beam [mm]")
         panels[0, 0].set_ylabel("velocity at the\nfocusing instant [mm/s]")
         panels[1, 0].set_ylabel("measured\nless ... [mm/s]")
         figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
@@ -118,7 +115,8 @@ def draw_fields(evidences: Sequence[Evidence]) -> Figure:
 
 def _draw_field(axes: Axes, evidence: Evidence) -> None:
     place = evidence.position * 1e3
-    _mark_zones(axes, evidence)
+    for name, centre in evidence.observation.zones.items():
+        axes.text(centre * 1e3, 0.99, name, ha="center", va="top", color=FAINT, transform=axes.get_xaxis_transform())
     axes.plot(place, evidence.target_field * 1e3, color=INK, linestyle="--", linewidth=1, label="desired")
     axes.plot(place, evidence.selected_field * 1e3, color=MIDDLE, linewidth=2.6, label="selected modes")
     axes.plot(place, evidence.measured_field * 1e3, color=DARK, linewidth=1, label="measured, smooth")
@@ -133,7 +131,6 @@ def _draw_field(axes: Axes, evidence: Evidence) -> None:
         label="measured",
     )
     axes.set_ylim(top=1.13 * max(evidence.observation.velocity, float(evidence.measured_points.max())) * 1e3)
-    quiet_grid(axes)
 
 
 def _draw_difference(axes: Axes, evidence: Evidence) -> None:
@@ -150,13 +147,7 @@ def _draw_difference(axes: Axes, evidence: Evidence) -> None:
     ):
         words = f"{line} from {name}: {errors[key]['rms_mm_s']:.1f} rms, {errors[key]['max_mm_s']:.1f} max"
         axes.text(0.0, height, words, fontsize=7.5, transform=axes.transAxes)
-    axes.set_xlim(place[0], place[-1])
-    quiet_grid(axes)
-
-
-def _mark_zones(axes: Axes, evidence: Evidence) -> None:
-    for name, centre in evidence.observation.zones.items():
-        axes.text(centre * 1e3, 0.99, name, ha="center", va="top", color=FAINT, transform=axes.get_xaxis_transform())
+    axes.set(xlabel="position along the beam [mm]", xlim=(place[0], place[-1]))
 
 
 WINDOW = 4e-3
@@ -250,9 +241,8 @@ def draw_maps(evidences: Sequence[Evidence]) -> Figure:
             for name, centre in evidence.observation.zones.items():
                 axes.text(centre * 1e3, time[0], name, ha="center", va="bottom", fontsize=8, color="white")
             axes.set_title(LAW_TITLES[evidence.law], loc="left")
-            axes.set_xlabel("position along the beam [mm]")
-            axes.set_ylim(time[0], time[-1])
-            axes.set_yticks(evidence.instant * 1e3 + np.linspace(-AROUND, AROUND, 9) * 1e3 * 0.999)
+            ticks = evidence.instant * 1e3 + np.linspace(-AROUND, AROUND, 9) * 1e3 * 0.999
+            axes.set(xlabel="position along the beam [mm]", ylim=(time[0], time[-1]), yticks=ticks)
             axes.yaxis.set_major_formatter("{x:.2f}")
         panels[0].set_ylabel("time [ms]")
         if image is not None:
@@ -287,10 +277,8 @@ def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
                 shading="gouraud", rasterized=True,
             )  # fmt: skip
             axes.axvline(evidence.instant * 1e3, color=DARK, linewidth=0.7, linestyle=":")
-            axes.set_yscale("log")
-            axes.set_ylim(LOWEST * 1e-3, one.frequency[-1] * 1e-3)
+            axes.set(xlabel="time [ms]", yscale="log", ylim=(LOWEST * 1e-3, one.frequency[-1] * 1e-3))
             axes.set_title(LAW_TITLES[evidence.law], loc="left")
-            axes.set_xlabel("time [ms]")
             _mark_modes(axes, evidence)
         panels[0].set_ylabel("frequency [kHz]")
         ticks = (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100)
