@@ -17,14 +17,15 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.laboratory import MeasurementProgress
+from modaltouch.lab.laboratory import Laboratory, MeasurementProgress, open_laboratory
 from modaltouch.protocol import Apparatus
 from modaltouch.record import replace_file
 from modaltouch.rig import Acquisition, Recording, RigError, Scope
@@ -42,6 +43,17 @@ CUT = 4
 """Samples at the highest value over those at the next one, from which a record was cut [1]."""
 
 REMEDY = "free the place, or give another folder with --record"
+
+
+@contextmanager
+def open_measurement(
+    apparatus: Apparatus, rig: str, record: Path | None, progress: MeasurementProgress | None
+) -> Iterator[tuple[Laboratory, MeasurementProgress]]:
+    """Open generator and scope, or the folder in which records arrive; a signal ends it between two records."""
+    with (progress or MeasurementProgress()).interruptible() as heard:
+        scope = RecordedFiles(record, apparatus, heard) if record else None
+        with open_laboratory(apparatus, rig, aim=heard.aim, scope=scope) as laboratory:
+            yield laboratory, heard
 
 
 class RecordedFiles(Scope):

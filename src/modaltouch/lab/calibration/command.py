@@ -11,8 +11,8 @@ from typing import Any
 from modaltouch.lab.calibration.file import calibration_of, write_calibration
 from modaltouch.lab.calibration.loop import calibrate_each
 from modaltouch.lab.calibration.proof import mark_of
-from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, open_laboratory
-from modaltouch.lab.recorded_files import RecordedFiles
+from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress
+from modaltouch.lab.recorded_files import open_measurement
 from modaltouch.preflight import DesignInputs, Preflight, examine
 from modaltouch.protocol import Calibration, InputError, Problem, Protocol
 from modaltouch.record import prepare_file
@@ -52,10 +52,8 @@ def calibrate(
         The calibration file; never overwritten.
     rig : str
         ``simulated``, or the generator's VISA address.
-    person : str
-        Who calibrates, for the file.
-    accept : bool
-        Whether one that misses its limits is written, with a mark.
+    person, accept
+        Who calibrates, for the file, and whether one that misses its limits is written, with a mark.
     record : Path, optional
         Folder where another scope leaves its records as files, instead of a PicoScope.
     progress : MeasurementProgress, optional
@@ -74,15 +72,7 @@ def calibrate(
     experiment, inputs_of = preflight.experiment, design_inputs_of(preflight)
     between = levels_between(experiment.protocol)
     prepare_file(out)
-    with (
-        (progress or MeasurementProgress()).interruptible() as heard,
-        open_laboratory(
-            experiment.apparatus,
-            rig,
-            aim=heard.aim,
-            scope=RecordedFiles(record, experiment.apparatus, heard) if record else None,
-        ) as laboratory,
-    ):
+    with open_measurement(experiment.apparatus, rig, record, progress) as (laboratory, heard):
         outcomes = calibrate_each(laboratory, experiment.apparatus, inputs_of, heard, between)
         calibration = calibration_of(
             outcomes,

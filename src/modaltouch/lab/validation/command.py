@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, TooFewPointsError, open_laboratory
+from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, TooFewPointsError
 from modaltouch.lab.output import rounded
-from modaltouch.lab.recorded_files import RecordedFiles
+from modaltouch.lab.recorded_files import open_measurement
 from modaltouch.lab.scan import Scan
 from modaltouch.lab.validation.evidence import Evidence, evaluate
 from modaltouch.lab.validation.figures import (
@@ -162,7 +162,7 @@ def validate(
     folder = out or Path("validation") / preflight.experiment.protocol.protocol
     refuse_other(folder, COMMAND)
     TooFewPointsError.check(points, preflight.stimulus.model.label)
-    observed = _observe(preflight, rig, scan, points, averages, record, progress or MeasurementProgress())
+    observed = _observe(preflight, rig, scan, points, averages, record, progress)
     context = _context(preflight, protocol, observed[0].field)
     return ValidationReport(evaluate(observed), preflight.experiment.protocol.conditions.zone_pairs, context, folder)
 
@@ -174,21 +174,13 @@ def _observe(
     points: int,
     averages: int,
     record: Path | None,
-    progress: MeasurementProgress,
+    progress: MeasurementProgress | None,
 ) -> list[Observation]:
     """Return what was recorded, now or before."""
     experiment, (inputs, stimulus) = preflight.experiment, preflight.sound
     if folder is not None and complete(folder):
         return read_laws(inputs, folder)
-    with (
-        progress.interruptible() as heard,
-        open_laboratory(
-            experiment.apparatus,
-            rig,
-            aim=heard.aim,
-            scope=RecordedFiles(record, experiment.apparatus, heard) if record else None,
-        ) as laboratory,
-    ):
+    with open_measurement(experiment.apparatus, rig, record, progress) as (laboratory, heard):
         return record_laws(
             inputs,
             laboratory,
