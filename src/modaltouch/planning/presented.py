@@ -41,9 +41,26 @@ def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
         given = "levels calibrated by participant, which depend on thresholds not yet known"
         remedy = "plan with peak velocities as you expect them"
         raise InputError([findings.problem(("conditions", "sensation_levels"), given, "fixed levels", remedy)])
+    refuse_uncrossed(preflight)
     refuse_answers(preflight)
     placements = _placements(preflight.experiment.protocol)
     return {name: _design(name, part, observer, placements) for name, part in preflight.parts.items()}
+
+
+def refuse_uncrossed(preflight: Preflight) -> None:
+    """Refuse a protocol whose cells are not crossed, which an observer's design is.
+
+    Raises
+    ------
+    InputError
+        If cells are listed or left out.
+    """
+    protocol = preflight.experiment.protocol
+    if not protocol.is_crossed:
+        given = "cells that are listed or left out one by one"
+        allowed = "every pair at every level, equally often, in every finger condition"
+        remedy = "simulate sessions and analyse those, or plan with a protocol of some of the cells"
+        raise InputError([preflight.findings.problem(("conditions", protocol.listed_by), given, allowed, remedy)])
 
 
 def refuse_answers(preflight: Preflight) -> None:

@@ -131,7 +131,12 @@ def design_warnings(protocol: Protocol) -> list[str]:
                 f"{f'stimulus {name}: ' if name else ''}no finger touches the focus {', '.join(foci)} on {where}"
             )
     n_pairs, n_fingers = len(conditions.zone_pairs), len(conditions.finger_conditions)
-    if protocol.adaptive is None:
+    if not protocol.is_crossed:
+        said.append(
+            f"the cells are not crossed (conditions.{protocol.listed_by}): the tests are those of each crossed part of "
+            "the design"
+        )
+    elif protocol.adaptive is None:
         numbers = {"level": len(protocol.scheduled_levels), "finger condition": n_fingers, "pair of zones": n_pairs}
         alone = " and one ".join(noun for noun, number in numbers.items() if number == 1)
         said += [f"there is one {alone}: no test can tell whether that matters"] if alone else []

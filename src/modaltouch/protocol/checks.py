@@ -9,6 +9,7 @@ from typing import Any
 from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels, is_adaptive, offered_answers
 from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.cells import check_cells
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.masking import check_masking
 from modaltouch.protocol.people import check_people
@@ -36,6 +37,7 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
         *_check_stimulus(reading),
         *check_target_field(reading),
         *_check_doubles(reading),
+        *check_cells(reading),
         *_check_schedule(reading),
         *check_adaptive(reading),
         *check_sensation_levels(reading),
@@ -145,13 +147,17 @@ def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
     n_each = n_in_run if is_adaptive(reading) else n_levels * repetitions
     if n_each is None:
         return
-    n_driven = n_pairs * n_each * n_stimuli
+    n_driven, n_all = n_pairs * n_each * n_stimuli, n_pairs * n_each * n_stimuli * max(n_blocks, 1)
+    if reading.value is not None and not reading.value.is_crossed:
+        conditions = reading.value.conditions.finger_conditions
+        each = [len(reading.value.cells(name)) * repetitions for name in conditions]
+        n_driven, n_all = min(each), sum(each)
     n_catch = reading.sound("schedule", "catch_trials") or 0
     if n_catch > n_driven:
         given = f"{n_catch} where {n_driven} trials of a finger condition have a stimulus"
         remedy = "take fewer: each follows a trial with a stimulus"
         yield reading.problem(("schedule", "catch_trials"), given, f"at most {n_driven}", remedy)
-    n_trials = (n_driven + n_catch) * max(n_blocks, 1)
+    n_trials = n_all + n_catch * max(n_blocks, 1)
     if n_trials > TRIAL_LIMIT:
         given = f"{repetitions}, which makes {n_trials} trials"
         yield reading.problem(("schedule", "repetitions"), given, f"at most {TRIAL_LIMIT} trials", "repeat less often")

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
+from modaltouch.protocol.cells import Cell
 from modaltouch.protocol.orders import draw_order
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import Stream
 
-Cell = tuple[tuple[str, str], float, str]
-"""A pair of zones, a peak velocity [mm/s], and the name of a stimulus."""
 
-
-def order_cells(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
+def order_cells(protocol: Protocol, finger_condition: str, turn: int, stream: Stream) -> list[Cell]:
     """Return the pairs and velocities of one block in order, as the protocol's `order` says.
 
     Parameters
     ----------
     protocol : Protocol
         The design.
+    finger_condition : str
+        That of the block.
     turn : int
         Which of several balanced orders is this participant's.
     stream : Stream
@@ -30,7 +31,7 @@ def order_cells(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
     ValueError
         If no order keeps the protocol's limit on runs.
     """
-    return _ORDERS[protocol.schedule.order](protocol, turn, stream)
+    return _ORDERS[protocol.schedule.order](protocol, protocol.cells(finger_condition), turn, stream)
 
 
 def insert_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> list[Cell]:
@@ -88,21 +89,25 @@ def latin_square(n_cells: int) -> list[list[int]]:
 
 def period_of_rows(protocol: Protocol) -> int:
     """Return after how many turns the rows of a Latin square repeat; 1 where the protocol uses none."""
-    n_pairs, n_levels = len(protocol.conditions.zone_pairs), len(protocol.scheduled_levels)
-    n_cells = n_pairs * n_levels * len(protocol.stimulus_names)
-    n_kinds = {"by_pair": n_pairs, "by_velocity": n_levels, "latin_square": n_cells}
-    n_items = n_kinds.get(protocol.schedule.order)
-    if n_items is None:
+    if protocol.schedule.order not in _KINDS:
         return 1
-    n_rows = len(latin_square(n_items))
+    return math.lcm(*(_period(protocol, protocol.cells(name)) for name in protocol.conditions.finger_conditions))
+
+
+def _period(protocol: Protocol, cells: list[Cell]) -> int:
+    n_rows = len(latin_square(len(_KINDS[protocol.schedule.order](cells))))
     # Each round of the rows begins one later than the last, so it takes as many rounds as rows.
     period = n_rows * n_rows
-    taken = protocol.schedule.repetitions if protocol.schedule.order == "latin_square" else 1
+    taken = protocol.scheduled_repetitions if protocol.schedule.order == "latin_square" else 1
     return period // math.gcd(period, taken)
 
 
-def _levels_and_stimuli(protocol: Protocol) -> list[tuple[float, str]]:
-    return [(level, stimulus) for level in protocol.scheduled_levels for stimulus in protocol.stimulus_names]
+def _pairs(cells: list[Cell]) -> list[tuple[str, str]]:
+    return list(dict.fromkeys(pair for pair, *_ in cells))
+
+
+def _levels(cells: list[Cell]) -> list[float]:
+    return list(dict.fromkeys(level for _, level, _ in cells))
 
 
 def _row_of_turn(turn: int, n_rows: int) -> int:
@@ -114,48 +119,54 @@ def _row_of_turn(turn: int, n_rows: int) -> int:
     return (turn + turn // n_rows) % n_rows
 
 
-def _shuffled(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
+def _shuffled(protocol: Protocol, cells: list[Cell], turn: int, stream: Stream) -> list[Cell]:
     """Draw the order of pairs first, then spread each pair's velocities over its places."""
-    pairs, levels = protocol.conditions.zone_pairs, _levels_and_stimuli(protocol)
-    repetitions = protocol.scheduled_repetitions
-    counts = [len(levels) * repetitions] * len(pairs)
-    order = draw_order(counts, protocol.schedule.max_same_pair_running, stream)
-    waiting = [stream.shuffled(levels * repetitions) for _ in pairs]
-    return [(pairs[pair], *waiting[pair].pop()) for pair in order]
+    kinds = [[cell for cell in cells if cell[0] == pair] * protocol.scheduled_repetitions for pair in _pairs(cells)]
+    order = draw_order(list(map(len, kinds)), protocol.schedule.max_same_pair_running, stream)
+    waiting = [stream.shuffled(own) for own in kinds]
+    return [waiting[kind].pop() for kind in order]
 
 
-def _by_pair(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
+def _by_pair(protocol: Protocol, cells: list[Cell], turn: int, stream: Stream) -> list[Cell]:
     """Take the pairs one after the other, in this participant's row of a Latin square."""
-    pairs, levels = protocol.conditions.zone_pairs, _levels_and_stimuli(protocol)
+    pairs = _pairs(cells)
+    kinds = [[cell for cell in cells if cell[0] == pair] * protocol.scheduled_repetitions for pair in pairs]
     rows = latin_square(len(pairs))
-    row = rows[_row_of_turn(turn, len(rows))]
-    return [(pairs[pair], *level) for pair in row for level in stream.shuffled(levels * protocol.scheduled_repetitions)]
+    return [cell for kind in rows[_row_of_turn(turn, len(rows))] for cell in stream.shuffled(kinds[kind])]
 
 
-def _by_velocity(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
+def _by_velocity(protocol: Protocol, cells: list[Cell], turn: int, stream: Stream) -> list[Cell]:
     """Take the velocities one after the other, in this participant's row of a Latin square."""
-    pairs, levels = protocol.conditions.zone_pairs, protocol.scheduled_levels
+    levels = _levels(cells)
+    kinds = [[cell for cell in cells if cell[1] == level] * protocol.scheduled_repetitions for level in levels]
     rows = latin_square(len(levels))
-    row = rows[_row_of_turn(turn, len(rows))]
-    kinds = [
-        (pair, stimulus) for pair in pairs for stimulus in protocol.stimulus_names
-    ] * protocol.scheduled_repetitions
-    return [(pair, levels[level], stimulus) for level in row for pair, stimulus in stream.shuffled(kinds)]
+    return [cell for kind in rows[_row_of_turn(turn, len(rows))] for cell in stream.shuffled(kinds[kind])]
 
 
-def _latin_square(protocol: Protocol, turn: int, stream: Stream) -> list[Cell]:
+def _latin_square(protocol: Protocol, cells: list[Cell], turn: int, stream: Stream) -> list[Cell]:
     """Take all cells in this participant's row of a Latin square, the next row for each repetition."""
-    conditions = protocol.conditions
-    cells = [(pair, *level) for pair in conditions.zone_pairs for level in _levels_and_stimuli(protocol)]
     rows = latin_square(len(cells))
     repetitions = protocol.scheduled_repetitions
     turns = range(turn * repetitions, (turn + 1) * repetitions)
     return [cells[cell] for each in turns for cell in rows[_row_of_turn(each, len(rows))]]
 
 
-_ORDERS: dict[str, Callable[[Protocol, int, Stream], list[Cell]]] = {
+def _as_listed(protocol: Protocol, cells: list[Cell], turn: int, stream: Stream) -> list[Cell]:
+    """Take the cells as the protocol or its table lists them, from the first again for each repetition."""
+    return cells * protocol.scheduled_repetitions
+
+
+_KINDS: dict[str, Callable[[list[Cell]], Sequence[Any]]] = {
+    "by_pair": _pairs,
+    "by_velocity": _levels,
+    "latin_square": list,
+}
+"""What the rows of a Latin square order, by the protocol's `order`."""
+
+_ORDERS: dict[str, Callable[[Protocol, list[Cell], int, Stream], list[Cell]]] = {
     "shuffled": _shuffled,
     "by_pair": _by_pair,
     "by_velocity": _by_velocity,
     "latin_square": _latin_square,
+    "as_listed": _as_listed,
 }

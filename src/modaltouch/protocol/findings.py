@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.protocol.apparatus import Apparatus, examine_apparatus
+from modaltouch.protocol.cells import with_cells, without_derived
 from modaltouch.protocol.checks import check_fit, check_protocol, check_settling, check_timing
 from modaltouch.protocol.problems import InputError, Problem
-from modaltouch.protocol.reading import Reading, read
+from modaltouch.protocol.reading import Reading, read, read_tree
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import YAML_FILE, Source
 from modaltouch.protocol.stimulus_sections import MEASURED, NO_FINGERS, StimulusSection, read_points
 from modaltouch.protocol.texts import Texts, check_words
+from modaltouch.protocol.tree import parse_tree
 
 if TYPE_CHECKING:
     import numpy as np
@@ -40,6 +42,8 @@ class Sources:
         The same of the points of the target field, where they stand in a file.
     fingers : Source or None
         The same of the fingers that the stimulus is designed for, where there are any.
+    table : Source or None
+        The same of the table of cells, where there is one.
     """
 
     protocol: Source
@@ -48,6 +52,7 @@ class Sources:
     calibration: Source | None = None
     field: Source | None = None
     fingers: Source | None = None
+    table: Source | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Return path, hash and text of each file for the record."""
@@ -97,6 +102,8 @@ class Findings:
         The file of the target field's points, where there is one.
     fingers : Reading or None
         The fingers that the stimulus is designed for, where there are any.
+    table : Source or None
+        The table of cells, where there is one.
     """
 
     protocol: Reading[Protocol] | None
@@ -106,6 +113,7 @@ class Findings:
     calibration: Reading[Calibration] | None = None
     field: Source | None = None
     fingers: Reading[FingersFile] | None = None
+    table: Source | None = None
 
     def experiment(self) -> Experiment:
         """Return the experiment.
@@ -123,7 +131,7 @@ class Findings:
         calibration = None if self.calibration is None else self.calibration.source
         fingers = None if self.fingers is None else self.fingers.source
         files = self.protocol.source, self.apparatus.source, self.texts.source
-        sources = Sources(*files, calibration, self.field, fingers)
+        sources = Sources(*files, calibration, self.field, fingers, self.table)
         return Experiment(protocol, apparatus, texts, sources)
 
     def problem(self, path: Iterable[str | int], given: str, allowed: str, remedy: str = "") -> Problem:
@@ -287,7 +295,7 @@ class Findings:
         sources : Sources
             As `Sources.from_dict` reads them from the record.
         """
-        protocol, texts = read(sources.protocol, Protocol), read(sources.texts, Texts)
+        protocol, texts = _read_protocol(sources.protocol, sources.table), read(sources.texts, Texts)
         apparatus, problems = examine_apparatus(sources.apparatus)
         problems += [*protocol.problems, *check_protocol(protocol), *check_fit(protocol, apparatus)]
         problems += [*texts.problems, *check_words(protocol, texts)]
@@ -306,7 +314,7 @@ class Findings:
 
             fingers, faults = read_fingers(sources.fingers, protocol)
             problems += faults
-        return cls(protocol, apparatus, texts, tuple(problems), calibration, sources.field, fingers)
+        return cls(protocol, apparatus, texts, tuple(problems), calibration, sources.field, fingers, sources.table)
 
     @classmethod
     def read(
@@ -329,8 +337,11 @@ class Findings:
             source = Source.find("protocol", path)
         except InputError as error:
             return cls(None, None, None, error.problems)
-        protocol = read(source, Protocol)
-        problems = [*protocol.problems, *check_protocol(protocol), *check_settling(protocol)]
+        problems: list[Problem] = []
+        protocol = _read_protocol(source)
+        table = _load_named(protocol, ("conditions", "table"), problems)
+        protocol = protocol if table is None else _read_protocol(source, table)
+        problems += [*protocol.problems, *check_protocol(protocol), *check_settling(protocol)]
         apparatus, texts = None, None
         named = _load_named(protocol, ("apparatus",), problems)
         if named is not None:
@@ -355,7 +366,18 @@ class Findings:
 
             fingers = load_fingers(protocol, problems)
             problems += check_measured(protocol, apparatus)
-        return cls(protocol, apparatus, texts, tuple(sorted(set(problems))), calibrated, field, fingers)
+        return cls(protocol, apparatus, texts, tuple(sorted(set(problems))), calibrated, field, fingers, table)
+
+
+def _read_protocol(source: Source, table: Source | None = None) -> Reading[Protocol]:
+    """Return a protocol with the cells of its table, where it has one."""
+    root, problems = parse_tree(source)
+    if root is None:
+        return read_tree(source, Protocol, root, problems)
+    root, faults = with_cells(source, root, table)
+    reading = read_tree(source, Protocol, root, problems)
+    found = (*without_derived(reading), *faults)
+    return replace(reading, value=None if found else reading.value, problems=found)
 
 
 def _serial(identity: str) -> tuple[str, ...]:
@@ -408,7 +430,7 @@ def _load_named(protocol: Reading[Protocol], key: tuple[str, ...], problems: lis
         if found.line > 1 or found.column > 1 or "UTF-8" in found.allowed:
             problems.append(found)
         else:
-            wanted = YAML_FILE.replace("YAML", "CSV") if key[0] == "stimulus" else YAML_FILE
+            wanted = YAML_FILE.replace("YAML", "CSV") if key[0] in ("stimulus", "conditions") else YAML_FILE
             allowed = f"{wanted}, named as seen from this file" if found.allowed == YAML_FILE else found.allowed
             given = f"{name!r}, {found.given} ({path})"
             problems.append(protocol.problem(key, given, allowed, found.remedy))

@@ -126,29 +126,29 @@ class Reading(Generic[Model]):
     ) -> Problem:
         """Return a problem with the place of the value (or key) at a path, or of what is nearest to it."""
         steps = tuple(path)
-        line, column = self._place(steps, at_key=at_key)
-        return Problem(str(self.source.path), line, column, format_path(steps), given, allowed, remedy)
+        file, line, column = self._place(steps, at_key=at_key)
+        return Problem(file or str(self.source.path), line, column, format_path(steps), given, allowed, remedy)
 
     def defaults(self) -> list[dict[str, Any]]:
         """Keys that the file leaves out and the values taken for them, in the schema's order."""
         return [] if self.root is None else list(_absent(self.model, self.root, ""))
 
-    def _place(self, path: tuple[Step, ...], *, at_key: bool) -> tuple[int, int]:
+    def _place(self, path: tuple[Step, ...], *, at_key: bool) -> tuple[str, int, int]:
         node = self.root
         if node is None:
-            return 1, 1
+            return "", 1, 1
         place = (node.line, node.column)
         for depth, step in enumerate(path):
             child = node.child(step)
             if child is None:
                 # A missing key is told where its section is named.
-                return place
+                break
             key_place = node.keys.get(step, place) if isinstance(step, str) else (child.line, child.column)
             # Block mappings begin a line below their key; the key is where one looks.
             is_section = isinstance(child.content, dict) or (at_key and depth == len(path) - 1)
             place = key_place if is_section else (child.line, child.column)
             node = child
-        return place
+        return node.file, *place
 
 
 def read(source: Source, model: type[Model]) -> Reading[Model]:
@@ -161,7 +161,20 @@ def read(source: Source, model: type[Model]) -> Reading[Model]:
     model : type
         What it should hold.
     """
-    root, problems = parse_tree(source)
+    return read_tree(source, model, *parse_tree(source))
+
+
+def read_tree(source: Source, model: type[Model], root: Node | None, problems: Iterable[Problem]) -> Reading[Model]:
+    """Return what a tree holds, as `read` does; the tree may hold more than the text.
+
+    Parameters
+    ----------
+    source, model
+        As for `read`.
+    root, problems
+        The tree, and the faults that building it met.
+    """
+    problems = list(problems)
     if root is None:
         return Reading(source, model, None, None, tuple(problems))
     bare: Reading[Model] = Reading(source, model, root, None)

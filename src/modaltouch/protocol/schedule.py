@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.protocol.designs import Cell, insert_catches, order_cells, period_of_rows
+from modaltouch.protocol.cells import Cell
+from modaltouch.protocol.designs import insert_catches, order_cells, period_of_rows
 from modaltouch.protocol.sections import Placement, Protocol
 from modaltouch.protocol.streams import ALGORITHM, Stream, key_of, seed_sequence
 from modaltouch.protocol.trial import Condition, Trial
@@ -218,7 +219,7 @@ class Schedule:
         blocks: list[Block] = []
         for number, finger_condition in enumerate(finger_conditions, start=1):
             stream = Stream(seed, participant, session, _purpose_of_order(finger_condition))
-            cells = order_cells(protocol, turn, stream)
+            cells = order_cells(protocol, finger_condition, turn, stream)
             if protocol.schedule.catch_trials:
                 catches = Stream(seed, participant, session, _purpose_of_catches(finger_condition))
                 cells = insert_catches(protocol, cells, catches)
@@ -226,7 +227,8 @@ class Schedule:
             first = sum(len(block.trials) for block in blocks) + 1
             blocks.append(Block(number, finger_condition, _number(conditions, block=number, first=first)))
         stream = Stream(seed, participant, session, "practice")
-        practised = [_place(finger_conditions[0], cell, placement) for cell in _draw_practice(protocol, stream)]
+        drawn = _draw_practice(protocol, finger_conditions[0], stream)
+        practised = [_place(finger_conditions[0], cell, placement) for cell in drawn]
         return cls(
             participant=participant,
             session=session,
@@ -271,15 +273,9 @@ def _purpose_of_catches(finger_condition: str) -> str:
     return f"catch trials within {finger_condition}"
 
 
-def _draw_practice(protocol: Protocol, stream: Stream) -> list[Cell]:
+def _draw_practice(protocol: Protocol, finger_condition: str, stream: Stream) -> list[Cell]:
     """Return the cells to practise, none again before all others have come."""
-    conditions, n_trials = protocol.conditions, protocol.schedule.all_practice_trials
-    cells = [
-        (pair, level, stimulus)
-        for pair in conditions.zone_pairs
-        for level in protocol.scheduled_levels
-        for stimulus in protocol.stimulus_names
-    ]
+    cells, n_trials = dict.fromkeys(protocol.cells(finger_condition)), protocol.schedule.all_practice_trials
     drawn: list[Cell] = []
     while len(drawn) < n_trials:
         drawn += stream.shuffled(cells)

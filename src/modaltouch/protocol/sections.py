@@ -5,20 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from modaltouch.protocol.adaptive import AdaptiveSection, SensationLevelsSection
 from modaltouch.protocol.answers import AnswerList, Side
+from modaltouch.protocol.cells import Cell, CellsSection, ExcludedCells, ZonePair
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, PAUSE_KEY
 from modaltouch.protocol.masking import MaskingSection
 from modaltouch.protocol.people import PersonField, read_people
 from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
-from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant, ZoneName
+from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant
 
 FingerCondition = Literal["one_hand", "two_hands"]
 AnswerWay = Literal["free_hand", "lifting", "foot_switch", "experimenter"]
 Placement = Literal["normal", "mirrored", "swapped", "mirrored_swapped"]
-ZonePair = tuple[ZoneName, ZoneName]
 Seconds = Annotated[NotNegative, Field(le=600)]
 KeyName = Annotated[Text, Field(json_schema_extra={"x-allowed": "the name of a key"})]
 
@@ -34,7 +34,14 @@ def whole_bursts(seconds: float, rate: float) -> int:
 
 
 class ConditionsSection(Section):
-    """The cells of the design: every finger condition with every pair of zones and every peak velocity."""
+    """The cells of the design: every finger condition with every pair and peak velocity, or those that are listed."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "required": [],
+            "allOf": [{"anyOf": [{"required": [key]} for key in ("zone_pairs", "cells", "table")]}],
+        }
+    )
 
     finger_conditions: tuple[FingerCondition, ...] = described(
         "one_hand: index and middle finger of one hand; two_hands: both index fingers.",
@@ -62,6 +69,26 @@ class ConditionsSection(Section):
         max_length=100,
         json_schema_extra=_UNIQUE,
     )
+    cells: Annotated[tuple[CellsSection, ...], Field(max_length=10_000)] = described(
+        "The cells one by one, in place of zone_pairs and peak_velocities_mm_s, where the design is not crossed: "
+        "levels of each pair, weights, an order of one's own (schedule.order: as_listed), such as "
+        "{pair: [A, C], peak_velocities_mm_s: [80, 100], weight: 2}.",
+        default=(),
+        exclude_if=lambda given: not given,
+    )
+    table: Text | None = described(
+        "CSV file with the cells, seen from this file, in place of zone_pairs and peak_velocities_mm_s: a line to "
+        "each, with the columns zone_left, zone_right, peak_velocity_mm_s and, where needed, finger_condition, "
+        "stimulus and weight (as under cells). Null for none.",
+        default=None,
+        exclude_if=lambda given: given is None,
+    )
+    exclude: tuple[ExcludedCells, ...] = described(
+        "Cells left out of the design, such as {pair: [A, C], peak_velocity_mm_s: 80}: those that agree with every "
+        "key that is given.",
+        default=(),
+        exclude_if=lambda given: not given,
+    )
     sensation_levels: SensationLevelsSection | None = described(
         "Levels calibrated by participant, as multiples of the participant's own threshold; the peak velocities are "
         "then the lowest and the highest level that anyone may get. Null for the same levels for all.",
@@ -86,9 +113,9 @@ class ScheduleSection(Section):
     """How the trials are ordered."""
 
     repetitions: Annotated[Count, Field(le=10_000)] = described("Trials of each condition.", default=1)
-    order: Literal["shuffled", "by_pair", "by_velocity", "latin_square"] = described(
-        "Order within a finger condition: shuffled, pairs or velocities one after the other, or every participant "
-        "another row of a balanced Latin square.",
+    order: Literal["shuffled", "by_pair", "by_velocity", "latin_square", "as_listed"] = described(
+        "Order within a finger condition: shuffled, pairs or velocities one after the other, every participant "
+        "another row of a balanced Latin square, or for all as the cells are listed (conditions.cells or table).",
         default="shuffled",
     )
     max_same_pair_running: Count | None = described(
@@ -332,13 +359,46 @@ class Protocol(Section):
     @property
     def n_trials(self) -> int:
         """Number of trials that count, over all finger conditions."""
-        return len(self.conditions.finger_conditions) * self.trials_per_block
+        n_driven = [len(self.cells(name)) * self.scheduled_repetitions for name in self.conditions.finger_conditions]
+        return sum(n_driven) + len(n_driven) * self.schedule.catch_trials
 
     @property
-    def trials_per_block(self) -> int:
-        """Number of trials of one finger condition, catch trials with them."""
-        n_cells = len(self.conditions.zone_pairs) * len(self.scheduled_levels) * len(self.stimulus_names)
-        return n_cells * self.scheduled_repetitions + self.schedule.catch_trials
+    def is_crossed(self) -> bool:
+        """Whether every finger condition has every pair with every level, equally often."""
+        return not self.listed_by
+
+    @property
+    def listed_by(self) -> str:
+        """Key of the section conditions that says which cells there are; empty where they are crossed."""
+        conditions = self.conditions
+        held = {"table": conditions.table, "cells": conditions.cells, "exclude": conditions.exclude}
+        return next((key for key, value in held.items() if value), "")
+
+    def cells(self, finger_condition: str, *, excluded: bool = False) -> list[Cell]:
+        """Return the cells of a finger condition in order, each as often as its weight.
+
+        Parameters
+        ----------
+        finger_condition : str
+            Name of the finger condition.
+        excluded : bool
+            Whether cells that the protocol leaves out are among them.
+        """
+        conditions = self.conditions
+        listed = conditions.cells or [
+            CellsSection.model_construct(pair=pair, peak_velocities_mm_s=self.scheduled_levels)
+            for pair in conditions.zone_pairs
+        ]
+        cells = [
+            (each.pair, level, stimulus)
+            for each in listed
+            if finger_condition in (each.finger_conditions or (finger_condition,))
+            for level in each.peak_velocities_mm_s
+            for stimulus in each.stimuli or self.stimulus_names
+            for _ in range(each.weight)
+        ]
+        left_out = () if excluded else conditions.exclude
+        return [cell for cell in cells if not any(each.holds(finger_condition, cell) for each in left_out)]
 
     @property
     def scheduled_levels(self) -> tuple[float, ...]:
@@ -369,8 +429,9 @@ class Protocol(Section):
         return self.stimuli[name].applied(self.stimulus) if name in self.stimuli else self.stimulus
 
     def with_stimulus(self, name: str) -> Protocol:
-        """Return the protocol with one of its stimuli alone."""
-        return self.model_copy(update={"stimulus": self.stimulus_of(name), "stimuli": {}})
+        """Return the protocol with one of its stimuli alone, in a crossed design."""
+        crossed = self.conditions.model_copy(update={"cells": (), "exclude": ()})
+        return self.model_copy(update={"stimulus": self.stimulus_of(name), "stimuli": {}, "conditions": crossed})
 
     def with_levels(self, levels_mm_s: tuple[float, ...]) -> Protocol:
         """Return the protocol as a participant gets it whose levels, calibrated by participant, are known [mm/s]."""

@@ -69,6 +69,8 @@ class Node:
         Line and column of each key, where the value is a mapping.
     text : str
         A scalar as it was written.
+    file : str
+        File that it stands in, where that is another than the tree's.
     """
 
     content: Scalar | list[Node] | dict[str, Node]
@@ -76,6 +78,7 @@ class Node:
     column: int
     keys: dict[str, tuple[int, int]] = field(default_factory=dict)
     text: str = ""
+    file: str = ""
 
     @property
     def children(self) -> list[Node]:
@@ -114,6 +117,12 @@ class Node:
         if isinstance(self.content, list) and isinstance(key, int) and 0 <= key < len(self.content):
             return self.content[key]
         return None
+
+    def with_child(self, key: str, child: Node) -> Node:
+        """Return the mapping with a value under a key, which is told where the value begins if it is new."""
+        held = self.content if isinstance(self.content, dict) else {}
+        keys = {key: (child.line, child.column)} | self.keys
+        return Node(held | {key: child}, self.line, self.column, keys, self.text, self.file)
 
 
 def parse_tree(source: Source) -> tuple[Node | None, list[Problem]]:

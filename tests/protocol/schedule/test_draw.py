@@ -289,7 +289,7 @@ def test_catch_trials_that_cannot_keep_the_limit_are_refused() -> None:
 
 def signature(protocol: Protocol, turn: int) -> tuple[Any, ...]:
     """Return what of a block's order its turn decides: the row of a Latin square, drawn orders left out."""
-    cells = order_cells(protocol, turn, Stream(1, "p01", 1, "a test"))
+    cells = order_cells(protocol, protocol.conditions.finger_conditions[0], turn, Stream(1, "p01", 1, "a test"))
     keys = {"by_pair": lambda cell: cell[0], "by_velocity": lambda cell: cell[1], "latin_square": lambda cell: cell}
     if protocol.schedule.order not in keys:
         return ()

@@ -1,0 +1,156 @@
+"""Designs that are not crossed: a table of cells, cells in the protocol, cells left out; every fault in its place."""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from modaltouch.protocol import Findings, InputError, Protocol, Schedule, Sources
+
+SHIPPED = Path(__file__).parents[3] / "protocols"
+CROSSED = "  zone_pairs: [[A, C], [B, D], [C, E]]\n  peak_velocities_mm_s: [80, 200]\n"
+TABLE = """zone_left,zone_right,peak_velocity_mm_s,finger_condition,weight
+A,C,80,,2
+A,C,200,,
+B,D,150,one_hand,
+C,E,100,,
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the shipped apparatus and texts."""
+    place = tmp_path_factory.mktemp("protocols")
+    for name in ("apparatus", "texts"):
+        shutil.copytree(SHIPPED / name, place / name)
+    return place
+
+
+def read(folder: Path, conditions: str, table: str = "", order: str = "shuffled") -> Findings:
+    """Return the findings in the demonstration with other conditions."""
+    text = (SHIPPED / "demo.yaml").read_text("utf-8").replace(CROSSED, conditions)
+    text = text.replace("max_same_pair_running: 2", f"order: {order}")
+    (folder / "cells.csv").write_text(table, "utf-8")
+    (folder / "own.yaml").write_text(text, "utf-8")
+    return Findings.read(folder / "own.yaml")
+
+
+def sound(findings: Findings) -> Protocol:
+    """Return the protocol of findings without a fault."""
+    return findings.experiment().protocol
+
+
+def faults(findings: Findings) -> list[str]:
+    """Return what is wrong, with the bare name of the file."""
+    with pytest.raises(InputError, match="given") as refusal:
+        findings.experiment()
+    return [f"{Path(each.file).name}:{each.line}:{each.column} {each.message}" for each in refusal.value.problems]
+
+
+def driven(protocol: Protocol, participant: str = "p01") -> Counter[tuple[str, str, float]]:
+    """Return how often each finger condition has each pair at each level."""
+    trials = Schedule.draw(protocol, participant, 1).trials
+    return Counter(
+        (trial.condition.finger_condition, "-".join(trial.condition.pair), trial.condition.velocity_mm_s)
+        for trial in trials
+    )
+
+
+def test_a_table_gives_levels_by_pair_weights_and_cells_of_one_finger_condition(folder: Path) -> None:
+    """A-C at 80 twice as often; B-D with one hand alone; C-E at a level of its own."""
+    findings = read(folder, "  table: cells.csv\n", TABLE)
+    both = {("A-C", 80.0): 2, ("A-C", 200.0): 1, ("C-E", 100.0): 1}
+    expected = {(name, *cell): n for name in ("one_hand", "two_hands") for cell, n in both.items()}
+    expected["one_hand", "B-D", 150.0] = 1
+    assert driven(sound(findings)) == expected
+    assert sound(findings).n_trials == 9
+    assert sound(findings).conditions.peak_velocities_mm_s == (80.0, 200.0, 150.0, 100.0)
+
+
+def test_the_record_keeps_the_table_whatever_becomes_of_its_file(folder: Path) -> None:
+    """What the record holds draws the same order."""
+    findings = read(folder, "  table: cells.csv\n", TABLE)
+    kept = findings.experiment().sources.as_dict()
+    assert kept["table"]["text"] == TABLE
+    again = Findings.restored(Sources.from_dict(kept)).experiment().protocol
+    assert again == sound(findings)
+
+
+def test_cells_in_the_protocol_are_those_of_a_table(folder: Path) -> None:
+    """The same design in YAML: several levels to a line."""
+    written = (
+        "  cells:\n"
+        "    - {pair: [A, C], peak_velocities_mm_s: [80], weight: 2}\n"
+        "    - {pair: [A, C], peak_velocities_mm_s: [200]}\n"
+        "    - {pair: [B, D], peak_velocities_mm_s: [150], finger_conditions: [one_hand]}\n"
+        "    - {pair: [C, E], peak_velocities_mm_s: [100]}\n"
+    )
+    assert driven(sound(read(folder, written))) == driven(sound(read(folder, "  table: cells.csv\n", TABLE)))
+
+
+def test_excluded_cells_are_those_that_agree_with_every_key(folder: Path) -> None:
+    """Of 3 pairs x 2 levels x 2 finger conditions, A-C at 80 and B-D with two hands are left out: 12 - 2 - 2."""
+    exclude = "  exclude: [{pair: [A, C], peak_velocity_mm_s: 80}, {pair: [B, D], finger_condition: two_hands}]\n"
+    own = driven(sound(read(folder, CROSSED + exclude)))
+    assert sum(own.values()) == 8
+    assert not [cell for cell in own if cell[1:] == ("A-C", 80.0) or cell[:2] == ("two_hands", "B-D")]
+
+
+@pytest.mark.parametrize("participant", ["p01", "p02"])
+def test_as_listed_is_the_order_of_the_rows_again_for_each_repetition(folder: Path, participant: str) -> None:
+    """A fixed list: a cell may stand in several rows."""
+    table = "zone_left,zone_right,peak_velocity_mm_s\nC,E,100\nA,C,80\nC,E,100\n"
+    findings = read(folder, "  table: cells.csv\n", table, "as_listed")
+    protocol = sound(findings)
+    twice = protocol.model_copy(update={"schedule": protocol.schedule.model_copy(update={"repetitions": 2})})
+    for block in Schedule.draw(twice, participant, 1).blocks:
+        assert [trial.condition.velocity_mm_s for trial in block.trials] == [100, 80, 100] * 2
+
+
+@pytest.mark.parametrize("order", ["by_pair", "by_velocity", "latin_square"])
+def test_every_order_presents_the_same_cells(folder: Path, order: str) -> None:
+    """Orders change with the rows of a Latin square, the number of trials of a cell does not."""
+    protocol = sound(read(folder, "  table: cells.csv\n", TABLE))
+    schedule = protocol.schedule.model_copy(update={"order": order})
+    for participant in ("p01", "p02", "p03"):
+        assert driven(protocol.model_copy(update={"schedule": schedule}), participant) == driven(protocol)
+
+
+@pytest.mark.parametrize(
+    ("table", "told"),
+    [
+        (TABLE.replace("A,C,80", "A,C,80x"), "cells.csv:2:5 given '80x'; allowed: a number [mm/s] above 0"),
+        (TABLE.replace("B,D", "B,Q"), "cells.csv:4:3 given 'Q', which is not a zone of this beam; allowed: A, B, C, D"),
+        (TABLE.replace("200", "2000"), "cells.csv:3:5 given 2000 mm/s, beyond the safety limit of the apparatus"),
+        (TABLE.replace(",,2", ",,0"), "cells.csv:2:9 given 0; allowed: a whole number of at least 1"),
+        (TABLE.replace("one_hand", "on_hand"), "cells.csv:4:9 given 'on_hand', which is no finger condition"),
+        (TABLE.replace("C,E,100,,", "C,E,100"), "cells.csv:5:1 given 3 fields; allowed: 5, as many as columns"),
+        (TABLE.replace("peak_velocity_mm_s", "velocity"), "cells.csv:1:1 given a table without the column peak_velo"),
+        (TABLE.replace("weight", "weigth"), "cells.csv:1:58 given the column 'weigth'; allowed: once each"),
+        (TABLE.splitlines()[0] + "\n", "cells.csv:1:1 given a table without rows; allowed: at least one cell"),
+    ],
+)
+def test_a_fault_of_a_table_is_told_in_its_line_and_column(folder: Path, table: str, told: str) -> None:
+    """And once: what follows from the cells is not told again."""
+    said = faults(read(folder, "  table: cells.csv\n", table))
+    assert any(each.startswith(told) for each in said), said
+    assert not any("missing key" in each for each in said)
+
+
+@pytest.mark.parametrize(
+    ("conditions", "told"),
+    [
+        (CROSSED + "  table: cells.csv\n", "given zone_pairs beside table, which says the same"),
+        ("  table: none.csv\n", "given 'none.csv', a file that does not exist"),
+        (CROSSED + "  exclude: [{pair: [A, D]}]\n", "given cells that the design does not have"),
+        (CROSSED + "  exclude: [{finger_condition: one_hand}]\n", "given one_hand, for which no cell is left"),
+        (CROSSED + "  exclude: [{stimulus: wide}]\n", "given 'wide', which is no stimulus of the protocol"),
+    ],
+)
+def test_conditions_that_contradict_themselves_are_refused(folder: Path, conditions: str, told: str) -> None:
+    """With what to do."""
+    said = faults(read(folder, conditions, TABLE))
+    assert any(told in each for each in said), said
