@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from modaltouch.analysis.outcome import Analysis
+    from modaltouch.analysis.parts import PartsAnalysis
     from modaltouch.analysis.responses import Responses, TableFormat
     from modaltouch.analysis.thresholds import ThresholdAnalysis
 
@@ -33,7 +34,7 @@ def analyse(
     prereg: Path | str | None = None,
     model: bool = False,
     speed: Speed = "nominal",
-) -> Analysis | ThresholdAnalysis:
+) -> Analysis | ThresholdAnalysis | PartsAnalysis:
     """Analyse answers and write tables, figures, statistics and a report.
 
     Parameters
@@ -59,8 +60,9 @@ def analyse(
 
     Returns
     -------
-    Analysis or ThresholdAnalysis
-        The latter for adaptive sessions, whose levels followed from the answers.
+    Analysis, ThresholdAnalysis or PartsAnalysis
+        The second for adaptive sessions, whose levels followed from the answers; the last for designs that are not
+        crossed.
 
     Raises
     ------
@@ -83,6 +85,14 @@ def analyse(
                 raise InputError.of(option, "adaptive sessions", "sessions at fixed levels", f"leave {option} out")
         runs = analyse_runs(responses)
         return replace(runs, files=write_files(folder, render_runs(runs), about))
+    if responses.scheduled is not None:
+        from modaltouch.analysis.parts import analyse_parts, render_parts
+
+        if prereg is not None or model or asked:
+            given = "--prereg, --model or --figures with a design that is not crossed"
+            raise InputError.of(path, given, "tables, tests of its crossed parts, models.R", "leave these options out")
+        found = analyse_parts(responses)
+        return replace(found, files=write_files(folder, render_parts(found), about))
     analysis = _hold_against(prereg, _find(responses, model=model))
     return replace(analysis, files=write_files(folder, render_files(analysis, asked), about))
 

@@ -158,6 +158,9 @@ class Responses:
         Answers that each participant was asked for in each cell; None where the table alone tells.
     notes : tuple of str
         How the table was taken, for the report.
+    scheduled : DataFrame or None
+        Where not every participant met every cell equally often: every trial, answered in time or not, of which each
+        cell's number is counted. None where the design is crossed.
     """
 
     frame: pd.DataFrame
@@ -173,6 +176,7 @@ class Responses:
     margin: float | None = None
     asked: int | None = None
     notes: tuple[str, ...] = ()
+    scheduled: pd.DataFrame | None = None
 
     def count(self, focus: str = "") -> AnswerCounts:
         """Return the answers as one array.

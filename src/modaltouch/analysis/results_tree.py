@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from modaltouch.analysis.provenance import SessionFacts, take_facts
@@ -62,6 +63,10 @@ class SessionAnswers:
         What could be answered.
     catches : Counter
         Its answers to catch trials.
+    kind : (str, str)
+        The participant's group, and which of several kinds of session it is; empty without.
+    is_crossed : bool
+        Whether its protocol has every pair at every level, equally often.
     """
 
     path: Path
@@ -77,6 +82,8 @@ class SessionAnswers:
     catches: Counter[str] = field(default_factory=Counter)
     levels: str = "fixed"
     foci: dict[str, str] = field(default_factory=dict)
+    kind: tuple[str, str] = ("", "")
+    is_crossed: bool = True
 
 
 def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
@@ -124,6 +131,7 @@ COLUMNS = (
 )
 """Columns of the tidy table of recorded answers; of levels calibrated by participant the multiple is told instead."""
 
+_STIMULUS = COLUMNS.index("stimulus")
 _NUMBERS = ("trial", "block", "response_uncertainty", "speed_left_mm_s", "speed_right_mm_s")
 
 
@@ -155,6 +163,8 @@ def open_log(path: Path) -> SessionAnswers:
             for name, own in design.get("stimuli", {}).items()
         },
         catches=Counter(row["response"] for row in session.table() if row["catch"]),
+        kind=session.kind,
+        is_crossed=not any(design.get("conditions", {}).get(key) for key in ("cells", "exclude")),
     )
 
 
@@ -197,12 +207,15 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
     taken = _sort(of_mode, left_out, lambda item: item.reason)
     levels = _only(place, "kinds of levels", [item.levels for item in taken], f"{one}; name the other protocol anew")
     if levels != "adaptive":
-        fewest, seen = min(Counter(item.participant for item in taken).values(), default=0), Counter[str]()
-        taken = _sort(taken, left_out, lambda item: _surplus(item, fewest, seen))
+        held, seen = Counter((item.participant, item.kind) for item in taken), Counter[object]()
+        fewest = {kind: min(n for (_, own), n in held.items() if own == kind) for _, kind in held}
+        taken = _sort(taken, left_out, lambda item: _surplus(item, fewest[item.kind], seen))
     _refuse_nothing(place, taken, left_out)
     answers = _one_list(place, taken)
-    frame = _join(place, taken, levels, answers, stimulus)
+    is_crossed = all(item.is_crossed for item in taken) and len({item.kind for item in taken}) == 1
+    frame = _join(place, taken, levels, answers, stimulus, is_crossed=is_crossed or levels == "adaptive")
     asked = int(answers_per_cell(frame).to_numpy().max()) if levels != "adaptive" else None
+    scheduled = None if is_crossed or levels == "adaptive" else frame
     frame = frame[frame["response"] != TIME_OUT].reset_index(drop=True)
     frame["response"] = pd.Categorical(frame["response"], categories=list(answers.ranked.names))
     digest = hashlib.sha256("".join(item.digest for item in taken).encode()).hexdigest()
@@ -220,6 +233,7 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
         answers,
         start.get("design", {}).get("analysis", {}).get("equivalence_margin"),
         asked,
+        scheduled=scheduled,
     )
 
 
@@ -233,17 +247,29 @@ def _refuse_nothing(place: Path, taken: Sequence[SessionAnswers], left_out: Sequ
 
 
 def _join(
-    place: Path, taken: Sequence[SessionAnswers], levels: str, answers: AnswerList, stimulus: str | None
+    place: Path,
+    taken: Sequence[SessionAnswers],
+    levels: str,
+    answers: AnswerList,
+    stimulus: str | None,
+    *,
+    is_crossed: bool,
 ) -> pd.DataFrame:
-    """Return the tidy table of the sessions' answers, to one stimulus where their levels are fixed."""
+    """Return the tidy table of the sessions' answers, to one stimulus where their levels are fixed and crossed."""
     frame = pd.DataFrame([row for item in taken for row in item.rows], columns=list(COLUMNS))
+    numbers = [len(item.rows) for item in taken]
+    for place_of, column in enumerate(("group", "session_kind")):
+        frame[column] = np.repeat([item.kind[place_of] for item in taken], numbers)
+    foci = [item.foci.get(row[_STIMULUS], item.focus) for item in taken for row in item.rows]
+    frame["focus"] = foci
     frame = unmirror(frame.astype(dict.fromkeys(_NUMBERS, float)), answers)
     if levels == "calibrated":
         frame = frame.rename(columns={VELOCITY.column: OWN_THRESHOLD.column})
-    if levels != "adaptive":
+    if levels != "adaptive" and (is_crossed or stimulus is not None):
         frame = _choose_stimulus(place, frame, stimulus)
+    if levels != "adaptive" and is_crossed:
         _refuse_designs(place, frame)
-    elif stimulus is not None:
+    if levels == "adaptive" and stimulus is not None:
         given, remedy = f"stimulus {stimulus!r} with adaptive sessions", "leave the option out: each run is of one"
         raise InputError.of(place, given, "all stimuli together", remedy)
     return frame
@@ -305,9 +331,9 @@ def _other_mode(item: SessionAnswers, chosen: str) -> str:
     return f"{item.mode}, not {chosen} (choose with --mode {item.mode})"
 
 
-def _surplus(item: SessionAnswers, fewest: int, seen: Counter[str]) -> str:
-    seen[item.participant] += 1
-    beyond = seen[item.participant] > fewest
+def _surplus(item: SessionAnswers, fewest: int, seen: Counter[object]) -> str:
+    seen[item.participant, item.kind] += 1
+    beyond = seen[item.participant, item.kind] > fewest
     return f"session beyond the first {fewest}: not every participant has as many" if beyond else ""
 
 

@@ -343,6 +343,11 @@ def find(answers: AnswerCounts, frame: pd.DataFrame, catches: Catches | None = N
     catches : mapping of str to Counter, optional
         Answers to catch trials by participant.
     """
+    return correct(uncorrected(answers, frame, catches))
+
+
+def uncorrected(answers: AnswerCounts, frame: pd.DataFrame, catches: Catches | None = None) -> list[Finding]:
+    """Return what `find` does, before Holm's correction."""
     tested = {family: list(family_findings(family, answers)) for family in STATISTICS}
     if answers.compares:
         tested["a2"] += leaning_findings(answers)
@@ -354,7 +359,7 @@ def find(answers: AnswerCounts, frame: pd.DataFrame, catches: Catches | None = N
         *secondary_findings(answers, frame),
     ]
     order = questions()
-    return sorted(correct(findings), key=lambda finding: order.index(finding.question))
+    return sorted(findings, key=lambda finding: order.index(finding.question))
 
 
 def questions() -> list[str]:

@@ -9,7 +9,6 @@ from typing import Any
 from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels, is_adaptive, offered_answers
 from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.cells import check_cells
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.masking import check_masking
 from modaltouch.protocol.people import check_people
@@ -37,7 +36,7 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
         *_check_stimulus(reading),
         *check_target_field(reading),
         *_check_doubles(reading),
-        *check_cells(reading),
+        *_check_cells(reading),
         *_check_schedule(reading),
         *check_adaptive(reading),
         *check_sensation_levels(reading),
@@ -119,6 +118,15 @@ def _check_doubles(reading: Reading[Protocol]) -> Iterator[Problem]:
             given = f"[{pair[0]}, {pair[1]}], the pair of zone_pairs[{seen[zones]}] again"
             yield reading.problem(path, given, "each pair once", "remove it; for more trials raise repetitions")
         seen.setdefault(zones, index)
+
+
+def _check_cells(reading: Reading[Protocol]) -> list[Problem]:
+    if not any(reading.find(("conditions", key)) for key in ("table", "cells", "exclude")):
+        return []
+    # Most designs are crossed.
+    from modaltouch.protocol.cell_table import check_cells
+
+    return list(check_cells(reading))
 
 
 def _doubled(reading: Reading[Protocol], path: tuple[str, ...], noun: str) -> Iterator[Problem]:

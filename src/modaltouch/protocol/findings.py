@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.protocol.apparatus import Apparatus, examine_apparatus
-from modaltouch.protocol.cells import with_cells, without_derived
 from modaltouch.protocol.checks import check_fit, check_protocol, check_settling, check_timing
 from modaltouch.protocol.problems import InputError, Problem
 from modaltouch.protocol.reading import Reading, read, read_tree
@@ -372,8 +371,11 @@ class Findings:
 def _read_protocol(source: Source, table: Source | None = None) -> Reading[Protocol]:
     """Return a protocol with the cells of its table, where it has one."""
     root, problems = parse_tree(source)
-    if root is None:
+    conditions = None if root is None else root.child("conditions")
+    if root is None or conditions is None or not (conditions.child("table") or conditions.child("cells")):
         return read_tree(source, Protocol, root, problems)
+    from modaltouch.protocol.cell_table import with_cells, without_derived
+
     root, faults = with_cells(source, root, table)
     reading = read_tree(source, Protocol, root, problems)
     found = (*without_derived(reading), *faults)

@@ -117,6 +117,12 @@ class Session:
         closed = [event["begun_anew_as"] for event in self.events if event.get("event") == "closed"]
         return int(closed[-1]) if closed else None
 
+    @property
+    def kind(self) -> tuple[str, str]:
+        """The participant's group, and which of several kinds of session it is; empty without."""
+        schedule = self.start.get("schedule", {})
+        return str(schedule.get("group", "")), str(schedule.get("session_kind", ""))
+
     @cached_property
     def multiples(self) -> dict[float, float]:
         """What multiple of the participant's own threshold each level [mm/s] is; empty where levels are not so."""

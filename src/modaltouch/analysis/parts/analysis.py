@@ -1,0 +1,262 @@
+"""The whole analysis of a design that is not crossed: its crossed parts, one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from modaltouch.analysis.counts import AnswerCounts, count_answers
+from modaltouch.analysis.findings import ALPHA, Finding, correct, to_frame
+from modaltouch.analysis.models import model_table
+from modaltouch.analysis.outcome import plain_row
+from modaltouch.analysis.responses import Responses, cell_of
+from modaltouch.analysis.statistics import uncorrected
+from modaltouch.analysis.tables import tabulate, zone_table
+from modaltouch.analysis.words import say_interval
+from modaltouch.protocol import InputError
+from modaltouch.report import ReportFigure, page_files, render_page, say_number
+
+FACTORS = ("group", "session_kind", "stimulus")
+"""What tells parts apart, beside finger conditions, pairs and levels."""
+
+MOST_FIGURES = 40
+"""Figures of a report; the tables have all parts."""
+
+
+@dataclass(frozen=True, eq=False)
+class CrossedPart:
+    """A crossed part of a design: each of its pairs at each of its levels, equally often for every participant in it.
+
+    Attributes
+    ----------
+    factors : dict of str to str
+        Group, kind of session and stimulus, where there are any.
+    counts : AnswerCounts
+        Answers of its participants.
+    frame : DataFrame
+        The same as a tidy table.
+    """
+
+    factors: dict[str, str]
+    counts: AnswerCounts
+    frame: pd.DataFrame
+
+    @property
+    def name(self) -> str:
+        """Its factors, finger conditions, pairs and levels in words."""
+        levels = ", ".join(format(level, "g") for level in self.counts.levels)
+        pairs = ", ".join(pair.label for pair in self.counts.pairs)
+        words = [*filter(None, self.factors.values()), " and ".join(self.counts.finger_conditions), pairs]
+        return f"{' '.join(words)} at {levels} {self.counts.scale.unit}"
+
+
+@dataclass(frozen=True, eq=False)
+class PartsAnalysis:
+    """What the answers to a design that is not crossed tell, and where it was written.
+
+    Attributes
+    ----------
+    responses : Responses
+        The answers.
+    parts : tuple of CrossedPart
+        The crossed parts of the design.
+    findings : tuple of (CrossedPart, Finding)
+        The statistics of each; Holm's correction is over all of them.
+    files : dict of str to Path
+        Files written, by name.
+    """
+
+    responses: Responses
+    parts: tuple[CrossedPart, ...]
+    findings: tuple[tuple[CrossedPart, Finding], ...]
+    files: dict[str, Path]
+
+    @property
+    def counts(self) -> pd.DataFrame:
+        """Counts of every cell, one row each: answers, their sum n, and how many were asked for."""
+        tables = [
+            tabulate(part.counts).assign(**part.factors, asked=part.counts.n_participants * part.counts.n_repetitions)
+            for part in self.parts
+        ]
+        table = pd.concat(tables, ignore_index=True)
+        named = [name for name in FACTORS if name in table]
+        return table[[*named, *(column for column in table if column not in named)]]
+
+    @property
+    def tests(self) -> pd.DataFrame:
+        """The statistics, one row each, with the part that it is of."""
+        table = to_frame(finding for _, finding in self.findings)
+        table.insert(0, "part", [part.name for part, _ in self.findings])
+        return table
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return everything as plain values for ``--json``."""
+        missing = [
+            {"participant": who, "cell": " ".join([*filter(None, part.factors.values()), cell]), "n": n}
+            for part in self.parts
+            for who, cell, n in part.counts.missing
+        ]
+        return {
+            "parts": [part.name for part in self.parts],
+            "counts": [plain_row(row) for row in self.counts.to_dict("records")],
+            "tests": [plain_row(row) for row in self.tests.to_dict("records")],
+            "files": {name: str(path) for name, path in self.files.items()},
+            "n_participants": int(self.responses.frame["participant"].nunique()),
+            "n_responses": len(self.responses.frame),
+            "n_missing": sum(each["n"] for each in missing),
+            "missing": missing,
+            "notes": [f"the design is not crossed: {len(self.parts)} crossed parts of it are analysed each by itself"],
+            "mode": self.responses.source.mode or None,
+            "source": self.responses.source.path,
+            "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
+        }
+
+
+def analyse_parts(responses: Responses) -> PartsAnalysis:
+    """Return what the answers to a design that is not crossed tell.
+
+    Parameters
+    ----------
+    responses : Responses
+        Answers with the table of what was `scheduled`.
+
+    Raises
+    ------
+    InputError
+        If participants of one group met a cell unequally often.
+    """
+    parts, found = tuple(_find_parts(responses)), list[tuple[CrossedPart, Finding]]()
+    left = dict(responses.catches)
+    for part in parts:
+        # Catch trials are of no part: those of a participant are told once.
+        catches = {who: left.pop(who) for who in part.counts.participants if who in left}
+        found += [(part, finding) for finding in uncorrected(part.counts, part.frame, catches)]
+    corrected = correct(finding for _, finding in found)
+    return PartsAnalysis(responses, parts, tuple(zip((part for part, _ in found), corrected, strict=True)), {})
+
+
+def _find_parts(responses: Responses) -> Iterator[CrossedPart]:
+    """Yield the crossed parts of a design: pairs and finger conditions that share their levels and numbers."""
+    scheduled = responses.scheduled
+    if scheduled is None:
+        return
+    cell = list(cell_of(scheduled.columns))
+    named = [name for name in FACTORS if scheduled[name].astype(bool).any()]
+    for values, own in scheduled.groupby(named, observed=True) if named else [((), scheduled)]:
+        factors = dict(zip(named, map(str, values), strict=True))
+        levels_of: dict[tuple[tuple[str, ...], int], list[float]] = {}
+        for (*place, level), n in _asked(responses, own, cell):
+            levels_of.setdefault((tuple(place), n), []).append(level)
+        alike: dict[tuple[tuple[float, ...], int], list[tuple[str, ...]]] = {}
+        for (where, n), own_levels in levels_of.items():
+            alike.setdefault((tuple(own_levels), n), []).append(where)
+        for (levels, n), places in alike.items():
+            conditions, pairs = {place[0] for place in places}, {place[1:] for place in places}
+            is_whole = len(places) == len(conditions) * len(pairs)
+            for chosen in [places] if is_whole else [[each for each in places if each[1:] == pair] for pair in pairs]:
+                cells = {(*place, level) for place in chosen for level in levels}
+                yield _part(responses, own, cell, cells, factors, n)
+
+
+def _asked(responses: Responses, own: pd.DataFrame, cell: list[str]) -> list[tuple[Any, int]]:
+    """Return the cells with how often each participant was asked in them; refuse it where that differs."""
+    wide = own.groupby(["participant", *cell], observed=True).size().unstack(cell, fill_value=0)
+    if odd := [name for name in wide.columns if wide[name].nunique() > 1]:
+        shown = ", ".join(f"{who} {n}" for who, n in wide[odd[0]].drop_duplicates().items())
+        given = f"participants of one group who met {' '.join(map(str, odd[0]))} unequally often ({shown})"
+        remedy = "give a folder with the sessions of one version of the protocol"
+        raise InputError.of(responses.source.path, given, "each cell equally often for all of a group", remedy)
+    return [(name, int(wide[name].iloc[0])) for name in wide.columns.sort_values()]
+
+
+def _part(
+    responses: Responses,
+    own: pd.DataFrame,
+    cell: list[str],
+    cells: set[tuple[Any, ...]],
+    factors: dict[str, str],
+    n_repetitions: int,
+) -> CrossedPart:
+    """Return a part with its answers; who gave none in it has a row that counts nothing."""
+    scheduled = own[[key in cells for key in own[cell].itertuples(index=False, name=None)]]
+    answered = scheduled[scheduled["response"].isin(responses.answers.names)]
+    silent = scheduled.drop(answered.index).assign(n=0, response=responses.answers.names[0])
+    counts = count_answers(
+        pd.concat([answered, silent]),
+        str(scheduled["focus"].iloc[0]),
+        responses.answers,
+        responses.margin,
+        n_repetitions,
+    )
+    return CrossedPart(factors, counts, answered.reset_index(drop=True))
+
+
+def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
+    """Return the contents of every file of the analysis, by name, as `write_files` takes them."""
+    from modaltouch.analysis.figures import draw_counts
+    from modaltouch.analysis.provenance import describe_record
+
+    pictures = [
+        ReportFigure(
+            f"part_{number}_{condition}",
+            draw_counts(
+                zone_table(part.counts, condition),
+                condition,
+                part.counts.n_participants if part.counts.n_repetitions > 1 else None,
+            ),
+            part.name,
+        )
+        for number, part in enumerate(analysis.parts, start=1)
+        for condition in part.counts.finger_conditions
+    ]
+    responses = analysis.responses
+    design = responses.start.get("design", {})
+    page = page_files(
+        "modaltouch.analysis.parts",
+        "report",
+        pictures[:MOST_FIGURES],
+        title=f"Analysis: {design.get('title') or responses.start.get('protocol', '')}",
+        source=responses.source,
+        n_participants=responses.frame["participant"].nunique(),
+        n_answers=len(responses.frame),
+        counts=analysis.counts.to_dict("records"),
+        parts=[
+            (part, [_line(finding) for own, finding in analysis.findings if own is part]) for part in analysis.parts
+        ],
+        n_pictures=len(pictures),
+        alpha=ALPHA,
+        left_out=responses.left_out,
+        record=describe_record(responses.sessions),
+    )
+    tests = [{str(key): value for key, value in row.items()} for row in analysis.tests.to_dict("records")]
+    return {
+        "counts.csv": analysis.counts.to_dict("records"),
+        "tests.csv": tests,
+        "tests.json": [plain_row(row) for row in tests],
+        **_models(analysis),
+        **page,
+    }
+
+
+def _line(finding: Finding) -> dict[str, Any]:
+    numbers = {name: say_number(getattr(finding, name), 2) for name in ("p", "p_holm")}
+    return {**vars(finding), "said": say_interval(finding), **numbers, "significant": finding.p_holm <= ALPHA}
+
+
+def _models(analysis: PartsAnalysis) -> dict[str, Any]:
+    """Return the tidy table, and the R script of mixed models over all parts where each finger is named alone."""
+    first = analysis.parts[0].counts
+    if not first.compares:
+        return {"answers.csv": analysis.responses.frame.to_csv(index=False, lineterminator="\n")}
+    table = pd.concat([model_table(part.counts, part.frame).assign(**part.factors) for part in analysis.parts])
+    middle = (table[first.scale.column].max() + table[first.scale.column].min()) / 2
+    table = table.assign(level=(table[first.scale.column] - middle) / first.scale.step)
+    columns = [name for name in (*FACTORS, "finger_condition", "pair", "level") if name in table]
+    terms = " + ".join(name for name in columns if table[name].nunique() > 1) or "1"
+    orders = [zone for zone in ("other", "both", "dominant") if zone != "both" or first.both_place is not None]
+    script = render_page("modaltouch.analysis", "models.R.j2", terms=terms, zones=orders, scale=first.scale)
+    return {"answers.csv": table.to_csv(index=False, lineterminator="\n"), "models.R": script}

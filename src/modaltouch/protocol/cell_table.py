@@ -1,0 +1,180 @@
+"""Listed cells in the tree of a protocol, those of a table with their places in it; and their faults."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from modaltouch.protocol.problems import Problem, suggest
+from modaltouch.protocol.reading import Reading
+from modaltouch.protocol.source import Source
+from modaltouch.protocol.tree import Node, resolve
+
+DERIVED = ("zone_pairs", "peak_velocities_mm_s", "finger_conditions")
+"""Keys of the section conditions that follow from cells."""
+
+_REQUIRED = ("zone_left", "zone_right", "peak_velocity_mm_s")
+COLUMNS = (*_REQUIRED, "finger_condition", "stimulus", "weight")
+"""Columns of a table of cells; the last three may be left out, and their fields may be empty."""
+
+
+def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, list[Problem]]:
+    """Return the tree of a protocol with the cells of its table in it, and the keys that follow from cells.
+
+    What comes from the table keeps its place there, so that every later fault is told where it was written.
+
+    Parameters
+    ----------
+    source : Source
+        The protocol.
+    root : Node
+        Its tree.
+    table : Source or None
+        The table that it names, if any.
+    """
+    conditions, problems = root.child("conditions"), list[Problem]()
+    if conditions is None:
+        return root, problems
+    written = [key for key in ("table", "cells", *DERIVED[:2]) if conditions.child(key)]
+    for other in written[1:]:
+        given, place = f"{other} beside {written[0]}, which says the same", conditions.keys[other]
+        problems.append(
+            Problem(str(source.path), *place, f"conditions.{other}", given, "one of the two", "remove one of them")
+        )
+    if table is not None:
+        listed, faults = _read_table(table)
+        problems += faults
+        conditions = conditions.with_child("cells", listed)
+    cells = conditions.child("cells")
+    rows = [] if cells is None else [row for row in cells.children if isinstance(row.content, dict)]
+    for key, own in zip(DERIVED, ("pair", "peak_velocities_mm_s", "finger_conditions"), strict=True):
+        if cells is None or conditions.child(key) is not None:
+            continue
+        found = [node for row in rows if (node := row.child(own)) is not None]
+        found = found if own == "pair" else [each for node in found for each in node.children]
+        if found:
+            first = {str(node.plain()): node for node in reversed(found)}
+            unlike = [node for node in found if first[str(node.plain())] is node]
+            conditions = conditions.with_child(key, Node(unlike, cells.line, cells.column, file=cells.file))
+    return root.with_child("conditions", conditions), problems
+
+
+def without_derived(reading: Reading[Any]) -> tuple[Problem, ...]:
+    """Return the problems of a protocol without those that follow from its cells, which are told there."""
+    derived = tuple(f"conditions.{key}" for key in DERIVED[: 3 if reading.find(("conditions", "table")) else 2])
+    return tuple(each for each in reading.problems if not each.path.startswith(derived))
+
+
+def _read_table(source: Source) -> tuple[Node, list[Problem]]:
+    """Return the rows of a table of cells as the list that a protocol would hold, and what is wrong with it."""
+    path, rows, problems = str(source.path), list[Node](), list[Problem]()
+    lines = source.text.splitlines()
+    header = lines[0] if lines else ""
+    separator = next((mark for mark in ",;\t" if mark in header), ",")
+    names = [name for name, _ in _fields(header, separator)]
+    for name, column in _fields(header, separator):
+        if name not in COLUMNS or names.count(name) > 1:
+            meant = suggest(name, COLUMNS)
+            remedy = f"did you mean '{meant}'?" if meant and meant not in names else "remove it"
+            problems.append(
+                Problem(path, 1, column, "", f"the column {name!r}", f"once each: {', '.join(COLUMNS)}", remedy)
+            )
+    if missing := [name for name in _REQUIRED if name not in names]:
+        given = f"a table without the column{'s' * (len(missing) > 1)} {', '.join(missing)}"
+        problems.append(Problem(path, 1, 1, "", given, ", ".join(COLUMNS), "name the columns in the first line"))
+    for number, line in enumerate(lines[1:], start=2):
+        fields = _fields(line, separator)
+        if not line.strip() or problems and problems[0].line == 1:
+            continue
+        if len(fields) != len(names):
+            given = f"{len(fields)} fields"
+            problems.append(Problem(path, number, 1, "", given, f"{len(names)}, as many as columns", "mend the line"))
+            continue
+        rows.append(_row(path, number, dict(zip(names, fields, strict=True))))
+    if not rows and not problems:
+        problems.append(Problem(path, 1, 1, "", "a table without rows", "at least one cell", "write one to a line"))
+    return Node(rows, 1, 1, file=path), problems
+
+
+def _fields(line: str, separator: str) -> list[tuple[str, int]]:
+    """Return the fields of a line with the columns at which they begin, from 1."""
+    found, column = [], 1
+    for field in line.split(separator):
+        bare = field.strip().strip('"').strip()
+        found.append((bare, column + field.find(bare)))
+        column += len(field) + 1
+    return found
+
+
+def _row(path: str, line: int, fields: dict[str, tuple[str, int]]) -> Node:
+    def node(name: str) -> Node:
+        word, column = fields[name]
+        is_number = name in ("peak_velocity_mm_s", "weight")
+        content = resolve(word) if is_number else word or None
+        return Node(content, line, column, text=word, file=path)
+
+    def several(*names: str) -> Node:
+        return Node([node(name) for name in names], line, fields[names[0]][1], file=path)
+
+    row = {"pair": several("zone_left", "zone_right"), "peak_velocities_mm_s": several("peak_velocity_mm_s")}
+    row |= {f"{key}": several(name) for key, name in _OPTIONAL.items() if fields.get(name, ("", 0))[0]}
+    if fields.get("weight", ("", 0))[0]:
+        row["weight"] = node("weight")
+    return Node(row, line, 1, {key: (each.line, each.column) for key, each in row.items()}, file=path)
+
+
+_OPTIONAL = {"finger_conditions": "finger_condition", "stimuli": "stimulus"}
+
+
+def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
+    """Yield the faults of listed and of excluded cells: unknown names, cells that are not there, blocks left empty."""
+    conditions = reading.sound("conditions")
+    if conditions is None:
+        return
+    key = "cells" if conditions.cells else "exclude"
+    for other, path in (("adaptive", ("adaptive",)), ("sensation_levels", ("conditions", "sensation_levels"))):
+        if reading.sound(*path) is not None:
+            given = f"{key} with {other}, whose levels are not those of the protocol"
+            yield reading.problem(("conditions", key), given, "one of the two", "remove one of them")
+            return
+    names = {"finger_condition": conditions.finger_conditions, "stimulus": tuple(reading.sound("stimuli") or ())}
+    for index, each in enumerate(conditions.cells):
+        for at, name, kind in (
+            *((("finger_conditions", i), name, "finger_condition") for i, name in enumerate(each.finger_conditions)),
+            *((("stimuli", i), name, "stimulus") for i, name in enumerate(each.stimuli)),
+        ):
+            if name not in names[kind]:
+                yield _unknown(reading, ("conditions", "cells", index, *at), name, kind, names[kind])
+    for index, left_out in enumerate(conditions.exclude):
+        for kind, known in names.items():
+            if (name := getattr(left_out, kind)) is not None and name not in known:
+                yield _unknown(reading, ("conditions", "exclude", index, kind), name, kind, known)
+                return
+    if reading.value is None or (reading.value.stimuli and not names["stimulus"]):
+        return
+    yield from _check_excluded(reading)
+
+
+def _unknown(
+    reading: Reading[Any], path: tuple[str | int, ...], name: str, kind: str, known: tuple[str, ...]
+) -> Problem:
+    noun = kind.replace("_", " ")
+    remedy = f"did you mean '{meant}'?" if (meant := suggest(name, known)) else "name it there, or leave it out"
+    return reading.problem(path, f"'{name}', which is no {noun} of the protocol", ", ".join(known) or "none", remedy)
+
+
+def _check_excluded(reading: Reading[Any]) -> Iterator[Problem]:
+    """Yield excluded cells that are not in the design, and finger conditions in which no cell is left."""
+    protocol: Any = reading.value
+    conditions = protocol.conditions
+    every = [(name, cell) for name in conditions.finger_conditions for cell in protocol.cells(name, excluded=True)]
+    for index, left_out in enumerate(conditions.exclude):
+        if not any(left_out.holds(*each) for each in every):
+            given, remedy = "cells that the design does not have", "correct it, or remove it"
+            yield reading.problem(("conditions", "exclude", index), given, "cells of the design", remedy)
+    for index, name in enumerate(conditions.finger_conditions):
+        if not protocol.cells(name):
+            given, remedy = f"{name}, for which no cell is left", "leave it out, or give it cells"
+            yield reading.problem(
+                ("conditions", "finger_conditions", index), given, "finger conditions with cells", remedy
+            )

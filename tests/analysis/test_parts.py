@@ -1,0 +1,115 @@
+"""Designs that are not crossed: each crossed part has the tests that it would have alone, and its own denominators."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from modaltouch.analysis.findings import holm
+from modaltouch.analysis.parts import PartsAnalysis, analyse_parts
+from modaltouch.analysis.responses import AnswerSource, Responses
+from modaltouch.analysis.statistics import uncorrected
+from modaltouch.protocol import AnswerList, InputError
+
+PEOPLE = [f"p{number:02}" for number in range(1, 11)]
+PAPER = AnswerList.of_words(())
+CELLS = [("A", "C", 80.0, 1), ("A", "C", 150.0, 1), ("B", "D", 120.0, 2), ("C", "E", 80.0, 1), ("C", "E", 150.0, 1)]
+
+
+def responses(rows: list[dict[str, object]], answers: AnswerList = PAPER) -> Responses:
+    """Return answers of a design that is not crossed; a response that is no answer is a trial without one."""
+    usual = {"group": "", "session_kind": "", "stimulus": "", "focus": "C", "finger_condition": "one_hand", "n": 1}
+    scheduled = pd.DataFrame([usual | row for row in rows])
+    frame = scheduled[scheduled["response"].isin(answers.names)].reset_index(drop=True)
+    return Responses(
+        frame, (), (), AnswerSource("somewhere", "results", "", "real"), answers=answers, scheduled=scheduled
+    )
+
+
+def rows(people: list[str] = PEOPLE, **more: str) -> list[dict[str, object]]:
+    """Return an answer to every trial of a design with levels of each pair, drawn at random."""
+    rng = np.random.default_rng(1)
+    return [
+        {"participant": who, "zone_left": left, "zone_right": right, "velocity_mm_s": level,
+         "response": str(rng.choice(PAPER.names, p=[0.2, 0.2, 0.6])), **more}
+        for who, (left, right, level, weight) in product(people, CELLS)
+        for _ in range(weight)
+    ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def analysis() -> PartsAnalysis:
+    """Ten participants, three pairs of which two share their levels."""
+    return analyse_parts(responses(rows()))
+
+
+def test_pairs_that_share_levels_and_numbers_are_one_part(analysis: PartsAnalysis) -> None:
+    """A-C and C-E at 80 and 150 once each; B-D at 120 twice."""
+    assert [part.name for part in analysis.parts] == [
+        "one_hand A-C, C-E at 80, 150 mm/s",
+        "one_hand B-D at 120 mm/s",
+    ]
+    assert [part.counts.n_repetitions for part in analysis.parts] == [1, 2]
+
+
+def test_each_part_has_the_tests_that_it_would_have_alone(analysis: PartsAnalysis) -> None:
+    """The same p and estimates as of a crossed table with these answers alone."""
+    for part in analysis.parts:
+        pairs = {(pair.left, pair.right) for pair in part.counts.pairs}
+        alone = [row for row in rows() if (row["zone_left"], row["zone_right"]) in pairs]
+        frame = responses(alone).frame
+        expected = uncorrected(
+            Responses(frame, (), (), AnswerSource("", "csv", ""), focus="C", answers=PAPER).count(), frame
+        )
+        found = [finding for own, finding in analysis.findings if own is part]
+        assert [(one.name, one.scope) for one in found] == [(one.name, one.scope) for one in expected]
+        np.testing.assert_array_equal([one.p for one in found], [one.p for one in expected])
+        np.testing.assert_array_equal([one.estimate for one in found], [one.estimate for one in expected])
+
+
+def test_holm_corrects_over_all_parts(analysis: PartsAnalysis) -> None:
+    """A family is all of its tests, in whichever part: Holm (1979)."""
+    family = [finding for _, finding in analysis.findings if finding.family == "a2"]
+    assert len(family) == 3
+    np.testing.assert_allclose([one.p_holm for one in family], holm([one.p for one in family]))
+
+
+def test_counts_are_of_those_who_met_the_cell_as_often_as_they_met_it(analysis: PartsAnalysis) -> None:
+    """Ten participants once, and twice where the weight is two; nothing is missing."""
+    asked = dict(zip(analysis.counts["pair"], analysis.counts["asked"], strict=True))
+    assert asked == {"A-C": 10, "C-E": 10, "B-D": 20}
+    assert analysis.as_dict()["missing"] == []
+
+
+def test_an_answer_that_did_not_come_is_missing_and_its_participant_stays() -> None:
+    """Who timed out in both trials of B-D still counts among those who were asked."""
+    every = rows()
+    for row in every:
+        if row["participant"] == "p03" and row["zone_left"] == "B":
+            row["response"] = "time_out"
+    found = analyse_parts(responses(every))
+    assert found.parts[1].counts.n_participants == 10
+    assert found.as_dict()["missing"] == [{"participant": "p03", "cell": "one_hand B-D 120 mm/s", "n": 2}]
+    assert found.as_dict()["n_responses"] == 58
+
+
+def test_groups_are_parts_of_their_own() -> None:
+    """Participants of one group lack nothing of what the other met."""
+    high = [row | {"velocity_mm_s": 200.0} for row in rows(PEOPLE[5:], group="high") if row["zone_left"] == "B"]
+    found = analyse_parts(responses([*rows(PEOPLE[:5], group="low"), *high]))
+    assert [part.name for part in found.parts] == [
+        "high one_hand B-D at 200 mm/s",
+        "low one_hand A-C, C-E at 80, 150 mm/s",
+        "low one_hand B-D at 120 mm/s",
+    ]
+    assert {part.counts.n_participants for part in found.parts} == {5}
+    assert found.as_dict()["n_missing"] == 0
+
+
+def test_participants_of_a_group_who_met_other_cells_are_refused() -> None:
+    """Two versions of a protocol make no denominators."""
+    with pytest.raises(InputError, match=r"met one_hand B D 120.0 unequally often \(p01 2, p04 3\)"):
+        analyse_parts(responses([*rows(), next(row for row in rows(["p04"]) if row["zone_left"] == "B")]))
