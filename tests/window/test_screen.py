@@ -44,15 +44,19 @@ def open_in_a_process(**environment: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+def set_type(screen: Any, words: Words) -> Any:
+    """Return the words as the window sets them."""
+    return screen._typesetter.set_type(words, screen.size[1])
+
+
 def fits(screen: Any, words: Words) -> bool:
-    """Return whether the words, as they are drawn, lie inside their box."""
-    width, height = screen._measure(screen._stimuli(words)[0])
-    return bool(width <= words.box.width and height <= words.box.height)
+    """Return whether the words, as they are set, lie inside their box."""
+    return bool(set_type(screen, words).fits)
 
 
 def shrinks(screen: Any, words: Words) -> float:
     """Return the share of its intended size at which a text is drawn, 1 where it fits as it is."""
-    return float(screen._stimuli(words)[0].height) / words.size
+    return float(set_type(screen, words).share)
 
 
 def test_without_a_display_the_error_says_what_to_do() -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modaltouch.window.screen import cover
+from modaltouch.window.coverage import cover
 from modaltouch.window.shapes import Box, capsule, rectangle, rounded, triangle
 
 

@@ -53,11 +53,16 @@ def _check_text(text: str, wanted: frozenset[str] = frozenset(), optional: froze
     return text
 
 
+_PLACE = {"x-allowed": "the name of an installed font's file, without folders, or its absolute path"}
+FontFile = Annotated[str, Field(pattern=r"^([^/\\]*|(/|[A-Za-z]:\\).*)$", json_schema_extra=_PLACE)]
+
+
 class Texts(Section):
     """Every word the participant reads, in one language."""
 
     language: Text = described("Name of the language, in that language.")
     language_code: Text | None = described("Its code (BCP 47), such as en or fr.", default=None)
+    font: FontFile = described("Installed font that is asked before Noto's, such as Amiri-Regular.ttf.", default="")
     welcome: Text = described("Greeting on the first screen.")
     instructions: Text = described("What the experiment asks of the participant.")
     how_to_answer: Text = described("How to answer and to pause; holds {pause_key}, may hold {n_answers}.")

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import textwrap
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cache, cached_property
 
 from modaltouch.protocol import Answer, AnswersSection, Texts
 from modaltouch.window.layout import Layout
 from modaltouch.window.shapes import Box, Mark, Words, framed, rounded, triangle
 from modaltouch.window.theme import Theme
+from modaltouch.window.typesetting import Typesetter
 
 _ARROWS = ("left", "right", "up", "down")
-_BOLD_LETTER = 0.62
-"""Mean width of a bold letter of Noto Sans [em]."""
-_LINE = 1.4
-"""Height of a line of it [em]."""
-_MOST_LINES = 3
-"""Lines of an answer on its button."""
+_REFERENCE = 1000
+"""Height of a window in which labels are measured [pixels]."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +58,10 @@ class Buttons:
         """Return a button too low for two lines: its word in the middle, its key beside it."""
         theme, unit = self.theme, self.layout.unit
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
-        longest = max(len(self._word(name)) for name, other in self._offered.items() if other.is_below)
-        size = min(self._answer_size, 0.5 * box.height, 0.5 * box.width / (_BOLD_LETTER * longest))
-        words = Words(self._word(answer), Box(box.x, box.y, box.width * 0.5, box.height * 0.9), size, ink, bold=True)
+        middle = Box(box.x, box.y, box.width * 0.5, box.height * 0.9)
+        labels = [self._word(name) for name, other in self._offered.items() if other.is_below]
+        size = self._common_size(labels, middle, min(self._answer_size, 0.5 * box.height))
+        words = Words(self._word(answer), middle, size, ink, bold=True)
         beside = Box(box.x + 0.36 * box.width, box.y, box.width * 0.2, 0.6 * box.height)
         return (
             *framed(box, 0.018 * unit, theme.button_edge, fill, 0.006 * unit),
@@ -106,11 +103,11 @@ class Buttons:
         labels = [self._word(name) for name, own in self._offered.items() if not own.is_below] or ["-"]
         width = self.layout.answer_width * self._share
         height = 0.52 * next(iter(self.layout.buttons.values())).height
-        sizes = [width / (_BOLD_LETTER * max(map(len, labels)))]
-        for n_lines in range(2, _MOST_LINES + 1):
-            longest = max(_longest_line(label, n_lines) for label in labels)
-            sizes.append(min(width / (_BOLD_LETTER * longest), height / (_LINE * n_lines)))
-        return min(0.062 * self.layout.type_scale, max(sizes))
+        return self._common_size(labels, Box(0, 0, width, height), 0.062 * self.layout.type_scale)
+
+    def _common_size(self, labels: list[str], box: Box, size: float) -> float:
+        """Return the size of type, up to an intended one, at which every label fits a box."""
+        return size * _common_share(typesetter_of(self.texts), tuple(labels), box, size)
 
     def _key_caps(self, answer: str, box: Box) -> tuple[Mark, ...]:
         """Return the keys that give an answer: arrows where there are any, else the first two."""
@@ -118,7 +115,8 @@ class Buttons:
         shown = [key for key in keys if key in _ARROWS] or list(keys[:2])
         marks: list[Mark] = []
         labels = [None if key in _ARROWS else key_name(self.texts, key) for key in shown]
-        widths = [box.height if label is None else box.height * max(1.0, 0.34 * len(label) + 0.5) for label in labels]
+        measure = typesetter_of(self.texts).measure
+        widths = [box.height * (1.0 if not label else max(1.0, 0.58 * measure(label) + 0.5)) for label in labels]
         gap = 0.25 * box.height
         x = box.x - (sum(widths) + gap * (len(widths) - 1)) / 2
         for key, label, width in zip(shown, labels, widths, strict=True):
@@ -135,12 +133,16 @@ class Buttons:
         return tuple(marks)
 
 
-def _longest_line(label: str, n_lines: int) -> int:
-    """Return the letters of the longest line of a label in as many lines, broken between words alone."""
-    # Not split(): a space that must not break is part of a word.
-    words = label.replace("\n", " ").split(" ")
-    wrap = partial(textwrap.wrap, label, break_on_hyphens=False)
-    return next(n for n in range(max(map(len, words)), len(label) + 1) if len(wrap(n)) <= n_lines)
+@cache
+def _common_share(typesetter: Typesetter, labels: tuple[str, ...], box: Box, size: float) -> float:
+    """Return the share of the intended size at which every label fits a box [1]; drawn again with every question."""
+    words = (Words(label, box, size, "", bold=True) for label in labels)
+    return min(typesetter.set_type(each, _REFERENCE).share for each in words)
+
+
+def typesetter_of(texts: Texts) -> Typesetter:
+    """Return what sets the texts of an experiment."""
+    return Typesetter(texts.font, texts.language_code or "")
 
 
 def key_name(texts: Texts, key: str) -> str:

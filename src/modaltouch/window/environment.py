@@ -26,6 +26,7 @@ LIBRARIES = {
     "libXext.so.6": "libxext6",
     "libfontconfig.so.1": "libfontconfig1",
     "libfreetype.so.6": "libfreetype6",
+    "libfribidi.so.0": "libfribidi0",
 }
 """The shared libraries that draw the window on Linux, and the Debian package of each."""
 

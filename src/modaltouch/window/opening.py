@@ -14,7 +14,6 @@ from modaltouch.window.interface import AnswerWindow, Log, Tick
 
 if TYPE_CHECKING:
     from modaltouch.protocol import Protocol, Texts
-    from modaltouch.window.screen import Screen
     from modaltouch.window.simulated import Answerer
 
 AnswersBy = Literal["window", "simulated", "robot"]
@@ -112,20 +111,31 @@ def open_window(
         raise ValueError(f"given answers by {answers!r} and no observer; give `answerer`, or answers by 'window'")
     if answers == "simulated" and answerer is not None:
         return _simulated(answerer, protocol, tick, log, clock)
+    from modaltouch.window.buttons import typesetter_of
     from modaltouch.window.participant import ParticipantWindow
     from modaltouch.window.robot import Robot
+    from modaltouch.window.screen import Screen
     from modaltouch.window.theme import THEMES
 
     options = options or WindowOptions()
+    theme = THEMES[options.theme]
     robot = Robot(answerer, protocol.answers) if answers == "robot" and answerer is not None else None
-    display = _open_screen(protocol.title, options, clock)
+    display = Screen(
+        size=options.size,
+        fullscreen=options.fullscreen,
+        monitor=options.screen,
+        ground=theme.ground,
+        title=protocol.title,
+        typesetter=typesetter_of(texts),
+        clock=clock,
+    )
     try:
         return ParticipantWindow(
             display,
             protocol,
             texts,
             zones=zones,
-            theme=THEMES[options.theme],
+            theme=theme,
             tick=tick,
             log=log,
             screenshots=options.screenshots,
@@ -150,20 +160,5 @@ def _simulated(answerer: Answerer, protocol: Protocol, tick: Tick, log: Log, clo
         stimulus_until=section.stimulus_until,
         after_longest=section.after_longest,
         time_out=before + (section.time_out_s or math.inf),
-        clock=clock,
-    )
-
-
-def _open_screen(title: str, options: WindowOptions, clock: Clock) -> Screen:
-    """Return an open window, its ground that of the theme."""
-    from modaltouch.window.screen import Screen
-    from modaltouch.window.theme import THEMES
-
-    return Screen(
-        size=options.size,
-        fullscreen=options.fullscreen,
-        monitor=options.screen,
-        ground=THEMES[options.theme].ground,
-        title=title,
         clock=clock,
     )

@@ -392,9 +392,13 @@ class Illustrator:
         return (rectangle(bar, self.theme.beam), *([rectangle(done, self.theme.dim)] if share > 0 else []))
 
 
+_WIDE = "[\u2e80-\ua4cf\uf900-\ufaff\ufe30-\ufe4f\uff00-\uffef]"
+"""What is written without spaces between words: ideographs, kana and their punctuation."""
+
+
 def _paragraphs(text: str) -> list[str]:
     """Return the paragraphs of a text, which blank lines part; other line breaks are spaces."""
-    paragraphs = text.strip().split("\n\n")
+    paragraphs = re.sub(rf"(?<={_WIDE})\n(?={_WIDE})", "", text.strip()).split("\n\n")
     # Not split(): a space that must not break, as French has before a question mark, stays one.
     return [re.sub(r"[ \t\n]+", " ", paragraph) for paragraph in paragraphs]
 

@@ -2,62 +2,23 @@
 
 from __future__ import annotations
 
-import math
 import os
 import sys
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modaltouch.system import SYSTEM_CLOCK, Clock
+from modaltouch.window.coverage import cover
 from modaltouch.window.environment import explain, few_imports, fit, missing_libraries, prepare_environment
 from modaltouch.window.events import EventTap
 from modaltouch.window.interface import Event, WindowError
-from modaltouch.window.shapes import Mark, Picture, Shape, Words
-
-
-@dataclass(frozen=True, eq=False)
-class Coverage:
-    """The part of the screen that a polygon touches."""
-
-    left: int
-    bottom: int
-    alpha: NDArray[np.float32]
-
-
-def cover(corners: NDArray[np.float64]) -> Coverage:
-    """Return how much of each pixel a convex polygon covers.
-
-    A pixel's share is taken from the distance of its centre to the nearest edge: exact for a straight edge
-    along the pixel grid, and within 0.1 of the true area elsewhere.
-
-    Parameters
-    ----------
-    corners : (n_corners, 2) array
-        Corners in order, either way round [pixels], y upwards.
-    """
-    left, bottom = (math.floor(low) - 1 for low in corners.min(axis=0))
-    right, top = (math.ceil(high) + 1 for high in corners.max(axis=0))
-    x = np.arange(left, right, dtype=np.float32) + np.float32(0.5)
-    y = np.arange(bottom, top, dtype=np.float32)[:, np.newaxis] + np.float32(0.5)
-    following = np.roll(corners, -1, axis=0)
-    turn = np.sign(np.sum(corners[:, 0] * following[:, 1] - following[:, 0] * corners[:, 1]))
-    inside = np.full((top - bottom, right - left), np.inf, dtype=np.float32)
-    for (x0, y0), (x1, y1) in zip(corners, following, strict=True):
-        length = math.hypot(x1 - x0, y1 - y0)
-        if length < 1e-9:
-            continue
-        normal_x, normal_y = -turn * (y1 - y0) / length, turn * (x1 - x0) / length
-        distance = np.float32(normal_x) * (x - np.float32(x0)) + np.float32(normal_y) * (y - np.float32(y0))
-        np.minimum(inside, distance, out=inside)
-    return Coverage(left, bottom, np.clip(inside + np.float32(0.5), 0, 1))
-
+from modaltouch.window.shapes import Mark, Picture, Shape
+from modaltouch.window.typesetting import Typesetter
 
 _HANDLERS: list[Any] = []
 """What Xlib may call for as long as the process lives; it keeps their addresses alone."""
@@ -125,8 +86,6 @@ class DisplayLoss:
 
 _KEPT_MARKS = 1500
 """Marks kept ready to draw; a session with ten zone pairs needs about 600."""
-_SMALLEST_SHRINK = 0.4
-"""Type is never made smaller than this share of its intended size."""
 
 
 class Screen:
@@ -144,6 +103,8 @@ class Screen:
         Background colour as ``#RRGGBB``.
     title : str
         Title of the window.
+    typesetter : Typesetter, optional
+        Sets the words, in the fonts and the language of an experiment's texts.
     clock : Clock
         Stamps pictures and events.
 
@@ -161,14 +122,15 @@ class Screen:
         monitor: int = 0,
         ground: str = "#000000",
         title: str = "modaltouch",
+        typesetter: Typesetter | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self._clock = clock
         visual, monitors = _import_psychopy()
         self._visual = visual
         self._place: dict[str, Any] = {"fullscreen": fullscreen, "monitor": monitor}
-        _load_fonts()
-        self._ready: OrderedDict[Mark, tuple[Any, ...]] = OrderedDict()
+        self._typesetter = typesetter or Typesetter()
+        self._ready: OrderedDict[Mark, Any] = OrderedDict()
         self._window = _open(
             visual,
             fit(size, monitor),
@@ -215,7 +177,7 @@ class Screen:
         """Make the picture's marks ready, so that drawing it later takes no longer than a frame."""
         with self._loss.told():
             for mark in picture.marks:
-                self._stimuli(mark)
+                self._stimulus(mark)
 
     def draw(self, picture: Picture) -> None:
         """Draw the picture where nobody sees it, until `flip` brings it onto the screen."""
@@ -224,8 +186,7 @@ class Screen:
         with self._loss.told():
             self._window.clearBuffer()
             for mark in picture.marks:
-                for stimulus in self._stimuli(mark):
-                    stimulus.draw()
+                self._stimulus(mark).draw()
             # Else OpenGL would do the work within the flip.
             glFinish()
 
@@ -286,27 +247,28 @@ class Screen:
         except Exception as error:
             sys.stderr.write(f"the answer window did not close cleanly: {error}\n")
 
-    def _stimuli(self, mark: Mark) -> tuple[Any, ...]:
+    def _stimulus(self, mark: Mark) -> Any:
         """Return what draws a mark, made once and kept."""
         ready = self._ready.get(mark)
         if ready is None:
-            ready = (self._polygon(mark),) if isinstance(mark, Shape) else (self._text(mark),)
-            self._ready[mark] = ready
+            self._ready[mark] = ready = self._image(mark)
             if len(self._ready) > _KEPT_MARKS:
                 self._ready.popitem(last=False)
         else:
             self._ready.move_to_end(mark)
         return ready
 
-    def _polygon(self, shape: Shape) -> Any:
-        """Return the polygon as an image whose pixels are the window's own."""
+    def _image(self, mark: Mark) -> Any:
+        """Return the mark as an image whose pixels are the window's own."""
         width, height = self.size
-        corners = np.array(shape.corners) * height + (width / 2, height / 2)
-        covered = cover(corners)
+        if isinstance(mark, Shape):
+            covered = cover(np.array(mark.corners) * height + (width / 2, height / 2))
+        else:
+            covered = self._typesetter.cover(mark, self.size)
         rows, columns = covered.alpha.shape
         image = np.empty((rows, columns, 4), dtype=np.float32)
         # Unlike everywhere else in PsychoPy, colours count from 0 to 1 in an image with opacity.
-        image[..., :3] = [int(shape.fill[place : place + 2], 16) / 255 for place in (1, 3, 5)]
+        image[..., :3] = [int(mark.fill[place : place + 2], 16) / 255 for place in (1, 3, 5)]
         image[..., 3] = covered.alpha
         return self._visual.ImageStim(
             self._window,
@@ -317,31 +279,6 @@ class Screen:
             interpolate=False,
             autoLog=False,
         )
-
-    def _text(self, words: Words) -> Any:
-        """Return the text, at its intended size or the largest that fits its box."""
-        share = 1.0
-        while True:
-            stimulus = self._visual.TextStim(
-                self._window,
-                words.text,
-                font="Noto Sans",
-                pos=(words.box.x, words.box.y),
-                height=words.size * share,
-                wrapWidth=words.box.width,
-                color=words.fill,
-                bold=words.bold,
-                autoLog=False,
-            )
-            width, height = self._measure(stimulus)
-            if (width <= words.box.width and height <= words.box.height) or share <= _SMALLEST_SHRINK:
-                return stimulus
-            share -= 0.05
-
-    def _measure(self, stimulus: Any) -> tuple[float, float]:
-        """Return the extent of a text [window heights]."""
-        width, height = stimulus.boundingBox
-        return width / self.size[1], height / self.size[1]
 
 
 def _import_psychopy() -> tuple[Any, Any]:
@@ -363,20 +300,6 @@ def _import_psychopy() -> tuple[Any, Any]:
     except Exception as error:
         raise WindowError(explain(error)) from error
     return visual, monitors
-
-
-def _load_fonts() -> None:
-    """Load the fonts that PsychoPy brings along, so that every machine shows the same picture."""
-    import psychopy
-    import pyglet.font
-
-    folder = Path(psychopy.__file__).parent / "assets" / "fonts"
-    for name in ("NotoSans-Regular.ttf", "NotoSans-Bold.ttf"):
-        with (folder / name).open("rb") as file:
-            try:
-                pyglet.font.add_file(file)
-            except ImportError as error:
-                raise WindowError(explain(error)) from error
 
 
 def _open(visual: Any, size: tuple[int, int], **options: Any) -> Any:

@@ -1,0 +1,300 @@
+"""Typesetting: words of any script as pixels, shaped by HarfBuzz through Pillow's Raqm.
+
+Lines break at spaces, and between ideographs; the order of their letters is that of the Unicode bidirectional algorithm
+(UAX 9, by FriBidi), each paragraph in the direction of its first letter.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import sys
+import unicodedata
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache, partial
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from modaltouch.window.coverage import Coverage
+from modaltouch.window.fonts import Font, Fonts
+from modaltouch.window.interface import WindowError
+from modaltouch.window.shapes import Words
+
+if TYPE_CHECKING:
+    from PIL.ImageFont import FreeTypeFont
+
+FRIBIDI = {"darwin": "libfribidi.0.dylib", "win32": "fribidi-0.dll"}.get(sys.platform, "libfribidi.so.0")
+"""Library by which Pillow, too, orders letters."""
+_RTL, _LTR = 0x111, 0x110
+"""FriBidi's numbers for the direction of a paragraph."""
+_ASCENT, _DESCENT = 1.069, 0.293
+"""Extent of a line over and under its baseline, those of Noto Sans; larger only where letters stand out of it [em]."""
+_STROKE = 0.02
+"""Thickening where a font has no bold companion [em]."""
+_STEP, _SMALLEST = 0.05, 0.4
+"""Steps in which type is made smaller until it fits, and the least share of its intended size [1]."""
+_NEVER_FIRST = frozenset("ぁぃぅぇぉっゃゅょゎァィゥェォッャュョヮ々")
+"""Small kana and the repetition mark, which begin no line."""
+
+
+@dataclass(frozen=True)
+class GlyphRun:
+    """Letters of one font and direction.
+
+    Attributes
+    ----------
+    text : str
+        The letters in the order in which they are read.
+    font : Font
+        What draws them.
+    is_rtl : bool
+        Whether they run from right to left.
+    """
+
+    text: str
+    font: Font
+    is_rtl: bool
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line in its place.
+
+    Attributes
+    ----------
+    runs : tuple of GlyphRun
+        From left to right.
+    width, ascent, descent : float
+        Extent [pixels].
+    """
+
+    runs: tuple[GlyphRun, ...]
+    width: float
+    ascent: float = 0.0
+    descent: float = 0.0
+
+
+@dataclass(frozen=True)
+class TypeBlock:
+    """A text that is broken into lines at a size.
+
+    Attributes
+    ----------
+    lines : tuple of Line
+        From the top.
+    size : float
+        Size of the type, em [pixels].
+    share : float
+        That size relative to the intended one [1].
+    fits : bool
+        Whether the text lies within its box.
+    """
+
+    lines: tuple[Line, ...]
+    size: float
+    share: float
+    fits: bool
+
+
+@dataclass(frozen=True)
+class Typesetter:
+    """Sets the texts of one language.
+
+    Attributes
+    ----------
+    font : str
+        File name of an installed font that is asked first, or its absolute path; empty for those found by script.
+    language : str
+        BCP 47 code, by which a font may have shapes of its own; empty where unknown.
+    """
+
+    font: str = ""
+    language: str = ""
+
+    def set_type(self, words: Words, window_height: int) -> TypeBlock:
+        """Return a text at its intended size or the largest that fits its box.
+
+        Parameters
+        ----------
+        words : Words
+            Text, box and intended size.
+        window_height : int
+            What its unit is [pixels].
+        """
+        width, height = words.box.width * window_height, words.box.height * window_height
+        share = 1.0
+        while True:
+            size = words.size * share * window_height
+            lines = tuple(self._break_lines(words.text, size, width, bold=words.bold))
+            fits = max(line.width for line in lines) <= width and _height(lines) <= height
+            if fits or share <= _SMALLEST:
+                return TypeBlock(lines, size, share, fits)
+            share -= _STEP
+
+    def measure(self, text: str, *, bold: bool = False) -> float:
+        """Return the width of a text in one line [em]."""
+        size = 100.0
+        return self._line(text, size, bold=bold, is_rtl=_first_letter_is_rtl(text)).width / size
+
+    def cover(self, words: Words, window: tuple[int, int]) -> Coverage:
+        """Return the pixels of a text, centred in its box.
+
+        Parameters
+        ----------
+        words : Words
+            Text, box and intended size.
+        window : (width, height) of int
+            Size of the window [pixels].
+        """
+        from PIL import Image, ImageDraw
+
+        setting = self.set_type(words, window[1])
+        # Swashes and marks may stand out of a line's own extent.
+        margin = math.ceil(setting.size)
+        columns = math.ceil(max(line.width for line in setting.lines)) + 2 * margin
+        rows = math.ceil(_height(setting.lines)) + 2 * margin
+        image = Image.new("L", (columns, rows))
+        pen = ImageDraw.Draw(image)
+        baseline = float(margin)
+        for line in setting.lines:
+            baseline += line.ascent
+            x = float(round((columns - line.width) / 2))
+            for run in line.runs:
+                font, way = _load(run.font.path, setting.size), "rtl" if run.is_rtl else "ltr"
+                stroke = _STROKE * setting.size * run.font.is_emboldened
+                place = (x, round(baseline))
+                pen.text(place, run.text, 255, font, "ls", direction=way, language=self._language, stroke_width=stroke)
+                x += font.getlength(run.text, direction=way, language=self._language)
+            baseline += line.descent
+        left, top, right, bottom = image.getbbox() or (0, 0, 1, 1)
+        alpha = np.asarray(image, dtype=np.float32)[top:bottom, left:right][::-1] / np.float32(255)
+        x0 = round(window[0] / 2 + words.box.x * window[1] - columns / 2)
+        y0 = round(window[1] / 2 + words.box.y * window[1] - rows / 2)
+        return Coverage(x0 + left, y0 + rows - bottom, alpha)
+
+    @property
+    def _language(self) -> str | None:
+        return self.language or None
+
+    def _break_lines(self, text: str, size: float, width: float, *, bold: bool) -> Iterator[Line]:
+        """Yield the lines of a text, none wider than the width where it can be broken."""
+        for paragraph in text.split("\n"):
+            is_rtl = _first_letter_is_rtl(paragraph)
+            line, begun = self._line("", size, bold=bold, is_rtl=is_rtl), ""
+            for piece in _pieces(paragraph):
+                longer = self._line((begun + piece).rstrip(" "), size, bold=bold, is_rtl=is_rtl)
+                if begun and longer.width > width:
+                    yield self._extended(line, size)
+                    begun, longer = "", self._line(piece.rstrip(" "), size, bold=bold, is_rtl=is_rtl)
+                line, begun = longer, begun + piece
+            yield self._extended(line, size)
+
+    def _line(self, text: str, size: float, *, bold: bool, is_rtl: bool) -> Line:
+        """Return the runs of a line from left to right, and its extent."""
+        chosen = [font or _missing(bold=bold) for font in Fonts(self.font).choose(text, bold=bold)]
+        runs: list[tuple[int, GlyphRun]] = []
+        start = 0
+        for (level, font), group in groupby(zip(_levels(text, is_rtl=is_rtl), chosen, strict=True)):
+            stop = start + len(list(group))
+            runs.append((level, GlyphRun(text[start:stop], font, is_rtl=level % 2 == 1)))
+            start = stop
+        width = 0.0
+        for _, run in runs:
+            way = "rtl" if run.is_rtl else "ltr"
+            width += _load(run.font.path, size).getlength(run.text, direction=way, language=self._language)
+        return Line(tuple(_from_left(runs)), width)
+
+    def _extended(self, line: Line, size: float) -> Line:
+        """Return a line with its extent over and under the baseline."""
+        tops, bottoms = [-_ASCENT * size], [_DESCENT * size]
+        for run in line.runs:
+            way = "rtl" if run.is_rtl else "ltr"
+            ink = _load(run.font.path, size).getbbox(run.text, direction=way, language=self._language, anchor="ls")
+            tops.append(ink[1])
+            bottoms.append(ink[3])
+        return replace(line, ascent=-min(tops), descent=max(bottoms))
+
+
+def _height(lines: tuple[Line, ...]) -> float:
+    return sum(line.ascent + line.descent for line in lines)
+
+
+def _pieces(text: str) -> Iterator[str]:
+    """Yield what no line break parts: words with the spaces after them, and ideographs with their punctuation.
+
+    A small part of UAX 14: where spaces part words, and for Chinese and Japanese; a zero-width space parts words, too.
+    """
+    start = 0
+    for place in range(1, len(text)):
+        before, after = text[place - 1], text[place]
+        kinds = unicodedata.category(before), unicodedata.category(after)
+        if before in " \u200b" and after != " ":
+            may_break = True
+        elif "W" in map(unicodedata.east_asian_width, (before, after)):
+            begins = kinds[1] in ("Ll", "Lu", "Lo", "Nd", "No", "So", "Ps", "Pi") and after not in _NEVER_FIRST
+            may_break = begins and kinds[0] not in ("Ps", "Pi", "Cf", "Zs")
+        else:
+            may_break = False
+        if may_break:
+            yield text[start:place]
+            start = place
+    yield text[start:]
+
+
+def _first_letter_is_rtl(text: str) -> bool:
+    """Return the direction of a paragraph by rules P2 and P3 of UAX 9."""
+    strong = (way for way in map(unicodedata.bidirectional, text) if way in ("L", "R", "AL"))
+    return next(strong, "L") != "L"
+
+
+@cache
+def _fribidi() -> ctypes.CDLL:
+    from PIL import features
+
+    if not features.check("raqm"):
+        raise WindowError(
+            "the texts cannot be set: Pillow finds no FriBidi on this machine; install the Debian package libfribidi0, "
+            "or what holds it on this system"
+        )
+    return ctypes.CDLL(FRIBIDI)
+
+
+def _levels(text: str, *, is_rtl: bool) -> list[int]:
+    """Return the embedding level of each character of a line by UAX 9: odd ones run from right to left."""
+    n = len(text)
+    letters, levels = (ctypes.c_uint32 * n)(*map(ord, text)), (ctypes.c_int8 * n)()
+    direction = ctypes.c_uint32(_RTL if is_rtl else _LTR)
+    _fribidi().fribidi_log2vis(letters, n, ctypes.byref(direction), None, None, None, levels)
+    return list(levels)
+
+
+def _is_at_least(least: int, run: tuple[int, GlyphRun]) -> bool:
+    return run[0] >= least
+
+
+def _from_left(runs: list[tuple[int, GlyphRun]]) -> list[GlyphRun]:
+    """Return runs, given with their levels as they are read, in the order in which they stand: rule L2 of UAX 9."""
+    ordered = list(runs)
+    for least in range(max((level for level, _ in runs), default=0), 0, -1):
+        parts = groupby(ordered, key=partial(_is_at_least, least))
+        ordered = [run for is_high, part in parts for run in (reversed(list(part)) if is_high else part)]
+    return [run for _, run in ordered]
+
+
+@cache
+def _missing(*, bold: bool) -> Font:
+    """Return the font whose empty box stands for a character that no font has."""
+    font = Fonts().choose("-", bold=bold)[0]
+    if font is None:
+        raise WindowError("no font can be found; install the project's environment again (`make install`)")
+    return font
+
+
+@lru_cache(256)
+def _load(path: str, size: float) -> FreeTypeFont:
+    from PIL import ImageFont
+
+    return ImageFont.truetype(path, size, layout_engine=ImageFont.Layout.RAQM)

@@ -1,0 +1,182 @@
+"""Typesetting: shapes, order and lines of every script, held against tables of the fonts and of Unicode.
+
+Expected widths come from the fonts' own tables, read by fontTools: no HarfBuzz takes part in them.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+from typing import Any
+
+import numpy as np
+import pytest
+from fontTools.ttLib import TTFont
+
+from modaltouch.protocol import AnswerList
+from modaltouch.window.fonts import Font, Fonts, find_font
+from modaltouch.window.layout import lay_out
+from modaltouch.window.shapes import Box, Words
+from modaltouch.window.typesetting import TypeBlock, Typesetter
+
+
+def set_type(text: str, *, width: float = 1.0, height: float = 1.0, size: float = 0.1, bold: bool = False) -> TypeBlock:
+    """Return a text as a window of 1000 pixels sets it."""
+    return Typesetter().set_type(Words(text, Box(0, 0, width, height), size, "#FFFFFF", bold), 1000)
+
+
+def lines(block: TypeBlock) -> list[str]:
+    """Return the letters of each line from left to right, each run as it is read."""
+    return ["|".join(run.text for run in line.runs) for line in block.lines]
+
+
+def font_of(letter: str) -> TTFont:
+    """Return the tables of the font that draws a letter."""
+    (font,) = Fonts().choose(letter)
+    assert font is not None
+    return TTFont(font.path, fontNumber=0)
+
+
+def advances(font: TTFont, glyphs: list[str]) -> float:
+    """Return the width of glyphs side by side [em]."""
+    return sum(font["hmtx"][glyph][0] for glyph in glyphs) / font["head"].unitsPerEm
+
+
+@pytest.mark.parametrize(
+    ("word", "forms"),
+    [
+        ("بيت", "ﺑﻴﺖ"),
+        ("سلام", "ﺳﻼﻡ"),
+        ("قلم", "ﻗﻠﻢ"),
+    ],
+)
+def test_arabic_letters_join(word: str, forms: str) -> None:
+    """Expected: initial, medial and final forms, and the ligature of lam and alef, as Unicode's presentation forms."""
+    assert "".join(unicodedata.normalize("NFKC", form) for form in forms) == word
+    font = font_of(word[0])
+    expected = advances(font, [font.getBestCmap()[ord(form)] for form in forms])
+    assert Typesetter().measure(word) == pytest.approx(expected, abs=0.02 * len(forms))
+    apart = sum(Typesetter().measure(letter) for letter in word)
+    assert abs(apart - expected) > 0.1, "letters that do not join are wider"
+
+
+def test_hebrew_is_as_wide_as_its_letters() -> None:
+    """Expected: the sum of advances; Hebrew neither joins nor forms ligatures."""
+    font = font_of("ש")
+    expected = advances(font, [font.getBestCmap()[ord(letter)] for letter in "שלום"])
+    assert Typesetter().measure("שלום") == pytest.approx(expected, abs=0.05)
+
+
+def ligature(font: TTFont, feature: str, glyphs: list[str]) -> str:
+    """Return the glyph that a feature of the font puts in place of several."""
+    table = font["GSUB"].table
+    indices = {
+        i
+        for each in table.FeatureList.FeatureRecord
+        if each.FeatureTag == feature
+        for i in each.Feature.LookupListIndex
+    }
+    subtables = [each for i in indices for each in table.LookupList.Lookup[i].SubTable]
+    subtables = [getattr(each, "ExtSubTable", each) for each in subtables]
+    first, *rest = glyphs
+    return next(each.LigGlyph for sub in subtables for each in sub.ligatures.get(first, ()) if each.Component == rest)
+
+
+def test_devanagari_consonants_form_conjuncts() -> None:
+    """Expected: the akhand ligature that the font has for ka, virama, ssa."""
+    font = font_of("क")
+    letters = [font.getBestCmap()[ord(letter)] for letter in "क्ष"]
+    expected = advances(font, [ligature(font, "akhn", letters)])
+    assert Typesetter().measure("क्ष") == pytest.approx(expected, abs=0.02)
+
+
+def test_a_devanagari_vowel_sign_stands_before_its_consonant() -> None:
+    """Expected: कि ends as क ends; PsychoPy's own text lost the sign."""
+
+    def ink(text: str) -> Any:
+        return Typesetter().cover(Words(text, Box(0, 0, 1, 1), 0.2, "#FFFFFF"), (1000, 1000))
+
+    with_sign, plain = ink("कि"), ink("क")
+    n = round(0.4 * plain.alpha.shape[1])
+    bottom = plain.bottom - with_sign.bottom
+    ends = with_sign.alpha[bottom : bottom + 80, -n:], plain.alpha[:80, -n:]
+    assert float(np.abs(ends[0] - ends[1]).mean()) < 0.05
+    assert with_sign.alpha.shape[1] > 1.2 * plain.alpha.shape[1]
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("ضع السبابة على المنطقة B", ["B|ضع السبابة على المنطقة "]),
+        ("5 من 24", ["24| من |5"]),
+        ("Press مفتاح now", ["Press |مفتاح| |now"]),
+        ("اضغط (Esc)", [")|Esc|(|اضغط "]),
+        ("5 of 24", ["5 of 24"]),
+    ],
+)
+def test_the_order_of_letters_is_that_of_uax_9(text: str, expected: list[str]) -> None:
+    """Expected: rules P2, W2, N1, L2 by hand; brackets between runs belong to the paragraph's direction."""
+    assert lines(set_type(text, width=9)) == expected
+
+
+def test_a_paragraph_runs_one_way_whatever_its_lines_begin_with() -> None:
+    """Expected: a second line that begins with Latin letters still runs from right to left."""
+    width = 0.1 * Typesetter().measure("اضغط على مفتاح") + 0.01
+    assert lines(set_type("اضغط على مفتاح Esc من فضلك", width=width)) == ["اضغط على مفتاح", "من فضلك| |Esc"]
+
+
+def test_ideographs_break_anywhere_but_before_and_after_their_punctuation() -> None:
+    """Expected: UAX 14 classes CL, EX, NS and OP: none of them at the wrong end of a line, all letters kept."""
+    text = "答案没有对错之分，请说出（您的）感觉。「はい」とこたえてくだ​さい。ちょっとまって！"
+    for width in np.arange(0.3, 1.2, 0.1):
+        found = lines(set_type(text, width=float(width), height=9))
+        assert "".join(found).replace("|", "").replace("\u200b", "") == text.replace("\u200b", "")
+        assert not [line for line in found if line[0] in "，。！）」っょ" or line[-1] in "（「"]
+        assert len(found) > 3
+
+
+def test_words_break_at_spaces_alone() -> None:
+    """Expected: as many words as fit a line; a space that must not break holds French punctuation to its word."""
+    assert lines(set_type("Where did you feel the vibration", width=0.9)) == ["Where did you feel", "the vibration"]
+    assert lines(set_type("la vibration\u00a0?", width=0.5)) == ["la", "vibration\u00a0?"]
+    assert lines(set_type("one\n\ntwo")) == ["one", "", "two"]
+
+
+def test_digits_and_punctuation_are_in_the_font_of_their_letters() -> None:
+    """Expected: Arabic comma and digits in the Arabic font, Latin in Noto Sans, an ideographic full stop in theirs."""
+
+    def names(text: str) -> list[str]:
+        return [
+            "-" if font is None else font.path.rpartition("/")[2].partition("-")[0] for font in Fonts().choose(text)
+        ]
+
+    assert names("من 5،") == ["NotoSansArabic"] * 5
+    assert names("按 Esc。") == ["wqy", "wqy", "NotoSans", "NotoSans", "NotoSans", "wqy"]
+    assert names("A\U0010fffd") == ["NotoSans", "-"]
+
+
+def test_a_named_font_is_asked_first_and_a_font_without_bold_is_emboldened() -> None:
+    """Expected: DejaVu Sans, which comes along, for Latin and Arabic; strokes where a font has no bold companion."""
+    assert {font.path.rpartition("/")[2] for font in Fonts("DejaVuSans.ttf").choose("قلم A") if font} == {
+        "DejaVuSans.ttf"
+    }
+    (bold,) = Fonts("DejaVuSans.ttf").choose("A", bold=True)
+    assert bold is not None
+    assert bold.path.endswith("DejaVuSans-Bold.ttf")
+    (stroked,) = Fonts().choose("中", bold=True)
+    assert isinstance(stroked, Font)
+    assert stroked.is_emboldened
+    assert find_font("NoSuchFont-Regular.ttf") is None
+
+
+@pytest.mark.parametrize(
+    "label", ["明显在左手食指下面更强一些", "أقوى بوضوح تحت السبابة اليسرى", "Clearly stronger here"]
+)
+def test_a_long_answer_takes_two_lines_before_it_shrinks(label: str) -> None:
+    """Expected: two lines or three in a button of four, in larger type than one line would allow."""
+    answers = AnswerList.of({"keys": [f"answer_{number}" for number in range(4)]})
+    button = lay_out(1280, 800, tuple("ABCDE"), answers).buttons["answer_0"]
+    box = Box(0, 0, 0.9 * button.width, 0.52 * button.height)
+    block = set_type(label, width=box.width, height=box.height, size=0.062, bold=True)
+    assert block.fits
+    assert len(block.lines) in (2, 3)
+    assert block.size / 1000 > 1.2 * box.width / Typesetter().measure(label, bold=True)
