@@ -19,6 +19,7 @@ import numpy as np
 
 from modaltouch.window.display_loop import POLL_INTERVAL
 from modaltouch.window.environment import LIBRARIES, is_loadable, missing_libraries, some_display
+from modaltouch.window.fonts import Fonts
 from modaltouch.window.interface import WindowError
 from modaltouch.window.noise import DeviceError, default_device
 from modaltouch.window.screen import Screen
@@ -30,6 +31,8 @@ _TIMEOUT = 0.5
 """A key that is not seen within this time is lost [s]."""
 _F12 = 0xFFC9
 """X's number for the key F12, which no program minds."""
+_LETTERS = {"\u0915": "fonts-noto-core", "\u4e2d": "fonts-wqy-microhei"}
+"""A letter of Devanagari and an ideograph, and the Debian package that has those of their kind."""
 _NO_RETRACE = 4e-3
 """Frames shorter than this do not wait for a monitor: none refreshes so fast [s]."""
 
@@ -66,7 +69,8 @@ def examine_surroundings(*, quick: bool = False) -> tuple[WindowCheck, ...]:
     quick : bool
         Whether no window and no sound device is opened: only what is installed is looked at.
     """
-    return (_display(), _libraries(), _virtual_display(), *(() if quick else (_window(),)), _sound(quick=quick))
+    window = () if quick else (_window(),)
+    return (_display(), _libraries(), _virtual_display(), _fonts(), *window, _sound(quick=quick))
 
 
 def _display() -> WindowCheck:
@@ -92,6 +96,16 @@ def _virtual_display() -> WindowCheck:
         return WindowCheck("virtual display", "ok", path)
     remedy = "install xvfb to run the demo without a screen"
     return WindowCheck("virtual display", "warning", "Xvfb is absent", remedy, ["xvfb"])
+
+
+def _fonts() -> WindowCheck:
+    """Look for fonts beyond those that come along, which have Latin, Greek and Cyrillic, Arabic and Hebrew."""
+    fonts = Fonts()
+    packages = [package for letter, package in _LETTERS.items() if None in fonts.choose(letter)]
+    if not packages:
+        return WindowCheck("fonts", "ok", "Latin, Greek, Cyrillic, Arabic, Hebrew, Devanagari, Chinese, Japanese")
+    remedy = f"where texts are in other scripts, apt install {' '.join(packages)}, or name a font in the texts"
+    return WindowCheck("fonts", "warning", "no letters for some scripts", remedy, packages)
 
 
 def _window() -> WindowCheck:
