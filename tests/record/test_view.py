@@ -243,12 +243,16 @@ def test_a_list_is_begun_where_there_is_none_and_an_empty_one_gets_its_header(pl
 
 
 def test_the_row_of_an_answer_is_made_once(session, monkeypatch):
-    """However many answers follow: a trial late in a session costs what an early one does."""
+    """However many answers follow: a late trial costs what an early one does, also once one was asked again."""
     start, first = session.events
     second = {**first, "n": first["n"] + 1, "supersedes": first["n"]}
-    grown = [Session(session.path, events) for events in ((start, first), (start, first, second))]
+    third = {**first, "n": first["n"] + 2}
+    sessions = ((start, first), (start, first, second), (start, first, second), (start, first, second, third))
+    grown = [Session(session.path, events) for events in sessions]
     texts = [table_text(each) for each in grown]
-    made, known, row = [], {}, Session.row
+    made, before, row = [], ((), ""), Session.row
     monkeypatch.setattr(Session, "row", lambda self, event: made.append(event["n"]) or row(self, event))
-    assert [table_text(each, known) for each in (*grown, grown[1])] == [*texts, texts[1]]
-    assert made == [first["n"], second["n"]]
+    for each, text in zip(grown, texts, strict=True):
+        assert table_text(each, before) == text
+        before = each.trials, text
+    assert made == [first["n"], second["n"], third["n"]]

@@ -39,7 +39,7 @@ class SessionLog:
         self._torn = chain.torn if chain else b""
         self._needs_newline = bool(chain and not chain.ends_in_newline)
         self._failure = ""
-        self._rows: dict[int, str] = {}
+        self._table: tuple[tuple[dict[str, Any], ...], str] = (), ""
         self._counting: dict[int, dict[str, Any]] = {}
         self._of_trials: dict[tuple[str, str], list[dict[str, Any]]] = {}
         for event in self.events:
@@ -148,7 +148,8 @@ class SessionLog:
         RecordError
             If a file cannot be written; the files before it stay valid.
         """
-        write_view(place, self.session, self.head, self._rows)
+        session = self.session
+        self._table = session.trials, write_view(place, session, self.head, self._table)
 
     def append(self, event: str, **facts: Any) -> dict[str, Any]:
         """Write one event and return it once it is on the disk.

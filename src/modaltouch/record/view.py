@@ -125,9 +125,9 @@ STIMULUS: dict[str, Any] = {"Description": "Which of the protocol's stimuli; n/a
 
 
 def write_view(
-    place: SessionFolder, session: Session, head: dict[str, Any], known: dict[int, str] | None = None
-) -> None:
-    """Write the session's table and its side file from the log.
+    place: SessionFolder, session: Session, head: dict[str, Any], before: tuple[tuple[Any, ...], str] = ((), "")
+) -> str:
+    """Write the session's table and its side file from the log, and return the table.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def write_view(
     head : dict
         How far the log has come (`SessionLog.head`); the side file carries it, so that a log that lost its last
         lines is noticed.
-    known : dict of str, optional
+    before : tuple of (tuple of dict, str), optional
         As for `table_text`.
 
     Raises
@@ -152,30 +152,28 @@ def write_view(
         "Mode": session.mode,
         "SessionLog": {"File": LOG_NAME, **head},
     }
-    replace_text(place.table, table_text(session, known))
+    text = table_text(session, before)
+    replace_text(place.table, text)
     replace_text(place.table.with_suffix(".json"), json.dumps(side, indent=2, ensure_ascii=False) + "\n")
+    return text
 
 
-def table_text(session: Session, known: dict[int, str] | None = None) -> str:
+def table_text(session: Session, before: tuple[tuple[Any, ...], str] = ((), "")) -> str:
     """Return the BIDS table of a session: one row for each answer that counts.
 
     Parameters
     ----------
     session : Session
         What its log holds.
-    known : dict of str, optional
-        Rows of an earlier table of this session, by their lines in the log; new ones are added. A row never changes,
-        so that the thousandth answer costs no more than the first.
+    before : tuple of (tuple of dict, str), optional
+        The answers of an earlier table of this session, and that table. Where they still come first, rows are added to
+        it, so that the thousandth answer costs no more than the first.
     """
-    columns, known = _columns(session), {} if known is None else known
-    rows = ["\t".join(columns)]
-    for event in session.trials:
-        text = known.get(event["n"])
-        if text is None:
-            row = session.row(event)
-            text = known[event["n"]] = "\t".join(_text(name, row[name]) for name in columns)
-        rows.append(text)
-    return "\n".join(rows) + "\n"
+    columns, (done, text) = _columns(session), before
+    if not text or session.trials[: len(done)] != done:
+        done, text = (), "\t".join(columns) + "\n"
+    rows = map(session.row, session.trials[len(done) :])
+    return text + "".join("\t".join(_text(name, row[name]) for name in columns) + "\n" for row in rows)
 
 
 def _columns(session: Session) -> dict[str, dict[str, Any]]:
