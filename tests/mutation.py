@@ -183,6 +183,7 @@ class Part(SourceFileLoader):
                 continue  # the import itself is spoilt: not in a process that has imported already
             if not (child := os.fork()):
                 limited(self.limit if name else 3600)
+                gc.unfreeze()  # what is collected is frozen by the suite, and only the rest would be spoilt
                 for item in gc.get_objects():
                     if isinstance(item, FunctionType) and item.__module__ == self.name:
                         item.__code__ = fresh.get((item.__qualname__, item.__code__.co_firstlineno), item.__code__)

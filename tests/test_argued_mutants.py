@@ -10,17 +10,24 @@ from pathlib import Path
 import pytest
 
 TESTS = Path(__file__).parent
-ARGUED = {
-    module: part["argued"]
-    for module, part in tomllib.loads((TESTS / "mutation.toml").read_text(encoding="utf-8")).items()
-    if "argued" in part
-}
+PLAN = tomllib.loads((TESTS / "mutation.toml").read_text(encoding="utf-8"))
+ARGUED = {module: part["argued"] for module, part in PLAN.items() if "argued" in part}
 
 
 @pytest.fixture(scope="module")
 def mutants():
     """Return the function that lists all mutants of a module."""
     return runpy.run_path(str(TESTS / "mutation.py"))["mutants"]
+
+
+@pytest.mark.parametrize("module", PLAN)
+def test_the_tests_that_must_notice_are_there(module: str) -> None:
+    """A module that went, a test that was renamed: its mutants would no longer be examined."""
+    assert (TESTS.parent / "src" / "modaltouch" / module).is_file()
+    for test in PLAN[module]["tests"]:
+        file, *names = test.split("::")
+        source = (TESTS / file).read_text(encoding="utf-8")
+        assert all(f"def {name.partition('[')[0]}(" in source for name in names if not name.startswith("Test")), test
 
 
 @pytest.mark.parametrize("module", ARGUED)

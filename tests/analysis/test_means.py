@@ -57,6 +57,12 @@ def test_p_is_the_chance_of_gaffkes_weighted_mean() -> None:
     assert drawn == pytest.approx(p, abs=4 * np.sqrt(p * (1 - p) / 200_000))
 
 
+@pytest.mark.parametrize(("mean", "nearer"), [(0.2, 0.2), (0.5, 0.5), (0.8, 0.2)])
+def test_the_smallest_p_is_that_of_everybody_at_the_nearer_end(mean, nearer) -> None:
+    """Closed form for five on a scale from 0 to 1: twice the distance to the nearer end, to the fifth power."""
+    assert BoundedMean([0.5] * 5, 0.0, 1.0).test(mean).p_min == pytest.approx(2 * nearer**5)
+
+
 @settings(max_examples=40, deadline=None)
 @given(SCORES)
 def test_the_interval_holds_what_the_test_does_not_reject(scores) -> None:
