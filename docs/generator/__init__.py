@@ -5,7 +5,7 @@ from pathlib import Path
 
 def write_all(folder: Path) -> None:
     """Write every generated page, picture and table into a folder."""
-    from generator import api, architecture, commands, field, fields, figures, gallery, keys
+    from generator import api, architecture, commands, field, fields, figures, gallery, keys, notebook
     from generator.pages import remove_others
 
     (folder / "static").mkdir(parents=True, exist_ok=True)
@@ -18,4 +18,5 @@ def write_all(folder: Path) -> None:
     figures.write_figures(folder / "static")
     architecture.write_architecture(folder / "static")
     gallery.write_gallery(folder / "gallery", folder / "static")
+    notebook.write_notebook(folder / "static")
     remove_others(folder)
