@@ -9,6 +9,7 @@ import pytest
 
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.findings import holm, to_frame
+from modaltouch.analysis.shares import Shares
 from modaltouch.analysis.statistics import find, level_tests
 
 
@@ -180,6 +181,12 @@ class TestMissingAnswers:
             ((gaps["zone_left"] == "C") & (gaps["response"] == "left") & (gaps["finger_condition"] == "one_hand")).sum()
         )
         assert f"the share could be {given / 40:.3g} to {(given + 2) / 40:.3g}" in note
+
+    def test_shares_are_bounded_by_what_was_asked_for(self) -> None:
+        """By hand: one of three answers of four, so a quarter to a half; four of four are not short."""
+        shares = Shares(np.array([[1]]), np.array([[3]]), 4)
+        assert shares.is_short and not Shares(np.array([[1]]), np.array([[4]]), 4).is_short
+        assert (shares.least.item(), shares.most.item()) == (1 / 4, 2 / 4)
 
     def test_every_question_is_still_answered(self, gaps, paper_frame) -> None:
         """The same rows as without a gap, every p a probability."""

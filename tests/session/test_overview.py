@@ -113,6 +113,19 @@ def test_the_next_participant_fills_the_gap_where_the_records_decide(
     assert [each["open"] for each in found["orders"]] == [0, 1]
 
 
+def test_a_session_begun_anew_counts_once_and_the_time_between_sittings_not(
+    tmp_path: Path, edit: Callable[..., Path], scribe: Callable[..., Path]
+) -> None:
+    """Of two sessions each, one is closed and done as the second: the third is due. Minutes by hand, from the clocks."""
+    preflight = examine(edit("demo.yaml", ("practice_trials: 1", "practice_trials: 1\n  sessions: 2"))).require()
+    later = ({"event": "resume", "boot": "", "clock": 9000.0}, {"event": "rest", "clock": 9630.0})
+    scribe(preflight, tmp_path, "p01", n_answered=3, also=(*later, {"event": "closed", "begun_anew_as": 2}))
+    scribe(preflight, tmp_path, "p01", session=2)
+    (found,) = survey_results(tmp_path)
+    assert [(each["participant"], each["session"], each["do"]) for each in found["next"]][0] == ("p01", 3, "run")
+    assert (found["sessions"][0]["n_sittings"], found["sessions"][0]["duration_min"]) == (2, 10.5)
+
+
 @pytest.mark.parametrize(
     "change",
     [
