@@ -12,6 +12,7 @@ import pytest
 
 from modaltouch.analysis.catches import catch_findings, catch_rows
 from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.exact import multinomial_test
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses
@@ -66,15 +67,15 @@ def test_a_table_without_none_keeps_its_three_answers(tmp_path: Path) -> None:
     answers = count_answers(read_responses(path).frame)
     assert answers.counts.shape[-1] == 3
     assert "none" not in tabulate(count_answers(read_responses(path).frame)).columns
-    assert catch_rows(answers, {}) == ()
-    assert list(catch_findings(answers, {})) == []
+    assert catch_rows(read_responses(path)) == ()
+    assert list(catch_findings(catch_rows(read_responses(path)))) == []
 
 
 def test_false_alarms_misses_and_detection_are_as_counted_by_hand(table: Path) -> None:
-    """Expected: 2 of 12 and 3 of 12; d' = z((9 + .5) / 13) - z((2 + .5) / 13) with the log-linear correction."""
+    """Expected: 2 of 12 and 3 of 12; of each participant d' = z((k + .5) / 4) less the same of the false alarms."""
     responses = read_responses(table)
     answers = count_answers(responses.frame)
-    *rows, total = catch_rows(answers, responses.catches)
+    *rows, total = catch_rows(responses)
     assert [(row.participant, row.false_alarms, row.n_missed) for row in rows] == [
         ("p1", "0 of 3", 0),
         ("p2", "2 of 3", 1),
@@ -82,12 +83,14 @@ def test_false_alarms_misses_and_detection_are_as_counted_by_hand(table: Path) -
         ("p4", "0 of 3", 0),
     ]
     assert (total.n_false_alarms, total.n_catch, total.n_missed, total.n_driven) == (2, 12, 3, 12)
-    alarms, misses, detection = catch_findings(answers, responses.catches)
+    alarms, misses = catch_findings(catch_rows(responses))
     assert alarms.estimate == pytest.approx(2 / 12)
     assert misses.estimate == pytest.approx(3 / 12)
     assert alarms.low < 2 / 12 < alarms.high
-    z = NormalDist().inv_cdf
-    assert detection.estimate == pytest.approx(z(9.5 / 13) - z(2.5 / 13))
+    z, own = NormalDist().inv_cdf, analyse_design(responses, [answers]).values
+    d_prime = {each.participant: each.interval.estimate for each in own if each.measure.name == "d'"}
+    assert d_prime["p1"] == pytest.approx(z(3.5 / 4) - z(0.5 / 4))
+    assert d_prime["p2"] == pytest.approx(z(2.5 / 4) - z(2.5 / 4))
 
 
 def test_the_test_against_chance_is_of_those_who_felt_something(table: Path) -> None:
@@ -111,9 +114,8 @@ def test_catch_trials_without_the_answer_none_count_no_false_alarms(tmp_path: Pa
     """Nothing could be answered rightly, so only the answers themselves are told."""
     path = write(tmp_path / "answers.csv", {"p1": "rrb", "p2": "lrr"}, {"p1": "lb", "p2": "br"})
     responses = read_responses(path)
-    answers = count_answers(responses.frame)
-    assert catch_rows(answers, responses.catches)[-1].answers == {"left": 1, "right": 1, "both": 2, "none": 0}
-    assert list(catch_findings(answers, responses.catches)) == []
+    assert catch_rows(responses)[-1].answers == {"left": 1, "right": 1, "both": 2, "none": 0}
+    assert list(catch_findings(catch_rows(responses))) == []
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Catch trials, in which nothing was driven, and the answer none: false alarms, misses, and detection.
+"""Catch trials, in which nothing was driven, and the answer none: false alarms and misses.
 
 A false alarm is a catch trial in which something was felt; a miss is a trial with a stimulus in which nothing was.
 """
@@ -6,23 +6,18 @@ A false alarm is a catch trial in which something was felt; a miss is a trial wi
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
-from modaltouch.analysis.counts import AnswerCounts
-from modaltouch.analysis.covariates import detection
 from modaltouch.analysis.findings import Finding, finding_of
-from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.means import BoundedMean
+from modaltouch.analysis.responses import Responses
 
 _ABSENT = "none"
 """Stands for the answer that nothing was felt where none says it."""
-
-Catches = Mapping[str, Counter[str]]
-"""Answers to catch trials by participant."""
 
 
 @dataclass(frozen=True)
@@ -67,34 +62,32 @@ class CatchRow:
         return values
 
 
-def catch_rows(answers: AnswerCounts, catches: Catches) -> tuple[CatchRow, ...]:
+def catch_rows(responses: Responses) -> tuple[CatchRow, ...]:
     """Return a row for each participant and one for all; empty where there is neither catch trial nor answer none."""
-    if not catches and not answers.offers_none:
+    nothing = responses.answers.naming()
+    if not responses.catches and nothing is None:
         return ()
-    missed, nothing = _missed(answers), answers.answers.naming()
-    driven: list[int] = answers.counts.sum(axis=(1, 2, 3, 4)).tolist()
-    words = [answer.name for answer in answers.answers.ranked] + ([] if nothing else [_ABSENT])
-    name_of_nothing = nothing.name if nothing else _ABSENT
-    rows = []
-    for name, n_missed, n_driven in zip(answers.participants, missed, driven, strict=True):
-        own = catches.get(name, Counter())
-        given = {word: own[word] for word in words}
-        rows.append(CatchRow(name, sum(given.values()), given, n_driven, n_missed, name_of_nothing))
+    words = [answer.name for answer in responses.answers.ranked] + ([] if nothing else [_ABSENT])
+    name = nothing.name if nothing else _ABSENT
+    frame, rows = responses.frame, []
+    for who, part in frame.groupby(frame["participant"].astype(str)):
+        own = responses.catches.get(str(who), Counter())
+        given, n_missed = {word: own[word] for word in words}, int(part["n"][part["response"] == name].sum())
+        rows.append(CatchRow(str(who), sum(given.values()), given, int(part["n"].sum()), n_missed, name))
     total = {word: sum(row.answers[word] for row in rows) for word in words}
-    rows.append(CatchRow("all", sum(total.values()), total, sum(driven), sum(missed), name_of_nothing))
-    return tuple(rows)
+    n_driven, n_missed = sum(row.n_driven for row in rows), sum(row.n_missed for row in rows)
+    return (*rows, CatchRow("all", sum(total.values()), total, n_driven, n_missed, name))
 
 
-def catch_findings(answers: AnswerCounts, catches: Catches) -> Iterator[Finding]:
-    """Yield the rates of false alarms and misses, and detection; estimates over participants, no p.
+def catch_findings(rows: Sequence[CatchRow]) -> Iterator[Finding]:
+    """Yield the rates of false alarms and misses; estimates over participants, no p.
 
     Parameters
     ----------
-    answers, catches
-        As `catch_rows` takes them.
+    rows : sequence of CatchRow
+        As `catch_rows` returns them.
     """
-    rows = catch_rows(answers, catches)
-    if not rows or not answers.offers_none:
+    if not rows or rows[0].nothing == _ABSENT:
         return
     *own, total = rows
     if total.n_catch:
@@ -103,28 +96,6 @@ def catch_findings(answers: AnswerCounts, catches: Catches) -> Iterator[Finding]
         yield _rate("false alarms", alarms, [row.n_catch for row in own], words, total)
     note = f"{total.n_missed} of {total.n_driven} answers"
     yield _rate("misses", [row.n_missed for row in own], [row.n_driven for row in own], note, total)
-    if total.n_catch:
-        driven = np.array([total.n_missed, total.n_driven - total.n_missed])
-        silent = np.array([total.n_catch - total.n_false_alarms, total.n_false_alarms])
-        sensitivity, criterion = detection(driven, silent)
-        yield finding_of(
-            "catch",
-            "detection, log-linear correction",
-            "all",
-            None,
-            "d'",
-            Interval(sensitivity, np.nan, np.nan, len(own)),
-            len(own),
-            notes=[f"criterion c {criterion:.2f}", "all answers together, so no interval"],
-        )
-
-
-def _missed(answers: AnswerCounts) -> list[int]:
-    nothing = answers.answers.naming()
-    if nothing is None:
-        return [0] * answers.n_participants
-    missed: list[int] = answers.counts[..., answers.answers.index(nothing)].sum(axis=(1, 2, 3)).tolist()
-    return missed
 
 
 def _rate(name: str, counts: list[int], totals: list[int], note: str, total: CatchRow) -> Finding:

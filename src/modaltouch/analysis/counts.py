@@ -100,6 +100,8 @@ class AnswerCounts:
         What could be answered.
     margin : float or None
         Difference of shares within which finger conditions count as alike [1], fixed in the protocol.
+    guesses_evenly : bool
+        Whether who guesses gives each answer as often as any other.
     """
 
     participants: tuple[str, ...]
@@ -113,6 +115,7 @@ class AnswerCounts:
     scale: LevelScale = VELOCITY
     answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
     margin: float | None = None
+    guesses_evenly: bool = True
 
     @property
     def offers_none(self) -> bool:

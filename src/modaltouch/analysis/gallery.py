@@ -72,7 +72,8 @@ def _bars(answers: AnswerCounts) -> list[ReportFigure]:
     from modaltouch.analysis.tables import figure_names, zone_table
 
     pictures = []
-    for condition, name in figure_names(answers.finger_conditions).items():
+    chosen = len(answers.answers) > 1
+    for condition, name in figure_names(answers.finger_conditions if chosen else ()).items():
         table = zone_table(answers, condition)
         n = answers.n_participants
         figure = draw_counts(table, condition, n if answers.n_repetitions > 1 else None)

@@ -8,6 +8,7 @@ Clopper and Pearson, Biometrika 26 (1934) 404-413.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Any
@@ -45,6 +46,10 @@ class Interval:
 
     def __getitem__(self, place: int | slice) -> Interval:
         return Interval(*(np.asarray(value)[place] for value in vars(self).values()))
+
+    def changed(self, change: Callable[[Any], Any]) -> Interval:
+        """Return the interval with its estimate and bounds as a rising function gives them."""
+        return Interval(change(self.estimate), change(self.low), change(self.high), self.n_effective)
 
     @classmethod
     def point(cls, estimate: Any, n: Any) -> Interval:

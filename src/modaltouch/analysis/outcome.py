@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from modaltouch.analysis.catches import catch_rows
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding, to_frame
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.tables import tabulate
+
+if TYPE_CHECKING:
+    from modaltouch.analysis.designs import DesignAnalysis
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +32,8 @@ class Analysis:
         The statistics.
     files : dict of str to Path
         Files written, by name.
+    design : DesignAnalysis, optional
+        What they tell of each participant, beside counts.
     preregistration : Path, optional
         The preregistration that it was held against.
     departures : tuple of str
@@ -40,6 +44,7 @@ class Analysis:
     answers: AnswerCounts
     findings: tuple[Finding, ...]
     files: dict[str, Path]
+    design: DesignAnalysis | None = None
     preregistration: Path | None = None
     departures: tuple[str, ...] = ()
 
@@ -58,7 +63,8 @@ class Analysis:
         return {
             "counts": [plain_row(row) for row in self.counts.to_dict("records")],
             "tests": [plain_row(row) for row in self.tests.to_dict("records")],
-            "catch_trials": [row.as_dict() for row in catch_rows(self.answers, self.responses.catches)],
+            **({"measures": [*map(plain_row, self.design.rows)]} if self.design and self.design.rows else {}),
+            "catch_trials": [row.as_dict() for row in self.design.catches] if self.design else [],
             "files": {name: str(path) for name, path in self.files.items()},
             "n_participants": self.answers.n_participants,
             "n_responses": int(self.answers.counts.sum()),
@@ -85,6 +91,6 @@ def plain_row(row: dict[Any, Any]) -> dict[str, Any]:
         if isinstance(plain, float) and math.isinf(plain):
             plain = "infinity" if plain > 0 else "-infinity"
         elif isinstance(plain, float) and math.isnan(plain):
-            plain = "undefined" if key in ("estimate", "low", "high") and row["quantity"] else None
+            plain = "undefined" if key in ("estimate", "low", "high") and row.get("quantity", key) else None
         values[str(key)] = plain
     return values

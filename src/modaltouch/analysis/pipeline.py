@@ -102,16 +102,22 @@ def _find(responses: Responses, *, model: bool) -> Analysis:
     from modaltouch.analysis.outcome import Analysis
     from modaltouch.analysis.statistics import find
 
-    counts = responses.count()
-    findings = tuple(find(counts, responses.frame, responses.catches))
+    chosen = responses.by_choice()
+    counts = chosen.count()
+    design = None
+    if responses.tells_of_each:
+        from modaltouch.analysis.designs import analyse_design
+
+        design = analyse_design(responses, [counts])
+    findings = tuple(find(counts, chosen.frame, design.findings if design else ()))
     if model:
         from modaltouch.analysis.mixed_logistic import model_findings
 
         if not counts.compares:
             given, allowed = "answers that do not name each of two fingers alone", "answers that do"
             raise InputError.of("--model", given, allowed, "leave --model out")
-        findings += tuple(model_findings(counts, responses.frame))
-    return Analysis(responses, counts, findings, {})
+        findings += tuple(model_findings(counts, chosen.frame))
+    return Analysis(chosen, counts, findings, {}, design)
 
 
 def _hold_against(prereg: Path | str | None, analysis: Analysis) -> Analysis:
@@ -157,13 +163,21 @@ def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str,
 
     tests = _rows(analysis.tests)
     files: dict[str, Any] = {"counts.csv": _rows(analysis.counts)}
-    for condition, name in figure_names(analysis.answers.finger_conditions).items():
+    chosen = analysis.answers if len(analysis.answers.answers) > 1 else None
+    for condition, name in figure_names(chosen.finger_conditions if chosen else ()).items():
         table = zone_table(analysis.answers, condition)
         table.columns = table.columns.map("{:g}".format)
         files[f"{name}.csv"] = _rows(table.reset_index())
+    if analysis.design and analysis.design.rows:
+        files["measures.csv"] = analysis.design.rows
     files |= {"tests.csv": tests, "tests.json": [plain_row(row) for row in tests]}
     files |= model_files(analysis.answers, analysis.responses.frame)
-    return files | report_files(analysis, draw_all(analysis.answers, analysis.responses, figures))
+    pictures = draw_all(analysis.answers, analysis.responses, figures)
+    if analysis.design:
+        from modaltouch.analysis.measure_figures import draw_design
+
+        pictures += tuple(draw_design(analysis.design))
+    return files | report_files(analysis, pictures)
 
 
 def _rows(table: pd.DataFrame) -> list[dict[str, Any]]:

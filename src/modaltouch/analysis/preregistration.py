@@ -13,6 +13,7 @@ from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.covariates import ANTICIPATION
 from modaltouch.analysis.findings import ALPHA
 from modaltouch.analysis.outcome import Analysis
+from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.protocol import InputError
 
 _UNKNOWN = ("protocol (SHA-256)", "equivalence margin")
@@ -83,7 +84,7 @@ def find_departures(terms: Mapping[str, Any], analysis: Analysis) -> tuple[str, 
     if start.get("sources"):
         margin = (start.get("design", {}).get("analysis") or {}).get("equivalence_margin")
         known = dict(zip(_UNKNOWN, (start["sources"]["protocol"]["sha256"], margin), strict=True))
-    families = Counter(row.family for row in analysis.findings if row.family)
+    families = Counter(row.family for row in analysis.findings if row.family in STATISTICS)
     found = terms_of(analysis.answers, families, known)
     said = [
         f"{name}: {_say(terms.get(name))} preregistered, {_say(found[name])} analysed"

@@ -9,13 +9,13 @@ from typing import Any
 
 import pandas as pd
 
-from modaltouch.analysis.catches import catch_rows
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.covariates import has_values
 from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.responses import cell_of
 from modaltouch.analysis.scale import OWN_THRESHOLD
+from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.analysis.strips import participant_strips
 from modaltouch.analysis.tables import PAPER_TEXT, zone_table
 from modaltouch.analysis.words import answer_question, headings, say_condition, say_interval, say_scope, state_families
@@ -68,11 +68,12 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
         levels=[format(level, "g") for level in answers.levels],
         tables={condition: _zone_rows(answers, condition) for condition in answers.finger_conditions},
         strips=participant_strips(answers),
+        values=analysis.design.rows if analysis.design else [],
         speeds=speed_rows(analysis.responses.frame),
         tests=list_questions(analysis.findings, answers),
         families=state_families(analysis.findings),
         most_rows=MOST_ROWS,
-        catches=catch_rows(answers, analysis.responses.catches),
+        catches=analysis.design.catches if analysis.design else (),
         catch_words=[*(answer.name for answer in answers.answers if answer.says_nothing_felt), *felt]
         if answers.offers_none
         else ["none", *felt],
@@ -264,11 +265,13 @@ def _part(name: str, rows: Sequence[Finding], answers: AnswerCounts) -> dict[str
 _CERTIFICATES = {
     "leaning": "leaning", "agreement": "agreement", "prevalence": "prevalence", "share of answers": "share",
     "paired difference": "paired difference", "odds ratio": "odds ratio", "reaction times": "time", "false": "share",
-    "misses": "share", "bounded mean": "c mean",
+    "misses": "share", "bounded mean": "c mean", "sign flips": "time", "signed ranks": "rank", "permutation": "group",
+    "Friedman": "friedman",
 }  # fmt: skip
 """Certificates of what stands in no family, by a part of its name; the first that fits counts."""
 
 
 def certificate_of(finding: Finding) -> str:
     """Return the word under which ``make certify`` certifies a test or interval; empty where it does not."""
-    return finding.family or next((word for part, word in _CERTIFICATES.items() if part in finding.name), "")
+    known = (word for part, word in _CERTIFICATES.items() if part in finding.name)
+    return finding.family if finding.family in STATISTICS else next(known, "")

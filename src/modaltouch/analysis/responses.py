@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from modaltouch.analysis.counts import AnswerCounts
     from modaltouch.analysis.provenance import SessionFacts
+    from modaltouch.analysis.task import TrialTask
 
 REQUIRED = ("participant", "finger_condition", "zone_left", "zone_right", "velocity_mm_s", "response")
 CELL = ("finger_condition", "zone_left", "zone_right", "velocity_mm_s")
@@ -80,12 +81,15 @@ class TableFormat:
         Words of the file that stand for no answer, beside an empty field, ``n/a`` and ``time_out``.
     margin : float or None
         Difference within which finger conditions count as alike [1].
+    design : dict
+        Sections of the protocol that the answers were given in; empty where it is not named.
     """
 
     answers: AnswerList | None = None
     words: Mapping[str, str] = field(default_factory=dict)
     missing: tuple[str, ...] = ()
     margin: float | None = None
+    design: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -161,6 +165,8 @@ class Responses:
     scheduled : DataFrame or None
         Where not every participant met every cell equally often: every trial, answered in time or not, of which each
         cell's number is counted. None where the design is crossed.
+    design : dict
+        Sections of the protocol; empty where it is unknown.
     """
 
     frame: pd.DataFrame
@@ -177,6 +183,42 @@ class Responses:
     asked: int | None = None
     notes: tuple[str, ...] = ()
     scheduled: pd.DataFrame | None = None
+    design: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def task(self) -> TrialTask:
+        """What a trial asks."""
+        from modaltouch.analysis.task import TrialTask
+
+        return TrialTask.of(self.design)
+
+    @property
+    def tells_of_each(self) -> bool:
+        """Whether a participant has more than counts of answers: catch trials, a d', a threshold, ratings, a group."""
+        detects = bool(self.catches) or self.answers.naming() is not None
+        rated = "value" in self.frame.columns or bool((self.design.get("answers") or {}).get("then"))
+        return detects or rated or self._n_intervals > 1 or bool(self.groups)
+
+    @property
+    def _n_intervals(self) -> int:
+        return int((self.design.get("intervals") or {}).get("number", 1))
+
+    @property
+    def groups(self) -> dict[str, str]:
+        """Group of each participant, where they are of several."""
+        if "group" not in self.frame.columns or self.frame["group"].nunique() < 2:
+            return {}
+        return dict(zip(self.frame["participant"].astype(str), self.frame["group"].astype(str), strict=True))
+
+    def by_choice(self) -> Responses:
+        """Return the answers by what they choose, where they name an interval; else as they are."""
+        if not self.design.get("intervals") or not self.task.named:
+            return self
+        task, scheduled = self.task, self.scheduled
+        frame, answers = task.by_choice(self.frame, self.answers)
+        if scheduled is not None:
+            scheduled, _ = task.by_choice(scheduled, self.answers)
+        return replace(self, frame=frame, answers=answers, scheduled=scheduled)
 
     def count(self, focus: str = "") -> AnswerCounts:
         """Return the answers as one array.
@@ -193,7 +235,8 @@ class Responses:
         """
         from modaltouch.analysis.counts import count_answers
 
-        return count_answers(self.frame, self.focus or focus, self.answers, self.margin, self.asked)
+        counts = count_answers(self.frame, self.focus or focus, self.answers, self.margin, self.asked)
+        return replace(counts, guesses_evenly=self._n_intervals < 3)
 
     def by_predicted_speed(self) -> Responses:
         """Return the answers with their levels told by the peak speed predicted under the faster finger.

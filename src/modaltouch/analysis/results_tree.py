@@ -234,6 +234,7 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
         start.get("design", {}).get("analysis", {}).get("equivalence_margin"),
         asked,
         scheduled=scheduled,
+        design=start.get("design", {}),
     )
 
 

@@ -11,14 +11,13 @@ the analysis prints what it finds, and planning counts in how many of its simula
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain, combinations, product
+from itertools import combinations, product
 
 import numpy as np
 import pandas as pd
 
-from modaltouch.analysis.catches import Catches, catch_findings
 from modaltouch.analysis.consistency import consistency_findings, effect_findings
 from modaltouch.analysis.contrasts import Contrast, FamilyResult, MeanScores, equivalence_of, means_of, signs_of
 from modaltouch.analysis.counts import AnswerCounts
@@ -95,7 +94,7 @@ def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
     (given how many they are, guesses are even over the others whatever the chance of that one), the share of all.
     """
     felt = answers.felt
-    if len(felt) < 2:
+    if len(felt) < 2 or not answers.guesses_evenly:
         return None
     shown = [answers.effects(pair)[0] for pair in answers.pairs]
     kinds = answers.n_modal
@@ -331,7 +330,7 @@ def family_findings(family: str, answers: AnswerCounts) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def find(answers: AnswerCounts, frame: pd.DataFrame, catches: Catches | None = None) -> list[Finding]:
+def find(answers: AnswerCounts, frame: pd.DataFrame, of_design: Iterable[Finding] = ()) -> list[Finding]:
     """Return the statistics of the answers, in the order of the questions.
 
     Parameters
@@ -340,31 +339,37 @@ def find(answers: AnswerCounts, frame: pd.DataFrame, catches: Catches | None = N
         Counts of the answers.
     frame : DataFrame
         The tidy answers themselves, for what counts do not hold: order and times.
-    catches : mapping of str to Counter, optional
-        Answers to catch trials by participant.
+    of_design : iterable of Finding
+        What catch trials and measures of each participant found, such as d' or ratings.
     """
-    return correct(uncorrected(answers, frame, catches))
+    return correct(uncorrected(answers, frame, of_design))
 
 
-def uncorrected(answers: AnswerCounts, frame: pd.DataFrame, catches: Catches | None = None) -> list[Finding]:
+def uncorrected(answers: AnswerCounts, frame: pd.DataFrame, of_design: Iterable[Finding] = ()) -> list[Finding]:
     """Return what `find` does, before Holm's correction."""
-    tested = {family: list(family_findings(family, answers)) for family in STATISTICS}
-    if answers.compares:
-        tested["a2"] += leaning_findings(answers)
     findings = [
-        *chain.from_iterable(tested.values()),
-        *consistency_findings(answers),
-        *effect_findings(answers),
-        *catch_findings(answers, catches or {}),
+        *of_design,
+        *(_choice_findings(answers) if len(answers.answers) > 1 else ()),
         *secondary_findings(answers, frame),
     ]
     order = questions()
     return sorted(findings, key=lambda finding: order.index(finding.question))
 
 
+def _choice_findings(answers: AnswerCounts) -> Iterator[Finding]:
+    """Yield what is asked of answers that are chosen from a list."""
+    for family in STATISTICS:
+        yield from family_findings(family, answers)
+        if family == "a2" and answers.compares:
+            yield from leaning_findings(answers)
+    yield from consistency_findings(answers)
+    yield from effect_findings(answers)
+
+
 def questions() -> list[str]:
     """Return the questions in the order of the report: those with families of tests, then the further ones."""
-    return [*dict.fromkeys(each.question for each in STATISTICS.values()), *_FURTHER]
+    return [*_OF_DESIGN, *dict.fromkeys(each.question for each in STATISTICS.values()), *_FURTHER]
 
 
+_OF_DESIGN = ("sensitivity", "function", "rating", "group")
 _FURTHER = ("e", "f", "catch", "side", "order", "time", "speed")

@@ -26,7 +26,7 @@ from modaltouch.analysis.responses import (
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY
 from modaltouch.protocol import TIME_OUT, AnswerList, InputError, Problem, suggest
 
-NUMBERS = ("trial", "block", "response_time", "speed_left_mm_s", "speed_right_mm_s")
+NUMBERS = ("trial", "block", "interval", "value", "response_time", "speed_left_mm_s", "speed_right_mm_s")
 """Further columns the analysis uses where they are there, named as in the record's own table."""
 
 _TRUTH = {"0": False, "false": False, "no": False, "": False, "1": True, "true": True, "yes": True}
@@ -84,6 +84,7 @@ def read_csv(
         margin=table_format.margin,
         asked=usual,
         notes=tuple(notes),
+        design=table_format.design,
     )
 
 

@@ -13,6 +13,10 @@ from modaltouch.analysis.statistics import STATISTICS, questions
 from modaltouch.report import say_number
 
 HEADINGS = {
+    "sensitivity": ("How well are the stimuli told apart?", "d' or the criterion differs"),
+    "function": ("At which level does the answer turn?", "the threshold, the PSE or the JND differs"),
+    "rating": ("What do the ratings say?", "ratings differ"),
+    "group": ("Do the groups of participants differ?", "the groups differ"),
     "a1": ("Do the answers of a cell differ from guessing?", "answers differ from guessing"),
     "a2": ("Is one zone of each pair chosen more than the other?", "one zone is chosen more than the other"),
     "b": ("Does the level matter?", "the choice changes with the level"),
@@ -110,7 +114,10 @@ def answer_question(own: Sequence[Finding], claim: str, answers: AnswerCounts) -
     answers : AnswerCounts
         Counts of the answers.
     """
-    families = sorted({row.family for row in own if row.family}, key=lambda name: (" " not in name, name))
+    families = sorted(
+        dict.fromkeys(row.family for row in own if row.family),
+        key=lambda name: (" " not in name, name) if name in STATISTICS else (False, ""),
+    )
     if not families:
         return _estimate(own, answers)
     claim = claim or "there is such an effect"
@@ -118,8 +125,21 @@ def answer_question(own: Sequence[Finding], claim: str, answers: AnswerCounts) -
     return " ".join(_answer_family(rows, _claim(claim, name), answers) for name, rows in parts.items())
 
 
+_CLAIMS = {
+    " compared": "{claim} between conditions",
+    " over levels": "ratings change with the level",
+    "groups": "{claim}",
+    "PSE": "the PSE is not the standard",
+    "": "{family} is not zero",
+}
+"""What the families of tests of measures claim, by how they end."""
+
+
 def _claim(claim: str, family: str) -> str:
     """Return what a family of tests claims: of people on average, of somebody at least, or that they are alike."""
+    if family not in STATISTICS:
+        end = next(end for end in _CLAIMS if family.endswith(end))
+        return _CLAIMS[end].format(claim=claim, family=family)
     if family == "c alike":
         return "the finger conditions are alike on average, within the margin"
     if family.endswith(" mean"):
@@ -182,7 +202,7 @@ def state_families(findings: Sequence[Finding]) -> str:
     named = ", ".join(f"{family} ({m})" for family, m in families.items())
     level, together = 100 * ALPHA, ""
     if n > 1:
-        together = f" Each family stands for itself: over all {n}, that chance is {n * level:g} % at most."
+        together = f" Each family stands for itself: over all {n}, that chance is {min(n * level, 100):g} % at most."
     return (
         f"Confirmatory tests, by family: {named}. Holm's correction holds the chance of any false claim within a "
         f"family at {level:g} % at most.{together} All other tests are exploratory: their p are not corrected and "

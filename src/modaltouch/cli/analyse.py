@@ -108,7 +108,8 @@ def _table_format(protocol: str | None, words: dict[str, str] | None, missing: s
     given = None if protocol is None else Findings.read(protocol).experiment().protocol
     margin = given.analysis.equivalence_margin if given else None
     codes = tuple(word.strip() for word in (missing or "").split(","))
-    return TableFormat(given.answers.offered if given else None, words or {}, codes, margin)
+    design = given.model_dump(mode="json") if given else {}
+    return TableFormat(given.answers.offered if given else None, words or {}, codes, margin, design)
 
 
 def _mapped(answers: str | None) -> dict[str, str] | None:

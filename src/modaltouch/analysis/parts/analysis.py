@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
@@ -19,6 +20,9 @@ from modaltouch.analysis.tables import tabulate, zone_table
 from modaltouch.analysis.words import say_interval
 from modaltouch.protocol import InputError
 from modaltouch.report import ReportFigure, page_files, render_page, say_number
+
+if TYPE_CHECKING:
+    from modaltouch.analysis.designs import DesignAnalysis
 
 FACTORS = ("group", "session_kind", "stimulus")
 """What tells parts apart, beside finger conditions, pairs and levels."""
@@ -68,12 +72,20 @@ class PartsAnalysis:
         The statistics of each; Holm's correction is over all of them.
     files : dict of str to Path
         Files written, by name.
+    design : DesignAnalysis, optional
+        What the answers tell of each participant, beside counts, and of groups.
     """
 
     responses: Responses
     parts: tuple[CrossedPart, ...]
     findings: tuple[tuple[CrossedPart, Finding], ...]
     files: dict[str, Path]
+    design: DesignAnalysis | None = None
+
+    @cached_property
+    def whole(self) -> list[Finding]:
+        """What was found over all parts, each family corrected."""
+        return correct(self.design.findings) if self.design else []
 
     @property
     def counts(self) -> pd.DataFrame:
@@ -89,8 +101,8 @@ class PartsAnalysis:
     @property
     def tests(self) -> pd.DataFrame:
         """The statistics, one row each, with the part that it is of."""
-        table = to_frame(finding for _, finding in self.findings)
-        table.insert(0, "part", [part.name for part, _ in self.findings])
+        table = to_frame([*self.whole, *(finding for _, finding in self.findings)])
+        table.insert(0, "part", ["all"] * len(self.whole) + [part.name for part, _ in self.findings])
         return table
 
     def as_dict(self) -> dict[str, Any]:
@@ -104,6 +116,7 @@ class PartsAnalysis:
             "parts": [part.name for part in self.parts],
             "counts": [plain_row(row) for row in self.counts.to_dict("records")],
             "tests": [plain_row(row) for row in self.tests.to_dict("records")],
+            **({"measures": [*map(plain_row, self.design.rows)]} if self.design else {}),
             "files": {name: str(path) for name, path in self.files.items()},
             "n_participants": int(self.responses.frame["participant"].nunique()),
             "n_responses": len(self.responses.frame),
@@ -129,14 +142,18 @@ def analyse_parts(responses: Responses) -> PartsAnalysis:
     InputError
         If participants of one group met a cell unequally often.
     """
+    given, responses = responses, responses.by_choice()
     parts, found = tuple(_find_parts(responses)), list[tuple[CrossedPart, Finding]]()
-    left = dict(responses.catches)
     for part in parts:
-        # Catch trials are of no part: those of a participant are told once.
-        catches = {who: left.pop(who) for who in part.counts.participants if who in left}
-        found += [(part, finding) for finding in uncorrected(part.counts, part.frame, catches)]
+        found += [(part, finding) for finding in uncorrected(part.counts, part.frame)]
     corrected = correct(finding for _, finding in found)
-    return PartsAnalysis(responses, parts, tuple(zip((part for part, _ in found), corrected, strict=True)), {})
+    design = None
+    if given.tells_of_each:
+        from modaltouch.analysis.designs import analyse_design
+
+        design = analyse_design(given, [part.counts for part in parts])
+    of_parts = tuple(zip((part for part, _ in found), corrected, strict=True))
+    return PartsAnalysis(responses, parts, of_parts, {}, design)
 
 
 def _find_parts(responses: Responses) -> Iterator[CrossedPart]:
@@ -212,13 +229,19 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         )
         for number, part in enumerate(analysis.parts, start=1)
         for condition in part.counts.finger_conditions
+        if len(part.counts.answers) > 1
     ]
+    shown, values = pictures[:MOST_FIGURES], analysis.design.rows if analysis.design else []
+    if analysis.design:
+        from modaltouch.analysis.measure_figures import draw_design
+
+        shown += draw_design(analysis.design)
     responses = analysis.responses
     design = responses.start.get("design", {})
     page = page_files(
         "modaltouch.analysis.parts",
         "report",
-        pictures[:MOST_FIGURES],
+        shown,
         title=f"Analysis: {design.get('title') or responses.start.get('protocol', '')}",
         source=responses.source,
         n_participants=responses.frame["participant"].nunique(),
@@ -228,6 +251,10 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
             (part, [_line(finding) for own, finding in analysis.findings if own is part]) for part in analysis.parts
         ],
         n_pictures=len(pictures),
+        most_pictures=MOST_FIGURES,
+        values=values,
+        groups=sorted({*responses.groups.values()}),
+        whole=[_line(finding) for finding in analysis.whole],
         alpha=ALPHA,
         left_out=responses.left_out,
         record=describe_record(responses.sessions),
@@ -237,6 +264,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         "counts.csv": analysis.counts.to_dict("records"),
         "tests.csv": tests,
         "tests.json": [plain_row(row) for row in tests],
+        **({"measures.csv": values} if values else {}),
         **_models(analysis),
         **page,
     }

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 
@@ -51,15 +51,15 @@ class Grid:
     guesses: FloatArray
 
     @classmethod
-    def around(cls, levels: FloatArray, guess_rate: float, most_lapse: float, *, fits_guesses: bool) -> Self:
+    def around(cls, levels: FloatArray, guess_rate: ArrayLike, most_lapse: float, *, fits_guesses: bool) -> Self:
         """Return a grid for some levels [dB re 1 mm/s].
 
         Parameters
         ----------
         levels : array
             The levels that were presented.
-        guess_rate : float
-            The only guess rate, unless guesses are fitted [1].
+        guess_rate : float or array
+            The guess rates, unless catch trials tell of them [1].
         most_lapse : float
             Largest lapse rate [1].
         fits_guesses : bool
@@ -71,7 +71,7 @@ class Grid:
             lapses=np.linspace(0.0, most_lapse, 4) if most_lapse else np.zeros(1),
             guesses=np.array([0.0, 0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5])
             if fits_guesses
-            else np.array([guess_rate]),
+            else np.atleast_1d(np.asarray(guess_rate, dtype=float)),
         )
 
     def log_likelihood(self, levels: FloatArray, hits: FloatArray, tries: FloatArray) -> FloatArray:
@@ -168,24 +168,27 @@ def fit_psychometric(
     levels: Sequence[float],
     successes: Sequence[bool],
     *,
-    guess_rate: float,
+    guess_rate: ArrayLike,
     most_lapse: float,
     catches: Sequence[bool] = (),
+    unit: str = "mm/s",
 ) -> Psychometric:
     """Return the psychometric function of a run.
 
     Parameters
     ----------
     levels : sequence of float
-        Level of each trial with a stimulus [dB re 1 mm/s].
+        Level of each trial with a stimulus [dB re 1 mm/s, or another unit].
     successes : sequence of bool
         Whether each of them was a success.
-    guess_rate : float
-        Share of successes where nothing is felt [1]; fitted where there are catch trials.
+    guess_rate : float or array
+        Share of successes where nothing is felt, or those that are tried [1]; fitted where there are catch trials.
     most_lapse : float
         Largest lapse rate that a fit may find [1].
     catches : sequence of bool
         Whether each catch trial was a success.
+    unit : str
+        Unit of the levels, in words.
 
     Raises
     ------
@@ -204,7 +207,7 @@ def fit_psychometric(
     threshold = _estimate(grid.thresholds, likelihood.max(axis=(1, 2, 3)))
     spread = _estimate(grid.spreads, likelihood.max(axis=(0, 2, 3)))
     flat = _log_binomial(hits.sum(), tries.sum()) + _log_binomial(n_false, len(catches))
-    why = _why_not(x, hits, tries, float(likelihood.max()) - flat, threshold.value)
+    why = _why_not(x, hits, tries, float(likelihood.max()) - flat, threshold.value, unit)
     return Psychometric(
         n_trials=int(tries.sum()),
         n_successes=int(hits.sum()),
@@ -218,18 +221,18 @@ def fit_psychometric(
     )
 
 
-def _why_not(x: FloatArray, hits: FloatArray, tries: FloatArray, gain: float, threshold: float) -> str:
+def _why_not(x: FloatArray, hits: FloatArray, tries: FloatArray, gain: float, threshold: float, unit: str) -> str:
     """Return why these answers give no threshold; empty where they do."""
-    lowest, highest = (10 ** (level / 20) for level in (x[0], x[-1]))
+    lowest, highest = (f"{10 ** (level / 20):.3g} {unit}" for level in (x[0], x[-1]))
     reasons = (
         (
             hits.sum() == tries.sum(),
-            f"every answer was a success: the threshold lies below {lowest:.3g} mm/s, or there is none",
+            f"every answer was a success: the threshold lies below {lowest}, or there is none",
         ),
-        (hits.sum() == 0, f"no answer was a success: the threshold lies above {highest:.3g} mm/s, or there is none"),
+        (hits.sum() == 0, f"no answer was a success: the threshold lies above {highest}, or there is none"),
         (gain < DROP, "successes do not depend on the level: a constant chance explains the answers as well"),
-        (threshold < x[0], f"the threshold lies below the levels that were presented, from {lowest:.3g} mm/s"),
-        (threshold > x[-1], f"the threshold lies above the levels that were presented, up to {highest:.3g} mm/s"),
+        (threshold < x[0], f"the threshold lies below the levels that were presented, from {lowest}"),
+        (threshold > x[-1], f"the threshold lies above the levels that were presented, up to {highest}"),
     )
     return next((reason for holds, reason in reasons if holds), "")
 

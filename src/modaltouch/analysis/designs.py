@@ -1,0 +1,89 @@
+"""What a design asks of each participant, beside counts: sensitivity, psychometric functions, ratings, and groups."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from modaltouch.analysis.catches import CatchRow, catch_findings, catch_rows
+from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.detection import sensitivities
+from modaltouch.analysis.findings import Finding
+from modaltouch.analysis.intervals import Interval
+from modaltouch.analysis.measures import Measure, Own, contrast_findings, group_findings, mean_findings
+from modaltouch.analysis.ratings import level_findings, questions_of, ratings
+from modaltouch.analysis.responses import Responses
+from modaltouch.analysis.scale import LevelScale, scale_of
+from modaltouch.analysis.thresholds.constant import FittedCell, fit_cells, measures_of_fits
+
+
+@dataclass(frozen=True, eq=False)
+class DesignAnalysis:
+    """What the answers tell of each participant.
+
+    Attributes
+    ----------
+    values : tuple of Own
+        Every participant's own values.
+    fits : tuple of FittedCell
+        Their psychometric functions.
+    findings : tuple of Finding
+        What was found over participants and between groups, not yet corrected.
+    catches : tuple of CatchRow
+        What they answered where nothing was driven.
+    scale : LevelScale
+        What the levels are.
+    groups : dict of str to str
+        Group of each participant; empty where there is one alone.
+    """
+
+    values: tuple[Own, ...]
+    fits: tuple[FittedCell, ...]
+    findings: tuple[Finding, ...]
+    catches: tuple[CatchRow, ...]
+    scale: LevelScale
+    groups: Mapping[str, str]
+
+    @cached_property
+    def rows(self) -> list[dict[str, Any]]:
+        """The values as rows of the table ``measures.csv``."""
+        return [each.as_dict(self.scale, self.groups) for each in self.values]
+
+
+def analyse_design(responses: Responses, counts: Sequence[AnswerCounts]) -> DesignAnalysis:
+    """Return what a design asks of each participant, beside counts.
+
+    Parameters
+    ----------
+    responses : Responses
+        The answers, as they were given.
+    counts : sequence of AnswerCounts
+        Their counts, of each crossed part of the design.
+    """
+    task, scale, groups = responses.task, scale_of(responses.frame.columns), responses.groups
+    catches, fits = catch_rows(responses), fit_cells(responses, task)
+    rated = tuple(ratings(responses, task, questions_of(responses.design, responses.frame)))
+    values = (*sensitivities(responses, task), *measures_of_fits(fits, task, scale), *rated)
+    shares = [share for part in counts for share in _shares(part)] if groups else []
+    findings = (
+        *catch_findings(catches),
+        *mean_findings(values, scale),
+        *contrast_findings(values, scale),
+        *level_findings(rated),
+        *group_findings((*values, *shares), groups),
+    )
+    return DesignAnalysis(values, fits, findings, catches, scale, groups)
+
+
+def _shares(counts: AnswerCounts) -> Iterator[Own]:
+    """Yield the share of each effect of each participant, in each pair under each finger condition."""
+    for place, chosen in enumerate(counts.of_effects):
+        shares = counts.shares(chosen).mean
+        for f, q, _ in counts.pair_cells:
+            pair, words = counts.pairs[q], f"P({counts.effects(counts.pairs[q])[place][0]})"
+            for who, share in zip(counts.participants, shares[f, q], strict=True):
+                cell, known = (who, counts.finger_conditions[f], pair.label, math.nan), Interval.point(float(share), 1)
+                yield Own(Measure(words, words, "group"), *cell, known, counts.n_answers)

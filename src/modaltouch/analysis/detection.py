@@ -1,0 +1,90 @@
+"""d' and criterion of each participant: felt or not, in which interval, same or different."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+
+import pandas as pd
+
+from modaltouch.analysis.measures import Cell, Measure, Own, cells
+from modaltouch.analysis.responses import Responses
+from modaltouch.analysis.scale import scale_of
+from modaltouch.analysis.sensitivity import Count, SignalDetection, m_intervals, same_different, two_intervals, yes_no
+from modaltouch.analysis.task import TrialTask
+
+D_PRIME = Measure("d'", "sensitivity d'", "sensitivity", null=0.0)
+CRITERION = Measure("criterion", "criterion c", "sensitivity")
+
+FEWEST = 4
+"""Answers of each participant in each cell from which on every level has a d' of its own."""
+
+
+def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
+    """Yield d' and criterion of each participant, as far as the design tells them.
+
+    Of one interval the answer that nothing was felt tells them, with catch trials; of several, which one an answer
+    names, or that they are the same or differ.
+
+    Parameters
+    ----------
+    responses : Responses
+        The answers.
+    task : TrialTask
+        What they mean.
+    """
+    frame, scale = responses.frame, scale_of(responses.frame.columns)
+    per_cell = [int(part["n"].sum()) for _, part in cells(frame, scale, by_level=True)]
+    by_level = min(per_cell, default=0) >= FEWEST
+    if task.different:
+        yield from _of_differences(frame, task)
+    elif task.named:
+        for cell, part in cells(frame, scale, by_level=by_level or not task.detects):
+            if not task.is_same(part, scale.column).all():
+                yield from _told(cell, _of_intervals(part, task, cell[-1]), part)
+    elif responses.answers.naming() is not None:
+        nothing = [each.name for each in responses.answers if each.says_nothing_felt]
+        if responses.answers.compares:  # which finger it was is asked, so that all felt is one thing
+            frame, by_level = frame.assign(finger_condition="all", zone_left="", zone_right=""), False
+        for cell, part in cells(frame, scale, by_level=by_level):
+            caught = responses.catches.get(cell[0], Counter())
+            alarms = caught.total() - sum(caught[word] for word in nothing), caught.total()
+            if caught:
+                yield from _told(cell, yes_no(_share(part, ~part["response"].isin(nothing)), alarms), part)
+
+
+def _of_intervals(part: pd.DataFrame, task: TrialTask, level: float) -> SignalDetection:
+    """Return how well the answers of a cell name the right interval."""
+    place, named = part["interval"].astype(int), part["response"].map(task.named).astype(int)
+    if task.turns(level):
+        place = 3 - place
+    if task.n_intervals != 2 or place.nunique() < 2:
+        return m_intervals(_share(part, named == place), task.n_intervals)
+    first, second = (_share(part[place == each], named[place == each] == 1) for each in (1, 2))
+    return two_intervals(first, second)
+
+
+def _of_differences(frame: pd.DataFrame, task: TrialTask) -> Iterator[Own]:
+    """Yield what same and different tell, level by level; trials whose comparison is the standard are the same."""
+    scale = scale_of(frame.columns)
+    is_same = task.is_same(frame, scale.column)
+    alike = {
+        cell[:3]: _share(part, part["response"].isin(task.different))
+        for cell, part in cells(frame[is_same], scale, by_level=False)
+    }
+    for cell, part in cells(frame[~is_same], scale, by_level=True):
+        if cell[:3] in alike:
+            called = _share(part, part["response"].isin(task.different))
+            yield from _told(cell, same_different(called, alike[cell[:3]]), part)
+
+
+def _share(part: pd.DataFrame, chosen: pd.Series) -> Count:
+    return int(part["n"][chosen].sum()), int(part["n"].sum())
+
+
+def _told(cell: Cell, found: SignalDetection, part: pd.DataFrame) -> Iterator[Own]:
+    n = int(part["n"].sum())
+    yield Own(D_PRIME, *cell, found.d_prime, n)
+    if found.criterion is not None and math.isfinite(found.criterion.estimate):
+        yield Own(CRITERION, *cell, found.criterion, n)

@@ -1,0 +1,352 @@
+"""A number of each participant, such as a d', a threshold or a mean rating; then over participants and groups.
+
+The participant is the unit: what is tested is one number of each, never the pooled trials. Over participants a number
+has the centre about which sign flips do not reject symmetry, of ratings by signed ranks; between groups the labels of
+the participants are shuffled.
+
+References
+----------
+Hollander and Wolfe, "Nonparametric Statistical Methods" (1973), sections 3.1 to 3.3 (signed ranks).
+Pitman, J. R. Stat. Soc. Suppl. 4 (1937) 119-130 (shuffled groups).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any, cast
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from modaltouch.analysis.covariates import centre_interval
+from modaltouch.analysis.exact import ExactTest, sign_flip_test
+from modaltouch.analysis.findings import Finding, finding_of
+from modaltouch.analysis.intervals import CONFIDENCE, Interval
+from modaltouch.analysis.scale import LevelScale
+
+FloatArray = NDArray[np.float64]
+Cell = tuple[str, str, str, float]
+"""Participant, finger condition, pair of zones, level."""
+
+Located = tuple[ExactTest, Interval]
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What a number of a participant is.
+
+    Attributes
+    ----------
+    name : str
+        Its name.
+    quantity : str
+        The same with its unit, for tables and axes.
+    question : str
+        Question of the report under which it stands.
+    null : float or None
+        Value that means no effect, which the mean over participants is tested against; None for a description.
+    is_ratio : bool
+        Whether its values are compared by their ratios: means are geometric.
+    is_ranked : bool
+        Whether its values are compared by their ranks, as ratings are.
+    """
+
+    name: str
+    quantity: str
+    question: str
+    null: float | None = None
+    is_ratio: bool = False
+    is_ranked: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Own:
+    """A participant's own value of a measure.
+
+    Attributes
+    ----------
+    measure : Measure
+        What it is.
+    participant, finger_condition, pair : str
+        Whose, and of which answers.
+    level : float
+        Of which level; not a number for all levels together.
+    interval : Interval
+        The value with its 95 % interval, as far as there is one.
+    n : int
+        Answers that it rests on.
+    note : str
+        Why it cannot be told, or what a reader must know.
+    """
+
+    measure: Measure
+    participant: str
+    finger_condition: str
+    pair: str
+    level: float
+    interval: Interval
+    n: int
+    note: str = ""
+
+    def as_dict(self, scale: LevelScale, groups: Mapping[str, str]) -> dict[str, Any]:
+        """Return it as a row of the table ``measures.csv``."""
+        group = {"group": groups.get(self.participant, "")} if groups else {}
+        return {
+            "measure": self.measure.name,
+            "quantity": self.measure.quantity,
+            "participant": self.participant,
+            **group,
+            "finger_condition": self.finger_condition,
+            "pair": self.pair,
+            scale.column: "all" if math.isnan(self.level) else self.level,
+            "estimate": self.interval.estimate,
+            "low": self.interval.low,
+            "high": self.interval.high,
+            "n": self.n,
+            "note": self.note,
+        }
+
+
+def by_flips(values: FloatArray) -> Located:
+    """Return the exact test that values are symmetric about zero, and the centres that it does not reject.
+
+    Parameters
+    ----------
+    values : (n,) array
+        One value a participant; four digits of the largest count.
+    """
+    largest = float(np.abs(values).max(initial=0.0))
+    unit = 10.0 ** math.floor(math.log10(largest)) if largest > 0 else 1.0
+    test = sign_flip_test(np.rint(values / unit * 1000).astype(np.int64))
+    return test, centre_interval(values / unit).changed(lambda scaled: scaled * unit)
+
+
+def by_ranks(values: FloatArray) -> Located:
+    """Return Wilcoxon's exact test of signed ranks, and the median of the averages of two with its exact interval.
+
+    Zeros are left out of the test and kept in the interval; equal sizes share their rank.
+
+    Parameters
+    ----------
+    values : (n,) array
+        One value a participant.
+
+    Examples
+    --------
+    >>> float(by_ranks(np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]))[0].p)  # 2 / 2^6
+    0.03125
+    """
+    moved = pd.Series(values[values != 0])
+    test = sign_flip_test(np.rint(2 * moved.abs().rank() * np.sign(moved)).to_numpy().astype(np.int64))
+    n = values.size
+    first, second = np.triu_indices(n)
+    averages = np.sort((values[first] + values[second]) / 2)
+    chances = np.ones(1)
+    for rank in range(1, n + 1):
+        chances = (np.pad(chances, (0, rank)) + np.pad(chances, (rank, 0))) / 2
+    dropped = int(np.searchsorted(np.cumsum(chances), (1 - CONFIDENCE) / 2))
+    low, high = (averages[dropped - 1], averages[-dropped]) if dropped and n else (-math.inf, math.inf)
+    return test, Interval(float(np.median(averages)) if n else math.nan, float(low), float(high), n)
+
+
+_FLIPS, _RANKS = "sign flips", "signed ranks"
+_MOST_ORDERS = 20_000
+"""Ways to share out the participants up to which all are counted; beyond, as many are drawn."""
+
+
+def group_test(first: FloatArray, second: FloatArray) -> Located:
+    """Return the permutation test that two groups have one distribution, and the shifts that it does not reject.
+
+    Parameters
+    ----------
+    first, second : (n,) arrays
+        One value a participant; the statistic is the difference of the means, first less second.
+    """
+    values, n, size = np.concatenate([first, second]), len(first), len(first) + len(second)
+    is_first = np.arange(size) < n
+    if is_exact := math.comb(size, n) <= _MOST_ORDERS:
+        orders = np.zeros((math.comb(size, n), size), dtype=bool)
+        for row, chosen in zip(orders, combinations(range(size), n), strict=True):
+            row[list(chosen)] = True
+    else:
+        rng = np.random.default_rng(1)
+        orders = np.stack([is_first, *(rng.permutation(is_first) for _ in range(_MOST_ORDERS - 1))])
+    weights = orders / n - ~orders / (size - n)
+    differences, moved = weights @ values, weights @ is_first.astype(float)
+    observed = float(first.mean() - second.mean())
+
+    def p(shift: float) -> float:
+        reached = np.abs(differences - shift * moved) >= abs(observed - shift) - 1e-9
+        return float(reached.mean())
+
+    least = (2 if is_exact and 2 * n == size else 1) / len(orders)
+    test = ExactTest(observed, p(0.0), least, size)
+    far = 2 * float(np.ptp(values)) + 1e-9
+    low, high = (_last_kept(p, observed, observed + far * side) for side in (-1, 1))
+    return test, Interval(observed, low, high, size)
+
+
+def _last_kept(p: Callable[[float], float], kept: float, rejected: float) -> float:
+    """Return the farthest shift that is not rejected; infinite where none is."""
+    if p(rejected) > 1 - CONFIDENCE:
+        return math.copysign(math.inf, rejected - kept)
+    for _ in range(40):
+        middle = (kept + rejected) / 2
+        kept, rejected = (middle, rejected) if p(middle) > 1 - CONFIDENCE else (kept, middle)
+    return kept
+
+
+def over_participants(measure: Measure, own: Iterable[Own]) -> Located:
+    """Return the test that a measure has no effect, and its mean over the participants who have one.
+
+    Parameters
+    ----------
+    measure : Measure
+        What it is.
+    own : iterable of Own
+        Its values.
+    """
+    null = 0.0 if measure.null is None else math.log(measure.null) if measure.is_ratio else measure.null
+    test, interval = by_flips(np.array(list(_known(own).values())) - null)
+    return test, _told(measure, interval.changed(lambda shifted: shifted + null))
+
+
+def mean_findings(values: Sequence[Own], scale: LevelScale) -> Iterator[Finding]:
+    """Yield the mean of each measure over participants, tested where there is a value that means no effect."""
+    for measure, scope, own in _by_scope(values, scale):
+        test, interval = over_participants(measure, own)
+        n = int(interval.n_effective)
+        left_out = len({each.participant for each in own}) - n
+        notes = [f"{left_out} participants left out, who have none"] if left_out else []
+        tested = measure.null is not None and n > 0
+        yield finding_of(
+            measure.question, f"{measure.name} over participants, {_FLIPS}", scope, test if tested else None,
+            measure.quantity, interval, n, family=measure.name if tested else "",
+            notes=[*notes, "" if tested else "described, not tested"],
+        )  # fmt: skip
+
+
+def contrast_findings(values: Sequence[Own], scale: LevelScale) -> Iterator[Finding]:
+    """Yield each measure under one finger condition against another, and for one pair of zones against another.
+
+    A participant's difference is the mean over the levels at which both have a value.
+    """
+    for measure, own in by_measure(values):
+        tables: dict[tuple[str, str], dict[tuple[str, str], float]] = {}
+        for each in own:
+            tables.setdefault((each.finger_condition, each.pair), {})[each.participant, str(each.level)] = _linear(each)
+        for (a, first), (b, second) in combinations(tables.items(), 2):
+            if (a[0] == b[0]) == (a[1] == b[1]):
+                continue
+            gaps: dict[str, list[float]] = {}
+            for who, level in first.keys() & second.keys():
+                gap = first[who, level] - second[who, level]
+                if math.isfinite(gap):
+                    gaps.setdefault(who, []).append(gap)
+            numbers = np.array([np.mean(gaps[who]) for who in sorted(gaps)])
+            test, interval = (by_ranks if measure.is_ranked else by_flips)(numbers)
+            scope = f"{a[0]} - {b[0]} {a[1]}" if a[1] == b[1] else f"{a[0]} {a[1]} - {b[1]}"
+            yield finding_of(
+                measure.question, f"{measure.name} compared, {_RANKS if measure.is_ranked else _FLIPS}", scope, test,
+                f"{_difference(measure)} of {measure.quantity}", _told(measure, interval), numbers.size,
+                family=f"{measure.question} compared",
+            )  # fmt: skip
+
+
+def group_findings(values: Sequence[Own], groups: Mapping[str, str]) -> Iterator[Finding]:
+    """Yield each measure in one group of participants against another; a participant counts once, by the mean."""
+    names = sorted({group for group in groups.values() if group})
+    for measure, own in by_measure(values):
+        numbers = _known(own)
+        for a, b in combinations(names, 2):
+            first, second = (np.array([n for who, n in numbers.items() if groups.get(who) == name]) for name in (a, b))
+            if min(len(first), len(second)) < 1:
+                continue
+            test, interval = group_test(first, second)
+            yield finding_of(
+                "group", f"{measure.name} between groups, permutation test of participants", f"{a} - {b}", test,
+                f"{_difference(measure)} of {measure.quantity}", _told(measure, interval), len(first) + len(second),
+                family="groups",
+                notes=[f"{a}: {len(first)}, {b}: {len(second)} participants; interval of a shift"],
+            )  # fmt: skip
+
+
+def cells(frame: pd.DataFrame, scale: LevelScale, *, by_level: bool) -> Iterator[tuple[Cell, pd.DataFrame]]:
+    """Yield participant, finger condition, pair of zones and level of each cell, with its answers.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Tidy answers.
+    scale : LevelScale
+        What the levels are.
+    by_level : bool
+        Whether each level is a cell of its own; else all are together, at a level that is not a number.
+    """
+    zones = [name for name in ("zone_left", "zone_between", "zone_right") if name in frame.columns]
+    pair = frame[zones[0]].astype(str)
+    for name in zones[1:]:
+        other = frame[name].astype(str)
+        pair = pair.where(other == "", pair + "-" + other)
+    for name in ("stimulus", "session_kind"):
+        if name in frame.columns and frame[name].nunique() > 1:
+            pair = pair + " " + frame[name].astype(str)
+    keys = [frame["participant"].astype(str), frame["finger_condition"].astype(str), pair.rename("pair")]
+    for key, part in frame.groupby([*keys, *([frame[scale.column]] if by_level else [])], sort=True):
+        who, finger_condition, label, *level = cast(tuple[Any, ...], key)
+        yield (str(who), str(finger_condition), str(label), float(level[0]) if level else math.nan), part
+
+
+def by_measure(values: Iterable[Own]) -> Iterator[tuple[Measure, list[Own]]]:
+    """Yield each measure with its values."""
+    kinds: dict[Measure, list[Own]] = {}
+    for each in values:
+        kinds.setdefault(each.measure, []).append(each)
+    yield from kinds.items()
+
+
+def _by_scope(values: Iterable[Own], scale: LevelScale) -> Iterator[tuple[Measure, str, list[Own]]]:
+    for measure, own in by_measure(values):
+        scopes: dict[str, list[Own]] = {}
+        for each in own:
+            level = "" if math.isnan(each.level) else f" {scale.say(each.level)}"
+            scopes.setdefault(f"{each.finger_condition} {each.pair}".strip() + level, []).append(each)
+        for scope, those in scopes.items():
+            yield measure, scope, those
+
+
+def _known(own: Iterable[Own]) -> dict[str, float]:
+    """Return the mean of each participant's values, as they are compared; of those who have any."""
+    known: dict[str, list[float]] = {}
+    for each in own:
+        value = _linear(each)
+        if math.isfinite(value):
+            known.setdefault(each.participant, []).append(value)
+    return {who: float(np.mean(values)) for who, values in known.items()}
+
+
+def of_participants(own: Sequence[Own]) -> list[Own]:
+    """Return the mean of each participant's values of a measure as one value, of those who have any."""
+    whole = [(who, _told(own[0].measure, Interval.point(mean, 1))) for who, mean in _known(own).items()]
+    return [Own(own[0].measure, who, "", "", math.nan, interval, 1) for who, interval in whole]
+
+
+def _linear(own: Own) -> float:
+    """Return a value as it is compared: of ratios the logarithm."""
+    value = float(own.interval.estimate)
+    if own.measure.is_ratio:
+        return math.log(value) if value > 0 else math.nan
+    return value
+
+
+def _told(measure: Measure, interval: Interval) -> Interval:
+    """Return an interval of what is compared as it is told: of ratios no logarithm."""
+    return interval.changed(np.exp) if measure.is_ratio else interval
+
+
+def _difference(measure: Measure) -> str:
+    return "ratio" if measure.is_ratio else "difference"

@@ -1,0 +1,203 @@
+"""Ratings: means of each participant, rank tests over levels, and the power law of magnitude estimates."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from modaltouch.analysis.exact import ExactTest
+from modaltouch.analysis.findings import Finding, finding_of
+from modaltouch.analysis.intervals import Interval, student_quantile
+from modaltouch.analysis.measures import Measure, Own, cells
+from modaltouch.analysis.responses import Responses
+from modaltouch.analysis.scale import LevelScale, scale_of
+from modaltouch.analysis.task import TrialTask
+
+_SHUFFLES = 9_999
+
+
+@dataclass(frozen=True)
+class Question:
+    """Something that was rated.
+
+    Attributes
+    ----------
+    name : str
+        What it is called.
+    column : str
+        Column of the tidy answers.
+    is_magnitude : bool
+        Whether numbers were typed, whose ratios count.
+    places : tuple of str
+        Answers, where it was answered by one of a list, whose place in it counts; empty for a scale.
+    """
+
+    name: str
+    column: str
+    is_magnitude: bool = False
+    places: tuple[str, ...] = ()
+
+    @property
+    def measure(self) -> Measure:
+        """What the mean of a participant is."""
+        way = " (place in its list)" if self.places else " (geometric mean)" if self.is_magnitude else ""
+        return Measure(self.name, f"{self.name}{way}", "rating", None, self.is_magnitude, is_ranked=True)
+
+    def numbers(self, frame: pd.DataFrame) -> pd.Series:
+        """Return the rating of each answer; not a number where there is none, or a magnitude is not above zero."""
+        if self.places:
+            places = {name: float(place) for place, name in enumerate(self.places, 1)}
+            return frame[self.column].astype(str).map(places)
+        values = pd.to_numeric(frame[self.column], errors="coerce")
+        return values.where(values > 0) if self.is_magnitude else values
+
+
+def questions_of(design: Mapping[str, Any], frame: pd.DataFrame) -> tuple[Question, ...]:
+    """Return what was rated: the question of the trial where it has a scale, and further ones.
+
+    Parameters
+    ----------
+    design : mapping
+        The protocol's sections; empty where they are unknown, and then a column ``value`` holds ratings.
+    frame : DataFrame
+        Tidy answers.
+    """
+    section = design.get("answers") or {}
+    known = []
+    if "value" in frame.columns and pd.to_numeric(frame["value"], errors="coerce").notna().any():
+        is_magnitude = (section.get("scale") or {}).get("kind") == "number"
+        known.append(Question("magnitude" if is_magnitude else "rating", "value", is_magnitude))
+    for name, asked in (section.get("then") or {}).items():
+        is_magnitude = (asked.get("scale") or {}).get("kind") == "number"
+        known.append(Question(name, name, is_magnitude, tuple(asked.get("keys") or ())))
+    return tuple(each for each in known if each.column in frame.columns)
+
+
+def ratings(responses: Responses, task: TrialTask, asked: Sequence[Question]) -> Iterator[Own]:
+    """Yield mean ratings by level, the exponents of magnitudes, and how ratings differ between right and wrong answers.
+
+    Parameters
+    ----------
+    responses : Responses
+        The answers.
+    task : TrialTask
+        What they mean.
+    asked : sequence of Question
+        What was rated.
+    """
+    frame, scale = responses.frame, scale_of(responses.frame.columns)
+    is_correct = correct(frame, task, scale)
+    for question in asked:
+        rated = frame.assign(rated=question.numbers(frame))
+        rated = rated[rated["rated"].notna()]
+        for cell, part in cells(rated, scale, by_level=True):
+            values = part["rated"].to_numpy(dtype=float)
+            mean = math.exp(np.log(values).mean()) if question.is_magnitude else float(values.mean())
+            yield Own(question.measure, *cell, Interval.point(mean, len(values)), len(values))
+        for cell, part in cells(rated, scale, by_level=False):
+            if question.is_magnitude and part[scale.column].nunique() > 1:
+                exponent = Measure(f"exponent of {question.name}", "exponent of the power law", "rating", 0.0)
+                yield Own(exponent, *cell, power_law(part[scale.column], part["rated"]), len(part))
+            right = is_correct[part.index]
+            if (right == 1).any() and (right == 0).any():
+                gap = part["rated"][right == 1].mean() - part["rated"][right == 0].mean()
+                words = f"{question.name} when correct less when not"
+                yield Own(Measure(words, words, "rating", 0.0), *cell, Interval.point(float(gap), len(part)), len(part))
+
+
+def correct(frame: pd.DataFrame, task: TrialTask, scale: LevelScale) -> pd.Series:
+    """Return which answers are correct, 1 or 0; not a number where the design does not tell.
+
+    Parameters
+    ----------
+    frame : DataFrame
+        Tidy answers, by what they name.
+    task : TrialTask
+        What they mean.
+    scale : LevelScale
+        What the levels are.
+    """
+    level = frame[scale.column]
+    if task.different:
+        right = frame["response"].isin(task.different) != task.is_same(frame, scale.column)
+    elif task.named:
+        right = frame["response"].map(task.named).astype(float) == frame["interval"].astype(float)
+        right = (right != level.map(task.turns)).where(~task.is_same(frame, scale.column))
+    else:
+        return pd.Series(math.nan, frame.index)
+    return right.astype(float)
+
+
+def power_law(levels: pd.Series, magnitudes: pd.Series) -> Interval:
+    """Return the exponent of magnitude over level, by least squares of their logarithms, with its t interval.
+
+    Parameters
+    ----------
+    levels, magnitudes : Series
+        Above zero, an answer each.
+
+    References
+    ----------
+    Stevens, "Psychophysics" (1975), chapter 1.
+    """
+    x, y = np.log(levels.to_numpy(dtype=float)), np.log(magnitudes.to_numpy(dtype=float))
+    spread = ((x - x.mean()) ** 2).sum()
+    slope = float(((x - x.mean()) * (y - y.mean())).sum() / spread)
+    if len(x) < 3:
+        return Interval.point(slope, len(x))
+    residual = y - y.mean() - slope * (x - x.mean())
+    half = student_quantile(len(x) - 2) * math.sqrt(float((residual**2).sum()) / (len(x) - 2) / spread)
+    return Interval(slope, slope - half, slope + half, len(x))
+
+
+def level_findings(values: Sequence[Own]) -> Iterator[Finding]:
+    """Yield Friedman's test of each rating over levels, with Kendall's coefficient of concordance.
+
+    Parameters
+    ----------
+    values : sequence of Own
+        Ratings by level.
+    """
+    tables: dict[tuple[Measure, str], dict[str, dict[float, float]]] = {}
+    for each in values:
+        if each.measure.is_ranked:
+            own = tables.setdefault((each.measure, f"{each.finger_condition} {each.pair}"), {})
+            own.setdefault(each.participant, {})[each.level] = float(each.interval.estimate)
+    for (measure, scope), people in tables.items():
+        levels = sorted(set().union(*people.values()))
+        rows = np.array([[own[level] for level in levels] for own in people.values() if len(own) == len(levels)])
+        if len(levels) > 2 and len(rows) > 1:
+            test, concordance = friedman(rows)
+            left_out = len(people) - len(rows)
+            yield finding_of(
+                "rating", f"{measure.name} over levels, Friedman's test by shuffles within participants", scope, test,
+                "Kendall's W", Interval.point(concordance, len(rows)), len(rows), family="rating over levels",
+                notes=[f"{left_out} participants without a rating at every level left out" if left_out else ""],
+            )  # fmt: skip
+
+
+def friedman(rows: np.ndarray) -> tuple[ExactTest, float]:
+    """Return Friedman's test with p from 9,999 shuffles within participants of a fixed seed, and Kendall's W.
+
+    Parameters
+    ----------
+    rows : (n_participants, n_levels) array
+        Mean ratings.
+    """
+    ranks = pd.DataFrame(rows).rank(axis=1).to_numpy()
+    n, k = ranks.shape
+    ties = sum(((counts := np.unique(row, return_counts=True)[1]) ** 3 - counts).sum() for row in ranks)
+    most = n**2 * (k**3 - k) / 12 - n * ties / 12
+    deviation = ((ranks.sum(axis=0) - n * (k + 1) / 2) ** 2).sum()
+    if most <= 0:
+        return ExactTest(0.0, 1.0, 1.0, 0), math.nan
+    shuffled = np.random.default_rng(1).permuted(np.broadcast_to(ranks, (_SHUFFLES, n, k)), axis=2).sum(axis=1)
+    reached = (((shuffled - n * (k + 1) / 2) ** 2).sum(axis=1) >= deviation - 1e-9).sum()
+    least = max(1 / (_SHUFFLES + 1), float(math.factorial(k)) ** (1 - n))
+    concordance = float(deviation / most)
+    return ExactTest(n * (k - 1) * concordance, (reached + 1) / (_SHUFFLES + 1), least, n), concordance

@@ -1,0 +1,110 @@
+"""What the answers of a design mean: which interval they name, whether they say same or different, what is rated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import pandas as pd
+
+from modaltouch.protocol import AnswerList
+
+COMPARISON, STANDARD = "comparison", "standard"
+CORRECT, INCORRECT = "correct", "incorrect"
+
+
+@dataclass(frozen=True)
+class TrialTask:
+    """What a trial asks.
+
+    Attributes
+    ----------
+    n_intervals : int
+        Stimuli in sequence; 1 where there is one alone.
+    named : dict of str to int
+        Interval that each answer names, from 1.
+    different, same : frozenset of str
+        Answers that say that the stimuli of a trial differ, and that they do not.
+    standard : float
+        Level of the stimulus in the other intervals [mm/s]; 0 where nothing is driven in them, not a number where it
+        is that of the comparison.
+    stimulus : str
+        Which of several stimuli it is; empty where it is that of the comparison.
+    asks_stronger : bool
+        Whether the interval of the higher level is the right answer; else that of the comparison.
+    """
+
+    n_intervals: int = 1
+    named: Mapping[str, int] = field(default_factory=dict)
+    different: frozenset[str] = frozenset()
+    same: frozenset[str] = frozenset()
+    standard: float = 0.0
+    stimulus: str = ""
+    asks_stronger: bool = False
+
+    @classmethod
+    def of(cls, design: Mapping[str, Any]) -> TrialTask:
+        """Return the task of a protocol, as a record keeps it.
+
+        Parameters
+        ----------
+        design : mapping
+            The protocol's sections.
+        """
+        section, meant = design.get("intervals") or {}, (design.get("answers") or {}).get("intervals") or {}
+        if not section:
+            return cls()
+        standard, level = section["standard"], section["standard"].get("velocity_mm_s")
+        return cls(
+            int(section["number"]),
+            {name: int(place) for name, place in meant.items() if place not in ("same", "different")},
+            frozenset(name for name, place in meant.items() if place == "different"),
+            frozenset(name for name, place in meant.items() if place == "same"),
+            math.nan if level is None else float(level),
+            str(standard.get("stimulus") or ""),
+            section.get("asked") == "stronger",
+        )
+
+    def turns(self, level: float) -> bool:
+        """Return whether the right answer at a level is the standard's interval, not that of the comparison."""
+        return self.asks_stronger and self.n_intervals == 2 and level < self.standard
+
+    def is_same(self, frame: pd.DataFrame, level: str) -> pd.Series:
+        """Return in which trials the comparison is the standard.
+
+        Parameters
+        ----------
+        frame : DataFrame
+            Tidy answers.
+        level : str
+            Column of the levels.
+        """
+        alike = (frame[level] == self.standard) | math.isnan(self.standard)
+        return alike & (frame["stimulus"] == self.stimulus) if self.stimulus else alike
+
+    @property
+    def detects(self) -> bool:
+        """Whether the other intervals are silent, so that one answer is correct at any level."""
+        return self.standard == 0
+
+    @property
+    def words(self) -> tuple[str, str]:
+        """What an answer that names the interval of the comparison is called, and any other."""
+        return (CORRECT, INCORRECT) if self.detects else (COMPARISON, STANDARD)
+
+    def by_choice(self, frame: pd.DataFrame, answers: AnswerList) -> tuple[pd.DataFrame, AnswerList]:
+        """Return answers by what they choose, and all that can be: the comparison or the standard, or correct or not.
+
+        Parameters
+        ----------
+        frame : DataFrame
+            Tidy answers; those that name no interval stay.
+        answers : AnswerList
+            What could be answered.
+        """
+        place, named = frame["interval"].astype(int), frame["response"].astype(str).map(self.named)
+        chosen = frame["response"].astype(str).where(named.isna(), self.words[1]).where(named != place, self.words[0])
+        names = [*self.words, *(name for name in answers.names if name not in self.named)]
+        return frame.assign(response=pd.Categorical(chosen, names)), AnswerList.of({"keys": names})

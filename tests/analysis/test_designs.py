@@ -1,0 +1,248 @@
+"""What each participant tells, over participants and between groups: observers whose numbers are known."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections import Counter
+from itertools import permutations, product
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+from scipy.special import ndtr
+
+from modaltouch.analysis.designs import analyse_design
+from modaltouch.analysis.findings import Finding, correct
+from modaltouch.analysis.measures import by_flips, by_ranks, group_test
+from modaltouch.analysis.pipeline import analyse
+from modaltouch.analysis.ratings import friedman, power_law
+from modaltouch.analysis.responses import AnswerSource, Responses, TableFormat
+from modaltouch.protocol import AnswerList
+
+TWO = {
+    "intervals": {"number": 2, "standard": {"velocity_mm_s": 80}, "asked": "stronger"},
+    "answers": {"keys": {"first": ["f1"], "second": ["f2"]}, "intervals": {"first": 1, "second": 2}},
+}
+PEOPLE = tuple(f"p{number}" for number in range(8))
+
+
+def presented(levels: tuple[float, ...], times: int, n_intervals: int = 1) -> pd.DataFrame:
+    """Return the trials of eight people to A-C with one hand, each interval equally often."""
+    rows = list(product(PEOPLE, levels, range(1, times + 1)))
+    frame = pd.DataFrame(rows, columns=["participant", "velocity_mm_s", "repetition"])
+    frame["interval"] = (frame["repetition"] - 1) % n_intervals + 1
+    return frame.assign(finger_condition="one_hand", zone_left="A", zone_right="C", n=1)
+
+
+def take(frame: pd.DataFrame, design: dict, **others: object) -> Responses:
+    """Return answers as an analysis takes them."""
+    answers = AnswerList.of(design["answers"])
+    taken = frame.assign(response=pd.Categorical(frame["response"], list(answers.names)))
+    return Responses(taken, (), (), AnswerSource("table", "csv", ""), answers=answers, design=design, **others)
+
+
+def found(responses: Responses) -> tuple[dict[tuple[str, str], Finding], dict[str, dict[str, float]]]:
+    """Return the findings by name and scope, and the values of each participant by measure, the last level's."""
+    design = analyse_design(responses, [responses.by_choice().count()])
+    values: dict[str, dict[str, float]] = {}
+    for each in design.values:
+        values.setdefault(each.measure.name, {})[each.participant] = each.interval.estimate
+    rows = correct(design.findings)
+    return {(row.name.split(",")[0], row.scope): row for row in rows}, values
+
+
+@pytest.fixture(scope="module")
+def compared() -> pd.DataFrame:
+    """Eight observers who compare with 80 mm/s: points of equality about 84 mm/s, a spread of 2 dB, a group of four."""
+    frame, rng = presented((60, 70, 80, 90, 105, 120), 24, 2), np.random.default_rng(5)
+    shift = frame["participant"].map(dict(zip(PEOPLE, np.linspace(-0.6, 0.6, 8), strict=True)))
+    felt = (20 * np.log10(frame["velocity_mm_s"] / 84) + shift) / 2
+    chosen = rng.random(len(frame)) < ndtr(felt)
+    sure = np.clip(np.rint(2 + felt.abs() / 2 + rng.normal(0, 0.5, len(frame))), 1, 4)
+    response = np.where(chosen == (frame["interval"] == 1), "first", "second")
+    group = np.where(frame["participant"] < "p4", "low", "high")
+    return frame.assign(response=response, sure=sure.astype(int), group=group)
+
+
+def test_points_of_equality_and_differences_are_those_of_the_observers(compared) -> None:
+    """Known: 84 mm/s and 0.6745 of 2 dB; the mean is not the standard of 80 mm/s, which all are above or near."""
+    findings, values = found(take(compared, TWO))
+    equal, noticed = (findings[f"{name} over participants", "one_hand A-C"] for name in ("PSE", "JND"))
+    assert equal.estimate == pytest.approx(84, rel=0.03)
+    assert equal.low < 84 < equal.high
+    assert noticed.estimate == pytest.approx(0.6745 * 2, rel=0.2)
+    assert noticed.low < 0.6745 * 2 < noticed.high
+    assert equal.p < 0.05 and math.isnan(noticed.p) and "described, not tested" in noticed.note
+    assert len(values["PSE"]) == 8
+
+
+def test_d_prime_of_a_comparison_is_that_of_its_distance_from_the_standard(compared) -> None:
+    """Known: for 120 against 80 mm/s P(comparison) = Phi(3.1 / 2), so d' = sqrt 2 times 1.55, less the correction."""
+    findings, _ = found(take(compared, TWO))
+    own = findings["d' over participants", "one_hand A-C 120 mm/s"]
+    assert own.estimate == pytest.approx(math.sqrt(2) * 20 * math.log10(120 / 84) / 2, rel=0.2)
+    assert own.p == 2 / 2**8 and own.family == "d'"
+    assert ("d' over participants", "one_hand A-C 80 mm/s") not in findings
+
+
+def test_answers_that_name_an_interval_are_counted_by_what_they_choose(compared) -> None:
+    """Known: of comparisons at 120 mm/s about Phi(1.55) = 0.94 are chosen, whichever interval they stand in."""
+    counts = take(compared, TWO).by_choice().count()
+    assert counts.answers.names == ("comparison", "standard")
+    shares = counts.counts[:, 0, 0].sum(axis=0) / 192
+    assert shares[-1, 0] == pytest.approx(0.94, abs=0.05)
+    assert shares[0, 0] == pytest.approx(1 - ndtr(1.46), abs=0.05)
+
+
+def test_confidence_is_compared_between_correct_and_incorrect_answers(compared) -> None:
+    """Known: they are the surer the farther the comparison, and so when correct; Friedman finds the levels."""
+    design = {**TWO, "answers": {**TWO["answers"], "then": {"sure": {"scale": {"kind": "likert"}}}}}
+    findings, _ = found(take(compared.astype({"sure": str}), design))
+    gap = findings["sure when correct less when not over participants", "one_hand A-C"]
+    assert gap.estimate > 0 and gap.p < 0.05
+    over_levels = findings["sure over levels", "one_hand A-C"]
+    assert over_levels.p == pytest.approx(1e-4) and over_levels.family == "rating over levels"
+
+
+def test_groups_are_compared_by_participants_and_never_by_trials(compared) -> None:
+    """Known: the low ones feel 0.6 dB less; every trial twice leaves p of the shares as it was."""
+    few = compared[compared["velocity_mm_s"] > 100]
+    once, _ = found(take(few, TWO))
+    twice, _ = found(take(pd.concat([few, few], ignore_index=True), TWO))
+    name = "P(comparison) between groups", "high - low"
+    assert once[name].estimate > 0
+    assert (once[name].p, once[name].n) == (twice[name].p, 8)
+    assert "high: 4, low: 4 participants" in once[name].note
+
+
+def test_felt_or_not_gives_a_threshold_and_d_prime_by_level() -> None:
+    """Known: half felt at 12 mm/s, a spread of 4 dB, no false alarm in 12 catch trials of each."""
+    frame, rng = presented((5, 10, 20, 40), 12), np.random.default_rng(2)
+    felt = rng.random(len(frame)) < ndtr(20 * np.log10(frame["velocity_mm_s"] / 12) / 4)
+    design = {"answers": {"keys": {"felt": ["f1"], "nothing": ["f2"]}, "fingers": {"nothing": []}}}
+    answers = frame.assign(response=np.where(felt, "felt", "nothing"))
+    findings, values = found(take(answers, design, catches={who: Counter(nothing=12) for who in PEOPLE}))
+    threshold = findings["threshold over participants", "one_hand A-C"]
+    assert threshold.estimate == pytest.approx(12, rel=0.15)
+    # All 12 felt and no false alarm of 12: z(12.5 / 13) - z(0.5 / 13).
+    assert max(values["d'"].values()) == pytest.approx(2 * 1.769, abs=0.01)
+
+
+def test_the_interval_of_three_is_named_above_chance() -> None:
+    """Known: d' = 1.5 at every level, so 0.75 of the answers are correct; guesses are no even split, so not tested."""
+    frame, rng = presented((20.0, 30.0, 40.0), 30, 3), np.random.default_rng(3)
+    felt = rng.normal(0, 1, (len(frame), 3))
+    felt[np.arange(len(frame)), frame["interval"] - 1] += 1.5
+    words = np.array(["one", "two", "three"])
+    design = {
+        "intervals": {"number": 3, "standard": {"velocity_mm_s": 0}},
+        "answers": {"keys": dict.fromkeys(words, ["x"]), "intervals": {"one": 1, "two": 2, "three": 3}},
+    }
+    responses = take(frame.assign(response=words[felt.argmax(axis=1)]), design)
+    findings, _ = found(responses)
+    assert findings["d' over participants", "one_hand A-C 30 mm/s"].estimate == pytest.approx(1.5, abs=0.3)
+    assert not responses.by_choice().count().guesses_evenly
+    assert responses.by_choice().answers.names == ("correct", "incorrect")
+
+
+def test_same_and_different_are_told_against_the_standard() -> None:
+    """Known: percepts 1 and 3 from the standard's, "different" beyond 1.5; 80 against 80 mm/s are the same."""
+    frame, rng = presented((80.0, 90.0, 110.0), 40, 2), np.random.default_rng(4)
+    apart = frame["velocity_mm_s"].map({80.0: 0.0, 90.0: 1.0, 110.0: 3.0}) + rng.normal(0, math.sqrt(2), len(frame))
+    design = {
+        "intervals": {"number": 2, "standard": {"velocity_mm_s": 80}},
+        "answers": {
+            "keys": {"same": ["x"], "different": ["y"]},
+            "intervals": {"same": "same", "different": "different"},
+        },
+    }
+    findings, _ = found(take(frame.assign(response=np.where(apart.abs() > 1.5, "different", "same")), design))
+    assert findings["d' over participants", "one_hand A-C 90 mm/s"].estimate == pytest.approx(1, abs=0.5)
+    assert findings["d' over participants", "one_hand A-C 110 mm/s"].estimate == pytest.approx(3, abs=0.5)
+
+
+@pytest.fixture(scope="module")
+def magnitudes() -> pd.DataFrame:
+    """Eight people whose numbers grow as the 0.6th power of the level, each with a modulus of the own."""
+    frame, rng = presented((20, 40, 80, 160), 3), np.random.default_rng(6)
+    modulus = frame["participant"].map(dict(zip(PEOPLE, np.geomspace(2, 40, 8), strict=True)))
+    value = modulus * (frame["velocity_mm_s"] / 80) ** 0.6 * np.exp(rng.normal(0, 0.1, len(frame)))
+    return frame.assign(response="rated", value=value.round(4)).drop(columns="interval")
+
+
+def test_magnitudes_have_the_exponent_of_their_power_law(magnitudes, tmp_path: Path) -> None:
+    """Known: 0.6 (Stevens); the report says so, and the table has every participant's; no bars of the word rated."""
+    table = tmp_path / "numbers.csv"
+    magnitudes.to_csv(table, index=False)
+    design = {"answers": {"scale": {"kind": "number"}}}
+    done = analyse(table, table_format=TableFormat(AnswerList.of({"keys": ["rated"]}), design=design))
+    tests = done.tests.set_index(["family", "scope"])
+    exponent = tests.loc[("exponent of magnitude", "one_hand A-C")]
+    assert exponent["estimate"] == pytest.approx(0.6, abs=0.05)
+    assert exponent["p_holm"] == 2 / 2**8
+    with done.files["measures.csv"].open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert {row["measure"] for row in rows} == {"magnitude", "exponent of magnitude"}
+    page = done.files["report.html"].read_text(encoding="utf-8")
+    assert "What do the ratings say?" in page and "exponent of magnitude is not zero" in page
+    assert not {"fig_10.svg", "fig_10.csv"} & set(done.files)
+
+
+def test_the_power_law_is_least_squares_of_logarithms() -> None:
+    """Reference: scipy.stats.linregress of the logarithms, and t of n - 2 degrees."""
+    levels, values = pd.Series([10.0, 20.0, 40.0, 80.0, 160.0]), pd.Series([1.0, 1.8, 2.2, 4.5, 5.0])
+    line = stats.linregress(np.log(levels), np.log(values))
+    found = power_law(levels, values)
+    assert found.estimate == pytest.approx(line.slope)
+    assert found.high - found.estimate == pytest.approx(stats.t.ppf(0.975, 3) * line.stderr)
+
+
+def test_signed_ranks_are_those_of_the_book() -> None:
+    """Hollander and Wolfe (1973), table 3.1, depression: p = 0.039, estimate 0.46, bounds 0.010 and 0.786."""
+    first = np.array([1.83, 0.50, 1.62, 2.48, 1.68, 1.88, 1.55, 3.06, 1.30])
+    second = np.array([0.878, 0.647, 0.598, 2.05, 1.06, 1.29, 1.06, 3.14, 1.29])
+    test, interval = by_ranks(first - second)
+    assert test.p == pytest.approx(stats.wilcoxon(first - second, method="exact").pvalue) == 0.0390625
+    assert (interval.estimate, interval.low, interval.high) == pytest.approx((0.46, 0.010, 0.786))
+
+
+def test_the_bounds_of_a_group_difference_are_the_shifts_that_its_test_keeps() -> None:
+    """By hand: three far above three have p = 2 / 20, of all orders; a shift by a bound is kept, one past it not."""
+    low, high = np.array([1.0, 2.0, 4.0, 5.0]), np.array([9.0, 11.0, 12.0, 16.0])
+    assert group_test(high[1:], low[1:])[0].p == pytest.approx(2 / 20)
+    test, interval = group_test(high, low)
+    assert test.p == test.p_min == pytest.approx(2 / 70)
+    for bound, inwards in ((interval.low, 0.01), (interval.high, -0.01)):
+        assert group_test(high - bound - inwards, low)[0].p > 0.05 >= group_test(high - bound + inwards, low)[0].p
+
+
+def test_friedman_is_that_of_scipy_and_of_all_shuffles() -> None:
+    """Reference: the statistic of scipy; p over all 6^4 orders, within four standard errors of 9,999 shuffles."""
+    rows = np.array([[1.0, 2.0, 3.0], [2.0, 1.0, 3.0], [1.0, 2.5, 2.5], [3.0, 1.0, 2.0]])
+    test, _ = friedman(rows)
+    assert test.statistic == pytest.approx(stats.friedmanchisquare(*rows.T).statistic)
+    ranks = stats.rankdata(rows, axis=1)
+    sums = [sum(map(np.array, orders)) for orders in product(*(list(permutations(row)) for row in ranks))]
+    reached = np.mean([((total - 8) ** 2).sum() >= ((ranks.sum(axis=0) - 8) ** 2).sum() - 1e-9 for total in sums])
+    assert test.p == pytest.approx(reached, abs=4 * math.sqrt(reached * (1 - reached) / 9999))
+
+
+def test_sign_flips_of_large_numbers_are_those_of_small_ones() -> None:
+    """A unit changes neither p nor what the interval holds."""
+    values = np.array([0.2, 0.9, 1.4, -0.3, 2.2, 1.1, 0.8])
+    small, large = by_flips(values), by_flips(values * 1e6)
+    assert small[0].p == large[0].p
+    assert small[1].low * 1e6 == pytest.approx(large[1].low)
+
+
+def test_a_measure_that_nobody_has_is_told_as_such() -> None:
+    """Synthetic: everything felt at every level, so no threshold; the row says for how many, and gives no number."""
+    frame = presented((5, 10, 20), 4).assign(response="felt")
+    design = {"answers": {"keys": {"felt": ["f1"], "nothing": ["f2"]}, "fingers": {"nothing": []}}}
+    findings, _ = found(take(frame, design))
+    threshold = findings["threshold over participants", "one_hand A-C"]
+    assert math.isnan(threshold.estimate) and threshold.n == 0
+    assert "8 participants left out" in threshold.note

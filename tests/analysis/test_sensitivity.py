@@ -1,0 +1,99 @@
+"""d' and criterion, against published tables, R's psyphy and the integrals that they stand for."""
+
+from __future__ import annotations
+
+import math
+
+import mpmath
+import numpy as np
+import pytest
+from scipy.special import ndtr
+
+from modaltouch.analysis.sensitivity import (
+    DROP,
+    m_intervals,
+    same_different,
+    share_correct,
+    two_intervals,
+    yes_no,
+)
+
+
+def test_yes_no_is_the_difference_of_normal_quantiles() -> None:
+    """Macmillan and Creelman (2005), chapter 1: hits 20 of 25, false alarms 10 of 25; rates (k + 0.5) / (n + 1)."""
+    found = yes_no((20, 25), (10, 25))
+    hit, alarm = (float(mpmath.sqrt(2) * mpmath.erfinv(2 * rate - 1)) for rate in (20.5 / 26, 10.5 / 26))
+    assert found.d_prime.estimate == pytest.approx(hit - alarm, abs=1e-9)
+    assert found.criterion.estimate == pytest.approx(-(hit + alarm) / 2, abs=1e-9)
+
+
+@pytest.mark.parametrize(("hits", "alarms"), [((20, 25), (10, 25)), ((9, 12), (0, 30)), ((3, 3), (1, 4))])
+def test_bounds_of_d_prime_are_where_its_profile_likelihood_has_fallen(hits, alarms) -> None:
+    """By definition: at a bound the best criterion leaves a log likelihood 1.92 below the best of all; on a grid."""
+    interval = yes_no(hits, alarms).d_prime
+    criteria = np.linspace(-6, 6, 40_001)
+
+    def best_at(d_prime: float) -> float:
+        total = 0.0
+        for (k, n), sign in ((hits, 1), (alarms, -1)):
+            p = np.clip(ndtr(sign * d_prime / 2 - criteria), 1e-300, 1 - 1e-16)
+            total = total + k * np.log(p) + (n - k) * np.log1p(-p)
+        return float(np.max(total))
+
+    best = sum(k * math.log(k / n) if k else 0.0 for k, n in (hits, alarms))
+    best += sum((n - k) * math.log(1 - k / n) if k < n else 0.0 for k, n in (hits, alarms))
+    for bound in (interval.low, interval.high):
+        if math.isfinite(bound):
+            assert best - best_at(bound) == pytest.approx(DROP, abs=2e-3)
+    assert math.isinf(interval.high) == (alarms[0] == 0 or hits[0] == hits[1])
+
+
+@pytest.mark.parametrize(("share", "d_prime"), [(0.55, 0.18), (0.7, 0.74), (0.75, 0.95), (0.85, 1.47), (0.95, 2.33)])
+def test_two_alternatives_are_those_of_the_table(share, d_prime) -> None:
+    """Macmillan and Creelman (2005), table A5.1: d' of two alternatives, sqrt 2 z(share correct)."""
+    n = 10**7
+    k = round(share * n)
+    assert m_intervals((k, n), 2).d_prime.estimate == pytest.approx(d_prime, abs=0.006)
+    unbiased = two_intervals((k, n), (n - k, n))
+    assert unbiased.d_prime.estimate == pytest.approx(d_prime, abs=0.006)
+    assert unbiased.criterion.estimate == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.parametrize("d_prime", [-0.5, 0.0, 1.0, 3.0])
+def test_three_alternatives_are_the_integral_of_the_largest(d_prime) -> None:
+    """Hacker and Ratcliff (1979): the signal is the largest of three; by quadrature of mpmath, chance at d' = 0."""
+    expected = mpmath.quad(lambda t: mpmath.npdf(t - d_prime) * mpmath.ncdf(t) ** 2, [-10, 0, 3, 12])
+    assert float(share_correct(d_prime, 3)) == pytest.approx(float(expected), abs=1e-9)
+    n = 10**8
+    k = round(float(expected) * n)
+    assert m_intervals((k, n), 3).d_prime.estimate == pytest.approx(d_prime, abs=1e-4)
+
+
+def test_a_bias_to_one_interval_is_the_criterion_and_not_the_sensitivity() -> None:
+    """An observer of d' = 1 and c = 0.5 says "first" with Phi(1 / sqrt 2 - 0.5) and Phi(-1 / sqrt 2 - 0.5)."""
+    n = 10**7
+    rates = [round(n * float(mpmath.ncdf(sign / mpmath.sqrt(2) - 0.5))) for sign in (1, -1)]
+    found = two_intervals((rates[0], n), (rates[1], n))
+    assert found.d_prime.estimate == pytest.approx(1, abs=1e-4)
+    assert found.criterion.estimate == pytest.approx(0.5, abs=1e-4)
+
+
+@pytest.mark.parametrize(("d_prime", "k"), [(0.5, 1.0), (1.5, 1.2), (3.0, 2.0)])
+def test_same_and_different_are_the_differencing_model(d_prime, k) -> None:
+    """Macmillan and Creelman (2005), chapter 9, as psyphy::dprime.SD has it: H and F of a known d' and k give these."""
+    n, root = 10**8, mpmath.sqrt(2)
+    hit = mpmath.ncdf((d_prime - k) / root) + mpmath.ncdf((-d_prime - k) / root)
+    alarm = 2 * mpmath.ncdf(-k / root)
+    found = same_different((round(n * float(hit)), n), (round(n * float(alarm)), n))
+    assert found.d_prime.estimate == pytest.approx(d_prime, abs=1e-3)
+    assert found.criterion.estimate == pytest.approx(k, abs=1e-4)
+    turned = same_different((round(n * float(alarm)), n), (round(n * float(hit)), n))
+    assert turned.d_prime.estimate == pytest.approx(-d_prime, abs=1e-3)
+
+
+def test_answers_that_set_no_bound_have_an_infinite_one() -> None:
+    """All correct: any d' above some is as likely. None correct of three: any below. None given: anything."""
+    assert m_intervals((20, 20), 3).d_prime.high == math.inf
+    assert m_intervals((0, 20), 3).d_prime.low == -math.inf
+    nothing = yes_no((0, 0), (0, 0)).d_prime
+    assert (nothing.estimate, nothing.low, nothing.high) == (0.0, -math.inf, math.inf)
