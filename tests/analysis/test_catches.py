@@ -68,7 +68,7 @@ def test_a_table_without_none_keeps_its_three_answers(tmp_path: Path) -> None:
     assert answers.counts.shape[-1] == 3
     assert "none" not in tabulate(count_answers(read_responses(path).frame)).columns
     assert catch_rows(read_responses(path)) == ()
-    assert list(catch_findings(catch_rows(read_responses(path)))) == []
+    assert list(catch_findings(read_responses(path))) == []
 
 
 def test_false_alarms_misses_and_detection_are_as_counted_by_hand(table: Path) -> None:
@@ -83,7 +83,7 @@ def test_false_alarms_misses_and_detection_are_as_counted_by_hand(table: Path) -
         ("p4", "0 of 3", 0),
     ]
     assert (total.n_false_alarms, total.n_catch, total.n_missed, total.n_driven) == (2, 12, 3, 12)
-    alarms, misses = catch_findings(catch_rows(responses))
+    alarms, misses = catch_findings(responses)
     assert alarms.estimate == pytest.approx(2 / 12)
     assert misses.estimate == pytest.approx(3 / 12)
     assert alarms.low < 2 / 12 < alarms.high
@@ -115,7 +115,7 @@ def test_catch_trials_without_the_answer_none_count_no_false_alarms(tmp_path: Pa
     path = write(tmp_path / "answers.csv", {"p1": "rrb", "p2": "lrr"}, {"p1": "lb", "p2": "br"})
     responses = read_responses(path)
     assert catch_rows(responses)[-1].answers == {"left": 1, "right": 1, "both": 2, "none": 0}
-    assert list(catch_findings(catch_rows(responses))) == []
+    assert list(catch_findings(responses)) == []
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ A false alarm is a catch trial in which something was felt; a miss is a trial wi
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -79,17 +79,11 @@ def catch_rows(responses: Responses) -> tuple[CatchRow, ...]:
     return (*rows, CatchRow("all", sum(total.values()), total, n_driven, n_missed, name))
 
 
-def catch_findings(rows: Sequence[CatchRow]) -> Iterator[Finding]:
-    """Yield the rates of false alarms and misses; estimates over participants, no p.
-
-    Parameters
-    ----------
-    rows : sequence of CatchRow
-        As `catch_rows` returns them.
-    """
-    if not rows or rows[0].nothing == _ABSENT:
+def catch_findings(responses: Responses) -> Iterator[Finding]:
+    """Yield the rates of false alarms and misses; estimates over participants, no p."""
+    if responses.answers.naming() is None:
         return
-    *own, total = rows
+    *own, total = catch_rows(responses)
     if total.n_catch:
         words = ", ".join(f"{n_given} {word}" for word, n_given in total.answers.items())
         alarms = [row.n_false_alarms for row in own]

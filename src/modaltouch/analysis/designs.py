@@ -69,7 +69,7 @@ def analyse_design(responses: Responses, counts: Sequence[AnswerCounts]) -> Desi
     values = (*sensitivities(responses, task), *measures_of_fits(fits, task, scale), *rated)
     shares = [share for part in counts for share in _shares(part)] if groups else []
     findings = (
-        *catch_findings(catches),
+        *catch_findings(responses),
         *mean_findings(values, scale),
         *contrast_findings(values, scale),
         *level_findings(rated),

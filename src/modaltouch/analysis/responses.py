@@ -197,11 +197,7 @@ class Responses:
         """Whether a participant has more than counts of answers: catch trials, a d', a threshold, ratings, a group."""
         detects = bool(self.catches) or self.answers.naming() is not None
         rated = "value" in self.frame.columns or bool((self.design.get("answers") or {}).get("then"))
-        return detects or rated or self._n_intervals > 1 or bool(self.groups)
-
-    @property
-    def _n_intervals(self) -> int:
-        return int((self.design.get("intervals") or {}).get("number", 1))
+        return detects or rated or bool(self.design.get("intervals")) or bool(self.groups)
 
     @property
     def groups(self) -> dict[str, str]:
@@ -214,10 +210,8 @@ class Responses:
         """Return the answers by what they choose, where they name an interval; else as they are."""
         if not self.design.get("intervals") or not self.task.named:
             return self
-        task, scheduled = self.task, self.scheduled
-        frame, answers = task.by_choice(self.frame, self.answers)
-        if scheduled is not None:
-            scheduled, _ = task.by_choice(scheduled, self.answers)
+        frame, answers = self.task.by_choice(self.frame, self.answers)
+        scheduled = None if self.scheduled is None else self.task.by_choice(self.scheduled, self.answers)[0]
         return replace(self, frame=frame, answers=answers, scheduled=scheduled)
 
     def count(self, focus: str = "") -> AnswerCounts:
@@ -236,7 +230,7 @@ class Responses:
         from modaltouch.analysis.counts import count_answers
 
         counts = count_answers(self.frame, self.focus or focus, self.answers, self.margin, self.asked)
-        return replace(counts, guesses_evenly=self._n_intervals < 3)
+        return replace(counts, guesses_evenly=(self.design.get("intervals") or {}).get("number", 1) < 3)
 
     def by_predicted_speed(self) -> Responses:
         """Return the answers with their levels told by the peak speed predicted under the faster finger.
