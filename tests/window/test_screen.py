@@ -15,6 +15,7 @@ from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.window.environment import virtual_display
 from modaltouch.window.interface import Progress, WindowError
 from modaltouch.window.layout import lay_out
+from modaltouch.window.legibility import every_picture
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.shapes import Box, Picture, Words, rectangle, triangle
 from modaltouch.window.theme import DARK, THEMES
@@ -51,7 +52,8 @@ def set_type(screen: Any, words: Words) -> Any:
 
 def fits(screen: Any, words: Words) -> bool:
     """Return whether the words, as they are set, lie inside their box."""
-    return bool(set_type(screen, words).fits)
+    height = screen.size[1]
+    return bool(set_type(screen, words).fits(words.box.width * height, words.box.height * height))
 
 
 def shrinks(screen: Any, words: Words) -> float:
@@ -104,31 +106,6 @@ def make_experiment_texts(language: str) -> Texts:
         return Texts(**YAML(typ="safe", pure=True).load(file))
 
 
-def every_picture(pictures: Illustrator) -> list[Picture]:
-    """Return one picture of each kind."""
-    one, two = (Trial(5, 1, Condition(fingers, "B", "D", 100.0)) for fingers in ("one_hand", "two_hands"))
-    progress, texts = Progress(5, 24), pictures.texts
-    return [
-        pictures.welcome(one),
-        pictures.answering(one),
-        pictures.placement(one),
-        pictures.placement(two),
-        pictures.feel(one, progress),
-        pictures.question(two, progress),
-        pictures.question(two, progress, chosen="left", confirmed=False),
-        pictures.ready(two, progress),
-        *(pictures.feedback(one, progress, "left", expected) for expected in ("left", "both", "right")),
-        pictures.page("practice_again", texts.practice_again),
-        pictures.page("rest", texts.rest, progress),
-        pictures.page("practice", texts.practice),
-        pictures.page("start", texts.start),
-        pictures.pause(one),
-        pictures.pause(None),
-        pictures.page("session_ended", texts.session_ended, waits=False),
-        pictures.page("goodbye", texts.goodbye, waits=False),
-    ]
-
-
 @pytest.mark.parametrize("language", sorted(path.stem for path in (ROOT / "protocols" / "texts").glob("*.yaml")))
 @pytest.mark.parametrize("size", [(800, 600), (768, 1024), (1080, 1920), (3840, 2160)])
 def test_every_text_fits_its_place(screen: Any, experiment: Experiment, language: str, size: tuple[int, int]) -> None:
@@ -136,7 +113,8 @@ def test_every_text_fits_its_place(screen: Any, experiment: Experiment, language
     layout = lay_out(*size, tuple(experiment.apparatus.zones), AnswerList.of({}))
     texts = make_experiment_texts(language)
     pictures = Illustrator(layout, DARK, texts, experiment.protocol.answers, "right")
-    for picture in every_picture(pictures):
+    trials = [Trial(5, 1, Condition(fingers, "B", "D", 100.0)) for fingers in ("one_hand", "two_hands")]
+    for picture in [picture for trial in trials for picture in every_picture(pictures, trial)]:
         for mark in picture.marks:
             if isinstance(mark, Words):
                 assert fits(screen, mark), (picture.name, mark.text)

@@ -79,7 +79,7 @@ class Buttons:
         upper = Box(box.x, box.y + lift, box.width * self._share, 0.52 * box.height)
         at = 0.4 * box.width
         arrows = [
-            triangle(way, box.x + sign * at, upper.y - 0.004 * unit, 0.018 * unit, ink if pressed else edge)
+            triangle(way, box.x + sign * at, upper.y, 0.018 * unit, ink if pressed else edge)
             for way, sign in (("left", -1), ("right", 1))
             if way in (own.fingers or ())
         ]

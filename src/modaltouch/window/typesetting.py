@@ -1,4 +1,4 @@
-"""Typesetting: words of any script as pixels, shaped by HarfBuzz through Pillow's Raqm.
+"""Typeblock: words of any script as pixels, shaped by HarfBuzz through Pillow's Raqm.
 
 Lines break at spaces, and between ideographs; the order of their letters is that of the Unicode bidirectional algorithm
 (UAX 9, by FriBidi), each paragraph in the direction of its first letter.
@@ -30,10 +30,13 @@ FRIBIDI = {"darwin": "libfribidi.0.dylib", "win32": "fribidi-0.dll"}.get(sys.pla
 """Library by which Pillow, too, orders letters."""
 _RTL, _LTR = 0x111, 0x110
 """FriBidi's numbers for the direction of a paragraph."""
-_ASCENT, _DESCENT = 1.069, 0.293
-"""Extent of a line over and under its baseline, those of Noto Sans; larger only where letters stand out of it [em]."""
+_ASCENT, _DESCENT, _LEADING = 0.93, 0.22, 0.21
+"""Extent of a line over and under its baseline, about the middle of its capitals; larger where letters stand out of it;
+and what is between two lines [em]."""
 _STROKE = 0.02
 """Thickening where a font has no bold companion [em]."""
+_NARROWER = (0.6, 0.7, 0.8, 0.9)
+"""Shares of the width that are tried so that the last line of several is not a word alone [1]."""
 _STEP, _SMALLEST = 0.05, 0.4
 """Steps in which type is made smaller until it fits, and the least share of its intended size [1]."""
 _NEVER_FIRST = frozenset("ぁぃぅぇぉっゃゅょゎァィゥェォッャュョヮ々")
@@ -89,14 +92,26 @@ class TypeBlock:
         Size of the type, em [pixels].
     share : float
         That size relative to the intended one [1].
-    fits : bool
-        Whether the text lies within its box.
     """
 
     lines: tuple[Line, ...]
     size: float
     share: float
-    fits: bool
+
+    @property
+    def width(self) -> float:
+        """Width of the longest line [pixels]."""
+        return max(line.width for line in self.lines)
+
+    @property
+    def height(self) -> float:
+        """From the top of the first line to the bottom of the last [pixels]."""
+        leading = _LEADING * self.size * (len(self.lines) - 1)
+        return leading + sum(line.ascent + line.descent for line in self.lines)
+
+    def fits(self, width: float, height: float) -> bool:
+        """Return whether the text lies within a box [pixels]."""
+        return self.width <= width and self.height <= height
 
 
 @dataclass(frozen=True)
@@ -129,9 +144,9 @@ class Typesetter:
         while True:
             size = words.size * share * window_height
             lines = tuple(self._break_lines(words.text, size, width, bold=words.bold))
-            fits = max(line.width for line in lines) <= width and _height(lines) <= height
-            if fits or share <= _SMALLEST:
-                return TypeBlock(lines, size, share, fits)
+            block = TypeBlock(lines, size, share)
+            if share <= _SMALLEST or block.fits(width, height):
+                return block
             share -= _STEP
 
     def measure(self, text: str, *, bold: bool = False) -> float:
@@ -151,24 +166,23 @@ class Typesetter:
         """
         from PIL import Image, ImageDraw
 
-        setting = self.set_type(words, window[1])
+        block = self.set_type(words, window[1])
         # Swashes and marks may stand out of a line's own extent.
-        margin = math.ceil(setting.size)
-        columns = math.ceil(max(line.width for line in setting.lines)) + 2 * margin
-        rows = math.ceil(_height(setting.lines)) + 2 * margin
+        margin = math.ceil(block.size)
+        columns, rows = math.ceil(block.width) + 2 * margin, math.ceil(block.height) + 2 * margin
         image = Image.new("L", (columns, rows))
         pen = ImageDraw.Draw(image)
         baseline = float(margin)
-        for line in setting.lines:
+        for line in block.lines:
             baseline += line.ascent
             x = float(round((columns - line.width) / 2))
             for run in line.runs:
-                font, way = _load(run.font.path, setting.size), "rtl" if run.is_rtl else "ltr"
-                stroke = _STROKE * setting.size * run.font.is_emboldened
+                font, way = _load(run.font.path, block.size), "rtl" if run.is_rtl else "ltr"
+                stroke = _STROKE * block.size * run.font.is_emboldened
                 place = (x, round(baseline))
                 pen.text(place, run.text, 255, font, "ls", direction=way, language=self._language, stroke_width=stroke)
                 x += font.getlength(run.text, direction=way, language=self._language)
-            baseline += line.descent
+            baseline += line.descent + _LEADING * block.size
         left, top, right, bottom = image.getbbox() or (0, 0, 1, 1)
         alpha = np.asarray(image, dtype=np.float32)[top:bottom, left:right][::-1] / np.float32(255)
         x0 = round(window[0] / 2 + words.box.x * window[1] - columns / 2)
@@ -180,17 +194,26 @@ class Typesetter:
         return self.language or None
 
     def _break_lines(self, text: str, size: float, width: float, *, bold: bool) -> Iterator[Line]:
-        """Yield the lines of a text, none wider than the width where it can be broken."""
+        """Yield the lines of a text, none wider than the width where it can be broken, those of a paragraph alike."""
         for paragraph in text.split("\n"):
-            is_rtl = _first_letter_is_rtl(paragraph)
-            line, begun = self._line("", size, bold=bold, is_rtl=is_rtl), ""
-            for piece in _pieces(paragraph):
-                longer = self._line((begun + piece).rstrip(" "), size, bold=bold, is_rtl=is_rtl)
-                if begun and longer.width > width:
-                    yield self._extended(line, size)
-                    begun, longer = "", self._line(piece.rstrip(" "), size, bold=bold, is_rtl=is_rtl)
-                line, begun = longer, begun + piece
-            yield self._extended(line, size)
+            lines = self._fill(paragraph, size, width, bold=bold)
+            if len(lines) == 1:
+                yield from lines
+                continue
+            narrower = (self._fill(paragraph, size, width * share, bold=bold) for share in _NARROWER)
+            yield from next((fewer for fewer in narrower if len(fewer) == len(lines)), lines)
+
+    def _fill(self, paragraph: str, size: float, width: float, *, bold: bool) -> list[Line]:
+        """Return lines that each take as many words as have room."""
+        is_rtl = _first_letter_is_rtl(paragraph)
+        lines, begun = [self._line("", size, bold=bold, is_rtl=is_rtl)], ""
+        for piece in _pieces(paragraph):
+            longer = self._line((begun + piece).rstrip(" "), size, bold=bold, is_rtl=is_rtl)
+            if begun and longer.width > width:
+                begun, longer = "", self._line(piece.rstrip(" "), size, bold=bold, is_rtl=is_rtl)
+                lines.append(longer)
+            lines[-1], begun = longer, begun + piece
+        return [self._extended(line, size) for line in lines]
 
     def _line(self, text: str, size: float, *, bold: bool, is_rtl: bool) -> Line:
         """Return the runs of a line from left to right, and its extent."""
@@ -216,10 +239,6 @@ class Typesetter:
             tops.append(ink[1])
             bottoms.append(ink[3])
         return replace(line, ascent=-min(tops), descent=max(bottoms))
-
-
-def _height(lines: tuple[Line, ...]) -> float:
-    return sum(line.ascent + line.descent for line in lines)
 
 
 def _pieces(text: str) -> Iterator[str]:

@@ -1,0 +1,67 @@
+"""What the participant reads, looked at without a window: every screen, and its smallest type."""
+
+from __future__ import annotations
+
+from modaltouch.protocol import AnswersSection, Texts, Trial
+from modaltouch.window.buttons import typesetter_of
+from modaltouch.window.interface import Progress
+from modaltouch.window.layout import lay_out
+from modaltouch.window.pictures import Illustrator
+from modaltouch.window.shapes import Picture, Words
+from modaltouch.window.theme import DARK
+
+_CAPITAL = 0.714
+"""Height of a capital of Noto Sans, beside which the letters of Noto's other fonts are designed [em]."""
+_PAGES = ("practice", "start", "practice_again", "rest", "stalled", "hands_off", "measuring", "measure_again")
+_LAST_PAGES = ("session_ended", "goodbye")
+
+
+def every_picture(pictures: Illustrator, trial: Trial) -> list[Picture]:
+    """Return each kind of screen that a session may show around one trial.
+
+    Parameters
+    ----------
+    pictures : Illustrator
+        Draws them.
+    trial : Trial
+        Which fingers lie where.
+    """
+    progress, texts = Progress(trial.index, max(trial.index, 99)), pictures.texts
+    names = pictures.answers.offered.names
+    expected = [name for name in names if pictures.answers.offered.fingers_of(name)]
+    return [
+        pictures.welcome(trial),
+        pictures.answering(trial),
+        pictures.placement(trial),
+        pictures.ready(trial, progress),
+        pictures.ready(trial, progress, 3),
+        pictures.feel(trial, progress),
+        pictures.question(trial, progress),
+        pictures.question(trial, progress, chosen=names[0], confirmed=False),
+        *(pictures.feedback(trial, progress, names[0], name) for name in expected),
+        *(pictures.page(name, str(getattr(texts, name)), progress) for name in _PAGES),
+        *(pictures.page(name, str(getattr(texts, name)), waits=False) for name in _LAST_PAGES),
+        pictures.pause(trial),
+        pictures.pause(None),
+    ]
+
+
+def smallest_type(
+    answers: AnswersSection, texts: Texts, hand: str, zones: tuple[str, ...], trials: list[Trial], size: tuple[int, int]
+) -> tuple[float, str]:
+    """Return the height of a capital where the type is smallest [pixels], and the text that is set in it.
+
+    Parameters
+    ----------
+    answers, texts, hand, zones
+        As for `Illustrator` and `lay_out`.
+    trials : list of Trial
+        One of each placement.
+    size : (width, height) of int
+        Size of the window [pixels].
+    """
+    pictures = Illustrator(lay_out(*size, zones, answers.offered), DARK, texts, answers, hand)
+    every = (picture for trial in trials for picture in every_picture(pictures, trial))
+    words = {mark for picture in every for mark in picture.marks if isinstance(mark, Words)}
+    set_type = typesetter_of(texts).set_type
+    return min((_CAPITAL * set_type(mark, size[1]).size, mark.text) for mark in words)
