@@ -74,12 +74,12 @@ def check(
     Nothing is opened, and nothing written but what --export names. All faults are reported at once, each with file,
     line and column.
     """
-    from modaltouch.preflight import examine
+    from modaltouch.preflight import check_legibility, examine
 
     with reporting(json_output=json_output):
         if tolerance is not None and not 0 < tolerance < 1:
             raise typer.BadParameter(f"--tolerance is {tolerance:g}; allowed: above 0 and below 1, such as 0.001")
-        preflight = examine(protocol, calibration, marked=with_marked_calibration)
+        preflight = check_legibility(examine(protocol, calibration, marked=with_marked_calibration))
         asked = {} if preflight.problems else _explore(preflight, sensitivity, designs, contrast, tolerance)
         if export is not None and not preflight.problems:
             _export(preflight, export)

@@ -124,11 +124,14 @@ def run(
     and `modaltouch resume` goes on where it stopped.
     """
     from modaltouch.cli.prompts import ask_participant, ask_people, ask_rig, can_ask, wait_for_start
-    from modaltouch.preflight import examine
+    from modaltouch.preflight import check_legibility, examine
 
     with reporting(json_output=json_output):
         window_options = _window_options(fullscreen, size, theme, screen, screenshots)
-        preflight = examine(protocol, calibration, marked=with_marked_calibration).require()
+        preflight = examine(protocol, calibration, marked=with_marked_calibration)
+        if answers is not AnswersChoice.simulated:
+            preflight = check_legibility(preflight, None if fullscreen else window_options.size)
+        preflight.require()
         from modaltouch.record import SessionFolder
         from modaltouch.session import mode_of, wire_run
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from modaltouch.preflight.examination import design_to_fit, examine, examine_findings
     from modaltouch.preflight.exploration import contrast_figures, design_figures, sample_figures, sensitivity_figures
     from modaltouch.preflight.figures import estimated_duration, finite
+    from modaltouch.preflight.legibility import check_legibility
     from modaltouch.preflight.measured import with_measured
 else:
     __getattr__ = lazily(
@@ -27,6 +28,7 @@ else:
             "examination": "design_to_fit examine examine_findings",
             "exploration": "contrast_figures design_figures sample_figures sensitivity_figures",
             "figures": "estimated_duration finite",
+            "legibility": "check_legibility",
             "measured": "with_measured",
         },
     )
@@ -34,6 +36,7 @@ else:
 __all__ = [
     "DesignInputs",
     "Preflight",
+    "check_legibility",
     "contrast_figures",
     "design",
     "design_figures",

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from modaltouch.protocol.display import ScreenSection, Sound
 from modaltouch.protocol.identified import Identified, Intervals, Provenance, ShapeTable, check_shapes
 from modaltouch.protocol.problems import InputError, Problem
 from modaltouch.protocol.reading import Reading, read
@@ -190,19 +191,6 @@ class AcquisitionSection(Section):
     )
 
 
-class Sound(Section):
-    """What plays sound to the participant."""
-
-    device: Text = described("Part of the sound device's name; empty for the system's own choice.", default="")
-    sampling_rate_Hz: Annotated[float, Field(strict=True, ge=8000, le=192_000)] = described(  # noqa: N815
-        "Samples per second [Hz].", default=48_000.0
-    )
-    full_scale_dB_SPL: Annotated[float, Field(strict=True, ge=0, le=200)] | None = described(  # noqa: N815
-        "Sound pressure level at the ear for a sine of full scale [dB SPL]; null where it was not measured.",
-        default=None,
-    )
-
-
 class Apparatus(Section):
     """Everything a lab has on its table."""
 
@@ -222,6 +210,7 @@ class Apparatus(Section):
     )
     identified: Identified | None = described("The identification that the table of modes comes from.", default=None)
     sound: Sound = described("What plays sound to the participant.", default=Sound())
+    screen: ScreenSection | None = described("The participant's screen, by which type is checked.", default=None)
     twin: TwinSection = described("What the simulated rig has and the tables have not.", default=TwinSection())
 
     def modal_model(self) -> ModalModel:

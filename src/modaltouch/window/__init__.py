@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
+    from modaltouch.window.fonts import Fonts
     from modaltouch.window.interface import (
         AnswerWindow,
         Event,
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
         TrialInterrupted,
         WindowError,
     )
+    from modaltouch.window.legibility import smallest_type
     from modaltouch.window.machine import examine_surroundings, measure_timing
     from modaltouch.window.masking import Masking
     from modaltouch.window.opening import WindowOptions, open_window
@@ -27,7 +29,9 @@ else:
     __getattr__ = lazily(
         __name__,
         {
+            "fonts": "Fonts",
             "interface": "AnswerWindow Event Presentation SessionStopped TrialInterrupted WindowError",
+            "legibility": "smallest_type",
             "machine": "examine_surroundings measure_timing",
             "masking": "Masking",
             "opening": "WindowOptions open_window",
@@ -39,6 +43,7 @@ __all__ = [
     "AnswerWindow",
     "Answerer",
     "Event",
+    "Fonts",
     "Masking",
     "Presentation",
     "SessionStopped",
@@ -48,4 +53,5 @@ __all__ = [
     "examine_surroundings",
     "measure_timing",
     "open_window",
+    "smallest_type",
 ]

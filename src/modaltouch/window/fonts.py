@@ -47,6 +47,11 @@ class Fonts:
 
     named: str = ""
 
+    @property
+    def file(self) -> Font | None:
+        """The named font; None where it is not installed."""
+        return find_font(self.named)
+
     def choose(self, text: str, *, bold: bool = False) -> list[Font | None]:
         """Return the font of each character; None where no font has it.
 

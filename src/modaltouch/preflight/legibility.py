@@ -1,0 +1,82 @@
+"""Whether the participant can read the texts: a letter for every character, in type that is large enough."""
+
+from __future__ import annotations
+
+import math
+import unicodedata
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from modaltouch.preflight.checked import Preflight
+from modaltouch.protocol import Findings, Problem, Schedule
+from modaltouch.window import Fonts, smallest_type
+
+LEAST_ANGLE = 20.0
+"""Least height of a capital at the eye; ISO 9241-303 recommends 20 to 22 [arcmin]."""
+_NOT_SHOWN = {"protocol", "title", "apparatus", "texts", "language", "language_code", "font", "stimulus", "stimuli"}
+
+
+def check_legibility(preflight: Preflight, window: tuple[int, int] | None = None) -> Preflight:
+    """Return the preflight with what cannot be read among its problems.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        The examined protocol.
+    window : (width, height) of int, optional
+        Size of the answer window [pixels]; the whole screen where it is not given.
+    """
+    problems = [*preflight.problems, *_check_letters(preflight.findings)]
+    if not problems:
+        problems += _check_type(preflight.findings, window)
+    return replace(preflight, problems=tuple(sorted(problems)))
+
+
+def _check_letters(findings: Findings) -> Iterator[Problem]:
+    """Yield the characters that no font at hand has, and a named font that is not there."""
+    if findings.texts is None:
+        return
+    fonts = Fonts(findings.texts.sound("font") or "")
+    if fonts.named and fonts.file is None:
+        given, allowed = f"{fonts.named}, which is not installed", "the file of an installed font"
+        yield findings.texts.problem(("font",), given, allowed, "install it, or leave the key out")
+    for reading in (findings.texts, findings.protocol):
+        for path, text in _strings((), None if reading is None else reading.root):
+            lacking = [letter for letter, font in zip(text, fonts.choose(text), strict=True) if font is None]
+            if reading is not None and lacking:
+                name = unicodedata.name(lacking[0], "no letter of Unicode")
+                given, allowed = f"'{lacking[0]}' ({name}), which no font at hand has", "letters of installed fonts"
+                remedy = "write it otherwise, or install a font that has it (`modaltouch doctor` names packages)"
+                yield reading.problem(path, given, allowed, remedy)
+
+
+def _strings(path: tuple[str | int, ...], node: Any) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """Yield every text below a node of a file that may be shown, with its path."""
+    content = None if node is None else node.content
+    if isinstance(content, str):
+        yield path, content
+    elif isinstance(content, dict | list):
+        for step, child in content.items() if isinstance(content, dict) else enumerate(content):
+            yield from () if not path and step in _NOT_SHOWN else _strings((*path, step), child)
+
+
+def _check_type(findings: Findings, window: tuple[int, int] | None) -> Iterator[Problem]:
+    """Yield the smallest text where it is smaller than can be read well at the stated distance."""
+    experiment, reading = findings.experiment(), findings.apparatus
+    protocol, screen = experiment.protocol, experiment.apparatus.screen
+    if screen is None or reading is None:
+        return
+    size = window or (screen.width_px, screen.height_px)
+    placements = {
+        (trial.condition.finger_condition, trial.condition.pair, trial.condition.placement): trial
+        for trial in Schedule.draw(protocol, "p01", 1).trials
+    }
+    zones, hand = tuple(experiment.apparatus.zones), protocol.conditions.hand
+    pixels, text = smallest_type(protocol.answers, experiment.texts, hand, zones, [*placements.values()], size)
+    height = pixels * screen.width_mm / screen.width_px
+    angle = math.degrees(2 * math.atan(height / 2 / screen.distance_mm)) * 60
+    if angle < LEAST_ANGLE:
+        given = f"a window of {size[0]} x {size[1]} pixels in which a capital of '{text}' is {angle:.1f} arcmin high"
+        remedy = "shorten the text, take a larger window (--fullscreen), or sit nearer"
+        yield reading.problem(("screen",), given, f"at least {LEAST_ANGLE:g} arcmin", remedy)

@@ -1,0 +1,64 @@
+"""What the participant can read: every letter has a font, and the smallest type is large enough at the eye."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from modaltouch.preflight import Preflight, check_legibility, examine
+from modaltouch.window import Fonts
+
+Edit = Callable[..., Path]
+TEXTS, BEAM = "texts/english.yaml", "apparatus/beam_100x6x2.yaml"
+
+
+def faults(preflight: Preflight, file: Path, window: tuple[int, int] | None = None) -> list[str]:
+    """Return what cannot be read, with its place."""
+    problems = check_legibility(preflight, window).problems
+    return [str(problem).replace(f"{file.parent}/", "") for problem in problems]
+
+
+def test_a_letter_without_a_font_is_told_in_its_place(edit: Edit) -> None:
+    """Expected: line and column of the text; a private character is in no font of anybody's."""
+    texts = edit(TEXTS, ("question: Where did", "question: Where \U0010fffd did"))
+    file = texts.parents[1] / "demo.yaml"
+    (fault,) = faults(examine(file), file)
+    line = [row.startswith("question:") for row in texts.read_text(encoding="utf-8").splitlines()].index(True) + 1
+    assert fault.startswith(f"{TEXTS}:{line}:11: question: given '\U0010fffd' (no letter of Unicode), which no font")
+    assert "modaltouch doctor" in fault
+
+
+def test_a_named_font_that_is_not_there_is_told_in_its_place(edit: Edit) -> None:
+    """Expected: the file as it is named, and that texts draw without one."""
+    file = edit(TEXTS, ("language_code: en", "language_code: en\nfont: Nowhere.ttf")).parents[1] / "demo.yaml"
+    assert faults(examine(file), file)[0] == (
+        f"{TEXTS}:6:7: font: given Nowhere.ttf, which is not installed; allowed: the file of an installed font; "
+        "install it, or leave the key out"
+    )
+
+
+@pytest.mark.parametrize("language", ["english", "french", "german", "arabic", "chinese"])
+def test_every_letter_of_the_shipped_texts_has_a_font(language: str) -> None:
+    """Expected: none without one, where the packages that `doctor` names are installed."""
+    text = (Path(__file__).parents[2] / "protocols" / "texts" / f"{language}.yaml").read_text(encoding="utf-8")
+    assert None not in Fonts().choose(text)
+    assert None not in Fonts().choose(text, bold=True)
+
+
+def test_the_smallest_type_is_20_arcmin_at_the_stated_distance(edit: Edit) -> None:
+    """Expected: progress, 2.8 % of the height in capitals of 0.714 em: by the tangent, just under 21 and 20 arcmin."""
+    height = 0.028 * 1080 * 0.714 * 531 / 1920
+    near = height / (2 * math.tan(math.radians(20.5 / 60) / 2))
+    screen = f"\nscreen: {{width_mm: 531, width_px: 1920, height_px: 1080, distance_mm: {near:.1f}}}\n\ntwin:"
+    file = edit(BEAM, ("\ntwin:", screen)).parents[1] / "demo.yaml"
+    preflight = examine(file)
+    assert faults(preflight, file) == []
+    (fault,) = faults(preflight, file, (1280, 800))
+    assert fault.endswith(
+        f"in which a capital of '10 of 99' is {20.5 * 800 / 1080:.1f} arcmin high; allowed: at least 20 arcmin; "
+        "shorten the text, take a larger window (--fullscreen), or sit nearer"
+    )
+    assert " screen: given a window of 1280 x 800 pixels" in fault
