@@ -116,7 +116,7 @@ def test_the_next_participant_fills_the_gap_where_the_records_decide(
 def test_a_session_begun_anew_counts_once_and_the_time_between_sittings_not(
     tmp_path: Path, edit: Callable[..., Path], scribe: Callable[..., Path]
 ) -> None:
-    """Of two sessions each, one is closed and done as the second: the third is due. Minutes by hand, from the clocks."""
+    """Of two sessions each, one is closed and done as the second: the third is due. Minutes by hand, by the clocks."""
     preflight = examine(edit("demo.yaml", ("practice_trials: 1", "practice_trials: 1\n  sessions: 2"))).require()
     later = ({"event": "resume", "boot": "", "clock": 9000.0}, {"event": "rest", "clock": 9630.0})
     scribe(preflight, tmp_path, "p01", n_answered=3, also=(*later, {"event": "closed", "begun_anew_as": 2}))
