@@ -17,7 +17,7 @@ SHIPPED = Path(__file__).parents[2] / "protocols" / "threshold.yaml"
         ("[2, 200]", "[2, 80, 200]", "conditions.peak_velocities_mm_s", "3 levels where runs are adaptive"),
         ("[2, 200]", "[200, 2]", "conditions.peak_velocities_mm_s", "the lowest level first"),
         ("start_mm_s: 60", "start_mm_s: 600", "adaptive.start_mm_s", "2 to 200 mm/s"),
-        ("[[A, C], [C, E]]", "[[A, C], [B, D]]", "conditions.zone_pairs[1]", "neither of which is in focus"),
+        ("[[A, C], [C, E]]", "[[A, C], [B, D]]", "conditions.zone_pairs[1]", "none of which is in focus"),
         ("order: by_pair", "order: latin_square", "schedule.order", "shuffled or by_pair"),
         ("order: by_pair", "order: by_pair\n  repetitions: 3", "schedule.repetitions", "adaptive.trials says"),
         ("    none: [down, num_2]\n", "", "adaptive.success", "no answer says that nothing was felt"),

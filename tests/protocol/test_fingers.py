@@ -167,8 +167,8 @@ def test_crossed_hands_need_the_other_hand_too(named: Callable[..., Findings]) -
             [
                 "3:5: fingers.right.index.damping_N_s_per_m: given nothing; allowed: a number [N s/m] of at least 0; "
                 "add the missing key `damping_N_s_per_m`",
-                "4:5: fingers.right.midle: given 'midle', which is not a key here; allowed: index, middle; "
-                "did you mean 'middle'?",
+                "4:5: fingers.right.midle: given 'midle', which is not a key here; allowed: index, middle, ring, "
+                "little, thumb; did you mean 'middle'?",
             ],
         ),
         (

@@ -94,7 +94,11 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
             "[one_hand, one_hand]",
             "given one_hand, the finger condition of finger_conditions[0]",
         ),
-        ("[one_hand, two_hands]", "[three_hands]", "given 'three_hands'; allowed: one_hand, two_hands; did you mean"),
+        (
+            "[one_hand, two_hands]",
+            "[three_hands]",
+            "given 'three_hands', which is not a finger condition here; allowed",
+        ),
         ("[one_hand, two_hands]", "[]", "conditions.finger_conditions: given an empty list"),
         ("focus: C", "focus: X", "stimulus.focus: given 'X', which is not a zone of this beam; allowed: A, B, C, D, E"),
         ("focusing_instant_ms: 25", "focusing_instant_ms: 50", "given 50 ms, which is not within the burst of 50 ms"),

@@ -65,6 +65,39 @@ def test_each_finger_lies_on_its_zone(experiment: Experiment, pair: str, conditi
         assert layout.zones[zone].contains(x, y)
 
 
+@pytest.mark.parametrize(
+    ("fingers", "zones"),
+    [
+        (("right index",), "C"),
+        (("left thumb",), "A"),
+        (("right index", "right middle", "right ring"), "ABC"),
+        (("right index", "right middle", "right little"), "ABE"),
+        (("left index", "left thumb", "right little"), "ADE"),
+        (("left index", "right index", "right middle"), "CDE"),
+    ],
+)
+def test_one_finger_and_three_lie_on_their_zones_under_their_names(
+    experiment: Experiment, fingers: tuple[str, ...], zones: str
+) -> None:
+    """Expected: by colour, the left, the between and the right tip in their zones; each finger begins on its palm."""
+    pictures = replace(illustrate(experiment), fingers={"own": fingers})
+    trial = Trial(5, 1, Condition.on(tuple(zones), "own", 100.0))
+    picture = pictures.feel(trial, PROGRESS)
+    colours = {1: (DARK.left,), 3: (DARK.left, DARK.between, DARK.right)}[len(zones)]
+    palms = [mark for mark in picture.marks if isinstance(mark, Shape) and mark.fill == DARK.hand]
+    for finger, zone, colour in zip(fingers, zones, colours, strict=True):
+        (tip,) = (
+            mark for mark in picture.marks if isinstance(mark, Shape) and mark.fill == colour and len(mark.corners) > 3
+        )
+        highest = max(tip.corners, key=lambda corner: corner[1])
+        assert pictures.layout.zones[zone].contains(*highest)
+        assert find_words(picture, experiment.texts.finger(finger)).fill == colour
+        x, y = min(tip.corners, key=lambda corner: corner[1])
+        assert any(min(a for a, _ in p.corners) <= x <= max(a for a, _ in p.corners) for p in palms)
+    words = pictures.placement(trial).texts
+    assert any(all(experiment.texts.finger(finger) in text for finger in fingers) for text in words)
+
+
 @pytest.mark.parametrize("condition", FINGERS)
 def test_the_finger_named_above_a_zone_is_the_one_recorded(experiment: Experiment, condition: tuple[str, str]) -> None:
     """Expected names: trial.FINGERS, which the record uses, in the words of the English texts."""

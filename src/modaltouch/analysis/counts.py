@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.scale import VELOCITY, LevelScale, scale_of
 from modaltouch.analysis.shares import Shares
+from modaltouch.analysis.zones import say_zones, zones_of
 from modaltouch.protocol import AnswerList
 
 PAPER_CONDITIONS = ("one_hand", "two_hands")
@@ -22,32 +23,46 @@ PAPER_CONDITIONS = ("one_hand", "two_hands")
 
 @dataclass(frozen=True)
 class Pair:
-    """Two zones under the fingers.
+    """The zones under one to three fingers, mostly two.
 
     Attributes
     ----------
     left, right : str
-        Zones under the left and the right finger.
+        Zones under the left and the right finger; the right one is empty for one finger.
     dominant : str
         Zone whose choice counts as the effect: the focus where it is touched, else the left one.
     focused : bool
-        Whether the focus is one of the two.
+        Whether the focus is one of them.
+    between : str
+        Zone under the finger between these two; empty for fewer than three.
     """
 
     left: str
     right: str
     dominant: str
     focused: bool
+    between: str = ""
 
     @classmethod
-    def of(cls, left: str, right: str, focus: str) -> Pair:
-        """Return the pair of zones under the left and the right finger; the focus may be empty."""
-        return cls(left, right, focus if focus in (left, right) else left, focus in (left, right))
+    def of(cls, left: str, right: str, focus: str, between: str = "") -> Pair:
+        """Return the zones under the left and the right finger, and one between them; the focus may be empty."""
+        focused = focus in (left, right, between) and focus != ""
+        return cls(left, right, focus if focused else left, focused, between)
+
+    @property
+    def zones(self) -> tuple[str, ...]:
+        """The zones from left to right."""
+        return tuple(filter(None, (self.left, self.between, self.right)))
 
     @property
     def label(self) -> str:
-        """Both zones, as in ``A-C``."""
-        return f"{self.left}-{self.right}"
+        """All zones, as in ``A-C``."""
+        return "-".join(self.zones)
+
+    @property
+    def said(self) -> str:
+        """All zones in words, as in ``A and C``."""
+        return say_zones(self.zones)
 
     @property
     def other(self) -> str:
@@ -323,15 +338,17 @@ def count_answers(
     """
     participants = sorted(map(str, frame["participant"].unique()), key=_natural)
     conditions = _ordered_conditions([str(name) for name in frame["finger_condition"].unique()])
-    touched = sorted({*map(str, frame["zone_left"].unique()), *map(str, frame["zone_right"].unique())})
-    left, right = (_codes(frame[name], touched) for name in ("zone_left", "zone_right"))
-    joint, pairing = np.unique(left * len(touched) + right, return_inverse=True)
-    zones = [(touched[code // len(touched)], touched[code % len(touched)]) for code in joint.tolist()]
+    names = zones_of(frame.columns)
+    touched = sorted({str(zone) for name in names for zone in frame[name].unique()})
+    placed = np.stack([_codes(frame[name], touched) for name in names])
+    joint, pairing = np.unique(np.ravel_multi_index(tuple(placed), (len(touched),) * len(names)), return_inverse=True)
+    places = np.stack(np.unravel_index(joint, (len(touched),) * len(names)), axis=1)
+    zones = [tuple(touched[place] for place in each) for each in places.tolist()]
     scale = scale_of(frame.columns)
     levels, level = np.unique(frame[scale.column].to_numpy(dtype=float), return_inverse=True)
     focus = focus or find_focus(zones)
     offered = _offered(frame["response"], offered)
-    places = (
+    cells = (
         _codes(frame["participant"], participants),
         _codes(frame["finger_condition"], conditions),
         pairing,
@@ -339,11 +356,11 @@ def count_answers(
         _codes(frame["response"], offered.names),
     )
     counts = np.zeros((len(participants), len(conditions), len(zones), len(levels), len(offered)), dtype=np.int64)
-    np.add.at(counts, places, frame["n"].to_numpy() if "n" in frame.columns else 1)
+    np.add.at(counts, cells, frame["n"].to_numpy() if "n" in frame.columns else 1)
     return AnswerCounts(
         tuple(participants),
         tuple(conditions),
-        tuple(Pair.of(*pair, focus) for pair in zones),
+        tuple(Pair.of(each[0], each[-1], focus, *each[1:-1]) for each in zones),
         tuple(levels.tolist()),
         counts,
         asked or int(counts.sum(axis=-1).max()),
@@ -365,7 +382,7 @@ def _offered(responses: pd.Series, offered: AnswerList | None) -> AnswerList:
     return offered
 
 
-def find_focus(zones: Sequence[tuple[str, str]]) -> str:
+def find_focus(zones: Sequence[tuple[str, ...]]) -> str:
     """Return the zone that most pairs share; where no one zone leads, C if it is touched, else none.
 
     Examples
@@ -373,7 +390,7 @@ def find_focus(zones: Sequence[tuple[str, str]]) -> str:
     >>> find_focus([("A", "C"), ("B", "D"), ("C", "E")])
     'C'
     """
-    touched = Counter(zone for pair in zones for zone in pair).most_common()
+    touched = Counter(zone for each in zones for zone in each if zone).most_common()
     if touched[0][1] > 1 and (len(touched) == 1 or touched[1][1] < touched[0][1]):
         return touched[0][0]
     return "C" if any(zone == "C" for zone, _ in touched) else ""

@@ -12,6 +12,7 @@ from modaltouch.analysis.covariates import ANTICIPATION, has_values, ranked_answ
 from modaltouch.analysis.figures import ANSWER_COLOURS, pair_colours
 from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.words import say_condition
+from modaltouch.analysis.zones import label_zones
 from modaltouch.protocol import AnswerList
 from modaltouch.report import FAINT, INK, house_style, quiet_grid
 
@@ -69,14 +70,14 @@ def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
     kept = frame[frame["response_time"] >= ANTICIPATION]
     if kept.empty:
         return None
+    labels = label_zones(kept)
     with house_style(6.4, 3.0) as (figure, [[axes]]):
         groups, ticks = [], []
         for pair in answers.pairs:
             for condition in answers.finger_conditions:
-                own = (kept["zone_left"].astype(str) == pair.left) & (kept["zone_right"].astype(str) == pair.right)
-                own &= kept["finger_condition"].astype(str) == condition
+                own = (labels == pair.label) & (kept["finger_condition"].astype(str) == condition)
                 groups.append(kept.loc[own, "response_time"].to_numpy())
-                ticks.append(f"{pair.left}, {pair.right}\n{say_condition(condition)}")
+                ticks.append(f"{', '.join(pair.zones)}\n{say_condition(condition)}")
         axes.boxplot(groups, whis=(5, 95), widths=0.55, medianprops={"color": INK, "linewidth": 1.4},
                      flierprops={"marker": ".", "markersize": 2, "markeredgecolor": FAINT})  # fmt: skip
         axes.set_xticks(range(1, len(ticks) + 1), ticks)
@@ -91,7 +92,8 @@ def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
 
 def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
     """Return the shares of the answers against the predicted ratio of speeds; None where the table holds none."""
-    if not (has_values(frame, "speed_left_mm_s") and has_values(frame, "speed_right_mm_s")):
+    sides = ("speed_left_mm_s", "speed_right_mm_s")
+    if "zone_between" in frame.columns or not all(has_values(frame, side) for side in sides):
         return None
     # Each pair has the median of its placements; pairs whose ratios are alike share their points: a tenth of an octave
     # is told apart.

@@ -18,6 +18,7 @@ from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import CONFIDENCE, Interval
 from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.shares import Shares, mean_of_known
+from modaltouch.analysis.zones import label_zones
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
@@ -244,8 +245,7 @@ def speed_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
 
 def _medians(frame: pd.DataFrame, condition: str) -> pd.DataFrame:
     own = frame[frame["finger_condition"].astype(str) == condition]
-    labels = own["zone_left"].astype(str) + "-" + own["zone_right"].astype(str)
-    return own.groupby([own["participant"].astype(str), labels])["response_time"].median().unstack()
+    return own.groupby([own["participant"].astype(str), label_zones(own)])["response_time"].median().unstack()
 
 
 def ranked_answers(answers: AnswerCounts, frame: pd.DataFrame) -> pd.DataFrame:

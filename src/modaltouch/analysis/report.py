@@ -19,6 +19,7 @@ from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.analysis.strips import participant_strips
 from modaltouch.analysis.tables import PAPER_TEXT, zone_table
 from modaltouch.analysis.words import answer_question, headings, say_condition, say_interval, say_scope, state_families
+from modaltouch.analysis.zones import say_zones, zones_of
 from modaltouch.protocol import AnswerList
 from modaltouch.report import ReportFigure, page_files, say_number
 
@@ -187,15 +188,17 @@ def _zone_rows(answers: AnswerCounts, condition: str) -> list[dict[str, Any]]:
 
 
 def speed_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return the peak speeds predicted under the left and the right finger [mm/s], a row for each pair of zones.
+    """Return the peak speeds predicted under the fingers from left to right [mm/s], a row for each pair of zones.
 
     Parameters
     ----------
     frame : DataFrame
-        Tidy answers; without ``speed_left_mm_s`` and ``speed_right_mm_s`` there is no row.
+        Tidy answers; without the speed under each finger there is no row.
     """
-    sides = ["speed_left_mm_s", "speed_right_mm_s"]
-    if not all(has_values(frame, side) for side in sides):
+    sides = ["speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s"]
+    sides = [side for side in sides if has_values(frame, side)]
+    zones = [name for name in zones_of(frame.columns) if (frame[name] != "").any()]
+    if len(sides) < len(zones):
         return []
     *pair, level = cell_of(frame.columns)
     bounds = frame.groupby([*pair, level], observed=True)[sides].agg(["min", "max"])
@@ -204,8 +207,12 @@ def speed_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
     )  # fmt: skip
     rows = said.unstack(level).fillna("")
     return [
-        {"finger_condition": say_condition(condition), "pair": f"{left} and {right}", "cells": list(cells)}
-        for (condition, left, right), cells in zip(rows.index, rows.to_numpy(), strict=True)
+        {
+            "finger_condition": say_condition(condition),
+            "pair": say_zones(zones),
+            "cells": list(cells),
+        }
+        for (condition, *zones), cells in zip(rows.index, rows.to_numpy(), strict=True)
     ]
 
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.analysis.scale import OWN_THRESHOLD, PREDICTED, VELOCITY, LevelScale, scale_of
+from modaltouch.analysis.zones import zones_of
 from modaltouch.protocol import AnswerList, InputError
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ _SIDES = (("zone_left", "zone_right"), ("speed_left_mm_s", "speed_right_mm_s"))
 
 def cell_of(columns: Container[str]) -> tuple[str, ...]:
     """Return what tells the cells of the design apart in a table with these columns."""
-    return (*CELL[:3], scale_of(columns).column)
+    return (CELL[0], *zones_of(columns), scale_of(columns).column)
 
 
 def keys_of(columns: Container[str]) -> tuple[str, ...]:
@@ -55,7 +56,7 @@ def answers_per_cell(frame: pd.DataFrame) -> pd.DataFrame:
     cell = cell_of(frame.columns)
     sums = frame.groupby(["participant", *cell], observed=True)["n"].sum()
     wide = sums.unstack(list(cell), fill_value=0)
-    pairs = frame[["zone_left", "zone_right"]].drop_duplicates().itertuples(index=False, name=None)
+    pairs = frame[list(zones_of(frame.columns))].drop_duplicates().itertuples(index=False, name=None)
     conditions, levels = frame["finger_condition"].unique(), sorted(frame[cell[-1]].unique())
     crossed = [(c, *pair, level) for pair in pairs for c in conditions for level in levels]
     return wide.reindex(columns=pd.MultiIndex.from_tuples(crossed, names=list(cell)), fill_value=0)
@@ -63,8 +64,8 @@ def answers_per_cell(frame: pd.DataFrame) -> pd.DataFrame:
 
 def describe_cell(cell: Iterable[object], scale: LevelScale = VELOCITY) -> str:
     """Return a cell in words, as in ``one_hand A-C 80 mm/s``."""
-    condition, left, right, level = cell
-    return f"{condition} {left}-{right} {scale.say(float(str(level)))}"
+    condition, *zones, level = map(str, cell)
+    return f"{condition} {'-'.join(filter(None, zones))} {scale.say(float(level))}"
 
 
 @dataclass(frozen=True)
@@ -243,7 +244,9 @@ class Responses:
         InputError
             If the answers do not tell it.
         """
-        column, sides = scale_of(self.frame.columns).column, list(_SIDES[1])
+        column = scale_of(self.frame.columns).column
+        zones = {name: f"speed_{name.split('_')[1]}_mm_s" for name in zones_of(self.frame.columns)}
+        sides = [side for zone, side in zones.items() if (self.frame[zone] != "").any()]
         if column != VELOCITY.column or not set(sides) <= set(self.frame) or self.frame[sides].isna().to_numpy().any():
             given = "answers that do not tell the speeds predicted under the fingers in mm/s"
             raise InputError.of(self.source.path, given, "recorded sessions of levels in mm/s", "take --speed nominal")
@@ -279,7 +282,10 @@ def unmirror(frame: pd.DataFrame, answers: AnswerList) -> pd.DataFrame:
     """
     if "placement" not in frame.columns:
         return frame
-    turned = frame["placement"].astype(str).str.startswith("mirrored").to_numpy()
+    import numpy as np
+
+    # One finger alone has no other side.
+    turned = (frame["placement"].astype(str).str.startswith("mirrored") & (frame["zone_right"] != "")).to_numpy()
     if not turned.any():
         return frame
     words = frame["response"].astype(str)
@@ -288,9 +294,11 @@ def unmirror(frame: pd.DataFrame, answers: AnswerList) -> pd.DataFrame:
         for answer in answers
         if answer.fingers
     }
-    changed = {"response": words.where(~turned, words.map(lambda word: opposite.get(word, word)))}
+    changed: dict[str, Any] = {"response": words.where(~turned, words.map(lambda word: opposite.get(word, word)))}
     for left, right in _SIDES:
         if left in frame.columns and right in frame.columns:
-            changed[left] = frame[left].where(~turned, frame[right])
-            changed[right] = frame[right].where(~turned, frame[left])
+            # The two columns of a table may know different words.
+            changed[left], changed[right] = (
+                np.where(turned, frame[one], frame[other]) for one, other in ((right, left), (left, right))
+            )
     return frame.assign(**changed)

@@ -110,6 +110,7 @@ COLUMNS = (
     "participant",
     "finger_condition",
     "zone_left",
+    "zone_between",
     "zone_right",
     "velocity_mm_s",
     "placement",
@@ -126,13 +127,14 @@ COLUMNS = (
     "answered_by",
     "double",
     "speed_left_mm_s",
+    "speed_between_mm_s",
     "speed_right_mm_s",
     "confirmed",
 )
 """Columns of the tidy table of recorded answers; of levels calibrated by participant the multiple is told instead."""
 
 _STIMULUS = COLUMNS.index("stimulus")
-_NUMBERS = ("trial", "block", "response_uncertainty", "speed_left_mm_s", "speed_right_mm_s")
+_NUMBERS = ("trial", "block", "response_uncertainty", "speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s")
 
 
 def open_log(path: Path) -> SessionAnswers:
@@ -264,6 +266,8 @@ def _join(
     foci = [item.foci.get(row[_STIMULUS], item.focus) for item in taken for row in item.rows]
     frame["focus"] = foci
     frame = unmirror(frame.astype(dict.fromkeys(_NUMBERS, float)), answers)
+    if not frame["zone_between"].any():
+        frame = frame.drop(columns=["zone_between", "speed_between_mm_s"])
     if levels == "calibrated":
         frame = frame.rename(columns={VELOCITY.column: OWN_THRESHOLD.column})
     if levels != "adaptive" and (is_crossed or stimulus is not None):

@@ -24,9 +24,11 @@ from modaltouch.analysis.responses import (
     unmirror,
 )
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY
+from modaltouch.analysis.zones import zones_of
 from modaltouch.protocol import TIME_OUT, AnswerList, InputError, Problem, suggest
 
-NUMBERS = ("trial", "block", "interval", "value", "response_time", "speed_left_mm_s", "speed_right_mm_s")
+_SPEEDS = ("speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s")
+NUMBERS = ("trial", "block", "interval", "value", "response_time", *_SPEEDS)
 """Further columns the analysis uses where they are there, named as in the record's own table."""
 
 _TRUTH = {"0": False, "false": False, "no": False, "": False, "1": True, "true": True, "yes": True}
@@ -93,7 +95,12 @@ def _frame_of(
 ) -> tuple[pd.DataFrame, AnswerList]:
     """Return the values of all rows, and what could be answered."""
     answers = table_format.answers
-    frame = pd.DataFrame({name: columns.words(name) for name in REQUIRED[:4]})
+    # Zones that no row has are of fingers that nobody laid down.
+    absent = [name for name in zones_of(fields.columns)[1:] if set(fields[name]) <= set(_EMPTY)]
+    names = [name for name in (*REQUIRED[:2], *zones_of(fields.columns)) if name not in absent]
+    frame = pd.DataFrame({name: columns.words(name) for name in names})
+    fields = fields.drop(columns=absent)
+    frame["zone_right"] = frame.get("zone_right", "")
     level = VELOCITY if set(fields.get(OWN_THRESHOLD.column, ())) <= set(_EMPTY) else OWN_THRESHOLD
     allowed = {
         VELOCITY: "a peak velocity in mm/s, above 0",

@@ -68,7 +68,7 @@ def say_scope(scope: str, finger_conditions: Sequence[str], pairs: Sequence[Pair
         What it may name.
     """
     names = {name: say_condition(name) for name in finger_conditions}
-    names |= {pair.label: f"{pair.left} and {pair.right}" for pair in pairs}
+    names |= {pair.label: pair.said for pair in pairs}
     longest_first = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
     words = ""
     for part in re.split(rf"(?<![\w-])({longest_first})(?![\w-])", scope):

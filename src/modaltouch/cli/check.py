@@ -180,7 +180,7 @@ def _explore(
     if compared:
         asked["designs"] = design_figures(stimulus)
     if contrast:
-        pairs = ("-".join(pair) for pair in preflight.experiment.protocol.conditions.zone_pairs)
+        pairs = map("-".join, preflight.experiment.protocol.conditions.contacts)
         designs = {name: part.sound for name, part in preflight.placed.items()}
         asked["contrast"] = contrast_figures(designs or dict.fromkeys(pairs, preflight.sound))
     if tolerance is not None:

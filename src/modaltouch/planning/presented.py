@@ -14,6 +14,8 @@ from modaltouch.planning.observer.population import FrontEnd
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError, Protocol, Schedule
 
+_KNOWN = ("one_hand", "two_hands")
+
 
 def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
     """Return the design of each stimulus of a protocol for an observer, by name; of one alone, without a name.
@@ -73,6 +75,10 @@ def refuse_answers(preflight: Preflight) -> None:
     """
     offered = preflight.experiment.protocol.answers.offered
     odd = [answer.name for answer in offered if answer.fingers is None]
+    if named := [name for name in preflight.experiment.protocol.conditions.finger_conditions if name not in _KNOWN]:
+        given = f"{named[0]}, of which no observer knows how its fingers suppress each other"
+        path, remedy = ("conditions", "finger_conditions"), "simulate sessions and analyse those"
+        raise InputError([preflight.findings.problem(path, given, ", ".join(_KNOWN), remedy)])
     if odd or not offered.compares or offered.naming("left", "right") is None:
         given = f"the answers {', '.join(offered.names)}, which an observer that compares two fingers does not give"
         allowed = "an answer for each finger and one for both, with or without one for neither"
@@ -86,7 +92,7 @@ def _design(name: str, preflight: Preflight, observer: Observer, placements: tup
     felt = felt_speeds(preflight, observer.front_end)
     conditions = protocol.conditions
     fingers = tuple(sorted(conditions.finger_conditions))
-    pairs = tuple(Pair.of(left, right, protocol.stimulus.focus) for left, right in sorted(conditions.zone_pairs))
+    pairs = tuple(Pair.of(left, right, protocol.stimulus.focus) for left, right in sorted(conditions.pairs))
     levels = tuple(sorted(conditions.peak_velocities_mm_s))
     speeds = [
         [[felt(condition, pair.left, pair.right, level * 1e-3) for level in levels] for pair in pairs]

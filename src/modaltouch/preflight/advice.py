@@ -124,13 +124,14 @@ def design_warnings(protocol: Protocol) -> list[str]:
     for name in protocol.stimulus_names:
         section = protocol.stimulus_of(name)
         foci = dict.fromkeys((section.focus, *section.further_foci))
-        without = [f"{left}-{right}" for left, right in conditions.zone_pairs if not foci.keys() & {left, right}]
-        where = "any pair" if len(without) == len(conditions.zone_pairs) else ", ".join(without)
+        without = ["-".join(zones) for zones in conditions.contacts if not foci.keys() & set(zones)]
+        noun = "any pair" if conditions.zone_pairs else "any zones"
+        where = noun if len(without) == len(conditions.contacts) else ", ".join(without)
         if without:
             said.append(
                 f"{f'stimulus {name}: ' if name else ''}no finger touches the focus {', '.join(foci)} on {where}"
             )
-    n_pairs, n_fingers = len(conditions.zone_pairs), len(conditions.finger_conditions)
+    n_pairs, n_fingers = len(conditions.contacts), len(conditions.finger_conditions)
     if not protocol.is_crossed:
         said.append(
             f"the cells are not crossed (conditions.{protocol.listed_by}): the tests are those of each crossed part of "

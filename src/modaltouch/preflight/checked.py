@@ -183,19 +183,19 @@ class Preflight:
             raise InputError(self.problems)
         return self.inputs, self.designed
 
-    def speeds(self, trial: Trial) -> tuple[float, float]:
-        """Return the predicted peak speeds under the left and right finger [m/s].
+    def speeds(self, trial: Trial) -> tuple[float, ...]:
+        """Return the predicted peak speeds under the fingers, from left to right [m/s].
 
         Parameters
         ----------
         trial : Trial
             What is presented.
         """
-        if trial.condition.is_catch:
-            return 0.0, 0.0
         condition = trial.condition
+        if condition.is_catch:
+            return (0.0,) * len(condition.zones)
         peaks = self.zone_peaks(self.design_of(condition), self.played(condition, condition.velocity_mm_s))
-        return peaks[condition.zone_left], peaks[condition.zone_right]
+        return tuple(peaks[zone] for zone in condition.zones)
 
     def played(self, condition: Any, level: float) -> float:
         """Return the level that is played where one is asked: at most what the condition's design attains [mm/s]."""

@@ -91,13 +91,13 @@ def contrast_figures(designs: dict[str, tuple[DesignInputs, Stimulus]]) -> list[
     Parameters
     ----------
     designs : dict of str to (DesignInputs, Stimulus)
-        By placement, such as ``A-C``; those that leave the focus out have no contrast.
+        By placement, such as ``A-C``; those of two zones, one in focus, have a contrast.
     """
     rows: list[dict[str, Any]] = []
     known: dict[tuple[int, float], Any] = {}
     for place, (inputs, stimulus) in designs.items():
         focus, zones = inputs.section.focus, place.split(" ")[0].split("-")
-        if focus not in zones:
+        if focus not in zones or len(zones) != 2:
             continue
         centre = inputs.apparatus.zones[zones[zones[0] == focus]].centre_mm * 1e-3
         beam, level = stimulus.touched(stimulus.model.fingers), stimulus.target_field.velocity

@@ -100,7 +100,7 @@ def contrasts(protocol: Protocol, zone_peak: dict[str, float], placement: str = 
         The pair alone for whose fingers it holds, such as ``A-C``; every pair if empty.
     """
     rows = []
-    for left, right in protocol.conditions.zone_pairs:
+    for left, right in protocol.conditions.pairs:
         if placement and {left, right} != set(placement.split("-")):
             continue
         slower, faster = sorted((zone_peak[left], zone_peak[right]))
@@ -145,7 +145,7 @@ def estimated_duration(protocol: Protocol) -> float:
         before_question = max(before_question, answers.n_bursts(rate) / rate)
     pause = fmean(map(answers.pause, protocol.conditions.finger_conditions))
     # The fingers move wherever the pair differs from the one before.
-    n_pairs = len(protocol.conditions.zone_pairs)
+    n_pairs = len(protocol.conditions.contacts)
     n_placements = 1 + (n_trials - 1) * (1 - 1 / n_pairs)
     n_breaks = (protocol.n_trials - 1) // schedule.break_after_trials if schedule.break_after_trials else 0
     seconds = (

@@ -209,10 +209,9 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
     focus = reading.sound("stimulus", "focus")
     # Of several stimuli each is looked at by itself; what they share need not be one of them.
     if success == "focus_named" and focus is not None and not reading.sound("stimuli"):
-        for index, pair in reading.items("conditions", "zone_pairs"):
-            if focus not in pair:
-                given = f"[{pair[0]}, {pair[1]}], neither of which is in focus, where success is naming the focus"
-                path = ("conditions", "zone_pairs", index)
+        for path, zones in contacts(reading):
+            if focus not in zones:
+                given = f"[{', '.join(zones)}], none of which is in focus, where success is naming the focus"
                 yield reading.problem(path, given, f"a pair with {focus}", "remove it, or count `felt` as success")
     offered = offered_answers(reading)
     if success == "felt" and offered.naming() is None:
@@ -222,6 +221,12 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
         given = "focus_named, where no answer names each finger alone"
         allowed = "keys for `left` and `right`, or other answers for these fingers under answers.fingers"
         yield reading.problem(("adaptive", "success"), given, allowed, "give them, or count `felt` as success")
+
+
+def contacts(reading: Reading[Any]) -> list[tuple[tuple[str, str, int], tuple[str, ...]]]:
+    """Return path and value of the zones under the fingers, of the key that holds them."""
+    keys = ("zones", "zone_pairs")
+    return [(("conditions", key, index), zones) for key in keys for index, zones in reading.items("conditions", key)]
 
 
 def offered_answers(reading: Reading[Any]) -> AnswerList:

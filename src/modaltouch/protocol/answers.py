@@ -7,14 +7,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-Side = Literal["left", "right"]
+from modaltouch.protocol.trial import SIDES
+
+Side = Literal["left", "between", "right"]
 Fingers = tuple[Side, ...]
-"""Fingers by the side on which they lie, as the participant sees the beam."""
+"""Fingers by the side on which they lie, as the participant sees the beam; `between`, the middle one of three."""
 
 SHIPPED: dict[str, Fingers] = {"left": ("left",), "both": ("left", "right"), "right": ("right",), "none": ()}
 """The paper's three answers, and the one for "felt nowhere", with the fingers that they name."""
 
-_RANKS = {1: 0, 2: 1, 0: 2}
+_RANKS = {1: 0, 2: 1, 3: 1, 0: 2}
 
 
 CLEAR_RATIO = 1.25
@@ -32,8 +34,8 @@ class Answer:
     name : str
         Name in the protocol, the record and every table.
     fingers : tuple of str or None
-        Fingers that it names, ``left``, ``right`` or both; empty where it says that nothing was felt; None where it
-        says nothing of the fingers.
+        Fingers that it names, of ``left``, ``between`` and ``right``; empty where it says that nothing was felt; None
+        where it says nothing of the fingers.
     is_below : bool
         Whether its button stands below the others.
     """
@@ -51,7 +53,7 @@ class Answer:
     @property
     def mirrored(self) -> Fingers | None:
         """The fingers that it names where the beam is turned end to end."""
-        other: dict[Side, Side] = {"left": "right", "right": "left"}
+        other: dict[Side, Side] = {"left": "right", "between": "between", "right": "left"}
         return None if self.fingers is None else tuple(sorted(other[finger] for finger in self.fingers))
 
     @property
@@ -106,13 +108,18 @@ class AnswerList(tuple[Answer, ...]):
 
     @property
     def ranked(self) -> AnswerList:
-        """The answers of one finger first, then that of both, then that of nothing felt."""
+        """The answers of one finger first, then those of several, then that of nothing felt."""
         return AnswerList(sorted(self, key=lambda answer: 0 if answer.fingers is None else _RANKS[len(answer.fingers)]))
 
     @property
     def compares(self) -> bool:
-        """Whether each finger can be named alone, so that one zone can be preferred to the other."""
-        return self.naming("left") is not None and self.naming("right") is not None
+        """Whether each of two fingers can be named alone, so that one zone can be preferred to the other."""
+        return None not in (self.naming("left"), self.naming("right")) and not self.names_between
+
+    @property
+    def names_between(self) -> bool:
+        """Whether an answer names the middle one of three fingers."""
+        return any("between" in (answer.fingers or ()) for answer in self)
 
     def naming(self, *fingers: Side) -> Answer | None:
         """Return the answer that names these very fingers; without any, the one that nothing was felt."""
@@ -122,28 +129,28 @@ class AnswerList(tuple[Answer, ...]):
         """Return the fingers that the answer of a name stands for; None also for a time-out."""
         return next((answer.fingers for answer in self if answer.name == name), None)
 
-    def expected(self, speed_left: float, speed_right: float) -> str | None:
+    def expected(self, *speeds: float) -> str | None:
         """Name of the answer of somebody who feels well; None where it may be either, or no answer says it.
 
         Parameters
         ----------
-        speed_left, speed_right : float
-            Predicted peak speeds under the two fingers, in one unit.
+        *speeds : float
+            Predicted peak speeds under one to three fingers, from left to right, in one unit.
 
         Raises
         ------
         ValueError
             If a speed is negative or not finite.
         """
-        for speed in (speed_left, speed_right):
+        for speed in speeds:
             if not (math.isfinite(speed) and speed >= 0):
-                raise ValueError(f"given speeds {speed_left} and {speed_right}; allowed: finite speeds, 0 or more")
-        low, high = sorted((speed_left, speed_right))
-        expected = None
-        if high <= EQUAL_RATIO * low or high == 0:
-            expected = self.naming("left", "right")
-        elif high >= CLEAR_RATIO * low:
-            expected = self.naming("left" if speed_left > speed_right else "right")
+                raise ValueError(f"given speeds {' and '.join(map(str, speeds))}; allowed: finite speeds, 0 or more")
+        *others, high = sorted(speeds)
+        sides, expected = SIDES[len(speeds)], None
+        if high <= EQUAL_RATIO * min(speeds) or high == 0:
+            expected = self.naming(*sorted(sides))
+        elif high >= CLEAR_RATIO * max(others):
+            expected = self.naming(sides[speeds.index(high)])
         return expected.name if expected is not None else None
 
     def is_success(self, name: str, rule: str, focus: str, zone_left: str) -> bool:

@@ -7,7 +7,7 @@ from itertools import groupby
 
 from modaltouch.protocol.streams import Stream
 
-Pair = tuple[str, str]
+Pair = tuple[str, ...]
 
 
 def place_catches(

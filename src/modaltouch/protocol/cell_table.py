@@ -10,12 +10,12 @@ from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.source import Source
 from modaltouch.protocol.tree import Node, resolve
 
-DERIVED = ("zone_pairs", "peak_velocities_mm_s", "finger_conditions")
+DERIVED = ("zone_pairs", "peak_velocities_mm_s", "finger_conditions", "zones")
 """Keys of the section conditions that follow from cells."""
 
 _REQUIRED = ("zone_left", "zone_right", "peak_velocity_mm_s")
-COLUMNS = (*_REQUIRED, "finger_condition", "stimulus", "weight")
-"""Columns of a table of cells; the last three may be left out, and their fields may be empty."""
+COLUMNS = (*_REQUIRED, "zone_between", "finger_condition", "stimulus", "weight")
+"""Columns of a table of cells; the last four may be left out, and their fields may be empty."""
 
 
 def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, list[Problem]]:
@@ -35,7 +35,7 @@ def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, 
     conditions, problems = root.child("conditions"), list[Problem]()
     if conditions is None:
         return root, problems
-    written = [key for key in ("table", "cells", *DERIVED[:2]) if conditions.child(key)]
+    written = [key for key in ("table", "cells", *DERIVED[:2], "zones") if conditions.child(key)]
     for other in written[1:]:
         given, place = f"{other} beside {written[0]}, which says the same", conditions.keys[other]
         problems.append(
@@ -47,7 +47,9 @@ def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, 
         conditions = conditions.with_child("cells", listed)
     cells = conditions.child("cells")
     rows = [] if cells is None else [row for row in cells.children if isinstance(row.content, dict)]
-    for key, own in zip(DERIVED, ("pair", "peak_velocities_mm_s", "finger_conditions"), strict=True):
+    pairs = [node for row in rows if (node := row.child("pair")) is not None]
+    zones = "zone_pairs" if all(len(node.children) == 2 for node in pairs) else "zones"
+    for key, own in zip((zones, *DERIVED[1:3]), ("pair", "peak_velocities_mm_s", "finger_conditions"), strict=True):
         if cells is None or conditions.child(key) is not None:
             continue
         found = [node for row in rows if (node := row.child(own)) is not None]
@@ -61,7 +63,8 @@ def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, 
 
 def without_derived(reading: Reading[Any]) -> tuple[Problem, ...]:
     """Return the problems of a protocol without those that follow from its cells, which are told there."""
-    derived = tuple(f"conditions.{key}" for key in DERIVED[: 3 if reading.find(("conditions", "table")) else 2])
+    follows = (*DERIVED[:2], "zones", *(DERIVED[2:3] if reading.find(("conditions", "table")) else ()))
+    derived = tuple(f"conditions.{key}" for key in follows)
     return tuple(each for each in reading.problems if not each.path.startswith(derived))
 
 
@@ -116,7 +119,9 @@ def _row(path: str, line: int, fields: dict[str, tuple[str, int]]) -> Node:
     def several(*names: str) -> Node:
         return Node([node(name) for name in names], line, fields[names[0]][1], file=path)
 
-    row = {"pair": several("zone_left", "zone_right"), "peak_velocities_mm_s": several("peak_velocity_mm_s")}
+    zones = ("zone_left", "zone_between", "zone_right")
+    given = [name for name in zones if fields.get(name, ("", 0))[0]]
+    row = {"pair": several(*given or zones[:1]), "peak_velocities_mm_s": several("peak_velocity_mm_s")}
     row |= {f"{key}": several(name) for key, name in _OPTIONAL.items() if fields.get(name, ("", 0))[0]}
     if fields.get("weight", ("", 0))[0]:
         row["weight"] = node("weight")

@@ -9,16 +9,20 @@ from pydantic import Field
 from modaltouch.protocol.section import Count, Positive, Section, Word, described
 from modaltouch.protocol.stimulus_sections import ZoneName
 
-Cell = tuple[tuple[str, str], float, str]
-"""A pair of zones, a peak velocity [mm/s], and the name of a stimulus."""
+Cell = tuple[tuple[str, ...], float, str]
+"""The zones under the fingers, a peak velocity [mm/s], and the name of a stimulus."""
 
 ZonePair = tuple[ZoneName, ZoneName]
+Contacts = Annotated[tuple[ZoneName, ...], Field(min_length=1, max_length=3)]
 
 
 class CellsSection(Section):
     """Cells of a design that is not crossed: one pair of zones at one level or several."""
 
-    pair: ZonePair = described("Zones under the two fingers, left and right as the participant sees the beam.")
+    pair: Contacts = described(
+        "Zones under the fingers, from left to right as the participant sees the beam: mostly two, or one or three for "
+        "finger conditions of as many fingers."
+    )
     peak_velocities_mm_s: Annotated[tuple[Positive, ...], Field(min_length=1)] = described(
         "Peak velocities of this pair at the centre of the focus zone at the focusing instant [mm/s]."
     )
@@ -36,7 +40,7 @@ class CellsSection(Section):
 class ExcludedCells(Section):
     """Cells that are left out of the crossed design: those that agree with every key that is given."""
 
-    pair: ZonePair | None = described("Pair of zones, as in zone_pairs; null for any.", default=None)
+    pair: Contacts | None = described("Zones as in zone_pairs or zones; null for any.", default=None)
     peak_velocity_mm_s: Positive | None = described("Peak velocity [mm/s]; null for any.", default=None)
     finger_condition: Word | None = described("Finger condition; null for any.", default=None)
     stimulus: Word | None = described("Name of a stimulus; null for any.", default=None)

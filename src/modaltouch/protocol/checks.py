@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
-from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels, is_adaptive, offered_answers
+from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels, contacts, is_adaptive, offered_answers
 from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.contacts import check_contacts
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.masking import check_masking
 from modaltouch.protocol.people import check_people
@@ -35,6 +37,7 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
     return [
         *_check_stimulus(reading),
         *check_target_field(reading),
+        *check_contacts(reading),
         *_check_doubles(reading),
         *_check_cells(reading),
         *_check_schedule(reading),
@@ -108,16 +111,6 @@ def _check_doubles(reading: Reading[Protocol]) -> Iterator[Problem]:
     yield from _doubled(reading, ("conditions", "peak_velocities_mm_s"), "peak velocity")
     yield from _doubled(reading, ("conditions", "placements"), "placement")
     yield from _doubled(reading, ("answers", "below"), "answer")
-    seen: dict[frozenset[str], int] = {}
-    for index, pair in reading.items("conditions", "zone_pairs"):
-        path, zones = ("conditions", "zone_pairs", index), frozenset(pair)
-        if len(zones) == 1:
-            given = f"[{pair[0]}, {pair[1]}], the same zone for both fingers"
-            yield reading.problem(path, given, "two different zones")
-        elif zones in seen:
-            given = f"[{pair[0]}, {pair[1]}], the pair of zone_pairs[{seen[zones]}] again"
-            yield reading.problem(path, given, "each pair once", "remove it; for more trials raise repetitions")
-        seen.setdefault(zones, index)
 
 
 def _check_cells(reading: Reading[Protocol]) -> list[Problem]:
@@ -141,9 +134,7 @@ def _doubled(reading: Reading[Protocol], path: tuple[str, ...], noun: str) -> It
 
 def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
     own = ("sensation_levels", "multiples") if reading.sound("conditions", "sensation_levels") else None
-    n_pairs, n_levels = (
-        len(reading.items("conditions", *keys)) for keys in (("zone_pairs",), own or ("peak_velocities_mm_s",))
-    )
+    n_pairs, n_levels = len(contacts(reading)), len(reading.items("conditions", *(own or ("peak_velocities_mm_s",))))
     n_blocks = len(reading.items("conditions", "finger_conditions"))
     repetitions = reading.sound("schedule", "repetitions")
     path = ("schedule", "max_same_pair_running")
@@ -174,7 +165,7 @@ def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
         given = f"{running} with the order {order}"
         yield reading.problem(path, given, "null, or the order shuffled", "remove the limit or shuffle")
         return
-    faulty = any(problem.path.startswith("conditions.zone_pairs") for problem in reading.problems)
+    faulty = any(problem.path.startswith("conditions.zone") for problem in reading.problems)
     if running is not None and n_pairs == 1 and not faulty and n_driven > running:
         given = f"{running} where every trial has the same pair"
         allowed = f"at least {n_driven}, or null for no limit"
@@ -231,7 +222,7 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
         given = f"{len(names)} answer{'s' * (len(names) != 1)}"
         remedy = "add a key, such as `left`, `both` or `right`" if len(names) < 2 else "offer fewer"
         yield reading.problem(path, given, f"2 to {MOST_ANSWERS} answers", remedy)
-    zones = {zone for _, pair in reading.items("conditions", "zone_pairs") for zone in pair}
+    zones = {zone for _, listed in contacts(reading) for zone in listed}
     why = dict.fromkeys(zones, "which is a zone: tables call an answer by the zone that it names")
     why |= dict.fromkeys(TAKEN_NAMES, "which is a column of the table of counts")
     why |= {TIME_OUT: "which is recorded where no answer came in time"}
@@ -259,7 +250,8 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
             )
         seen.setdefault(answer.fingers, answer.name)
     turned = any("mirrored" in str(name) for _, name in reading.items("conditions", "placements"))
-    one_sided = next((a.name for a in offered if a.side and not offered.compares), None)
+    sides = {answer.fingers for answer in offered}
+    one_sided = next((answer.name for answer in offered if answer.mirrored not in sides), None)
     if turned and one_sided is not None:
         given = f"a beam that is turned, where '{one_sided}' has no answer on the other side"
         remedy = "name the other finger, too, or leave the beam as it is"
@@ -307,17 +299,20 @@ def _check_zones(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
     for index, further in protocol.items("stimulus", "further_foci"):
         if further not in zones:
             yield protocol.unknown(("stimulus", "further_foci", index), kind, zones)
-    for index in range(protocol.length("conditions", "zone_pairs") or 0):
-        path = ("conditions", "zone_pairs", index)
+    keys = ("conditions", "zones"), ("conditions", "zone_pairs")
+    for path in ((*key, index) for key in keys for index in range(protocol.length(*key) or 0)):
         unknown = [position for position, name in protocol.items(*path) if name not in zones]
         yield from (protocol.unknown((*path, position), kind, zones) for position in unknown)
-        pair = protocol.sound(*path)
-        if pair is None or unknown or pair[0] == pair[1]:
+        listed = protocol.sound(*path)
+        if listed is None or unknown or len(set(listed)) < len(listed):
             continue
-        left, right = (apparatus.sound("zones", name, "centre_mm") for name in pair)
-        if left is not None and right is not None and left >= right:
-            given = f"[{pair[0]}, {pair[1]}], whose left zone {pair[0]} lies right of {pair[1]}"
-            yield protocol.problem(path, given, "the left zone first", f"write [{pair[1]}, {pair[0]}]")
+        centres = {name: apparatus.sound("zones", name, "centre_mm") for name in listed}
+        for left, right in pairwise(() if None in centres.values() else listed):
+            if centres[left] >= centres[right]:
+                given = f"[{', '.join(listed)}], whose left zone {left} lies right of {right}"
+                remedy = f"write [{', '.join(sorted(listed, key=lambda name: centres[name]))}]"
+                yield protocol.problem(path, given, "the left zone first", remedy)
+                break
 
 
 def _check_modes(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:

@@ -102,7 +102,7 @@ def _period(protocol: Protocol, cells: list[Cell]) -> int:
     return period // math.gcd(period, taken)
 
 
-def _pairs(cells: list[Cell]) -> list[tuple[str, str]]:
+def _pairs(cells: list[Cell]) -> list[tuple[str, ...]]:
     return list(dict.fromkeys(pair for pair, *_ in cells))
 
 

@@ -75,6 +75,9 @@ class HandSection(Section):
 
     index: FingerSection | None = described("The index finger.", default=None)
     middle: FingerSection | None = described("The middle finger.", default=None)
+    ring: FingerSection | None = described("The ring finger.", default=None)
+    little: FingerSection | None = described("The little finger.", default=None)
+    thumb: FingerSection | None = described("The thumb.", default=None)
 
 
 class HandsSection(Section):

@@ -25,8 +25,8 @@ from modaltouch.protocol.trial import Condition, Trial
 
 FloatArray = NDArray[np.float64]
 
-Run = tuple[str, str, str, str]
-"""A finger condition, the zones under the left and the right finger, and a stimulus."""
+Run = tuple[str, ...]
+"""A finger condition, the zones under the fingers from left to right, and a stimulus."""
 
 
 class Levels:
@@ -47,9 +47,9 @@ class Levels:
         if adaptive is not None and adaptive.method == "quest_plus":
             # Built now rather than at the first trial, which it would keep waiting.
             blank = Quest(self._bounds, to_dB(adaptive.start_mm_s), adaptive.guess_rate, adaptive.lapse_rate)
-            fingers, pairs = protocol.conditions.finger_conditions, protocol.conditions.zone_pairs
-            for finger_condition, (left, right), name in product(fingers, pairs, protocol.stimulus_names):
-                for run in ((finger_condition, left, right, name), (finger_condition, right, left, name)):
+            fingers, contacts = protocol.conditions.finger_conditions, protocol.conditions.contacts
+            for finger_condition, zones, name in product(fingers, contacts, protocol.stimulus_names):
+                for run in ((finger_condition, *zones, name), (finger_condition, *zones[::-1], name)):
                     self._quests[run] = blank.another()
 
     def settle(self, trial: Trial, answered: Iterable[Mapping[str, Any]]) -> Trial:
@@ -93,7 +93,7 @@ class Levels:
 
 def run_of(condition: Condition) -> Run:
     """Return which run a condition belongs to."""
-    return (condition.finger_condition, *condition.pair, condition.stimulus)
+    return (condition.finger_condition, *condition.zones, condition.stimulus)
 
 
 def to_dB(velocity_mm_s: float) -> float:  # noqa: N802

@@ -14,7 +14,7 @@ from modaltouch.protocol.reading import Reading, read
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.source import Source
 from modaltouch.protocol.stimulus_sections import MEASURED, NO_FINGERS
-from modaltouch.protocol.trial import FINGERS, Condition
+from modaltouch.protocol.trial import Condition
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,9 +43,10 @@ class Placements:
     def all(self) -> dict[str, tuple[Finger, ...]]:
         """Fingers on the beam, from left to right, by the name of each placement."""
         design, placed = self.protocol.conditions, {}
-        for condition, place, pair in product(design.finger_conditions, design.placements, design.zone_pairs):
-            left, right = reversed(pair) if place.startswith("mirrored") else pair
-            each = Condition(condition, left, right, velocity_mm_s=0.0, placement=place)
+        for condition, place, zones in product(design.finger_conditions, design.placements, design.contacts):
+            each = Condition.on(zones[::-1] if place.startswith("mirrored") else zones, condition, 0.0, place)
+            if len(zones) != len(design.fingers_of(each)):
+                continue  # of another finger condition, where cells are listed
             placed[self.name(each)] = tuple(
                 section.at(self._centre(zone))
                 for zone, finger in self._laid(each)
@@ -61,8 +62,7 @@ class Placements:
         laid = self._laid(condition)
         zones = "-".join(zone for zone, _ in laid)
         first = self.protocol.conditions.finger_conditions[0]
-        left, right = reversed(condition.pair) if condition.is_mirrored else condition.pair
-        usual = self._laid(Condition(first, left, right, condition.velocity_mm_s))
+        usual = self._laid(Condition.on(condition.zones[:: -1 if condition.is_mirrored else 1], first, 0.0))
         if isinstance(self.file.fingers, FingerSection) or laid == usual:
             return zones
         return f"{zones} {', '.join(name for _, name in laid)}"
@@ -73,10 +73,10 @@ class Placements:
         return None if usual is None else self.file.spread.drawn(usual, rng)
 
     def expected(
-        self, finger_condition: str, left: str, right: str, placement: str = "normal"
+        self, finger_condition: str, zones: tuple[str, ...], placement: str = "normal"
     ) -> dict[str, tuple[str, Finger]]:
         """Zone and values of each finger of a finger condition, by its name, from the left end of the beam."""
-        laid = self._laid(Condition(finger_condition, left, right, 0.0, placement))
+        laid = self._laid(Condition.on(zones, finger_condition, 0.0, placement))
         found = [(name, zone, self.file.of(name)) for zone, name in laid]
         return {name: (zone, each.at(self._centre(zone))) for name, zone, each in found if each is not None}
 
@@ -93,21 +93,18 @@ class Placements:
 
     def _laid(self, condition: Condition) -> list[tuple[str, str]]:
         """Return zones and fingers on them, from the left end of the beam."""
-        laid = zip(condition.pair, condition.fingers(self.protocol.conditions.hand), strict=True)
+        laid = zip(condition.zones, self.protocol.conditions.fingers_of(condition), strict=True)
         return sorted(laid, key=lambda each: self.apparatus.zones[each[0]].centre_mm)
 
 
 def lacking_fingers(reading: Reading[FingersFile], protocol: Protocol) -> list[Problem]:
     """Return a problem for each finger of the design that the file lacks."""
-    file, hand = reading.value, protocol.conditions.hand
+    file = reading.value
     if file is None:
         return []
-    swapped = any(each.endswith("swapped") for each in protocol.conditions.placements)
-    hands = {hand, "left" if hand == "right" else "right"} if swapped else {hand}
-    needed = {name for each in protocol.conditions.finger_conditions for side in hands for name in FINGERS[each, side]}
     return [
         reading.problem(("fingers",), f"no {name} finger", "every finger that lies on the beam", f"add the {name}")
-        for name in sorted(needed)
+        for name in protocol.conditions.fingers_used
         if file.of(name) is None
     ]
 

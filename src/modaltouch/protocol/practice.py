@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from modaltouch.protocol.answers import AnswerList
+from modaltouch.protocol.trial import SIDES
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,9 @@ def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int,
         if event.get("event") != "trial" or not event["trial"]["practice"]:
             continue
         index, planned = event["trial"]["index"], event["planned"]
-        expected = answers.expected(planned["speed_left_mm_s"], planned["speed_right_mm_s"])
+        expected = answers.expected(
+            *(planned[name] for name in map("speed_{}_mm_s".format, SIDES[3]) if name in planned)
+        )
         if first <= index <= last and expected is not None:
             judged[index] = event["response"]["answer"] == expected
     return Round(number, len(judged), sum(judged.values()))

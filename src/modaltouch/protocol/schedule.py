@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from modaltouch.protocol.cells import Cell
+from modaltouch.protocol.conditions import Placement
 from modaltouch.protocol.designs import insert_catches, order_cells, period_of_rows
-from modaltouch.protocol.sections import Placement, Protocol
+from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import ALGORITHM, Stream, key_of, seed_sequence
 from modaltouch.protocol.trial import Condition, Trial
 
@@ -99,7 +100,7 @@ class Block:
     number : int
         Place in the session, from 1.
     finger_condition : str
-        ``one_hand`` or ``two_hands``.
+        ``one_hand``, ``two_hands`` or a name of the protocol.
     trials : tuple of Trial
         In order.
     """
@@ -261,8 +262,8 @@ def _orders_of_finger_conditions(protocol: Protocol) -> list[tuple[str, ...]]:
 
 def _place(finger_condition: str, cell: Cell, placement: Placement) -> Condition:
     """Return a cell under a participant's fingers; on a beam turned end to end, left and right change places."""
-    left, right = reversed(cell[0]) if placement.startswith("mirrored") else cell[0]
-    return Condition(finger_condition, left, right, cell[1], placement, cell[2])
+    zones = cell[0][::-1] if placement.startswith("mirrored") else cell[0]
+    return Condition.on(zones, finger_condition, cell[1], placement, cell[2])
 
 
 def _purpose_of_order(finger_condition: str) -> str:
@@ -294,5 +295,5 @@ def _number(conditions: Iterable[Condition], *, block: int, first: int) -> tuple
 
 def _brief(trial: Trial) -> list[Any]:
     condition = trial.condition
-    values = [trial.block, condition.finger_condition, *condition.pair, condition.velocity_mm_s, condition.placement]
+    values = [trial.block, condition.finger_condition, *condition.zones, condition.velocity_mm_s, condition.placement]
     return [*values, condition.stimulus] if condition.stimulus else values

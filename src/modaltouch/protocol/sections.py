@@ -5,20 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
-from modaltouch.protocol.adaptive import AdaptiveSection, SensationLevelsSection
+from modaltouch.protocol.adaptive import AdaptiveSection
 from modaltouch.protocol.answers import AnswerList, Side
-from modaltouch.protocol.cells import Cell, CellsSection, ExcludedCells, ZonePair
+from modaltouch.protocol.cells import Cell, CellsSection
+from modaltouch.protocol.conditions import ConditionsSection, FingerCondition
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, PAUSE_KEY
 from modaltouch.protocol.masking import MaskingSection
 from modaltouch.protocol.people import PersonField, read_people
 from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
 from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant
 
-FingerCondition = Literal["one_hand", "two_hands"]
 AnswerWay = Literal["free_hand", "lifting", "foot_switch", "experimenter"]
-Placement = Literal["normal", "mirrored", "swapped", "mirrored_swapped"]
 Seconds = Annotated[NotNegative, Field(le=600)]
 KeyName = Annotated[Text, Field(json_schema_extra={"x-allowed": "the name of a key"})]
 
@@ -31,69 +30,6 @@ USUAL_PRESENTATION, USUAL_LONGEST = 2.0, 60.0
 def whole_bursts(seconds: float, rate: float) -> int:
     """Return the number of bursts, one at least, whose periods come nearest to a time [s] at a rate [Hz]."""
     return max(round(seconds * rate), 1)
-
-
-class ConditionsSection(Section):
-    """The cells of the design: every finger condition with every pair and peak velocity, or those that are listed."""
-
-    model_config = ConfigDict(
-        json_schema_extra={
-            "required": [],
-            "allOf": [{"anyOf": [{"required": [key]} for key in ("zone_pairs", "cells", "table")]}],
-        }
-    )
-
-    finger_conditions: tuple[FingerCondition, ...] = described(
-        "one_hand: index and middle finger of one hand; two_hands: both index fingers.",
-        min_length=1,
-        json_schema_extra=_UNIQUE,
-    )
-    hand: Literal["right", "left"] = described("The hand used in one_hand.", default="right")
-    placements: tuple[Placement, ...] = described(
-        "Placements that participants take turns in, so that zone, side and finger can be told apart: normal; "
-        "mirrored, the beam turned end to end; swapped, the other hand in one_hand and crossed hands in two_hands; "
-        "or both.",
-        default=("normal",),
-        min_length=1,
-        json_schema_extra=_UNIQUE,
-    )
-    zone_pairs: tuple[ZonePair, ...] = described(
-        "Zones under the two fingers, left and right as the participant sees the beam.",
-        min_length=1,
-        max_length=100,
-        json_schema_extra=_UNIQUE,
-    )
-    peak_velocities_mm_s: tuple[Positive, ...] = described(
-        "Peak velocities at the centre of the focus zone at the focusing instant [mm/s].",
-        min_length=1,
-        max_length=100,
-        json_schema_extra=_UNIQUE,
-    )
-    cells: Annotated[tuple[CellsSection, ...], Field(max_length=10_000)] = described(
-        "The cells one by one, in place of zone_pairs and peak_velocities_mm_s, where the design is not crossed: "
-        "levels of each pair, weights, an order of one's own (schedule.order: as_listed), such as "
-        "{pair: [A, C], peak_velocities_mm_s: [80, 100], weight: 2}.",
-        default=(),
-        exclude_if=lambda given: not given,
-    )
-    table: Text | None = described(
-        "CSV file with the cells, seen from this file, in place of zone_pairs and peak_velocities_mm_s: a line to "
-        "each, with the columns zone_left, zone_right, peak_velocity_mm_s and, where needed, finger_condition, "
-        "stimulus and weight (as under cells). Null for none.",
-        default=None,
-        exclude_if=lambda given: given is None,
-    )
-    exclude: tuple[ExcludedCells, ...] = described(
-        "Cells left out of the design, such as {pair: [A, C], peak_velocity_mm_s: 80}: those that agree with every "
-        "key that is given.",
-        default=(),
-        exclude_if=lambda given: not given,
-    )
-    sensation_levels: SensationLevelsSection | None = described(
-        "Levels calibrated by participant, as multiples of the participant's own threshold; the peak velocities are "
-        "then the lowest and the highest level that anyone may get. Null for the same levels for all.",
-        default=None,
-    )
 
 
 class ResumeSection(Section):
@@ -179,7 +115,8 @@ class AnswersSection(Section):
     )
     ways: dict[FingerCondition, AnswerWay] = described(
         "How the participant gives the answer: with a free hand, by lifting a finger off the beam, or by a foot "
-        "switch that types keys. Without an entry: a free hand in one_hand, lifting in two_hands.",
+        "switch that types keys. Without an entry: lifting in two_hands, else a free hand; where both hands are on the "
+        "beam in a finger condition of one's own, an entry is needed.",
         default={},
     )
     change_until_confirmed: bool = Field(
@@ -229,8 +166,9 @@ class AnswersSection(Section):
         "without; or answers of other names, which stand in this order and have their labels in the texts.",
     )
     fingers: dict[Word, tuple[Side, ...]] = described(
-        "Fingers that answers of other names stand for: [left], [right], [left, right], or [] for felt nowhere. An "
-        "answer without an entry says nothing of the fingers.",
+        "Fingers that answers of other names stand for, by their place on the beam: [left], [right], [left, right], "
+        "[between] for the middle one of three, or [] for felt nowhere. An answer without an entry says nothing of the "
+        "fingers.",
         default={},
         exclude_if=lambda given: not given,
     )
@@ -267,9 +205,7 @@ class AnswersSection(Section):
         """Return how answers are given in a finger condition."""
         if self.given_by == "experimenter":
             return "experimenter"
-        if finger_condition == "two_hands":
-            return self.ways.get("two_hands", "lifting")
-        return self.ways.get("one_hand", "free_hand")
+        return self.ways.get(finger_condition, "lifting" if finger_condition == "two_hands" else "free_hand")
 
     def settles(self, finger_condition: str) -> bool:
         """Return whether a hand or finger of those on the beam presses, and then has to settle there again."""
@@ -387,7 +323,7 @@ class Protocol(Section):
         conditions = self.conditions
         listed = conditions.cells or [
             CellsSection.model_construct(pair=pair, peak_velocities_mm_s=self.scheduled_levels)
-            for pair in conditions.zone_pairs
+            for pair in conditions.contacts
         ]
         cells = [
             (each.pair, level, stimulus)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import string
+from collections.abc import Iterator
 from typing import Annotated
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from modaltouch.protocol.adaptive import offered_answers
 from modaltouch.protocol.answers import SHIPPED
+from modaltouch.protocol.conditions import FingerName
 from modaltouch.protocol.problems import Problem, fault, suggest
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Section, Text, Word, described
@@ -18,6 +20,7 @@ _PLACEHOLDERS: dict[str, frozenset[str]] = {
     "how_to_answer": frozenset({"pause_key"}),
     "how_to_answer_or_none": frozenset({"pause_key"}),
     "place_fingers": frozenset({"left_finger", "left_zone", "right_finger", "right_zone"}),
+    "place_each_finger": frozenset({"finger", "zone"}),
     "trial_of": frozenset({"number", "total"}),
     "practice_of": frozenset({"number", "total"}),
     "pause": frozenset({"key", "end_key"}),
@@ -76,6 +79,9 @@ class Texts(Section):
     )
     place_fingers: Text = described(
         "Which finger goes where; holds {left_finger}, {left_zone}, {right_finger}, {right_zone}."
+    )
+    place_each_finger: Text | None = described(
+        "The same for one finger or three, a line for each finger; holds {finger} and {zone}.", default=None
     )
     practice: Text = described("Announces the practice trials.")
     start: Text = described("Announces the trials that count.")
@@ -139,6 +145,9 @@ class Texts(Section):
     right_middle: Text = described("The right middle finger.")
     left_index: Text = described("The left index finger.")
     left_middle: Text = described("The left middle finger.")
+    fingers: dict[FingerName, Annotated[Text, AfterValidator(_check_text)]] = described(
+        "Further fingers, where the protocol has them, such as `right ring: right ring finger`.", default={}
+    )
     right_hand: Text = described("The right hand, that which presses.", default="right hand")
     left_hand: Text = described("The left hand, that which presses.", default="left hand")
     key_names: dict[str, Text] = described(
@@ -157,6 +166,19 @@ class Texts(Section):
     def number(self, count: int) -> str:
         """Return a number of answers as the participant reads it."""
         return dict(enumerate(self.numbers, 2)).get(count, str(count))
+
+    def finger(self, name: str) -> str:
+        """Return what the participant calls a finger such as ``left index``."""
+        return self.fingers.get(name) or str(getattr(self, name.replace(" ", "_")))  # type: ignore[call-overload]
+
+    def placing(self, fingers: tuple[str, ...], zones: tuple[str, ...]) -> str:
+        """Return which finger goes where, as the participant calls them."""
+        if len(zones) != 2:
+            laid = zip(fingers, zones, strict=True)
+            return "\n".join((self.place_each_finger or "").format(finger=f, zone=zone) for f, zone in laid)
+        (left, right), (left_zone, right_zone) = fingers, zones
+        given = {"left_finger": left, "left_zone": left_zone, "right_finger": right, "right_zone": right_zone}
+        return self.place_fingers.format(**given)
 
     def label(self, answer: str) -> str:
         """Return what the participant calls an answer."""
@@ -197,4 +219,20 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Prob
                 continue
             allowed = f"a text, as {file} offers the answer {answer.name}"
             problems.append(texts.problem(path, "nothing", allowed, f"add the missing key `{'.'.join(path)}`"))
-    return problems
+    return [*problems, *_lacking_fingers(protocol, texts)]
+
+
+def _lacking_fingers(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[Problem]:
+    """Yield the names of fingers that a protocol lays on the beam, and how to lay one or three, where they lack."""
+    design = None if protocol.value is None else protocol.value.conditions
+    if design is None or texts.root is None:
+        return
+    paths: list[tuple[str, ...]] = [
+        ("fingers", name) for name in design.fingers_used if name.replace(" ", "_") not in Texts.model_fields
+    ]
+    if any(len(zones) != 2 for zones in design.contacts):
+        paths.append(("place_each_finger",))
+    for path in paths:
+        if texts.find(path) is None:
+            allowed = f"a text, as {protocol.source.path.name} has other fingers than two index or middle ones"
+            yield texts.problem(path, "nothing", allowed, f"add the missing key `{': '.join(path)}`")

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Literal
 
 TIME_OUT = "time_out"
 """What is recorded where no answer came in time; never offered."""
@@ -16,6 +17,19 @@ FINGERS: dict[tuple[str, str], tuple[str, str]] = {
 }
 """Fingers on the left and right zone, by finger condition and the hand used for ``one_hand``, palms down."""
 
+SIDES: dict[int, tuple[Literal["left", "between", "right"], ...]] = {
+    1: ("left",),
+    2: ("left", "right"),
+    3: ("left", "between", "right"),
+}
+"""What the fingers are called by their place on the beam, by their number; one alone has the place of the left."""
+
+
+def other_hand(finger: str) -> str:
+    """Return the same finger of the other hand."""
+    hand, name = finger.split()
+    return f"{'left' if hand == 'right' else 'right'} {name}"
+
 
 @dataclass(frozen=True)
 class Condition:
@@ -24,17 +38,20 @@ class Condition:
     Attributes
     ----------
     finger_condition : str
-        ``one_hand`` (index and middle finger of one hand; the paper's test 1) or ``two_hands`` (both index
-        fingers; test 2).
+        ``one_hand`` (index and middle finger of one hand; the paper's test 1), ``two_hands`` (both index
+        fingers; test 2), or one that the protocol names.
     zone_left, zone_right : str
-        Zones under the two fingers, left and right as the participant sees the beam.
+        Zones under the outer fingers, left and right as the participant sees the beam; the zone of one finger alone
+        is the left one, and the right one empty.
     velocity_mm_s : float
         Peak velocity at the centre of the focus zone at the focusing instant [mm/s]; 0 in a catch trial.
     placement : str
         ``normal``; ``mirrored`` (the beam turned end to end, so that its last zone lies on the left);
-        ``swapped`` (the other hand in ``one_hand``, crossed hands in ``two_hands``); ``mirrored_swapped``.
+        ``swapped`` (the other hand, or crossed hands where both are on the beam); ``mirrored_swapped``.
     stimulus : str
         Which of the protocol's stimuli; empty where it has one alone, and in a catch trial.
+    zone_between : str
+        Zone under the finger between the outer two; empty for fewer than three.
     """
 
     finger_condition: str
@@ -43,11 +60,30 @@ class Condition:
     velocity_mm_s: float
     placement: str = "normal"
     stimulus: str = ""
+    zone_between: str = ""
+
+    @classmethod
+    def on(
+        cls, zones: tuple[str, ...], finger_condition: str, level: float, placement: str = "normal", stimulus: str = ""
+    ) -> Condition:
+        """Return a condition on one to three zones, from left to right."""
+        left, right = zones[0], zones[-1] if len(zones) > 1 else ""
+        return cls(finger_condition, left, right, level, placement, stimulus, "".join(zones[1:-1]))
 
     @property
     def pair(self) -> tuple[str, str]:
         """Zones under the left and the right finger."""
         return (self.zone_left, self.zone_right)
+
+    @property
+    def zones(self) -> tuple[str, ...]:
+        """Zones under the fingers, from left to right."""
+        return tuple(filter(None, (self.zone_left, self.zone_between, self.zone_right)))
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """What the fingers are called by their place: ``left``, ``between`` and ``right``."""
+        return SIDES[len(self.zones)]
 
     @property
     def is_catch(self) -> bool:
@@ -59,20 +95,24 @@ class Condition:
         """Whether the beam is turned end to end."""
         return self.placement.startswith("mirrored")
 
-    def fingers(self, hand: str) -> tuple[str, str]:
-        """Return the fingers on the left and on the right zone, such as ``left index``.
+    def fingers(self, hand: str, named: Mapping[str, tuple[str, ...]] | None = None) -> tuple[str, ...]:
+        """Return the fingers on the zones, from left to right, such as ``left index``.
 
         Parameters
         ----------
         hand : str
             The hand that the protocol uses in ``one_hand``.
+        named : mapping, optional
+            Fingers of the finger conditions that the protocol names.
         """
-        if not self.placement.endswith("swapped"):
-            return FINGERS[self.finger_condition, hand]
-        if self.finger_condition == "two_hands":
-            left, right = FINGERS["two_hands", hand]
-            return right, left
-        return FINGERS[self.finger_condition, "left" if hand == "right" else "right"]
+        laid: tuple[str, ...] = FINGERS.get((self.finger_condition, hand), ())
+        laid = (named or {}).get(self.finger_condition, laid)
+        if not laid or not self.placement.endswith("swapped"):
+            return laid
+        if len({finger.split()[0] for finger in laid}) == 1:
+            return tuple(map(other_hand, reversed(laid)))
+        first = laid[0].split()[0]
+        return tuple(sorted(laid, key=lambda finger: finger.startswith(first)))
 
 
 @dataclass(frozen=True)
@@ -102,8 +142,9 @@ class Trial:
     def as_dict(self) -> dict[str, Any]:
         """Return the trial as plain values for the record."""
         values = asdict(self)
-        if not self.condition.stimulus:
-            del values["condition"]["stimulus"]
+        for name in ("stimulus", "zone_between"):
+            if not values["condition"][name]:
+                del values["condition"][name]
         return values
 
     @classmethod

@@ -75,14 +75,14 @@ class RestoredExperiment:
         """Hash of the codes of each design, by name."""
         return self.preflight.content_hashes
 
-    def speeds_mm_s(self, trial: Trial) -> tuple[float, float]:
-        """Return the predicted peak speeds under the left and the right finger in a trial [mm/s]."""
+    def speeds_mm_s(self, trial: Trial) -> tuple[float, ...]:
+        """Return the predicted peak speeds under the fingers in a trial, from left to right [mm/s]."""
         condition = trial.condition
         if condition.is_catch:
-            return 0.0, 0.0
+            return (0.0,) * len(condition.zones)
         level = self.preflight.played(condition, condition.velocity_mm_s)
         peaks = self.zone_peaks_mm_s(self.preflight.design_of(condition), level)
-        return peaks[condition.zone_left], peaks[condition.zone_right]
+        return tuple(peaks[zone] for zone in condition.zones)
 
     def zone_peaks_mm_s(self, design: str, level_mm_s: float) -> dict[str, float]:
         """Return the predicted peak speed at the centre of each zone, for a design at a level [mm/s]."""

@@ -86,11 +86,11 @@ def check_answered(event: Event, trial: Trial, given: TrialExpectation) -> Itera
     planned, condition, response = event["planned"], trial.condition, event["response"]
     if planned["velocity_mm_s"] != condition.velocity_mm_s:
         yield f"was planned at {planned['velocity_mm_s']:g} mm/s and presented at {condition.velocity_mm_s:g} mm/s"
-    said = planned["speed_left_mm_s"], planned["speed_right_mm_s"]
+    said = tuple(planned[f"speed_{side}_mm_s"] for side in condition.sides)
     found = given.restored.speeds_mm_s(trial)
     if not all(abs(a - b) <= SPEED for a, b in zip(said, found, strict=True)):
         yield f"{condition.velocity_mm_s:g} mm/s gives {_listed(found)} mm/s at the fingers, not {_listed(said)}"
-    fingers = condition.fingers(given.protocol.conditions.hand)
+    fingers = given.protocol.conditions.fingers_of(condition)
     if tuple(event["fingers"]) != fingers:
         yield f"was felt with {_listed(fingers)}, the record says {_listed(tuple(event['fingers']))}"
     if event.get("catch", False) is not condition.is_catch:

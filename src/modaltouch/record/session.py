@@ -150,7 +150,7 @@ class Session:
         trial, response, condition = event["trial"], event["response"], event["trial"]["condition"]
         bursts, planned, confirmed = (event.get(name) or {} for name in ("bursts", "planned", "confirmed"))
         velocity = float(condition["velocity_mm_s"])
-        left, right = event.get("fingers") or (None, None)
+        laid: list[str] = event.get("fingers") or []
         return {
             "participant": self.participant,
             "session": self.start.get("session", 1),
@@ -159,9 +159,11 @@ class Session:
             "practice": bool(trial["practice"]),
             "finger_condition": condition["finger_condition"],
             "zone_left": condition["zone_left"],
+            "zone_between": condition.get("zone_between", ""),
             "zone_right": condition["zone_right"],
-            "finger_left": left,
-            "finger_right": right,
+            "finger_left": laid[0] if laid else None,
+            "finger_between": laid[1] if len(laid) > 2 else None,
+            "finger_right": laid[-1] if len(laid) > 1 else None,
             "placement": condition.get("placement", "normal"),
             "velocity_mm_s": velocity,
             "multiple_of_threshold": self.multiples.get(velocity),
@@ -185,6 +187,7 @@ class Session:
             "presentation": event.get("presentation"),
             "device": response.get("device"),
             "speed_left_mm_s": planned.get("speed_left_mm_s"),
+            "speed_between_mm_s": planned.get("speed_between_mm_s"),
             "speed_right_mm_s": planned.get("speed_right_mm_s"),
             "log_line": event["n"],
         }

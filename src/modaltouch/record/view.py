@@ -25,14 +25,14 @@ COLUMNS: dict[str, dict[str, Any]] = {
         "Levels": {"0": "no", "1": "yes"},
     },
     "finger_condition": {
-        "Description": "Fingers on the two zones",
+        "Description": "Which fingers are on the zones, by the name that the protocol gives them",
         "Levels": {
             "one_hand": "index and middle finger of one hand (test 1 of the paper)",
             "two_hands": "both index fingers (test 2 of the paper)",
         },
     },
-    "zone_left": {"Description": "Zone under the left finger, as the participant sees the beam"},
-    "zone_right": {"Description": "Zone under the right finger"},
+    "zone_left": {"Description": "Zone under the left finger, as the participant sees the beam, or under the only one"},
+    "zone_right": {"Description": "Zone under the right finger; n/a for one finger alone"},
     "finger_left": {"Description": "Finger on the left zone"},
     "finger_right": {"Description": "Finger on the right zone"},
     "placement": {
@@ -40,7 +40,7 @@ COLUMNS: dict[str, dict[str, Any]] = {
         "Levels": {
             "normal": "as the protocol has it",
             "mirrored": "the beam turned end to end",
-            "swapped": "the other hand in one_hand, crossed hands in two_hands",
+            "swapped": "the other hand, or crossed hands where both are on the beam",
             "mirrored_swapped": "both",
         },
     },
@@ -90,12 +90,20 @@ COUNTED: dict[str, dict[str, Any]] = {
 }
 """Columns of sessions whose bursts are counted, since format 2 of the log."""
 
+BETWEEN: dict[str, dict[str, Any]] = {
+    "zone_between": {"Description": "Zone under the finger between the outer two"},
+    "finger_between": {"Description": "Finger on that zone"},
+    "speed_between_mm_s": {"Description": "Predicted peak speed of the beam under that finger", "Units": "mm/s"},
+}
+"""Columns of sessions with three fingers."""
+
 LINE: dict[str, dict[str, Any]] = {
     "log_line": {"Description": f"Number of the line in {LOG_NAME}"},
 }
 
 _FORMATS = {
-    **dict.fromkeys(("velocity_mm_s", "multiple_of_threshold", "speed_left_mm_s", "speed_right_mm_s"), "g"),
+    **dict.fromkeys(("velocity_mm_s", "multiple_of_threshold"), "g"),
+    **dict.fromkeys(("speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s"), "g"),
     **dict.fromkeys(("response_time", "onset", "onset_uncertainty"), ".4f"),
 }
 
@@ -113,6 +121,7 @@ _FINGERS: dict[tuple[str, ...] | None, str] = {
     ("left",): "left finger",
     ("right",): "right finger",
     ("left", "right"): "both fingers",
+    ("between",): "finger between them",
     (): "neither finger",
 }
 
@@ -187,6 +196,7 @@ def _columns(session: Session) -> dict[str, dict[str, Any]]:
         (session.multiples, {"multiple_of_threshold": MULTIPLE}),
         (design.get("masking"), {"masked": MASKED}),
         (design.get("stimuli"), {"stimulus": STIMULUS}),
+        (any(len(zones) > 2 for zones in design.get("conditions", {}).get("zones", ())), BETWEEN),
     )
     return {name: column for held, columns in known if held for name, column in columns.items()}
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -101,7 +101,7 @@ def describe_ending(error: BaseException) -> dict[str, str]:
 
 def describe_answer(
     protocol: Protocol,
-    speeds: tuple[float, float],
+    speeds: tuple[float, ...],
     trial: Trial,
     response: Response,
     firing: Firing,
@@ -115,8 +115,8 @@ def describe_answer(
     ----------
     protocol : Protocol
         What is presented and asked.
-    speeds : (left, right) of float
-        Predicted peak speeds under the two fingers [m/s].
+    speeds : tuple of float
+        Predicted peak speeds under the fingers, from left to right [m/s].
     trial, response, firing
         What was asked, answered, and confirmed by the instrument.
     masked : bool or None
@@ -131,13 +131,12 @@ def describe_answer(
     return {
         "trial": values,
         "presentation": sum(event["event"] == "fired" and event["trial"] == values for event in events),
-        "fingers": list(trial.condition.fingers(protocol.conditions.hand)),
+        "fingers": list(protocol.conditions.fingers_of(trial.condition)),
         **({"catch": True} if trial.condition.is_catch else {}),
         **({"masked": masked} if masked is not None else {}),
         "planned": {
             "velocity_mm_s": trial.condition.velocity_mm_s,
-            "speed_left_mm_s": round(speeds[0] * 1e3, 3),
-            "speed_right_mm_s": round(speeds[1] * 1e3, 3),
+            **_by_side("speed_{}_mm_s", trial, (round(speed * 1e3, 3) for speed in speeds)),
         },
         "commanded": {"amplitude_Vpp": list(firing.commanded_amplitude)},
         "confirmed": firing.as_dict(),
@@ -154,7 +153,7 @@ def describe_answer(
     }
 
 
-def describe_trial(protocol: Protocol, speeds: tuple[float, float], trial: Trial) -> dict[str, Any]:
+def describe_trial(protocol: Protocol, speeds: tuple[float, ...], trial: Trial) -> dict[str, Any]:
     """Return what the experimenter should know of a trial before it is on.
 
     Parameters
@@ -168,8 +167,7 @@ def describe_trial(protocol: Protocol, speeds: tuple[float, float], trial: Trial
         "block": trial.block,
         **({"stimulus": trial.condition.stimulus} if trial.condition.stimulus else {}),
         "velocity_mm_s": trial.condition.velocity_mm_s,
-        "predicted_left_mm_s": round(speeds[0] * 1e3, 1),
-        "predicted_right_mm_s": round(speeds[1] * 1e3, 1),
+        **_by_side("predicted_{}_mm_s", trial, (round(speed * 1e3, 1) for speed in speeds)),
         **describe_placement(protocol, trial),
     }
 
@@ -183,16 +181,18 @@ def describe_placement(protocol: Protocol, trial: Trial) -> dict[str, Any]:
         As for `describe_answer`.
     """
     condition = trial.condition
-    left, right = condition.fingers(protocol.conditions.hand)
     return {
         "finger_condition": condition.finger_condition,
         "placement": condition.placement,
         "way": protocol.answers.way(condition.finger_condition),
-        "zone_left": condition.zone_left,
-        "zone_right": condition.zone_right,
-        "finger_left": left,
-        "finger_right": right,
+        **_by_side("zone_{}", trial, condition.zones),
+        **_by_side("finger_{}", trial, protocol.conditions.fingers_of(condition)),
     }
+
+
+def _by_side(name: str, trial: Trial, values: Iterable[Any]) -> dict[str, Any]:
+    """Return what belongs to each finger, by a name with its place."""
+    return dict(zip(map(name.format, trial.condition.sides), values, strict=True))
 
 
 def _superseded(events: Sequence[dict[str, Any]], values: dict[str, Any]) -> int | None:

@@ -50,7 +50,7 @@ class SessionRun:
     levels : Levels or None
         What decides the levels of an adaptive run; None where the protocol does.
     speeds : callable
-        Predicted peak speeds under the left and the right finger in a trial [m/s].
+        Predicted peak speeds under the fingers in a trial, from left to right [m/s].
     rig, window, log
         The open instrument, answer window and session log.
     save_view : callable
@@ -75,7 +75,7 @@ class SessionRun:
     trials: tuple[Trial, ...]
     total: int
     levels: Levels | None
-    speeds: Callable[[Trial], tuple[float, float]]
+    speeds: Callable[[Trial], tuple[float, ...]]
     rig: Rig
     window: AnswerWindow
     log: SessionLog
@@ -388,4 +388,4 @@ def _rest_is_due(sitting: SessionRun, trial: Trial, rested: float) -> bool:
 
 
 def _placement(trial: Trial) -> tuple[Any, ...]:
-    return (trial.condition.finger_condition, *trial.condition.pair, trial.condition.placement)
+    return (trial.condition.finger_condition, *trial.condition.zones, trial.condition.placement)

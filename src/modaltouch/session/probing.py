@@ -82,7 +82,7 @@ class Probing:
         condition, placements = trial.condition, self._expected.findings.placements
         if placements is None:
             return
-        expected = placements.expected(condition.finger_condition, *condition.pair, condition.placement)
+        expected = placements.expected(condition.finger_condition, condition.zones, condition.placement)
 
         def hands_on() -> dict[str, Any]:
             self._window.settle(trial, progress)

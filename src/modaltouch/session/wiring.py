@@ -232,22 +232,20 @@ class SessionParts:
         answers = self.preflight.experiment.protocol.answers.offered
         return Answerer(person, self._felt, Schedule.random_generator(*who, "answers"), answers)
 
-    def _felt(self, trial: Trial) -> tuple[float, float]:
-        """Return what the two fingers feel: on the twin where there is one, else as predicted."""
+    def _felt(self, trial: Trial) -> tuple[float, ...]:
+        """Return what the fingers feel: on the twin where there is one, else as predicted."""
         predicted = self.preflight.speeds(trial)
         peaks = predicted
         if self.simulator is not None:
-            left, right = self.simulator.felt_velocity(trial.condition.pair)
-            peaks = float(left), float(right)
+            peaks = tuple(self.simulator.felt_velocity(trial.condition.zones).tolist())
         if self.observer.front_end == "peak" or trial.condition.is_catch:
             return peaks
         # The twin tells peaks; what else is felt follows the predicted history, at the twin's size.
         level, sense = trial.condition.velocity_mm_s * 1e-3, self._senses[self.preflight.design_of(trial.condition)]
-        left, right = (
+        return tuple(
             sense.at(zone, level) * peak / expected
-            for zone, peak, expected in zip(trial.condition.pair, peaks, predicted, strict=True)
+            for zone, peak, expected in zip(trial.condition.zones, peaks, predicted, strict=True)
         )
-        return left, right
 
     @cached_property
     def _senses(self) -> dict[str, FeltSpeeds]:

@@ -73,7 +73,8 @@ class Buttons:
         """Return a button with its word above the keys, or in the middle where there are none."""
         theme, box, unit = self.theme, self.layout.buttons[answer], self.layout.unit
         own = self._offered[answer]
-        edge = {-1: theme.left, 1: theme.right}.get(own.side, theme.button_edge)
+        edges = {"left": theme.left, "between": theme.between, "right": theme.right}
+        edge = edges.get("".join(own.fingers or ()), theme.button_edge)
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
         lift = 0.18 * box.height if with_keys else 0.0
         upper = Box(box.x, box.y + lift, box.width * self._share, 0.52 * box.height)

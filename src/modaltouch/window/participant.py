@@ -85,7 +85,9 @@ class ParticipantWindow(AnswerWindow):
         self._texts = texts
         self._theme = next((name for name, known in THEMES.items() if known == theme), "")
         layout = lay_out(*display.size, zones, protocol.answers.offered)
-        self._pictures = Illustrator(layout, theme, texts, protocol.answers, protocol.conditions.hand)
+        self._pictures = Illustrator(
+            layout, theme, texts, protocol.answers, protocol.conditions.hand, protocol.conditions.fingers
+        )
         self._loop = DisplayLoop(
             display,
             tick=tick,

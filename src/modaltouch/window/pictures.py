@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import accumulate, pairwise
 
 from modaltouch.protocol import AnswersSection, Texts, Trial
 from modaltouch.window.buttons import Buttons, key_name
@@ -11,6 +13,9 @@ from modaltouch.window.interface import Progress
 from modaltouch.window.layout import Layout
 from modaltouch.window.shapes import Box, Mark, Picture, Point, Words, capsule, framed, moved, rectangle, rounded
 from modaltouch.window.theme import Theme, mixed
+
+_STEPS = {"thumb": 0.0, "index": 0.06, "middle": 0.052, "ring": 0.052, "little": 0.048}
+"""From where one finger leaves the palm to where the next does, where they are not spread [window heights]."""
 
 
 def draw_beam(layout: Layout, theme: Theme, touched: tuple[str, ...]) -> tuple[Mark, ...]:
@@ -41,7 +46,7 @@ def draw_beam(layout: Layout, theme: Theme, touched: tuple[str, ...]) -> tuple[M
 
 
 def draw_hands(
-    layout: Layout, theme: Theme, zones: tuple[str, str], fingers: tuple[str, str], names: tuple[str, str]
+    layout: Layout, theme: Theme, zones: tuple[str, ...], fingers: tuple[str, ...], names: tuple[str, ...]
 ) -> tuple[Mark, ...]:
     """Return the hands with each finger on its zone, and the fingers' names above.
 
@@ -52,13 +57,13 @@ def draw_hands(
     theme : Theme
         Colours.
     zones : tuple of str
-        Zone under the left and under the right finger, as the participant sees them.
+        Zones under one to three fingers, from left to right as the participant sees them.
     fingers : tuple of str
         Those fingers, such as ``left index``.
     names : tuple of str
         What the participant calls them.
     """
-    colours = (theme.left, theme.right)
+    colours = (theme.left, *[theme.between] * (len(zones) - 2), theme.right)[: len(zones)]
     tips = {finger: (layout.zones[zone].x, layout.zones[zone].y) for finger, zone in zip(fingers, zones, strict=True)}
     fills = dict(zip(fingers, colours, strict=True))
     palms: list[Mark] = []
@@ -72,7 +77,7 @@ def draw_hands(
             touching += on_beam
     # Crossed hands on neighbouring zones overlap: no palm hides the other hand's finger.
     marks = [*palms, *touching]
-    gap = abs(tips[fingers[1]][0] - tips[fingers[0]][0])
+    gap = min((abs(tips[a][0] - tips[b][0]) for a, b in pairwise(fingers)), default=layout.beam().width / 2)
     for zone, name, fill in zip(zones, names, colours, strict=True):
         box = layout.zones[zone]
         above = Box(box.x, box.top + 0.094 * layout.unit, max(gap, box.width) * 0.96, 0.05 * layout.unit)
@@ -88,14 +93,15 @@ def _draw_hand(
     outward = 1 if side == "right" else -1
     thick, thin = 0.034 * unit, 0.026 * unit
     knuckles = _place_knuckles(layout, outward, tips)
-    xs = list(knuckles.values())
+    xs = [x for name, x in knuckles.items() if name != "thumb" or name in tips]
     top = layout.zones[next(iter(layout.zones))].y - 0.185 * unit
     palm = Box((min(xs) + max(xs)) / 2, top - 0.035 * unit, max(xs) - min(xs) + 0.078 * unit, 0.115 * unit)
     line = 0.005 * unit
     thumb_base = (xs[0] - outward * 0.005 * unit, palm.bottom + 0.035 * unit)
     thumb_tip = (xs[0] - outward * 0.085 * unit, top + 0.03 * unit)
-    resting = [(thumb_base, thumb_tip, thin)]
-    resting += [((x, top), (x, top + 0.03 * unit), thin) for name, x in knuckles.items() if name not in tips]
+    lengths = {name: ((x, top), (x, top + 0.03 * unit), thin) for name, x in knuckles.items()}
+    lengths["thumb"] = (thumb_base, thumb_tip, thin)
+    resting = [length for name, length in lengths.items() if name not in tips]
     marks: list[Mark] = [capsule(start, end, radius + line, theme.hand_edge) for start, end, radius in resting]
     marks.append(rounded(palm.inset(-line), 0.05 * unit, theme.hand_edge))
     marks += [capsule(start, end, radius, theme.hand) for start, end, radius in resting]
@@ -110,21 +116,21 @@ def _draw_hand(
 
 
 def _place_knuckles(layout: Layout, outward: int, tips: dict[str, Point]) -> dict[str, float]:
-    """Return where the four fingers leave the palm, from index to little finger [window heights]."""
-    unit = layout.unit
-    if len(tips) == 2:
-        middle = sum(x for x, _ in tips.values()) / 2
-        half = min(0.36 * abs(tips["middle"][0] - tips["index"][0]) / 2 + 0.01 * unit, 0.085 * unit)
-        index, spacing = middle - outward * half, 2 * half
-    else:
-        index, spacing = tips["index"][0] + outward * 0.012 * unit, 0.052 * unit
-    beyond = index + outward * spacing
-    return {
-        "index": index,
-        "middle": beyond,
-        "ring": beyond + outward * 0.052 * unit,
-        "little": beyond + outward * 0.1 * unit,
-    }
+    """Return where the fingers leave the palm, from the thumb to the little finger [window heights].
+
+    Between the outer two that touch, they spread with the zones; the others are next to their neighbours.
+    """
+    unit, names = layout.unit, list(_STEPS)
+    first, last = (pick(map(names.index, tips)) for pick in (min, max))
+    steps = {name: step * unit for name, step in _STEPS.items()}
+    from_thumb = tips[names[first]][0] + outward * 0.012 * unit
+    if last > first:
+        ends = tips[names[first]][0], tips[names[last]][0]
+        half = min(0.36 * abs(ends[1] - ends[0]) / 2 + 0.01 * unit, 0.085 * (last - first) * unit)
+        from_thumb = sum(ends) / 2 - outward * half
+        steps |= dict.fromkeys(names[first + 1 : last + 1], 2 * half / (last - first))
+    places = list(accumulate(steps.values()))
+    return {name: from_thumb + outward * (place - places[first]) for name, place in zip(names, places, strict=True)}
 
 
 def _draw_nail(knuckle: Point, tip: Point, radius: float, fill: str) -> Mark:
@@ -156,6 +162,8 @@ class Illustrator:
         Keys, and who answers.
     hand : str
         Hand used in ``one_hand``.
+    fingers : mapping
+        Fingers of the finger conditions that the protocol names.
     """
 
     layout: Layout
@@ -163,6 +171,7 @@ class Illustrator:
     texts: Texts
     answers: AnswersSection
     hand: str
+    fingers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def welcome(self, trial: Trial) -> Picture:
         """Return the first screen: what happens, with the beam and the hands."""
@@ -193,13 +202,7 @@ class Illustrator:
 
     def placement(self, trial: Trial) -> Picture:
         """Return which finger goes on which zone."""
-        left, right = self.finger_names(trial)
-        words = self.texts.place_fingers.format(
-            left_finger=left,
-            left_zone=trial.condition.zone_left,
-            right_finger=right,
-            right_zone=trial.condition.zone_right,
-        )
+        words = self.texts.placing(self.finger_names(trial), trial.condition.zones)
         marks = (self._headline(words, 0.046), *self._beam(trial), *self._go_on(self._confirm_placement(trial)))
         return Picture(f"place_fingers_{_tag(trial)}", marks)
 
@@ -302,16 +305,9 @@ class Illustrator:
             ),
         )
 
-    def finger_names(self, trial: Trial) -> tuple[str, str]:
-        """Return what the participant calls the fingers on the left and on the right zone."""
-        left, right = trial.condition.fingers(self.hand)
-        named = {
-            "left index": self.texts.left_index,
-            "left middle": self.texts.left_middle,
-            "right index": self.texts.right_index,
-            "right middle": self.texts.right_middle,
-        }
-        return named[left], named[right]
+    def finger_names(self, trial: Trial) -> tuple[str, ...]:
+        """Return what the participant calls the fingers on the zones, from left to right."""
+        return tuple(map(self.texts.finger, trial.condition.fingers(self.hand, self.fingers)))
 
     def _pressing_hand(self, trial: Trial) -> str:
         """Return what the participant calls the hand that presses.
@@ -319,7 +315,7 @@ class Illustrator:
         With both hands on the beam it is always the same one; with one hand there, the other, unless a finger lifts.
         """
         condition = trial.condition
-        on_beam = {finger.split()[0] for finger in condition.fingers(self.hand)}
+        on_beam = {finger.split()[0] for finger in condition.fingers(self.hand, self.fingers)}
         if len(on_beam) == 2:
             is_right = self.hand == "right"
         else:
@@ -361,10 +357,10 @@ class Illustrator:
     def _beam(self, trial: Trial) -> tuple[Mark, ...]:
         condition = trial.condition
         layout = self.layout.turned() if condition.is_mirrored else self.layout
-        fingers = condition.fingers(self.hand)
+        fingers = condition.fingers(self.hand, self.fingers)
         return (
-            *draw_beam(layout, self.theme, condition.pair),
-            *draw_hands(layout, self.theme, condition.pair, fingers, self.finger_names(trial)),
+            *draw_beam(layout, self.theme, condition.zones),
+            *draw_hands(layout, self.theme, condition.zones, fingers, self.finger_names(trial)),
         )
 
     def _go_on(self, words: str = "") -> tuple[Mark, ...]:
@@ -404,4 +400,4 @@ def _paragraphs(text: str) -> list[str]:
 
 
 def _tag(trial: Trial) -> str:
-    return f"{trial.condition.finger_condition}_{''.join(trial.condition.pair)}"
+    return f"{trial.condition.finger_condition}_{''.join(trial.condition.zones)}"

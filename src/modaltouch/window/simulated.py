@@ -25,8 +25,9 @@ class Observing(Protocol):
         finger_condition: str,
         rng: np.random.Generator,
         answers: AnswerList,
+        *speed_between: float,
     ) -> tuple[str, float]:
-        """Return the answer to two peak speeds [m/s] and its reaction time [s]."""
+        """Return the answer to two or three peak speeds [m/s] and its reaction time [s]."""
         ...
 
 
@@ -39,7 +40,7 @@ class Answerer:
     participant : Observing
         Drawn from an observer model.
     felt : callable
-        Peak speeds under the left and the right finger in a trial [m/s].
+        Peak speeds under the fingers in a trial, from left to right [m/s].
     generator : numpy.random.Generator
         Source of chance. It is never advanced: each trial has a stream of its own, so that a resumed session
         and a repeated trial get the same answers as an uninterrupted one.
@@ -48,7 +49,7 @@ class Answerer:
     """
 
     participant: Observing
-    felt: Callable[[Trial], tuple[float, float]]
+    felt: Callable[[Trial], tuple[float, ...]]
     generator: np.random.Generator
     answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
 
@@ -68,8 +69,10 @@ class Answerer:
             )
         key = (*seed.spawn_key, int(trial.practice), trial.index)
         stream = np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))
-        left, right = self.felt(trial)
-        return self.participant.answer(left, right, trial.condition.finger_condition, stream, self.answers)
+        speeds = self.felt(trial)
+        # One finger alone is like two that feel the same: what it can tell is whether there was anything.
+        of = speeds[0], speeds[-1], trial.condition.finger_condition
+        return self.participant.answer(*of, stream, self.answers, *speeds[1:-1])
 
 
 class SimulatedParticipant(AnswerWindow):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 class Theme:
     """Colours as ``#RRGGBB``.
 
-    The left and right colours are the blue and orange of Okabe and Ito (Color Universal Design, 2008), which
+    The colours of fingers are the blue, purple and orange of Okabe and Ito (Color Universal Design, 2008), which
     stay apart under every common colour vision deficiency; colour is never the only cue.
 
     Attributes
@@ -18,8 +18,8 @@ class Theme:
         Background, words, and words of second rank.
     beam, beam_edge, zone : str
         The bar, its outline and divisions, and the fill of both touched zones.
-    left, right : str
-        Everything that belongs to the finger on the left or on the right zone.
+    left, between, right : str
+        Everything that belongs to the finger on the left or on the right zone, or to one between them.
     hand, hand_edge, nail : str
         Hands apart from the touching fingers, and the tint of a nail.
     button, button_edge, pressed, pressed_text : str
@@ -33,6 +33,7 @@ class Theme:
     beam_edge: str
     zone: str
     left: str
+    between: str
     right: str
     hand: str
     hand_edge: str
@@ -51,6 +52,7 @@ DARK = Theme(
     beam_edge="#8B97A3",
     zone="#616E7A",
     left="#56B4E9",
+    between="#CC79A7",
     right="#E69F00",
     hand="#28313A",
     hand_edge="#6C7986",
@@ -69,6 +71,7 @@ LIGHT = Theme(
     beam_edge="#6C7884",
     zone="#FFFFFF",
     left="#0072B2",
+    between="#9A3A73",
     right="#C05000",
     hand="#E6E3DE",
     hand_edge="#857E76",

@@ -180,3 +180,17 @@ def test_who_feels_nothing_says_none_where_that_is_an_answer() -> None:
     assert share(participant.detection_speed) == pytest.approx(0.8 / 2 + 0.2 / 4, abs=0.03)
     assert share(0.1) == pytest.approx(0.2 / 4, abs=0.015)
     assert "none" not in answers(participant, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("speeds", "least", "most"), [((0.1, 0.2, 0.1), 0.99, 1.0), ((0.1, 0.1, 0.1), 0.28, 0.39)])
+def test_of_three_fingers_the_one_that_feels_most_is_named(
+    speeds: tuple[float, float, float], least: float, most: float
+) -> None:
+    """Expected: the middle one where it is twice as fast, and by chance, a third, where all are alike."""
+    fingers = {"index": ["left"], "middle": ["between"], "ring": ["right"]}
+    answers = AnswerList.of({"keys": dict.fromkeys(fingers), "fingers": fingers})
+    person, rng = Participant(lapse_rate=0.0), np.random.default_rng(5)
+    left, between, right = speeds
+    named = [person.answer(left, right, "spread", rng, answers, between)[0] for _ in range(1000)]
+    assert least <= named.count("middle") / len(named) <= most
+    assert set(named) <= set(fingers)

@@ -15,9 +15,10 @@ from modaltouch.analysis.intervals import student_interval
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.thresholds.psychometric import Psychometric, ThresholdEstimate, fit_psychometric
+from modaltouch.analysis.zones import label_zones, zones_of
 from modaltouch.report import say_number
 
-KEYS = ("participant", "session", "finger_condition", "zone_left", "zone_right")
+KEYS = ("participant", "session", "finger_condition")
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,9 +32,9 @@ class Run:
     session : int
         Number of the session.
     finger_condition : str
-        ``one_hand`` or ``two_hands``.
+        ``one_hand``, ``two_hands`` or a name of the protocol.
     pair : str
-        Zones under the two fingers, such as ``A-C``.
+        Zones under the fingers, such as ``A-C``.
     stimulus : str
         Which of several stimuli; empty where the protocol has one alone.
     levels : (n_trials,) array
@@ -109,7 +110,7 @@ def find_runs(responses: Responses) -> tuple[Run, ...]:
     rule = responses.start["design"]["adaptive"]
     frame = responses.frame.sort_values(["participant", "session", "trial"], kind="stable")
     runs = []
-    for key, part in frame.groupby(list(KEYS), sort=True, observed=True):
+    for key, part in frame.groupby([*KEYS, *zones_of(frame.columns)], sort=True, observed=True):
         silent = part[scale_of(part.columns).column] == 0
         for stimulus in sorted(part["stimulus"][~silent].unique()):
             # A catch trial has no stimulus: it counts for the run of each, at that one's focus.
@@ -118,7 +119,7 @@ def find_runs(responses: Responses) -> tuple[Run, ...]:
 
 
 def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str, Any], responses: Responses) -> Run:
-    participant, session, finger_condition, left, right = key
+    participant, session, finger_condition, left, *_ = key
     focus = responses.foci.get(stimulus, responses.focus)
     succeeds = responses.answers.is_success
     success = np.array([succeeds(str(answer), rule["success"], focus, left) for answer in part["response"]])
@@ -131,7 +132,7 @@ def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str
         most_lapse=rule["lapse_rate"],
         catches=success[~driven].tolist(),
     )
-    names = str(finger_condition), f"{left}-{right}", stimulus
+    names = str(finger_condition), label_zones(part).iloc[0], stimulus
     return Run(str(participant), int(session), *names, level[driven], success[driven], fitted)
 
 

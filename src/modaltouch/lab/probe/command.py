@@ -132,12 +132,12 @@ class _Plan:
         self.rng = np.random.default_rng([seed or 0, 2])
         self.apparatus = findings.with_true_fingers(self.rng)
         Probe.check_table(self.apparatus.modal_model())
-        pairs = {"-".join(pair): pair for pair in protocol.conditions.zone_pairs}
+        pairs = {"-".join(zones): zones for zones in protocol.conditions.contacts}
         pair = pair or next(iter(pairs))
         if pair not in pairs:
-            raise ValueError(f"--pair is {pair!r}; allowed: {', '.join(pairs)}, the pairs of {protocol.protocol}")
+            raise ValueError(f"--pair is {pair!r}; allowed: {', '.join(pairs)}, the zones of {protocol.protocol}")
         self.conditions = {
-            each: placements.expected(each, *pairs[pair]) for each in protocol.conditions.finger_conditions
+            each: placements.expected(each, pairs[pair]) for each in protocol.conditions.finger_conditions
         }
 
     def lay(self, bench: Laboratory, expected: Laid, lay: Callable[[str], None], words: str) -> None:

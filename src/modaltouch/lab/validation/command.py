@@ -164,7 +164,7 @@ def validate(
     TooFewPointsError.check(points, preflight.stimulus.model.label)
     observed = _observe(preflight, rig, scan, points, averages, record, progress)
     context = _context(preflight, protocol, observed[0].field)
-    return ValidationReport(evaluate(observed), preflight.experiment.protocol.conditions.zone_pairs, context, folder)
+    return ValidationReport(evaluate(observed), preflight.experiment.protocol.conditions.pairs, context, folder)
 
 
 def _observe(

@@ -142,6 +142,7 @@ class Participant:
         finger_condition: str,
         rng: np.random.Generator,
         answers: AnswerList | None = None,
+        *speed_between: float,
     ) -> tuple[str, float]:
         """Return an answer and its reaction time from the first burst [s].
 
@@ -153,15 +154,19 @@ class Participant:
             Source of chance; the same number of draws is taken for every answer.
         answers : AnswerList, optional
             Answers that are offered; by default those of the paper.
+        *speed_between : float
+            What the finger between these two feels, where there is one [m/s].
         """
         answers = AnswerList.of({}) if answers is None else answers
         nothing = answers.naming()
         draw, lapse, guess, pace = rng.standard_normal(), rng.random(), rng.random(), rng.standard_normal()
         doubt = rng.standard_normal() if nothing is not None else 0.0
         if self.internal_noise:
-            speed_left, speed_right = (
-                max(speed + self.internal_noise * rng.standard_normal(), 0.0) for speed in (speed_left, speed_right)
+            speed_left, speed_right, *others = (
+                max(speed + self.internal_noise * rng.standard_normal(), 0.0)
+                for speed in (speed_left, speed_right, *speed_between)
             )
+            speed_between = tuple(others)
         expected = self.difference(speed_left, speed_right, finger_condition)
         noise = self.noise_at(speed_left, speed_right)
         felt = expected + noise * draw
@@ -173,8 +178,13 @@ class Participant:
         if lapse < self.lapse_rate:
             return answers.ranked[int(guess * len(answers))].name, reaction_time
         threshold = self.detection_speed * math.exp(noise * doubt)
-        if nothing is not None and max(speed_left, speed_right) < threshold:
+        if nothing is not None and max(speed_left, speed_right, *speed_between) < threshold:
             return nothing.name, reaction_time
+        if speed_between and answers.names_between:
+            speeds = np.log(np.array((speed_left, *speed_between, speed_right)) + self.floor)
+            strongest = int(np.argmax(speeds + noise / math.sqrt(2) * rng.standard_normal(3)))
+            named = answers.naming(("left", "between", "right")[strongest])
+            return (named or answers[0]).name, reaction_time
         return _name(answers, felt, self.criterion, guess), reaction_time
 
 

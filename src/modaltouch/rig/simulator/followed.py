@@ -64,7 +64,7 @@ class FollowedSession:
             return
         self._n_placements += 1
         rng, twin = Schedule.random_generator(*self._who, f"placement {self._n_placements}"), self._apparatus.twin
-        for zone in (event["zone_left"], event["zone_right"]):
+        for zone in (event.get(f"zone_{side}") for side in ("left", "between", "right")):
             if zone in self._apparatus.zones:
                 centre = self._apparatus.zones[zone].centre_mm * 1e-3
                 own = None if twin.fingers is None else twin.finger_spread.drawn(twin.fingers, rng)

@@ -122,12 +122,13 @@ def describe_trial(trial: dict[str, Any] | None) -> list[tuple[str, str]]:
     which = f"{trial['stimulus']} at " if trial.get("stimulus") else ""
     level = "catch trial" if trial["velocity_mm_s"] == 0 else f"{which}{trial['velocity_mm_s']:g} mm/s"
     placed = "" if trial["placement"] == "normal" else f" ({trial['placement'].replace('_', ' ')})"
-    fingers = f"{trial['finger_left']} on {trial['zone_left']}, {trial['finger_right']} on {trial['zone_right']}"
-    left, right = (f"{trial[f'predicted_{side}_mm_s']:.3g} mm/s" for side in ("left", "right"))
+    sides = [side for side in ("left", "between", "right") if f"zone_{side}" in trial]
+    fingers = ", ".join(f"{trial[f'finger_{side}']} on {trial[f'zone_{side}']}" for side in sides)
+    predicted = ", ".join(f"{side} {trial[f'predicted_{side}_mm_s']:.3g} mm/s" for side in sides)
     return [
         ("trial", f"{number}, {level}"),
         ("fingers", f"{fingers}{placed}"),
-        ("predicted", f"left {left}, right {right}"),
+        ("predicted", predicted),
     ]
 
 

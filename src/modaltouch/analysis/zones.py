@@ -1,0 +1,33 @@
+"""The zones under one to three fingers: their columns in a table, and what they are called."""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable
+from functools import reduce
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+def zones_of(columns: Container[str]) -> tuple[str, ...]:
+    """Return the columns of the zones under the fingers, in a table with these columns."""
+    return tuple(name for name in ("zone_left", "zone_between", "zone_right") if name in columns)
+
+
+def label_zones(frame: pd.DataFrame) -> pd.Series:
+    """Return the zones of each row in one word, as in ``A-C``."""
+    first, *others = (frame[name].astype(str) for name in zones_of(frame.columns))
+    return reduce(lambda label, zone: (label + "-" + zone).where(zone != "", label), others, first)
+
+
+def say_zones(zones: Iterable[str]) -> str:
+    """Return zones in words.
+
+    Examples
+    --------
+    >>> say_zones(("A", "C", "E")), say_zones(("C", ""))
+    ('A, C and E', 'C')
+    """
+    *others, last = filter(None, zones)
+    return f"{', '.join(others)} and {last}" if others else last

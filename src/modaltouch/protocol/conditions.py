@@ -1,0 +1,124 @@
+"""The section conditions of a protocol: fingers, zones and levels, and what follows from them."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import ConfigDict, Field
+
+from modaltouch.protocol.adaptive import SensationLevelsSection
+from modaltouch.protocol.cells import CellsSection, Contacts, ExcludedCells, ZonePair
+from modaltouch.protocol.section import Positive, Section, Text, Word, described
+from modaltouch.protocol.trial import Condition
+
+FingerCondition = Annotated[Word, Field(json_schema_extra={"x-allowed": "one_hand, two_hands or a name of one's own"})]
+FingerName = Literal[
+    "left little", "left ring", "left middle", "left index", "left thumb",
+    "right thumb", "right index", "right middle", "right ring", "right little",
+]  # fmt: skip
+"""From left to right, palms down."""
+Placement = Literal["normal", "mirrored", "swapped", "mirrored_swapped"]
+
+_UNIQUE = {"uniqueItems": True}
+
+
+class ConditionsSection(Section):
+    """The cells of the design: every finger condition with every pair and peak velocity, or those that are listed."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "required": [],
+            "allOf": [{"anyOf": [{"required": [key]} for key in ("zone_pairs", "zones", "cells", "table")]}],
+        }
+    )
+
+    finger_conditions: tuple[FingerCondition, ...] = described(
+        "one_hand: index and middle finger of one hand; two_hands: both index fingers; or those named under fingers.",
+        min_length=1,
+        json_schema_extra=_UNIQUE,
+    )
+    fingers: dict[FingerCondition, Annotated[tuple[FingerName, ...], Field(min_length=1, max_length=3)]] = described(
+        "Finger conditions of one's own: a name, and one to three fingers from left to right as the participant sees "
+        "them, palms down, such as `three_fingers: [left index, right index, right middle]`.",
+        default={},
+        exclude_if=lambda given: not given,
+    )
+    hand: Literal["right", "left"] = described("The hand used in one_hand.", default="right")
+    placements: tuple[Placement, ...] = described(
+        "Placements that participants take turns in, so that zone, side and finger can be told apart: normal; "
+        "mirrored, the beam turned end to end; swapped, the other hand, or crossed hands where both are on the beam "
+        "as in two_hands; or both.",
+        default=("normal",),
+        min_length=1,
+        json_schema_extra=_UNIQUE,
+    )
+    zone_pairs: tuple[ZonePair, ...] = described(
+        "Zones under the two fingers, left and right as the participant sees the beam. For one finger or three, give "
+        "zones instead.",
+        default=(),
+        min_length=1,
+        max_length=100,
+        json_schema_extra=_UNIQUE,
+        exclude_if=lambda given: not given,
+    )
+    zones: tuple[Contacts, ...] = described(
+        "Zones under one to three fingers, from left to right as the participant sees the beam, in place of "
+        "zone_pairs: [[C], [E]] for one finger, [[A, C, E]] for three. A place that is no zone yet becomes one in the "
+        "apparatus file (centre_mm, width_mm).",
+        default=(),
+        min_length=1,
+        max_length=100,
+        json_schema_extra=_UNIQUE,
+        exclude_if=lambda given: not given,
+    )
+    peak_velocities_mm_s: tuple[Positive, ...] = described(
+        "Peak velocities at the centre of the focus zone at the focusing instant [mm/s].",
+        min_length=1,
+        max_length=100,
+        json_schema_extra=_UNIQUE,
+    )
+    cells: Annotated[tuple[CellsSection, ...], Field(max_length=10_000)] = described(
+        "The cells one by one, in place of zone_pairs and peak_velocities_mm_s, where the design is not crossed: "
+        "levels of each pair, weights, an order of one's own (schedule.order: as_listed), such as "
+        "{pair: [A, C], peak_velocities_mm_s: [80, 100], weight: 2}.",
+        default=(),
+        exclude_if=lambda given: not given,
+    )
+    table: Text | None = described(
+        "CSV file with the cells, seen from this file, in place of zone_pairs and peak_velocities_mm_s: a line to "
+        "each, with the columns zone_left, zone_right (empty for one finger), peak_velocity_mm_s and, where needed, "
+        "zone_between, finger_condition, stimulus and weight (as under cells). Null for none.",
+        default=None,
+        exclude_if=lambda given: given is None,
+    )
+    exclude: tuple[ExcludedCells, ...] = described(
+        "Cells left out of the design, such as {pair: [A, C], peak_velocity_mm_s: 80}: those that agree with every "
+        "key that is given.",
+        default=(),
+        exclude_if=lambda given: not given,
+    )
+    sensation_levels: SensationLevelsSection | None = described(
+        "Levels calibrated by participant, as multiples of the participant's own threshold; the peak velocities are "
+        "then the lowest and the highest level that anyone may get. Null for the same levels for all.",
+        default=None,
+    )
+
+    @property
+    def contacts(self) -> tuple[tuple[str, ...], ...]:
+        """Zones under the fingers, from left to right: those of `zones`, or of `zone_pairs`."""
+        return self.zones or self.zone_pairs
+
+    @property
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """Those of `contacts` that are two zones."""
+        return tuple((zones[0], zones[1]) for zones in self.contacts if len(zones) == 2)
+
+    def fingers_of(self, condition: Condition) -> tuple[str, ...]:
+        """Return the fingers on the zones of a condition, from left to right."""
+        return condition.fingers(self.hand, self.fingers)
+
+    @property
+    def fingers_used(self) -> list[str]:
+        """Every finger that lies on the beam in some condition."""
+        laid = (Condition(name, "", "", 0.0, place) for name in self.finger_conditions for place in self.placements)
+        return sorted({finger for each in laid for finger in self.fingers_of(each)})

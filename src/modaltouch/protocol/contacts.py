@@ -1,0 +1,126 @@
+"""Faults between fingers, zones and answers: as many zones as fingers, and answers that these fingers can give."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, get_args
+
+from modaltouch.protocol.adaptive import contacts, offered_answers
+from modaltouch.protocol.conditions import FingerName
+from modaltouch.protocol.problems import Problem
+from modaltouch.protocol.reading import Reading
+from modaltouch.protocol.trial import FINGERS, SIDES
+
+if TYPE_CHECKING:
+    from modaltouch.protocol.sections import Protocol
+
+_SAID = {1: "one", 2: "two", 3: "three"}
+_SHIPPED = tuple(dict.fromkeys(name for name, _ in FINGERS))
+_FROM_LEFT: tuple[str, ...] = get_args(FingerName)
+
+
+def check_contacts(reading: Reading[Protocol]) -> Iterator[Problem]:
+    """Yield zones that are doubled or do not fit the fingers, and what is wrong with finger conditions and answers."""
+    yield from _check_zones(reading)
+    known = {name: FINGERS[name, "right"] for name in _SHIPPED} | dict(reading.items("conditions", "fingers"))
+    named = [*_SHIPPED, *(reading.keys("conditions", "fingers") or ())]
+    for name in named[len(_SHIPPED) :]:
+        yield from _check_fingers(reading, name)
+    used: dict[str, int] = {}
+    for index, name in reading.items("conditions", "finger_conditions"):
+        if name not in named:
+            yield reading.unknown(("conditions", "finger_conditions", index), "a finger condition here", named)
+        elif name in known:
+            used[name] = len(known[name])
+    for name, number in used.items():
+        yield from _check_number(reading, name, number)
+        yield from _check_answers(reading, name, number)
+        if name not in _SHIPPED and len({finger.split()[0] for finger in known[name]}) == 2:
+            yield from _check_way(reading, name)
+    for name in [str(step) for step, _ in reading.items("answers", "ways")]:
+        if name not in named:
+            yield reading.unknown(("answers", "ways", name), "a finger condition here", named, at_key=True)
+
+
+def _check_zones(reading: Reading[Protocol]) -> Iterator[Problem]:
+    given = [key for key in ("zones", "zone_pairs") if reading.find(("conditions", key)) is not None]
+    is_listed = any(reading.find(("conditions", key)) is not None for key in ("cells", "table"))
+    if len(given) != 1 and not is_listed and reading.find(("conditions",)) is not None:
+        said = "both zones and zone_pairs" if given else "neither zones nor zone_pairs"
+        remedy = "remove one" if given else "add `zone_pairs: [[A, C]]`, or `zones` for one finger or three"
+        yield reading.problem(("conditions", *given[:1]), said, "one of the two", remedy)
+    seen: dict[tuple[str, frozenset[str]], int] = {}
+    for path, listed in contacts(reading):
+        zones, said, n = (path[1], frozenset(listed)), f"[{', '.join(listed)}]", len(listed)
+        if len(zones[1]) < n:
+            who = "both fingers" if n == 2 else "several fingers"
+            yield reading.problem(path, f"{said}, the same zone for {who}", f"{_SAID[n]} different zones")
+        elif zones in seen:
+            noun = "pair" if path[1] == "zone_pairs" else "zones"
+            said += f", the {noun} of {path[1]}[{seen[zones]}] again"
+            yield reading.problem(path, said, f"each {noun} once", "remove it; for more trials raise repetitions")
+        seen.setdefault(zones, path[2])
+
+
+def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
+    """Yield a name that is taken, a finger that comes twice, and fingers of a hand in another order than they lie."""
+    path, fingers = ("conditions", "fingers", name), reading.sound("conditions", "fingers", name) or ()
+    said = f"[{', '.join(fingers)}]"
+    in_order = {hand: [each for each in _FROM_LEFT if each in fingers and each.startswith(hand)] for hand in ("l", "r")}
+    if name in _SHIPPED:
+        given = f"{name}, whose fingers are known"
+        yield reading.problem(path, given, "a name of its own", "choose another", at_key=True)
+    elif len(set(fingers)) < len(fingers):
+        yield reading.problem(path, said, "each finger once", "remove the second")
+    elif any([each for each in fingers if each.startswith(hand)] != own for hand, own in in_order.items()):
+        allowed = (
+            f"the fingers of a hand as they lie, palms down, from the left: {', '.join(sum(in_order.values(), []))}"
+        )
+        yield reading.problem(path, said, allowed, "put them in that order")
+
+
+def _check_number(reading: Reading[Protocol], name: str, number: int) -> Iterator[Problem]:
+    """Yield zones of a finger condition that are not as many as its fingers."""
+    cells = reading.items("conditions", "cells")
+    own = [
+        (("conditions", "cells", index, "pair"), each.pair)
+        for index, each in cells
+        if name in (each.finger_conditions or (name,))
+    ]
+    for path, zones in own if cells else contacts(reading):
+        if len(zones) != number:
+            given = f"[{', '.join(zones)}], {_SAID[len(zones)]} for the {_SAID[number]} of {name}"
+            allowed = "as many zones as fingers"
+            remedy = "give `zones` with as many, or fingers of another number under conditions.fingers"
+            yield reading.problem(path, given, allowed, remedy)
+
+
+def _check_answers(reading: Reading[Protocol], name: str, number: int) -> Iterator[Problem]:
+    """Yield an answer that names a finger which is not there, or, of three fingers, some of them alone."""
+    offered = offered_answers(reading)
+    if number == 1:
+        odd = next((answer.name for answer in offered if answer.fingers), None)
+        allowed, remedy = "answers that name no finger, such as `yes` and `none`", "one finger is not told from another"
+    else:
+        odd = next((answer.name for answer in offered if not set(answer.fingers or ()) <= set(SIDES[number])), None)
+        allowed, remedy = "left, right or both of them", "leave `between` out"
+        alone = [side for side in SIDES[3] if offered.naming(side) is not None]
+        if number == 3 and 0 < len(alone) < 3:
+            odd = next(answer.name for answer in offered if answer.fingers)
+            allowed, remedy = "an answer for each of the three", "name left, between and right under answers.fingers"
+    if odd is not None:
+        at = ("answers", "keys", odd)
+        yield reading.problem(at, f"'{odd}', with the {_SAID[number]} of {name}", allowed, remedy, at_key=True)
+    if number == 3 and offered.names_between and reading.sound("schedule", "practice_feedback"):
+        given = "true, where an answer names one of three fingers"
+        yield reading.problem(("schedule", "practice_feedback"), given, "false", "remove it: the texts tell of two")
+
+
+def _check_way(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
+    """Yield that no free hand can answer where both are on the beam."""
+    way = reading.sound("answers", "ways", name)
+    if reading.sound("answers", "given_by") != "experimenter" and way in (None, "free_hand"):
+        path = ("answers", "ways", name) if way else ("answers",)
+        given = f"{way or 'no way to answer'} in {name}, where both hands are on the beam"
+        allowed = "lifting, foot_switch or experimenter"
+        yield reading.problem(path, given, allowed, f"add `ways: {{{name}: lifting}}` to the answers")

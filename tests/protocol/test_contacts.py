@@ -1,0 +1,191 @@
+"""One to three fingers: which finger of which hand on which zone, and every fault of it in its place."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from modaltouch.protocol import Findings
+from modaltouch.protocol.answers import AnswerList
+from modaltouch.protocol.schedule import Schedule
+from modaltouch.protocol.trial import Condition, Trial
+
+Edit = Callable[..., Path]
+FINGERS = "finger_conditions: [one_hand, two_hands]"
+PAIRS = "zone_pairs: [[A, C], [B, D], [C, E]]"
+KEYS = "    left: [left, num_4]\n    both: [up, down, num_8]\n    right: [right, num_6]\n"
+THREE = (FINGERS, "finger_conditions: [three]\n  fingers: {three: [left index, right index, right middle]}")
+ONE = (FINGERS, "finger_conditions: [tip]\n  fingers: {tip: [right index]}")
+YES = (KEYS, "    none: [n]\n    left: [y]\n")
+NAMED = (KEYS, "    left: [left]\n    both: [up]\n    right: [right]\n  fingers: {both: [left, right]}\n")
+
+
+def faults(file: Path) -> list[str]:
+    """Return the faults of a protocol and its files, without their folder."""
+    return [str(problem).replace(str(file.parent) + "/", "") for problem in Findings.read(file).problems]
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        (
+            [(PAIRS, "zone_pairs: [[A, C]]\n  zones: [[A, C]]")],
+            "demo.yaml:24:10: conditions.zones: given both zones and zone_pairs; allowed: one of the two",
+        ),
+        (
+            [(PAIRS, "")],
+            "conditions: given neither zones nor zone_pairs; allowed: one of the two; add `zone_pairs: [[A, C]]`",
+        ),
+        (
+            [(PAIRS, "zones: [[A, C], [C]]")],
+            "conditions.zones[1]: given [C], one for the two of one_hand; allowed: as many zones as fingers; give",
+        ),
+        (
+            [THREE],
+            "conditions.zone_pairs[0]: given [A, C], two for the three of three; allowed: as many zones as fingers",
+        ),
+        (
+            [(PAIRS, "zones: [[C, A, E]]"), THREE],
+            "conditions.zones[0]: given [C, A, E], whose left zone C lies right of A; allowed: the left zone first; "
+            "write [A, C, E]",
+        ),
+        (
+            [(PAIRS, "zones: [[A, C, A]]"), THREE],
+            "given [A, C, A], the same zone for several fingers; allowed: three different zones",
+        ),
+        (
+            [(PAIRS, "zones: [[A, C, F]]"), THREE],
+            "conditions.zones[0][2]: given 'F', which is not a zone of this beam; allowed: A, B, C, D, E",
+        ),
+        (
+            [(FINGERS, f"{FINGERS}\n  fingers: {{two_hands: [left index, right index]}}")],
+            "conditions.fingers.two_hands: given two_hands, whose fingers are known; allowed: a name of its own",
+        ),
+        (
+            [(FINGERS, f"{FINGERS}\n  fingers: {{own: [right middle, right index]}}")],
+            "conditions.fingers.own: given [right middle, right index]; allowed: the fingers of a hand as they lie, "
+            "palms down, from the left: right index, right middle; put them in that order",
+        ),
+        (
+            [(FINGERS, f"{FINGERS}\n  fingers: {{own: [right index, right index]}}")],
+            "conditions.fingers.own: given [right index, right index]; allowed: each finger once",
+        ),
+        (
+            [(FINGERS, f"{FINGERS}\n  fingers: {{own: [right pinkie]}}")],
+            "conditions.fingers.own[0]: given 'right pinkie'; allowed: left little, left ring",
+        ),
+        (
+            [(KEYS, f"{KEYS}  ways: {{twohands: lifting}}\n")],
+            "answers.ways.twohands: given 'twohands', which is not a finger condition here; allowed: one_hand, two",
+        ),
+        (
+            [THREE, (PAIRS, "zones: [[A, C, E]]")],
+            "answers: given no way to answer in three, where both hands are on the beam; allowed: lifting, foot_switch",
+        ),
+        (
+            [ONE, (PAIRS, "zones: [[C]]"), YES],
+            "answers.keys.left: given 'left', with the one of tip; allowed: answers that name no finger",
+        ),
+        (
+            [(KEYS, f"{KEYS}    middle: [m]\n  fingers: {{middle: [between]}}\n")],
+            "answers.keys.middle: given 'middle', with the two of one_hand; allowed: left, right or both of them",
+        ),
+        (
+            [THREE, (PAIRS, "zones: [[A, C, E]]")],
+            "answers.keys.left: given 'left', with the three of three; allowed: an answer for each of the three",
+        ),
+        (
+            [
+                ("practice_trials: 1", "practice_trials: 1\n  practice_feedback: true"),
+                THREE,
+                (PAIRS, "zones: [[A, C, E]]"),
+                (KEYS, "    left: [a]\n    mid: [b]\n    right: [c]\n  fingers: {mid: [between]}\n"),
+            ],
+            "schedule.practice_feedback: given true, where an answer names one of three fingers; allowed: false",
+        ),
+        (
+            [
+                (FINGERS, "finger_conditions: [own]\n  fingers: {own: [right index, right ring]}"),
+                ("english", "bare"),
+            ],
+            "texts/bare.yaml:4:1: fingers.right ring: given nothing; allowed: a text, as demo.yaml has other fingers "
+            "than two index or middle ones; add the missing key `fingers: right ring`",
+        ),
+        (
+            [ONE, (PAIRS, "zones: [[C]]"), ("english", "bare")],
+            "texts/bare.yaml:4:1: place_each_finger: given nothing; allowed: a text",
+        ),
+    ],
+)
+def test_each_fault_of_fingers_zones_and_answers_has_its_place(
+    edit: Edit, changes: list[tuple[str, str]], fault: str
+) -> None:
+    """Lines and columns counted in the shipped demonstration."""
+    file = edit("demo.yaml", *changes)
+    english = (file.parent / "texts" / "english.yaml").read_text(encoding="utf-8")
+    bare = re.sub(r"place_each_finger: .*\n|fingers:\n(  .*\n)+", "", english)
+    (file.parent / "texts" / "bare.yaml").write_text(bare, encoding="utf-8")
+    found = faults(file)
+    assert any(fault in each for each in found), found
+
+
+def test_trials_lie_on_as_many_zones_as_there_are_fingers(edit: Edit) -> None:
+    """One finger has its zone on the left; a turned beam has the last of three zones there."""
+    labels = (KEYS, "    yes: [y]\n    none: [n]\n  ways: {three: lifting}\n")
+    file = edit("demo.yaml", ONE, (PAIRS, "placements: [mirrored]\n  zones: [[A], [C]]"), labels)
+    one = Schedule.draw(Findings.read(file).protocol.value, "p01", 1)  # type: ignore[union-attr, arg-type]
+    assert {trial.condition.zones for trial in one.trials} == {("A",), ("C",)}
+    assert {trial.condition.zone_right for trial in one.trials} == {""}
+    text = file.read_text(encoding="utf-8").replace("[tip]", "[three]").replace("tip:", "three:")
+    text = text.replace("[right index]", "[left index, right index, right middle]")
+    file.write_text(text.replace("[[A], [C]]", "[[A, C, E]]"), encoding="utf-8")
+    three = Schedule.draw(Findings.read(file).protocol.value, "p01", 1)  # type: ignore[union-attr, arg-type]
+    trial = three.trials[0]
+    assert (trial.condition.zone_left, trial.condition.zone_between, trial.condition.zone_right) == ("E", "C", "A")
+    assert Trial.from_dict(trial.as_dict()) == trial
+    assert three.as_dict()["order"][0][2:5] == ["E", "C", "A"]
+
+
+def test_a_record_of_two_fingers_says_nothing_of_a_third() -> None:
+    """Hashes and records of the paper's conditions stay as they were before there was a third finger."""
+    values = Trial(1, 1, Condition("one_hand", "A", "C", 80.0)).as_dict()["condition"]
+    assert values.keys() == {"finger_condition", "zone_left", "zone_right", "velocity_mm_s", "placement"}
+
+
+@pytest.mark.parametrize(
+    ("fingers", "swapped"),
+    [
+        (("right index",), ("left index",)),
+        (("right index", "right middle", "right ring"), ("left ring", "left middle", "left index")),
+        (("left index", "right index", "right middle"), ("right index", "right middle", "left index")),
+    ],
+)
+def test_swapped_is_the_other_hand_or_crossed_hands(fingers: tuple[str, ...], swapped: tuple[str, ...]) -> None:
+    """Expected: one hand's mirror image, from left to right; of both, each keeps its fingers in their order."""
+    zones = ("A", "C", "E")[: len(fingers)]
+    assert Condition.on(zones, "own", 80.0).fingers("right", {"own": fingers}) == fingers
+    assert Condition.on(zones, "own", 80.0, "swapped").fingers("right", {"own": fingers}) == swapped
+
+
+@pytest.mark.parametrize(
+    ("speeds", "answer"),
+    [
+        ((0.2, 0.1, 0.1), "L"),
+        ((0.1, 0.2, 0.15), "M"),
+        ((0.19, 0.2, 0.1), None),
+        ((0.1, 0.1, 0.1), "all"),
+        ((0.1,), None),
+    ],
+)
+def test_practice_expects_the_finger_that_is_clearly_fastest(speeds: tuple[float, ...], answer: str | None) -> None:
+    """A ratio of 1.25 to the second fastest is told with ease (Craig 1972); within 1.1 all are alike."""
+    fingers = {"L": ["left"], "M": ["between"], "R": ["right"], "all": ["left", "between", "right"]}
+    answers = AnswerList.of({"keys": dict.fromkeys(fingers), "fingers": fingers})
+    if len(speeds) == 1:
+        answers = AnswerList.of({"keys": ("yes", "none")})
+    else:
+        assert not answers.compares
+    assert answers.expected(*speeds) == answer
