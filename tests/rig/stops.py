@@ -56,14 +56,14 @@ import os, sys, time
 import numpy as np
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.afg3022b import AFG3022B
-from modaltouch.rig import open_rig
+from modaltouch.rig import Generator
 from modaltouch.rig.interface import RigError, StimulusLost
 from modaltouch.stimulus.burst import Burst
 
 def sit(address):
     codes = np.full((2, 1000), 8191, dtype=np.uint16)
     codes[:, 500] = 12000
-    with open_rig(address, apparatus, log=lambda event, **facts: None) as rig:
+    with Generator(address, apparatus, log=lambda event, **facts: None) as rig:
         rig.load(Burst(codes, 0.05, 7.0, 0.2, (10.0, 10.0), AFG3022B.converter))
         rig.fire(0.1)
         print(rig._connection.guard._process.pid, flush=True)

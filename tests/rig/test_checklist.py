@@ -47,7 +47,7 @@ def test_every_question_is_met(usual: list[Row]) -> None:
     assert [row.number for row in usual] == list(range(14))
     assert all(row.question and row.answer and row.advice for row in usual)
     assert [row.number for row in usual if row.state == "person"] == [1, 6, 10, 13]
-    json.dumps([row.as_dict() for row in usual])
+    json.dumps([vars(row) for row in usual])
 
 
 @pytest.mark.parametrize(

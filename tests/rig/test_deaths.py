@@ -61,7 +61,7 @@ class Ward(VisaSession):
     def discharge(self) -> None:
         """Let it live from now on."""
         if self.died and self.kind in ("power cut", "cable out"):
-            self._simulator.accept_connections()
+            self._simulator.server.listen()
         self.kind, self._left, self._frozen = "", -1, False
 
     def _die(self) -> None:
@@ -72,9 +72,9 @@ class Ward(VisaSession):
             self._frozen = True
             return
         if self.kind in ("power cut", "cable out"):
-            self._simulator.refuse_connections()
+            self._simulator.server.refuse()
         if self.kind == "cable out":
-            self._simulator.drop_connections()
+            self._simulator.server.drop_connections()
         else:
             self._simulator.power_cycle()
 

@@ -236,7 +236,7 @@ def test_disturbance_during_a_trial_takes_the_confirmation_back(
 ) -> None:
     """What is found at the end of the stimulus decides; a link that broke says nothing of the stimulus."""
     assert loaded.fire(0.1).started
-    others = {"power cycle": simulator.power_cycle, "cable out and in": simulator.drop_connections}
+    others = {"power cycle": simulator.power_cycle, "cable out and in": simulator.server.drop_connections}
     others.get(disturb, lambda: simulator.front_panel(disturb))()
     loaded.stop()
     assert simulator.outputs == (False, False)
@@ -305,16 +305,16 @@ def test_clipped_amplitude_is_never_confirmed(loaded: Generator, simulator: Simu
 
 def test_tripped_amplifier_is_felt_but_not_seen(loaded: Generator, simulator: Simulator) -> None:
     """The generator cannot know of its amplifier: confirmed, and nothing moves until it is reset."""
-    simulator.trip_amplifier()
+    simulator.twin.tripped = True
     assert loaded.fire(0.1).started
     assert simulator.felt_velocity(["C"]) == 0
-    simulator.reset_amplifier()
+    simulator.twin.tripped = False
     assert simulator.felt_velocity(["C"]) > 0
 
 
 def test_refused_connection_is_reported(simulator: Simulator, open_generator: Callable[..., Generator]) -> None:
     """Nobody listens: said at once, with the remedy."""
-    simulator.refuse_connections()
+    simulator.server.refuse()
     with pytest.raises(RigError, match=r"no generator answers at .*ConnectionRefusedError.*`modaltouch rig list`"):
         open_generator()
 
@@ -333,8 +333,8 @@ def test_lost_instrument_is_an_error_that_says_what_to_do(
     n_before = ("upload", "arm", "trial").index(phase)
     for step in steps[:n_before]:
         step()
-    simulator.refuse_connections()
-    simulator.drop_connections()
+    simulator.server.refuse()
+    simulator.server.drop_connections()
     with pytest.raises(RigError, match=r"2 new connections .* could not be confirmed off: SWITCH THE AMPLIFIER OFF"):
         steps[n_before]()
     rig.close()
@@ -348,9 +348,9 @@ def test_instrument_that_comes_back_is_found(
     rig = open_generator(patience=Patience(reply=0.2, copy=0.4, tries=5, pause=0.02))
     rig.load(burst)
     rig.fire(0.1)
-    simulator.refuse_connections()
-    simulator.drop_connections()
-    clock.call_at(clock.now() + 0.1, simulator.accept_connections)
+    simulator.server.refuse()
+    simulator.server.drop_connections()
+    clock.call_at(clock.now() + 0.1, simulator.server.listen)
     rig.stop()
     assert rig.fire(0.2).started
     assert_plays(simulator, burst, (12.0, 8.0))
@@ -360,7 +360,7 @@ def test_another_instrument_at_the_address_is_refused(loaded: Generator, simulat
     """After a lost link another serial number answers: its records and state are not ours."""
     loaded.fire(0.1)
     simulator.faults.inject("wrong_reply", when="IDN", value="TEKTRONIX,AFG3022B,C999999,SCPI:99.0 FV:3.2.2", times=9)
-    simulator.drop_connections()
+    simulator.server.drop_connections()
     with pytest.raises(RigError, match="now answers as 'TEKTRONIX,AFG3022B,C999999"):
         loaded.stop()
 

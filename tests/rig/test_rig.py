@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.rig import Simulator, open_rig
+from modaltouch.rig import Generator, Simulator
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.local_client import LocalClient
 from modaltouch.stimulus.burst import Burst
@@ -21,7 +21,7 @@ def test_front_door_leads_to_driver_and_simulator(apparatus: Apparatus, burst: B
     """A session wires the two by the simulator's address alone."""
     with (
         Simulator(apparatus) as simulator,
-        open_rig(simulator.address, apparatus, log=heard, start_guard=guard) as rig,
+        Generator(simulator.address, apparatus, log=heard, start_guard=guard) as rig,
     ):
         rig.load(burst)
         assert rig.fire(0.1).started
@@ -54,7 +54,7 @@ def test_simulator_runs_in_a_process_of_its_own(burst: Burst, apparatus: Apparat
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         address = process.stdout.readline().strip()
-        with open_rig(address, apparatus, log=heard, start_guard=guard) as rig:
+        with Generator(address, apparatus, log=heard, start_guard=guard) as rig:
             rig.load(burst)
             assert rig.fire(0.1).started
         process.terminate()

@@ -27,7 +27,7 @@ SESSIONS = textwrap.dedent(
     import os, signal, sys, time
     import numpy as np
     from modaltouch.protocol.apparatus import Apparatus
-    from modaltouch.rig import open_rig
+    from modaltouch.rig import Generator
     from modaltouch.rig.afg3022b import AFG3022B
     from modaltouch.rig.generator import Generator
     from modaltouch.stimulus.burst import Burst
@@ -42,7 +42,7 @@ SESSIONS = textwrap.dedent(
         signal.signal(signal.SIGUSR1, raise_it)
         codes = np.full((2, 1000), 8191, dtype=np.uint16)
         codes[:, 500] = 12000
-        with open_rig(address, apparatus, log=lambda event, **facts: None) as rig:
+        with Generator(address, apparatus, log=lambda event, **facts: None) as rig:
             rig.load(Burst(codes, 0.05, 7.0, 0.2, (10.0, 10.0), AFG3022B.converter))
             rig.fire(0.1)
             print("firing", flush=True)
@@ -203,18 +203,18 @@ def test_exception_leaves_outputs_off_before_the_process_ends(start: Start, sing
 def test_pulled_cable_and_a_killed_session_leave_outputs_off(start: Start, single_link: Simulator, phase: str) -> None:
     """Both at once: the watchdog opens the instrument anew as soon as it can be reached, here 0.3 s later."""
     session = start(phase)
-    single_link.refuse_connections()
-    single_link.drop_connections()
+    single_link.server.refuse()
+    single_link.server.drop_connections()
     session.signal(signal.SIGKILL)
     time.sleep(0.3)
-    single_link.accept_connections()
+    single_link.server.listen()
     seconds_until_off(single_link)
 
 
 def test_pulled_cable_is_found_again_through_the_watchdog(start: Start, single_link: Simulator) -> None:
     """Cable out and in at the stop: the one session is opened anew, and the outputs go off."""
     session = start("stop")
-    single_link.drop_connections()
+    single_link.server.drop_connections()
     assert session.wait() == 0
     assert single_link.outputs == (False, False)
     assert re.match("confirmed|output 1 was off|trigger .* failed|.*bursts ended before", session.said[1])
@@ -239,13 +239,13 @@ def test_terminal_that_is_closed_leaves_outputs_off(start: Start, single_link: S
     session = start("trial", terminal=os.ttyname(theirs))
     os.close(theirs)
     if cable != "in":
-        single_link.refuse_connections()
-        single_link.drop_connections()
+        single_link.server.refuse()
+        single_link.server.drop_connections()
     os.close(ours)
     assert session.wait() == -signal.SIGHUP
     if cable != "in":
         time.sleep(REPLY_TIMEOUT + 0.3)
-        single_link.accept_connections()
+        single_link.server.listen()
     seconds_until_off(single_link)
 
 

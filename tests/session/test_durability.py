@@ -193,14 +193,14 @@ def end(process, kind, rng, simulator, seconds):
         process.join(rng.uniform(0, seconds))
         fault = rng.choice(["unplugged", "power cycle", "lost_reply", "dropped_connection", "scpi_error"])
         if fault == "unplugged":
-            simulator.refuse_connections()
-            simulator.drop_connections()
+            simulator.server.refuse()
+            simulator.server.drop_connections()
         elif fault == "power cycle":
             simulator.power_cycle()
         else:
             simulator.faults.inject(fault, times=50, value=-310.0)
         process.join(rng.uniform(0.5, 1.5))
-        simulator.accept_connections() if fault == "unplugged" else simulator.faults.clear()
+        simulator.server.listen() if fault == "unplugged" else simulator.faults.clear()
     process.join(60)
     simulator.faults.clear()
     assert process.exitcode is not None, f"{kind}: the session did not end"

@@ -9,7 +9,7 @@ from modaltouch.planning.observer import Observer
 from modaltouch.preflight import examine
 from modaltouch.record.chain import read_chain
 from modaltouch.record.session import read_session
-from modaltouch.rig import open_rig
+from modaltouch.rig import Generator
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
 from modaltouch.session.rewiring import resume
@@ -45,7 +45,7 @@ def setup(tmp_path, edit):
         answerer = Hurried(Observer().draw(np.random.default_rng(1)), felt, np.random.default_rng(2))
         return replace(
             wire_run(preflight, "p01", answers="simulated", results=tmp_path),
-            open_rig=lambda log: open_rig(simulator.address, preflight.experiment.apparatus, log=log),
+            open_rig=lambda log: Generator(simulator.address, preflight.experiment.apparatus, log=log),
             open_window=lambda tick, log: SimulatedParticipant(answerer, tick=tick),
         )
 

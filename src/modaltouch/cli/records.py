@@ -170,9 +170,9 @@ def _measure(rig: str, apparatus: Path, *, json_output: bool) -> None:
 
 def _measure_generator(rig: str, apparatus: Path) -> Any:
     from modaltouch.protocol import Apparatus
-    from modaltouch.rig import Simulator, open_rig
+    from modaltouch.rig import Generator, Simulator
 
     parts = Apparatus.read(apparatus)
     with ExitStack() as stack:
         address = stack.enter_context(Simulator(parts)).address if rig == "simulated" else rig
-        return stack.enter_context(open_rig(address, parts)).command_latency()
+        return stack.enter_context(Generator(address, parts)).command_latency()

@@ -65,7 +65,7 @@ def check(
             listens = stack.enter_context(Scope.open(parts, lambda position: None))
         rows = check_rig(address, parts, scope=listens)
         if json_output:
-            print_json({"address": address, "rows": [row.as_dict() for row in rows]})
+            print_json({"address": address, "rows": [vars(row) for row in rows]})
         else:
             for row in rows:
                 print(row)

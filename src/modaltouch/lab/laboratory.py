@@ -13,13 +13,13 @@ from modaltouch.protocol import Apparatus
 from modaltouch.rig import (
     Acquisition,
     Firing,
+    Generator,
     Recording,
     Rig,
     RigError,
     Scope,
     StimulusLost,
     instrument_of,
-    open_rig,
 )
 from modaltouch.stimulus import Burst
 from modaltouch.system import SYSTEM_CLOCK, Interruption, VirtualClock
@@ -88,6 +88,10 @@ class MeasurementProgress:
         """Yield the same, stopped between two records by a signal."""
         with Interruption() as interruption:
             yield replace(self, check=interruption.check)
+
+
+UNTOLD = MeasurementProgress()
+"""Tells nobody, and waits for nobody."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +239,7 @@ def open_laboratory(
     scope : Scope, optional
         What measures, instead of the twin's scope or a PicoScope; closed here.
     **options
-        Further arguments of `modaltouch.rig.open_rig`.
+        Further arguments of `modaltouch.rig.Generator`.
 
     Raises
     ------
@@ -246,7 +250,7 @@ def open_laboratory(
 
         def open_generator(where: str, **further: Any) -> Rig:
             how = {"repetition": repetition, **further, **options}
-            return stack.enter_context(open_rig(where, apparatus, log=log, **how))
+            return stack.enter_context(Generator(where, apparatus, log=log, **how))
 
         if address == SIMULATED:
             from modaltouch.rig import Simulator

@@ -2,7 +2,7 @@
 
 A session opens the driver at an address; the simulator is one more address::
 
-    with Simulator(apparatus) as simulator, open_rig(simulator.address, apparatus, log=log) as rig:
+    with Simulator(apparatus) as simulator, Generator(simulator.address, apparatus, log=log) as rig:
         rig.load(burst)
         rig.fire(velocity)
         speeds = simulator.felt_velocity(["A", "C"])
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from modaltouch.rig.acquisition import Acquisition, Recording
     from modaltouch.rig.catalogue import instrument_of
     from modaltouch.rig.checklist import check_rig
+    from modaltouch.rig.generator import Generator
     from modaltouch.rig.interface import Firing, Rig, RigError, StimulusLost
-    from modaltouch.rig.opening import open_rig
     from modaltouch.rig.scope import Scope
     from modaltouch.rig.simulator import Simulator
     from modaltouch.rig.visa import find_instruments
@@ -33,8 +33,8 @@ else:
             "acquisition": "Acquisition Recording",
             "catalogue": "instrument_of",
             "checklist": "check_rig",
+            "generator": "Generator",
             "interface": "Firing Rig RigError StimulusLost",
-            "opening": "open_rig",
             "scope": "Scope",
             "simulator": "Simulator",
             "visa": "find_instruments",
@@ -44,6 +44,7 @@ else:
 __all__ = [
     "Acquisition",
     "Firing",
+    "Generator",
     "Recording",
     "Rig",
     "RigError",
@@ -53,5 +54,4 @@ __all__ = [
     "check_rig",
     "find_instruments",
     "instrument_of",
-    "open_rig",
 ]

@@ -9,9 +9,9 @@ import math
 import socket
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from modaltouch.rig.catalogue import instrument_of
 from modaltouch.rig.connection import Connection, Patience
 from modaltouch.rig.controls import Unconfirmed
 from modaltouch.rig.instrument import Setting
-from modaltouch.rig.link import InUse, LinkError, Log, describe_error, split_reply
+from modaltouch.rig.link import InUse, LinkError, Log, block_bounds, describe_error, split_reply
 from modaltouch.rig.scope import Scope
 from modaltouch.rig.visa import VisaSession
 from modaltouch.rig.watchdog_client import WatchdogClient
@@ -186,8 +186,7 @@ def _error_queue(connection: Connection) -> Finding:
 def _block_end(connection: Connection) -> Finding:
     connection.controls.ask("DATA:DEF EMEM,1000;*OPC?")
     reply = connection.controls.ask_raw("DATA:DATA? EMEM")
-    n_digits = int(reply[1:2])
-    end = 2 + n_digits + int(reply[2 : 2 + n_digits])
+    _, end = block_bounds(reply)
     return (
         "found",
         f"{reply[end:]!r} after a block of {end} bytes",
@@ -339,10 +338,6 @@ class Row:
     state: State
     answer: str
     advice: str
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the row as plain values."""
-        return asdict(self)
 
     def __str__(self) -> str:
         return f"{self.number:2d}  {self.question}\n    {self.answer}\n    -> {self.advice}"

@@ -13,7 +13,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.catalogue import instrument_of
@@ -38,10 +38,6 @@ MOST_AWAITED = 5
 MOST_DROPPED = 0.1
 """Where their number is not fixed, a stimulus of which two bursts or more, and a larger part, were left out is offered
 again [1]; a single one that is missing is recorded."""
-
-
-def _ignore(event: str, **facts: Any) -> None:
-    """Take an event and forget it."""
 
 
 class Generator:
@@ -75,7 +71,7 @@ class Generator:
         address: str,
         apparatus: Apparatus,
         *,
-        log: Log = _ignore,
+        log: Log = lambda event, **facts: None,
         patience: Patience | None = None,
         repetition: Repetition | None = None,
         start_guard: Callable[[str, str], BurstPlayer] = start_watchdog,

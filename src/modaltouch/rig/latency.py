@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,42 +30,33 @@ class CommandLatency:
         Which one.
     n : int
         Commands of each kind.
-    open : float
-        From nothing to a known state, watchdog and all [s].
-    level_median, level_p95, level_max : float
-        Both amplitudes set and read back, and the error queue read [s].
-    off_median, off_p95, off_max : float
-        Both outputs switched off and every setting compared [s].
+    times : dict of str to float
+        ``open``, from nothing to a known state, watchdog and all; ``level_median``, ``level_p95`` and ``level_max``,
+        both amplitudes set and read back, and the error queue read; ``off_median``, ``off_p95`` and ``off_max``, both
+        outputs switched off and every setting compared [s].
     """
 
     address: str
     identity: str
     n: int
-    open: float
-    level_median: float
-    level_p95: float
-    level_max: float
-    off_median: float
-    off_p95: float
-    off_max: float
+    times: dict[str, float]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the figures as plain values, times in milliseconds."""
-        times = {
-            f"{name}_ms": round(value * 1e3, 3) for name, value in asdict(self).items() if isinstance(value, float)
-        }
+        times = {f"{name}_ms": round(value * 1e3, 3) for name, value in self.times.items()}
         return {"address": self.address, "identity": self.identity, "n": self.n, **times}
 
     @property
     def verdict(self) -> str:
         """What the figures mean for an experiment, and what to do."""
+        level, off = self.times["level_p95"], self.times["off_p95"]
         said = (
-            f"A level is set and confirmed within {self.level_p95 * 1e3:.1f} ms, both outputs are off within "
-            f"{self.off_p95 * 1e3:.1f} ms (95 %)"
+            f"A level is set and confirmed within {level * 1e3:.1f} ms, both outputs are off within {off * 1e3:.1f} ms "
+            "(95 %)"
         )
-        if self.level_p95 <= _PROMPT:
+        if level <= _PROMPT:
             return f"{said}: good."
-        if self.level_p95 <= _SLOW:
+        if level <= _SLOW:
             return f"{said}: each trial begins that much later; a dedicated cable to the generator is faster."
         return (
             f"{said}: too slow. Connect the generator directly or by one switch, not by a radio link or a busy "
@@ -86,19 +78,16 @@ def measure(rig: Rig, set_levels: Callable[[tuple[float, ...]], object], opened:
     n : int
         Commands of each kind.
     """
-    levels, offs = np.empty(n), np.empty(n)
-    for k in range(n):
-        started = time.perf_counter()
-        set_levels((_AMPLITUDES[k % 2],) * 2)
-        levels[k] = time.perf_counter() - started
-        rig.heartbeat()
-    for k in range(n):
-        started = time.perf_counter()
-        rig.stop()
-        offs[k] = time.perf_counter() - started
-        rig.heartbeat()
-    return CommandLatency(rig.address, rig.identity, n, opened, *_summarise(levels), *_summarise(offs))
-
-
-def _summarise(times: np.ndarray[Any, np.dtype[np.float64]]) -> tuple[float, float, float]:
-    return float(np.median(times)), float(np.quantile(times, 0.95)), float(times.max())
+    amplitudes = itertools.cycle(_AMPLITUDES)
+    commands: dict[str, Callable[[], object]] = {"level": lambda: set_levels((next(amplitudes),) * 2), "off": rig.stop}
+    times = {"open": opened}
+    for name, command in commands.items():
+        taken = np.empty(n)
+        for k in range(n):
+            started = time.perf_counter()
+            command()
+            taken[k] = time.perf_counter() - started
+            rig.heartbeat()
+        median, p95, longest = np.quantile(taken, (0.5, 0.95, 1.0)).tolist()
+        times |= {f"{name}_median": median, f"{name}_p95": p95, f"{name}_max": longest}
+    return CommandLatency(rig.address, rig.identity, n, times)

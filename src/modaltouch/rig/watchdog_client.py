@@ -201,7 +201,8 @@ class WatchdogClient:
             # A person at a terminal is told what cannot be switched off; a pipe would wait for this process to end.
             stderr=None if sys.__stderr__ is not None and sys.__stderr__.isatty() else subprocess.DEVNULL,
             bufsize=0,
-            env=_environment(),
+            # This process's module path too, in case the package is not installed.
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
             **_out_of_reach(),
         )
         for pipe in (process.stdin, process.stdout):
@@ -318,8 +319,3 @@ def _out_of_reach() -> dict[str, Any]:
         # With none (DETACHED_PROCESS) the interpreter behind a venv's launcher would open one, to be closed by hand.
         return {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP}
     return {"start_new_session": True}
-
-
-def _environment() -> dict[str, str]:
-    """Return the environment with this process's module path, in case the package is not installed."""
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}

@@ -13,7 +13,7 @@ from modaltouch.planning import Observer, read_observer, usual_observer
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import Protocol, Schedule, Trial
 from modaltouch.record import Session, SessionFolder
-from modaltouch.rig import Rig, open_rig
+from modaltouch.rig import Generator, Rig
 from modaltouch.session.console.experimenter import Tick
 from modaltouch.session.setup import Setup, begin
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
@@ -184,7 +184,7 @@ class SessionParts:
                 follow = self.place.log if self.preflight.findings.measured else None
                 self.simulator = stack.enter_context(Simulator(touched, clock=self.clock, follow=follow))
                 address, options = self.simulator.address, self.simulator.driver_options
-            yield stack.enter_context(open_rig(address, apparatus, log=log, **options))
+            yield stack.enter_context(Generator(address, apparatus, log=log, **options))
 
     @contextmanager
     def open_prober(self, rig: Rig) -> Iterator[Prober]:

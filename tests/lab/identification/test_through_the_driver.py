@@ -156,12 +156,12 @@ def test_scans_at_other_positions_do_not_go_together(laboratory: Laboratory) -> 
 def test_drive_that_does_not_arrive_is_told(laboratory: Laboratory, tmp_path: Path) -> None:
     """An amplifier that has tripped: refused before any position is measured, and nothing is written."""
     assert laboratory.simulator is not None
-    laboratory.simulator.trip_amplifier()
+    laboratory.simulator.twin.tripped = True
     try:
         with pytest.raises(RigError, match="the drive of the actuator set centre was measured as .* where 20 V"):
             small().scan(laboratory, Source.load(APPARATUS), tmp_path, on_progress=nothing, check=never)
     finally:
-        laboratory.simulator.reset_amplifier()
+        laboratory.simulator.twin.tripped = False
     assert list(tmp_path.iterdir()) == []
     assert laboratory.simulator.outputs == (False, False)
 

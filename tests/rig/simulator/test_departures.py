@@ -10,10 +10,9 @@ import pytest
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.twin import TwinSection
 from modaltouch.rig.acquisition import Acquisition
-from modaltouch.rig.simulator.hysteresis import PLAYS, lagging
 from modaltouch.rig.simulator.scope import SimulatedScope
 from modaltouch.rig.simulator.timeline import Playback
-from modaltouch.rig.simulator.twin import Twin
+from modaltouch.rig.simulator.twin import PLAYS, Twin, lagging
 
 
 def frequency(twin: Twin, *playbacks: Playback | None) -> float:

@@ -76,11 +76,11 @@ def test_line_says_what_reached_the_beam(
         simulator.front_panel("*TRG")
         clock.sleep(0.015)
         simulator.front_panel("ABOR")
-        simulator.trip_amplifier()
+        simulator.twin.tripped = True
         simulator.front_panel("*TRG")
         clock.sleep(0.1)
         simulator.afg.settle()
-        simulator.reset_amplifier()
+        simulator.twin.tripped = False
         simulator.front_panel("OUTP1 OFF;:OUTP2 OFF")
         clock.sleep(0.1)
         simulator.front_panel("*TRG")

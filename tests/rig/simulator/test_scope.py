@@ -136,7 +136,7 @@ def test_position_off_the_beam_is_refused(at: Callable[..., Recording]) -> None:
 def test_tripped_amplifier_leaves_noise_alone(simulator: Simulator, monkeypatch: pytest.MonkeyPatch) -> None:
     """The drive reads nothing but the converter's noise, and the velocity the vibrometer's."""
     monkeypatch.setattr(Simulator, "playbacks", property(lambda self: (sine(), None)))
-    simulator.trip_amplifier()
+    simulator.twin.tripped = True
     with simulator.scope() as scope:
         scope.configure(Acquisition(n_samples=2000, velocity_range=0.05, drive_range=5.0))
         seen = scope.measure(0.0)

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from modaltouch.rig.simulator.afg import Afg
-from modaltouch.rig.simulator.commands import afg_commands
+from modaltouch.rig.simulator.commands import afg_twin
 from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
 from modaltouch.rig.simulator.state import Behaviour
 from modaltouch.rig.simulator.timeline import FINEST, Delays, PlayedBurst
@@ -26,10 +25,10 @@ class Stage:
 
     def __init__(self, delays: Delays = AT_ONCE, behaviour: Behaviour | None = None, seed: int = 0) -> None:
         self.clock = VirtualClock(1000.0)
-        self.afg = Afg(behaviour or Behaviour(), delays=delays, seed=seed, clock=self.clock)
+        self.afg, table = afg_twin("AFG3022B", behaviour, delays=delays, seed=seed, clock=self.clock)
         self.played: list[PlayedBurst] = []
         self.afg.timeline.told = self.played.append
-        self.instrument = SimulatedInstrument(self.afg, afg_commands(self.afg), Faults())
+        self.instrument = SimulatedInstrument(self.afg, table, Faults())
         self.tell("DATA:DEF EMEM,1000;:DATA:DATA:LINE EMEM,1,0,1000,9990;:DATA:COPY USER1", "TRIG:SOUR EXT")
         for n in (1, 2):
             self.tell(f"SOUR{n}:{SETTINGS.format(n=n)}")

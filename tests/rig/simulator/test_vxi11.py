@@ -125,7 +125,7 @@ def raw(simulator: Simulator) -> Iterator[RawClient]:
 
 def test_server_listens_on_the_loopback_interface_only(simulator: Simulator) -> None:
     """Nobody on the network can reach the simulator: its socket is bound to 127.0.0.1."""
-    listener = simulator._server._listener
+    listener = simulator.server._listener
     assert listener is not None
     assert listener.getsockname()[0] == "127.0.0.1"
 

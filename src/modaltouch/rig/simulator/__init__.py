@@ -76,7 +76,7 @@ class Simulator:
     afg : Afg or Trueform
         State of the generator: that of the model which the apparatus names, an AFG3022B for one that is not known.
     twin : Twin
-        Amplifier and true beam.
+        Amplifier, whose protection cuts its output while it is ``tripped``, and true beam.
     faults : Faults
         What goes wrong, switchable at any time.
     """
@@ -119,17 +119,18 @@ class Simulator:
         self._sends = sends
 
     @cached_property
-    def _server(self) -> Vxi11Server:
+    def server(self) -> Vxi11Server:
+        """What serves it from when it is first asked for: drops connections, refuses new ones, listens again."""
         return Vxi11Server(self._instrument, self._port)
 
     @property
     def address(self) -> str:
-        """VISA address; it is served from when it is first asked for."""
-        return self._server.address
+        """VISA address."""
+        return self.server.address
 
     @property
     def driver_options(self) -> dict[str, Any]:
-        """What `open_rig` is to be given for this twin: its clock, and in virtual time no watchdog process."""
+        """What `Generator` is to be given for this twin: its clock, and in virtual time no watchdog process."""
         clock = self.afg.clock
         if not isinstance(clock, VirtualClock):
             return {"clock": clock}
@@ -234,32 +235,12 @@ class Simulator:
     def power_cycle(self) -> None:
         """Cut the generator's power: connections gone, settings lost, outputs off, USER memories kept."""
         self.afg.power_on()
-        self._server.drop_connections()
-
-    def drop_connections(self) -> None:
-        """Reset every connection, as pulling the plug does; the generator goes on as it is."""
-        self._server.drop_connections()
-
-    def refuse_connections(self) -> None:
-        """Accept no new connection until `accept_connections`."""
-        self._server.refuse()
-
-    def accept_connections(self) -> None:
-        """Accept connections again, on the same port."""
-        self._server.listen()
-
-    def trip_amplifier(self) -> None:
-        """Let the amplifier's protection cut its output until `reset_amplifier`."""
-        self.twin.tripped = True
-
-    def reset_amplifier(self) -> None:
-        """Switch the amplifier on again."""
-        self.twin.tripped = False
+        self.server.drop_connections()
 
     def close(self) -> None:
         """Stop serving, and switch the generator off."""
-        if "_server" in vars(self):
-            self._server.close()
+        if "server" in vars(self):
+            self.server.close()
         self.afg.power_off()
         if self._played is not None:
             self._played.close()

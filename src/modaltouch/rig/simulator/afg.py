@@ -22,7 +22,6 @@ class Channel(OutputChannel):
     n_cycles: float = 5.0
     symmetry: float = 50.0
     duty_cycle: float = 50.0
-    range_switches: int = 0
 
     @property
     def cycle(self) -> float:
@@ -132,11 +131,7 @@ class Afg(GeneratorState[Channel]):
             if self.behaviour.limit_violation == "error":
                 raise ScpiError(-222, f"{amplitude:g} Vpp at {offset:g} V exceeds VOLTage:LIMit")
             amplitude = max(2 * room, 0.0)
-        amplitude = min(amplitude, self.clip_amplitude)
-        ranges = self.behaviour.amplitude_ranges
-        crossed = sum((channel.amplitude > border) != (amplitude > border) for border in ranges)
-        channel.range_switches += crossed
-        channel.amplitude, channel.offset = amplitude, offset
+        channel.amplitude, channel.offset = min(amplitude, self.clip_amplitude), offset
 
     def set_limit(self, number: int, *, high: float | None = None, low: float | None = None) -> None:
         """Set an output limit, open circuit [V]; refused where the present level exceeds it."""

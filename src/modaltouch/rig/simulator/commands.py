@@ -99,27 +99,25 @@ FORCED = ("*TRG", "TRIGger[:SEQuence][:IMMediate]")
 def afg_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> tuple[Afg, CommandTable]:
     """Return the state of a simulated AFG3022B, whatever the model, and what it understands."""
     afg = Afg(behaviour or Behaviour(), **hardware)
-    return afg, afg_commands(afg)
-
-
-def afg_commands(afg: Afg) -> CommandTable:
-    """Return what the simulated instrument understands."""
-    groups = (common_commands, _saved, memory_commands, _waveform, _levels, _burst, _trigger, _system)
+    groups = (
+        common_commands,
+        _record_commands,
+        _point_commands,
+        _user_commands,
+        _waveform,
+        _levels,
+        _burst,
+        _trigger,
+        _system,
+    )
     commands = noticed(afg, ChainMap(*(group(afg) for group in groups)), FORCED)
-    return CommandTable(commands, afg.n_channels, further=_further)
+    return afg, CommandTable(commands, afg.n_channels, further=_further)
 
 
 def _further() -> dict[str, Command]:
     from modaltouch.rig.simulator.defaults import AFG3000, not_simulated
 
     return not_simulated(AFG3000, "{:.4E}")
-
-
-def _saved(afg: Afg) -> dict[str, Command]:
-    return {
-        "*SAV": Command(set=lambda c, a: afg.save(whole(a, 0, 4))),
-        "*RCL": Command(set=lambda c, a: afg.recall(whole(a, 0, 4))),
-    }
 
 
 def _waveform(afg: Afg) -> dict[str, Command]:
@@ -264,6 +262,8 @@ def _system(afg: Afg) -> dict[str, Command]:
         afg.copy_channel(target, source)
 
     return {
+        "*SAV": Command(set=lambda c, a: afg.save(whole(a, 0, 4))),
+        "*RCL": Command(set=lambda c, a: afg.recall(whole(a, 0, 4))),
         "AFGControl:CSCopy": Command(set=copy_channel),
         "SOURce:ROSCillator:SOURce": choice(afg, "clock_source", ("INTernal", "EXTernal")),
         "MEMory:STATe:RECall:AUTo": switch(afg, "recall_automatically"),
@@ -289,11 +289,6 @@ def _get_amplitude(afg: Afg) -> Callable[[int, Arguments], str]:
 
 
 ROOT = "TRACe|DATA"
-
-
-def memory_commands(afg: Afg) -> dict[str, Command]:
-    """Return the commands of the edit memory and the USER memories."""
-    return _record_commands(afg) | _point_commands(afg) | _user_commands(afg)
 
 
 def _record_commands(afg: Afg) -> dict[str, Command]:

@@ -133,11 +133,6 @@ def choice(state: State, name: str, choices: tuple[str, ...]) -> Command:
 
 def switch(state: State, name: str) -> Command:
     """Return the command of a switch of the whole instrument."""
-
-    def set_switch(channel: int, arguments: Arguments) -> None:
-        setattr(state, name, read_boolean(one(arguments)))
-
-    def get_switch(channel: int, arguments: Arguments) -> Any:
-        return flag(getattr(state, name))
-
-    return Command(set=set_switch, get=get_switch)
+    return Command(
+        set=lambda n, a: setattr(state, name, read_boolean(one(a))), get=lambda n, a: flag(getattr(state, name))
+    )

@@ -143,20 +143,6 @@ class SimulatedInstrument:
         self._table = table
         self._busy = threading.RLock()
 
-    @property
-    def max_sessions(self) -> int:
-        """Links accepted at the same time."""
-        return self.afg.behaviour.max_sessions
-
-    @property
-    def status_byte(self) -> int:
-        """Status byte without the message-available bit."""
-        return self.afg.status_byte
-
-    def fail(self, error: ScpiError) -> None:
-        """Put an error in the queue."""
-        self.afg.fail(error)
-
     def trigger(self, link: int) -> None:
         """Take a group execute trigger, as ``*TRG``."""
         with self._busy:

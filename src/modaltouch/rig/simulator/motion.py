@@ -10,11 +10,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.simulator.held import Held, refined, start_state
+from modaltouch.rig.simulator.held import ComplexArray, FloatArray, Held, refined, start_state
 from modaltouch.stimulus import BlockKernel, DiagonalSystem
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 SAME_POLE = 1e-6
 """Relative distance below which two poles count as one [1]."""

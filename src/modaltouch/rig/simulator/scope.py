@@ -6,19 +6,17 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modaltouch.rig.acquisition import Acquisition, Inputs, Recording
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.scope import Scope
+from modaltouch.rig.simulator.held import FloatArray
 from modaltouch.rig.simulator.motion import Motion
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import Twin
 
 if TYPE_CHECKING:
     from modaltouch.stimulus import Finger
-
-FloatArray = NDArray[np.float64]
 
 FORGOTTEN = 1e-9
 """Correlation below which noise counts as new [1]."""

@@ -393,10 +393,6 @@ def _pattern(header: str) -> str:
             pattern += token
         else:
             pattern += f"(?:{re.escape(short_form(token))}|{re.escape(token.upper())})"
-    return _group_synonyms(pattern)
-
-
-def _group_synonyms(pattern: str) -> str:
-    """Put brackets around ``A|B`` so that each stands for one node."""
+    # Brackets around `A|B`, so that each stands for one node.
     node = r"\(\?:[^()]*\)"
     return re.sub(rf"{node}(?:\|{node})+", lambda found: f"(?:{found[0]})", pattern)

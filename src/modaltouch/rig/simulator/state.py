@@ -30,8 +30,6 @@ class Behaviour:
         Significant digits that the trigger timer keeps.
     copy_time : float
         How long storing a record in a USER memory takes [s].
-    amplitude_ranges : tuple of float
-        Amplitudes at which a range relay switches [V peak to peak, open circuit].
     limit_violation : str
         Whether a level beyond VOLTage:LIMit is refused (``error``) or cut (``clip``).
     block_end : bytes
@@ -48,7 +46,6 @@ class Behaviour:
     idle_level: Literal["first", "last", "offset"] = "first"
     timer_digits: int = 9
     copy_time: float = 0.0
-    amplitude_ranges: tuple[float, ...] = (0.2, 2.0)
     limit_violation: Literal["error", "clip"] = "error"
     block_end: bytes = b"\n"
     max_sessions: int = 16

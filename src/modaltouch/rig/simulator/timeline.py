@@ -232,7 +232,8 @@ class Timeline:
             return
         self._skip(now)
         while True:
-            tick, beat = self._next_tick(), self._next_beat()
+            tick, cycle = self._next_tick(), self._cycle_length
+            beat = _after(self._now, self._aligned, cycle) if cycle else math.inf
             instant = min(tick, beat, *self._others())
             if instant > now:
                 break
@@ -278,10 +279,6 @@ class Timeline:
             return math.inf
         period = situation.tick * math.ceil(FINEST / situation.tick)
         return _after(self._now, self._phase * period, period)
-
-    def _next_beat(self) -> float:
-        """Return when the next cycle of what repeats without trigger begins [s]."""
-        return math.inf if self._cycle_length == 0 else _after(self._now, self._aligned, self._cycle_length)
 
     def _run(self, begin: float, link: int | None, *, in_burst: bool) -> _Run | None:
         """Return what begins at an instant, of the channels that are in burst or of the others."""

@@ -9,10 +9,9 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.simulator.held import LONGEST_SILENCE, Held, peak, refined, state_at
+from modaltouch.rig.simulator.held import LONGEST_SILENCE, ComplexArray, FloatArray, Held, peak, refined, state_at
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.true_beam import generator_gains, true_amplifier, true_beam
 from modaltouch.stimulus import DiagonalSystem
@@ -21,11 +20,11 @@ if TYPE_CHECKING:
     from modaltouch.rig.simulator.motion import DriveVoltage, Motion, StateHistory
     from modaltouch.stimulus import Finger
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-
 MOST_SAMPLES = 1 << 22
 """Of one burst, many cycles together: a third of a second at least, many times what any mode remembers."""
+
+PLAYS = (0.2, 0.4, 0.6, 0.8)
+"""Half widths of the play operators of an actuator, as parts of the amplifier's limit [1]."""
 
 SETTINGS_KEPT = 64
 """Settings of which the peaks are kept."""
@@ -268,8 +267,6 @@ class Twin:
         share, limit = self.apparatus.twin.hysteresis, self.amplifier.limit
         if not share:
             return self.held_of(playbacks)
-        from modaltouch.rig.simulator.hysteresis import lagging
-
         return [replace(held, voltage=lagging(held.voltage, share, limit)) for held in self.held_of(playbacks)]
 
     def _held(self, together: Sequence[Playback | None]) -> Held:
@@ -365,3 +362,37 @@ def _common_peak(system: DiagonalSystem, output: ComplexArray, parts: Sequence[H
 def record_peak(record: bytes, zero: int) -> float:
     """Return the highest value of a record, as a part of half its amplitude [1]; `zero` is its code of 0 V."""
     return float(np.abs(np.frombuffer(record, ">u2").astype(int) - zero).max() / zero)
+
+
+def lagging(voltage: FloatArray, share: float, limit: float) -> FloatArray:
+    r"""Return the voltages that would have an actuator without hysteresis give the same force.
+
+    A share of it follows play operators of equal weight, :math:`y_k = \max(v_k - r, \min(v_k + r, y_{k-1}))` (Prandtl
+    and Ishlinskii; Visintin 1994, Differential Models of Hysteresis, sec. III.2). Their half widths are evenly spread:
+    loops then grow with the square of the voltage, as by Rayleigh's law for piezoelectric ceramics (Damjanovic 1997,
+    J. Appl. Phys. 82, 1788).
+
+    Parameters
+    ----------
+    voltage : (n_channels, n_samples) array
+        Of bursts that repeat, as a change from rest [V].
+    share : float
+        Of the force that lags [1].
+    limit : float
+        Of the amplifier [V].
+    """
+    result = (1 - share) * voltage
+    for row, volts in zip(result, voltage, strict=True):
+        turns = np.append(np.flatnonzero(np.diff(np.sign(np.diff(volts)))) + 1, volts.size - 1)
+        # Between two turns the voltage is monotone: what was reached at the first of them tells the rest.
+        part = np.searchsorted(turns, np.arange(volts.size))
+        for width in np.array(PLAYS) * limit:
+            reached = 0.0
+            for _ in range(2):  # the second burst begins where the first one, and so every other, ends
+                before = []
+                for volt in volts[turns].tolist():
+                    before.append(reached)
+                    reached = max(volt - width, min(volt + width, reached))
+            play = np.clip(np.array(before)[part], volts - width, volts + width)
+            row += share / len(PLAYS) * (play - reached)
+    return np.asarray(result)

@@ -108,6 +108,10 @@ class _Link:
     ready_at: float = 0.0
 
 
+class _Refused(Exception):  # noqa: N818
+    """A call is refused, with an error code (VXI-11, B.5.2)."""
+
+
 class Links:
     """The links of all connections, and the lock that one of them may hold.
 
@@ -126,14 +130,34 @@ class Links:
         self._lock_holder: int | None = None
         self._numbers = itertools.count(1)
         self._guard = threading.RLock()
+        # Each with the bytes that follow the error code, zeros where it is refused.
+        self._procedures: dict[int, tuple[typing.Callable[[bytes, set[int]], bytes], int]] = {
+            _CREATE_LINK: (self._create_link, 12),
+            _WRITE: (self._write, 4),
+            _READ: (self._read, 8),
+            _READ_STATUS: (self._read_status, 4),
+            _TRIGGER: (self._trigger, 0),
+            _CLEAR: (self._clear, 0),
+            _REMOTE: (self._accept_silently, 0),
+            _LOCAL: (self._accept_silently, 0),
+            _ENABLE_SERVICE: (self._accept_silently, 0),
+            _LOCK: (self._take_lock, 0),
+            _UNLOCK: (self._release_lock, 0),
+            _DESTROY_LINK: (self._destroy_link, 0),
+        }
 
     def __len__(self) -> int:
         return len(self._links)
 
     def call(self, procedure: int, parameters: bytes, own: set[int]) -> bytes:
-        """Return the results of a procedure."""
-        handler = self._procedures().get(procedure)
-        return handler(parameters, own) if handler else struct.pack(">i", _NOT_SUPPORTED)
+        """Return the results of a procedure: an error code, and what it returns."""
+        if procedure not in self._procedures:
+            return struct.pack(">i", _NOT_SUPPORTED)
+        carry_out, size = self._procedures[procedure]
+        try:
+            return struct.pack(">i", _NO_ERROR) + carry_out(parameters, own)
+        except _Refused as refused:
+            return struct.pack(">i", *refused.args) + bytes(size)
 
     def forget(self, numbers: typing.Iterable[int]) -> None:
         """Take links away, and the lock with them."""
@@ -143,70 +167,55 @@ class Links:
                 if self._lock_holder == number:
                     self._lock_holder = None
 
-    def _of(self, number: int, own: set[int]) -> _Link | None:
+    def _of(self, number: int, own: set[int]) -> _Link:
         """Return a link of the connection that calls; those of others are not to be had."""
-        return self._links.get(number) if number in own else None
-
-    def _procedures(self) -> dict[int, typing.Callable[[bytes, set[int]], bytes]]:
-        return {
-            _CREATE_LINK: self._create_link,
-            _WRITE: self._write,
-            _READ: self._read,
-            _READ_STATUS: self._read_status,
-            _TRIGGER: self._trigger,
-            _CLEAR: self._clear,
-            _REMOTE: self._accept_silently,
-            _LOCAL: self._accept_silently,
-            _ENABLE_SERVICE: self._accept_silently,
-            _LOCK: self._take_lock,
-            _UNLOCK: self._release_lock,
-            _DESTROY_LINK: self._destroy_link,
-        }
+        if number not in own or number not in self._links:
+            raise _Refused(_INVALID_LINK)
+        return self._links[number]
 
     def _create_link(self, parameters: bytes, own: set[int]) -> bytes:
         _, lock, lock_timeout, length = struct.unpack_from(">iIII", parameters)
         name = parameters[16 : 16 + length].decode("latin1")
         if name not in (INSTRUMENT, PANEL):
-            return struct.pack(">iiII", _NOT_ACCESSIBLE, 0, 0, 0)
+            raise _Refused(_NOT_ACCESSIBLE)
         with self._guard:
             n_links = sum(link.panel == (name == PANEL) for link in self._links.values())
-            if n_links >= (PEOPLE_AT_THE_PANEL if name == PANEL else self._device.max_sessions):
-                return struct.pack(">iiII", _OUT_OF_RESOURCES, 0, 0, 0)
+            if n_links >= (PEOPLE_AT_THE_PANEL if name == PANEL else self._device.afg.behaviour.max_sessions):
+                raise _Refused(_OUT_OF_RESOURCES)
             link = _Link(next(self._numbers), panel=name == PANEL)
             self._links[link.number] = link
             own.add(link.number)
-        error = self._take(link, _FLAG_WAIT, lock_timeout) if lock else _NO_ERROR
-        if error:
-            self.forget([link.number])
-        return struct.pack(">iiII", error, link.number, 0, LARGEST_MESSAGE)
+        if lock:
+            try:
+                self._take(link, _FLAG_WAIT, lock_timeout)
+            except _Refused:
+                self.forget([link.number])
+                raise
+        return struct.pack(">iII", link.number, 0, LARGEST_MESSAGE)
 
     def _destroy_link(self, parameters: bytes, own: set[int]) -> bytes:
-        (number,) = struct.unpack_from(">i", parameters)
-        known = number in own
-        if known:
-            self.forget([number])
-            own.discard(number)
-        return struct.pack(">i", _NO_ERROR if known else _INVALID_LINK)
+        number = self._of(struct.unpack_from(">i", parameters)[0], own).number
+        self.forget([number])
+        own.discard(number)
+        return b""
 
     def _write(self, parameters: bytes, own: set[int]) -> bytes:
         number, _, lock_timeout, flags, length = struct.unpack_from(">iIIiI", parameters)
         link = self._of(number, own)
-        error = self._access(link, flags, lock_timeout)
-        if error or link is None:
-            return struct.pack(">iI", error, 0)
+        self._await_access(link, flags, lock_timeout)
         data = parameters[20 : 20 + length]
         link.arriving += data
         if len(link.arriving) > LARGEST_MESSAGE:
             link.arriving.clear()
-            self._device.fail(ScpiError(-363))
+            self._device.afg.fail(ScpiError(-363))
         elif flags & _FLAG_END:
             message, link.arriving = bytes(link.arriving), bytearray()
             self._carry_out(link, message)
-        return struct.pack(">iI", _NO_ERROR, len(data))
+        return struct.pack(">I", len(data))
 
     def _carry_out(self, link: _Link, message: bytes) -> None:
         if link.leaving:
-            self._device.fail(ScpiError(-410))
+            self._device.afg.fail(ScpiError(-410))
             link.leaving = b""
         reply = self._device.perform(message) if link.panel else self._device.execute(message, link.number)
         if reply.hang_up:
@@ -216,86 +225,76 @@ class Links:
     def _read(self, parameters: bytes, own: set[int]) -> bytes:
         number, size, io_timeout, lock_timeout, flags, terminator = struct.unpack_from(">iIIIii", parameters)
         link = self._of(number, own)
-        error = self._access(link, flags, lock_timeout)
-        if error or link is None:
-            return struct.pack(">iiI", error, 0, 0)
+        self._await_access(link, flags, lock_timeout)
         if not link.leaving:
-            self._device.fail(ScpiError(-420))
+            self._device.afg.fail(ScpiError(-420))
             link.ready_at = float("inf")
         wait = link.ready_at - time.monotonic()
         if wait > 0:
             patience = min(io_timeout / 1000, LONGEST_WAIT)
             self._closing.wait(min(wait, patience))
             if wait > patience:
-                return struct.pack(">iiI", _TIMEOUT, 0, 0)
+                raise _Refused(_TIMEOUT)
         data, reason = link.leaving[:size], _REASON_COUNT
         if flags & _FLAG_TERMINATOR and terminator in data:
             data, reason = data[: data.index(terminator) + 1], _REASON_TERMINATOR
         link.leaving = link.leaving[len(data) :]
         if not link.leaving:
             reason |= _REASON_END
-        return struct.pack(">ii", _NO_ERROR, reason) + opaque(data)
+        return struct.pack(">i", reason) + opaque(data)
 
     def _read_status(self, parameters: bytes, own: set[int]) -> bytes:
         link = self._of(struct.unpack_from(">i", parameters)[0], own)
-        if link is None:
-            return struct.pack(">iI", _INVALID_LINK, 0)
-        return struct.pack(">iI", _NO_ERROR, self._device.status_byte | (16 if link.leaving else 0))
+        return struct.pack(">I", self._device.afg.status_byte | (16 if link.leaving else 0))
+
+    def _with_access(self, parameters: bytes, own: set[int]) -> _Link:
+        """Return the link of a call that has a link, flags and a timeout alone, once it may use the instrument."""
+        number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
+        link = self._of(number, own)
+        self._await_access(link, flags, lock_timeout)
+        return link
 
     def _trigger(self, parameters: bytes, own: set[int]) -> bytes:
-        number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
-        link = self._of(number, own)
-        error = self._access(link, flags, lock_timeout)
-        if not error and link is not None:
-            self._device.trigger(0 if link.panel else link.number)
-        return struct.pack(">i", error)
+        link = self._with_access(parameters, own)
+        self._device.trigger(0 if link.panel else link.number)
+        return b""
 
     def _clear(self, parameters: bytes, own: set[int]) -> bytes:
-        number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
-        link = self._of(number, own)
-        error = self._access(link, flags, lock_timeout)
-        if not error and link is not None:
-            link.arriving, link.leaving = bytearray(), b""
-        return struct.pack(">i", error)
+        link = self._with_access(parameters, own)
+        link.arriving, link.leaving = bytearray(), b""
+        return b""
 
     def _accept_silently(self, parameters: bytes, own: set[int]) -> bytes:
-        known = struct.unpack_from(">i", parameters)[0] in own
-        return struct.pack(">i", _NO_ERROR if known else _INVALID_LINK)
+        self._of(struct.unpack_from(">i", parameters)[0], own)
+        return b""
 
     def _take_lock(self, parameters: bytes, own: set[int]) -> bytes:
         number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
-        return struct.pack(">i", self._take(self._of(number, own), flags, lock_timeout))
+        self._take(self._of(number, own), flags, lock_timeout)
+        return b""
 
-    def _take(self, link: _Link | None, flags: int, lock_timeout: int) -> int:
-        while True:
-            error = self._access(link, flags, lock_timeout)
-            if error or link is None:
-                return error
+    def _take(self, link: _Link, flags: int, lock_timeout: int) -> None:
+        while self._lock_holder != link.number:
+            self._await_access(link, flags, lock_timeout)
             with self._guard:
                 # Another may have come first.
-                if self._lock_holder in (None, link.number):
+                if self._lock_holder is None:
                     self._lock_holder = link.number
-                    return _NO_ERROR
 
     def _release_lock(self, parameters: bytes, own: set[int]) -> bytes:
         (number,) = struct.unpack_from(">i", parameters)
         if self._lock_holder != number or number not in own:
-            return struct.pack(">i", _NO_LOCK)
+            raise _Refused(_NO_LOCK)
         self._lock_holder = None
-        return struct.pack(">i", _NO_ERROR)
+        return b""
 
-    def _access(self, link: _Link | None, flags: int, lock_timeout: int) -> int:
-        """Return 0 if a link may use the instrument, after waiting for another's lock if asked to."""
-        if link is None:
-            return _INVALID_LINK
-        if link.panel:
-            return _NO_ERROR
+    def _await_access(self, link: _Link, flags: int, lock_timeout: int) -> None:
+        """Refuse a link while another holds the lock, after waiting for it if asked to."""
         deadline = time.monotonic() + (min(lock_timeout / 1000, LONGEST_WAIT) if flags & _FLAG_WAIT else 0.0)
-        while self._lock_holder not in (None, link.number):
+        while not link.panel and self._lock_holder not in (None, link.number):
             if time.monotonic() >= deadline:
-                return _LOCKED
+                raise _Refused(_LOCKED)
             self._closing.wait(0.01)
-        return _NO_ERROR
 
 
 CORE_PROGRAM = 0x0607AF
@@ -385,7 +384,8 @@ class Vxi11Server:
                 while True:
                     call = read_record(stream, 4 * LARGEST_MESSAGE)
                     # What still arrives over a connection that is being reset, from either side, is not heard.
-                    if connection not in self._connections or _was_reset(connection):
+                    was_reset = connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+                    if connection not in self._connections or was_reset:
                         return
                     body = self._answer(call, own)
                     connection.sendall(as_record(body))
@@ -404,11 +404,6 @@ class Vxi11Server:
         if procedure == 0:
             return accept(transaction)
         return accept(transaction) + self._links.call(procedure, parameters, own)
-
-
-def _was_reset(connection: socket.socket) -> bool:
-    """Return whether the client has reset a connection, of which requests may be left to read."""
-    return connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) != 0
 
 
 def _reset(connection: socket.socket) -> None:
