@@ -315,7 +315,7 @@ class Preflight:
             "protocol": reading.sound("protocol") if reading else None,
             "title": reading.sound("title") if reading else None,
             "file": str(reading.source.path) if reading else None,
-            "apparatus": self._apparatus_name(),
+            "apparatus": self.findings.apparatus.sound("apparatus") if self.findings.apparatus else None,
             "calibration": self._calibration(),
             **dict.fromkeys(_DESIGN_FIGURES),
             "problems": [problem.as_dict() for problem in self.problems],
@@ -337,7 +337,7 @@ class Preflight:
         protocol, apparatus = self.experiment.protocol, inputs.apparatus
         values |= {
             "warnings": [
-                *self._marks(),
+                *([f"the calibration misses its limits: {self.calibration_mark}"] if self.calibration_mark else []),
                 *self._stimulus_warnings(),
                 *advice.design_warnings(protocol),
                 *advice.answer_warnings(protocol),
@@ -391,9 +391,6 @@ class Preflight:
             for row in contrasts(protocol, each.stimuli[-1]["zone_peak_mm_s"], place.split(" ")[0])
         ]
 
-    def _marks(self) -> list[str]:
-        return [f"the calibration misses its limits: {self.calibration_mark}"] if self.calibration_mark else []
-
     @property
     def calibration_mark(self) -> str:
         """Which limits the calibration misses, and why; empty for a proved one, and without any."""
@@ -415,11 +412,6 @@ class Preflight:
             "worst_modal_error_mm_s": max(each.worst_error_mm_s for each in value.by_stimulus.values()),
             "mark": value.mark,
         }
-
-    def _apparatus_name(self) -> str | None:
-        reading = self.findings.apparatus
-        name: str | None = reading.sound("apparatus") if reading else None
-        return name
 
 
 _DESIGN_FIGURES = ("sensation_levels", "n_trials", "n_catch_trials", "n_practice_trials", "estimated_duration_min")

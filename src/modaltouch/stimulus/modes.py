@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.quantities import EXTREME, FloatArray, require_positive
-from modaltouch.stimulus.shapes import mode_shapes
+from modaltouch.stimulus.shapes import mode_shapes, patch_gains
 
 if TYPE_CHECKING:
     from modaltouch.stimulus.fingers import Finger, Load
@@ -164,9 +164,7 @@ class ModalModel:
         return tuple((finger.contact(self.shapes, self.length) / mass, finger) for finger in ordered)
 
     def patch_gains(self, patches: Sequence[tuple[float, float]]) -> FloatArray:
-        """Return how strongly patches wired together drive each mode, by theory; see `modaltouch.stimulus.patches`."""
-        from modaltouch.stimulus.patches import patch_gains
-
+        """Return how strongly patches wired together drive each mode, by theory; see `modaltouch.stimulus.shapes`."""
         return patch_gains(self.label, patches, self.length)
 
     def touched(self, fingers: tuple[Finger, ...]) -> ModalModel:

@@ -3,16 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modaltouch.stimulus.drive import Drive, Steering, check_drivable
-from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.synthesis import synthesise
-
-
-def assigned_channel(model: ModalModel) -> NDArray[np.intp]:
-    """Return the channel that drives each mode best, (n_modes,) array of indices: the paper's assignment."""
-    return np.asarray(np.argmax(np.abs(model.modal_gain), axis=1))
 
 
 def paper_drive(steering: Steering) -> Drive:
@@ -34,7 +27,8 @@ def paper_drive(steering: Steering) -> Drive:
     model, system, timing, target = steering.model, steering.system, steering.timing, steering.velocity
     check_drivable(model, target, timing)
     asked = np.flatnonzero(target)
-    channel = assigned_channel(model)[asked]
+    # Each mode by the channel that drives it best, the paper's assignment.
+    channel = np.abs(model.modal_gain).argmax(axis=1)[asked]
     exponent = model.exponent[asked]
     n_before = min(int(timing.focusing_instant * timing.sampling_rate + 0.5), timing.n_samples - 1)
     to_focus = timing.focusing_instant - (n_before - 0.5) * timing.hold

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from modaltouch.stimulus.quantities import FloatArray
 
 _LONGEST_STRETCH = 1.05
 """A full scale may pass the peak by this factor, which costs a fifteenth of a bit."""

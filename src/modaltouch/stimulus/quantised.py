@@ -9,7 +9,7 @@ of every mode then shrinks with the steps that are left.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -51,6 +51,10 @@ class QuantisedStimulus:
     system: DiagonalSystem
     timing: Timing
     codes: FloatArray
+    # States already computed, and peaks by position, by the ratio of the channels.
+    _responses: dict[tuple[float, ...], tuple[BlockStates, dict[float, float]]] = field(
+        default_factory=dict, init=False
+    )
 
     @cached_property
     def highest(self) -> FloatArray:
@@ -80,11 +84,6 @@ class QuantisedStimulus:
         period = 1 / timing.repetition_rate
         carried = np.exp(exponent * (period - end + timing.focusing_instant)) / -np.expm1(exponent * period)
         return np.asarray(self.states_at_focus(unit) + left * carried)
-
-    @cached_property
-    def _responses(self) -> dict[tuple[float, ...], tuple[BlockStates, dict[float, float]]]:
-        """States already computed, and peaks by position, by the ratio of the channels."""
-        return {}
 
     def _response(self, unit: FloatArray) -> tuple[BlockStates, dict[float, float], float]:
         """Return the states under the codes, known peaks by position, and the factor of both.

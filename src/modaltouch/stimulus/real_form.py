@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -41,6 +40,8 @@ class RealSystem:
     force: FloatArray
     n_modes: int
     delay: float
+    # Decays and effects already computed, by the time.
+    _known: dict[float, tuple[FloatArray, FloatArray]] = field(default_factory=dict, init=False)
 
     @classmethod
     def of(cls, model: ModalModel, amplifier: Amplifier | None) -> RealSystem:
@@ -84,11 +85,6 @@ class RealSystem:
                     state = state + (begun - late) @ voltage[:, n_whole - 1]
         n = self.n_modes
         return np.concatenate([state[n : 2 * n], state[:n]])
-
-    @cached_property
-    def _known(self) -> dict[float, tuple[FloatArray, FloatArray]]:
-        """Decays and effects already computed, by the time."""
-        return {}
 
     def _held(self, time: float) -> tuple[FloatArray, FloatArray]:
         """Decay over a time [s], and what a volt held for it leaves in the states."""

@@ -1,8 +1,9 @@
-"""Mode shapes of a free-free beam from theory, accurate to rounding at any label."""
+"""Mode shapes of a free-free beam from theory, accurate to rounding at any label, and what patches do to them."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -99,6 +100,39 @@ def mode_shapes(label: ArrayLike, position: ArrayLike, length: float, derivative
         elif rows.size:
             shapes[rows] = _bending(labels[rows].tolist(), y, derivative)
     return shapes / length**derivative
+
+
+def patch_gains(label: ArrayLike, patches: Sequence[tuple[float, float]], length: float) -> FloatArray:
+    """Return how strongly piezoelectric patches wired together drive each mode, by theory, (n_modes,) array.
+
+    A patch bends the beam by a pair of moments at its ends, which a mode feels by the difference of its slopes there.
+    Theory gives the ratios among the modes; their common factor is measured on one of them. Rigid modes feel no moment
+    pair: what drives them in practice, the tape under the beam, is not of this theory.
+
+    Parameters
+    ----------
+    label : (n_modes,) array_like of int
+        Mode labels of the paper, from 1.
+    patches : sequence of (float, float)
+        Left and right end of each patch, origin at mid-beam [m].
+    length : float
+        Length of the beam [m].
+
+    Raises
+    ------
+    ValueError
+        If a patch leaves the beam or has no length.
+    """
+    if not patches:
+        raise ValueError("no patch is given; give at least one as (left end, right end)")
+    for left, right in patches:
+        if not left < right:
+            raise ValueError(
+                f"a patch runs from {left * 1e3:g} to {right * 1e3:g} mm; its left end must lie left of its right end"
+            )
+    ends = np.asarray(patches, dtype=float)
+    slopes = mode_shapes(label, ends.ravel(), length, derivative=1).reshape(-1, *ends.shape)
+    return np.asarray((slopes[:, :, 1] - slopes[:, :, 0]).sum(axis=1))
 
 
 def scaled_position(position: ArrayLike, length: float) -> FloatArray:

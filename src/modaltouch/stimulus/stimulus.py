@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -11,10 +11,22 @@ from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.burst import Burst
 from modaltouch.stimulus.correction import Correction, LevelCorrections, corrected
-from modaltouch.stimulus.drive import Drive, Law, Release, Steering, check_drivable, exact_drive
+from modaltouch.stimulus.drive import (
+    MEANT,
+    Design,
+    Drive,
+    Law,
+    Priority,
+    Release,
+    Rounding,
+    Steering,
+    check_drivable,
+    check_levels,
+    check_options,
+    exact_drive,
+)
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.options import MEANT, Design, Priority, Rounding, check_levels, check_options
 from modaltouch.stimulus.quantised import QuantisedStimulus, settle
 from modaltouch.stimulus.quantities import FloatArray, require_positive
 from modaltouch.stimulus.target_field import Projection, TargetField
@@ -82,6 +94,8 @@ class Stimulus:
     correction: Correction | None = None
     design: Design = "least_energy"
     priority: Priority = "field"
+    # Mode shapes already computed, by the positions.
+    _shapes: dict[tuple[float, ...], FloatArray] = field(default_factory=dict, init=False)
 
     @cached_property
     def projection(self) -> Projection:
@@ -210,13 +224,7 @@ class Stimulus:
         return np.concatenate(self.system.read(self.system.state_at(self.voltage, timing, timing.focusing_instant)))
 
     def peak_drive(self, velocity: float) -> FloatArray:
-        """Return the highest magnitude of each channel's voltage as played at a level, (n_channels,) array [V].
-
-        Parameters
-        ----------
-        velocity : float
-            Level [m/s].
-        """
+        """Return the highest magnitude of each channel's voltage played at a level [m/s], (n_channels,) array [V]."""
         return self._played.highest * self.volts_per_code(velocity)
 
     def touched(self, fingers: tuple[Finger, ...]) -> TouchedBeam:
@@ -238,37 +246,19 @@ class Stimulus:
         return other
 
     def volts_per_code(self, velocity: float) -> FloatArray:
-        """Return what a code is worth at the beam at a level as the generator plays, (n_channels,) array [V].
-
-        Parameters
-        ----------
-        velocity : float
-            Level [m/s].
-        """
+        """Return what a code is worth at the beam at a level [m/s] as the generator plays, (n_channels,) array [V]."""
         require_positive("the velocity level", velocity, "m/s", MEANT)
         # A level is trimmed so that the generator, as measured, really gives what proportion asks of it.
         full_scale = np.asarray(self._amplitudes_at(velocity)) / self._shares
         return full_scale * (self._to_beam / 2 / self.timing.converter.mid_code)
 
     def amplitude_for(self, velocity: float) -> tuple[float, ...]:
-        """Return the amplitude of each channel at a level, as that of `burst` [V peak to peak, open circuit].
-
-        Parameters
-        ----------
-        velocity : float
-            Level [m/s].
-        """
+        """Return the amplitude of each channel at a level [m/s], as that of `burst` [V peak to peak, open circuit]."""
         require_positive("the velocity level", velocity, "m/s", MEANT)
         return self._amplitudes_at(corrected(velocity, self._level_corrections))
 
     def full_scale_for(self, velocity: float) -> tuple[float, ...]:
-        """Return the amplitude of each channel's full scale at a level [V peak to peak, open circuit].
-
-        Parameters
-        ----------
-        velocity : float
-            Level [m/s].
-        """
+        """Return the amplitude of each channel's full scale at a level [m/s] [V peak to peak, open circuit]."""
         return tuple((np.asarray(self.amplitude_for(velocity)) / self._shares).tolist())
 
     def _amplitudes_at(self, velocity: float) -> tuple[float, ...]:
@@ -282,13 +272,7 @@ class Stimulus:
         return converter.shares(self._played.codes if converter.of_record else self.voltage[:, :1])
 
     def voltage_played(self, velocity: float) -> FloatArray:
-        """Return the voltages at the beam of the codes as played at a level, (n_channels, n_samples) array [V].
-
-        Parameters
-        ----------
-        velocity : float
-            Level [m/s].
-        """
+        """Return the voltages at the beam of the codes played at a level [m/s], (n_channels, n_samples) array [V]."""
         return self._played.codes * self.volts_per_code(velocity)[:, None]
 
     def achieved(self, velocity: float, *, steady: bool = False) -> tuple[FloatArray, FloatArray]:
@@ -353,11 +337,6 @@ class Stimulus:
         if place not in self._shapes:
             self._shapes[place] = self.model.shapes(place)
         return self._shapes[place]
-
-    @cached_property
-    def _shapes(self) -> dict[tuple[float, ...], FloatArray]:
-        """Mode shapes already computed, by the positions."""
-        return {}
 
     def passes(self, positions: ArrayLike, velocity: float, limit: float) -> bool:
         """Return whether the speed at any of some points of the beam passes a limit.

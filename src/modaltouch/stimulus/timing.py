@@ -6,12 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modaltouch.stimulus.quantisation import Converter
-from modaltouch.stimulus.quantities import require_positive
-
-FloatArray = NDArray[np.float64]
+from modaltouch.stimulus.quantities import FloatArray, require_positive
 
 _ON_GRID = 1e-6
 """Fraction of a sample below which an instant counts as lying on the sample grid."""

@@ -79,16 +79,13 @@ class TimoshenkoBeam:
         """Bending over shear stiffness, s^2 [1]."""
         return self.rotary * 2 * (1 + self.poissons_ratio) / self.shear_factor
 
-    def _hertz(self, b: float) -> float:
-        wave_speed = math.sqrt(self.youngs_modulus / self.density)
-        return b * math.sqrt(self.rotary) * wave_speed / (2 * math.pi * self.length)
-
     def natural_frequency(self, bending: int) -> float:
         """Return the natural frequency of a bending mode, from 1 [Hz].
 
         Odd modes are symmetric; above the cut-off the two kinds need not alternate.
         """
-        return self._hertz(self._root(bending))
+        wave_speed = math.sqrt(self.youngs_modulus / self.density)
+        return self._root(bending) * math.sqrt(self.rotary) * wave_speed / (2 * math.pi * self.length)
 
     def shapes(self, bending: ArrayLike, position: ArrayLike) -> FloatArray:
         """Return deflections of bending modes at positions on the beam [m], (n_modes, n_points) array [1].
