@@ -1,14 +1,41 @@
 """What the computer gives to every room: clocks, locks between processes, signals, and which build this is.
 
 Nothing goes in but what the caller times, locks or waits for; out come instants, locks, signals as exceptions, and the
-version that a record names.
+version that a record names. `lazily` makes the faces of all rooms, which load what they offer when it is first asked
+for: some of it costs seconds.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-from modaltouch.system.faces import lazily
+
+def lazily(package: str, places: Mapping[str, str]) -> Callable[[str], Any]:
+    """Module ``__getattr__`` (PEP 562) of a face.
+
+    Parameters
+    ----------
+    package : str
+        Dotted name of the room.
+    places : mapping of str to str
+        Names that each module offers, separated by spaces; a module in a folder has a dotted name.
+
+    Examples
+    --------
+    >>> lazily("modaltouch.system", {"provenance": "commit version"})("version").__name__
+    'version'
+    """
+    module_of = {name: module for module, names in places.items() for name in names.split()}
+
+    def load(name: str) -> Any:
+        if name not in module_of:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}; it offers {', '.join(module_of)}")
+        return getattr(import_module(f"{package}.{module_of[name]}"), name)
+
+    return load
+
 
 if TYPE_CHECKING:
     from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
