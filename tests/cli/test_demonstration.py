@@ -6,7 +6,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from modaltouch.cli import demonstration
+from modaltouch import analysis
+from modaltouch import session as sessions
+from modaltouch.cli.run import demonstrate
 from modaltouch.record.chain import RecordExistsError
 from modaltouch.window import WindowOptions
 
@@ -30,10 +32,10 @@ def test_a_number_that_another_demonstration_takes_meanwhile_is_passed_over(
     def analyse(session, out, mode):
         return SimpleNamespace(files={"report.html": out / "report.html"})
 
-    monkeypatch.setattr(demonstration, "begin", begin)
-    monkeypatch.setattr(demonstration, "analyse", analyse)
+    monkeypatch.setattr(sessions, "begin", begin)
+    monkeypatch.setattr(analysis, "analyse", analyse)
     monkeypatch.setattr(WindowOptions, "display", lambda self: nullcontext("the screen"))
-    outcome = demonstration.demonstrate(
+    outcome = demonstrate(
         tmp_path, seed=1, window_options=WindowOptions(), tell=said.append, on_progress=lambda done, total: None
     )
     assert tried == [2, 3, 4]

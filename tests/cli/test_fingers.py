@@ -35,7 +35,7 @@ class Report:
 def asked(monkeypatch):
     """The options that the command gives to the lab."""
     given = []
-    monkeypatch.setattr("modaltouch.lab.probe_fingers", lambda options, *_: given.append(options) or Report())
+    monkeypatch.setattr("modaltouch.lab.probe_fingers", lambda *_, **options: given.append(options) or Report())
     return given
 
 
@@ -55,13 +55,13 @@ def test_options_reach_the_lab_in_si_units(asked):
     result = CliRunner().invoke(app, words)
     assert json.loads(result.stdout) == FOUND
     (options,) = asked
-    assert (options.laser, options.speed, options.hand, options.pair) == (-0.046, 0.005, "left", "")
+    assert [options[name] for name in ("laser", "speed", "hand", "pair")] == [-0.046, 0.005, "left", ""]
 
 
 def test_what_is_refused_is_bad_input(monkeypatch):
     """Exit status 2, and the sentence alone."""
 
-    def refuse(*_):
+    def refuse(*_, **options):
         raise ValueError("the records of the probe differ")
 
     monkeypatch.setattr("modaltouch.lab.probe_fingers", refuse)

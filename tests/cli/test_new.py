@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.commands import app
-from modaltouch.cli.new_study import write_study
+from modaltouch.cli.new import write_study
 from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.source import Source
 

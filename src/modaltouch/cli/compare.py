@@ -50,24 +50,20 @@ def compare(
 
     Everything runs on the twin, whose true beam is the reference. All methods learn from the same recordings.
     """
-    from modaltouch.lab import TooFewPointsError
     from modaltouch.lab import compare as measure
 
     with reporting(json_output=json_output):
-        try:
-            with bars() as progress:
-                report = measure(
-                    protocol,
-                    out=out,
-                    scan=scan,
-                    points=points,
-                    averages=averages,
-                    beams=beams,
-                    seed=seed,
-                    progress=progress,
-                )
-        except TooFewPointsError as error:
-            raise typer.BadParameter(str(error)) from None
+        with bars() as progress:
+            report = measure(
+                protocol,
+                out=out,
+                scan=scan,
+                points=points,
+                averages=averages,
+                beams=beams,
+                seed=seed,
+                progress=progress,
+            )
         give(report, lambda values: _show(report.table, report.paragraphs, values), json_output=json_output)
 
 

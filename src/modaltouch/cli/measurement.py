@@ -33,7 +33,7 @@ def give(report: LabReport, show: Callable[[dict[str, Any]], None], *, json_outp
 @contextmanager
 def bars() -> Iterator[MeasurementProgress]:
     """Show on standard error what is being done and how far it is; ask there for the vibrometer to be aimed."""
-    from modaltouch.lab import MeasurementProgress
+    from modaltouch.lab import MeasurementProgress, TooFewPointsError
 
     shown = make_bars()
     tasks: dict[str, TaskID] = {}
@@ -54,6 +54,8 @@ def bars() -> Iterator[MeasurementProgress]:
 
     try:
         yield MeasurementProgress(show=show, say=shown.print, aim=aim)
+    except TooFewPointsError as error:
+        raise typer.BadParameter(str(error)) from None
     finally:
         # Where nothing was measured, nothing was shown.
         if shown.live.is_started:

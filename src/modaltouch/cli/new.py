@@ -1,15 +1,20 @@
-"""``modaltouch new``: a folder for a study, to begin with."""
+"""``modaltouch new``: a study to begin with, a shipped protocol and all that it names in a folder of its own."""
 
 from __future__ import annotations
 
 import shlex
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from modaltouch.cli.exit_status import print_json, reporting
 from modaltouch.cli.options import JSON
+
+if TYPE_CHECKING:
+    from modaltouch.protocol import Protocol
 
 
 def new(
@@ -21,8 +26,6 @@ def new(
 
     Its README.md lists the commands in their order. Nothing is ever overwritten.
     """
-    from modaltouch.cli.new_study import write_study
-
     with reporting(json_output=json_output):
         files = write_study(folder, template)
         if json_output:
@@ -30,3 +33,87 @@ def new(
         else:
             print(f"{len(files)} files in {folder}; its README.md lists the commands of the study")
             print(f"Next: modaltouch check {shlex.quote(files[0].as_posix())}")
+
+
+def write_study(folder: Path, template: str) -> tuple[Path, ...]:
+    """Write a study and return its files, its protocol first.
+
+    Parameters
+    ----------
+    folder : Path
+        New, or empty; nothing is ever overwritten.
+    template : str
+        Name of the shipped protocol that the study begins with.
+
+    Raises
+    ------
+    InputError
+        If there is no such protocol, or the folder holds something or cannot be written; what was begun is removed.
+    """
+    from modaltouch.protocol import InputError
+
+    contents = _contents(template)
+    with ExitStack() as undo:
+        try:
+            if folder.exists() and (held := next(folder.iterdir(), None)):
+                raise InputError.of(folder, f"a folder that holds {held.name}", "a folder that is new or empty")
+            for place, text in contents.items():
+                file = folder / place
+                for parent in reversed([each for each in file.parents if not each.exists()]):
+                    # Sessions are for their owner alone, and make no folder that is there already.
+                    parent.mkdir(mode=0o700 if parent == folder / "results" else 0o777)
+                    undo.callback(_remove, parent)
+                with file.open("x", encoding="utf-8", newline="\n") as opened:
+                    undo.callback(_remove, file)
+                    opened.write(text)
+        except OSError as error:
+            given = f"a folder that cannot be written ({error.strerror})"
+            raise InputError.of(folder, given, "one that you may write to") from error
+        undo.pop_all()
+    return tuple(folder / place for place in contents)
+
+
+def _contents(template: str) -> dict[str, str]:
+    """Return the text of each file by its place in the study, its protocol first."""
+    from modaltouch.protocol import Findings, InputError, Source
+
+    known = Source.shipped("protocol")
+    if template not in known:
+        raise InputError.of("--from", f"{template!r}, which is no shipped protocol", ", ".join(known))
+    experiments = [Findings.read(known[template]).experiment()]
+    if own := experiments[0].protocol.conditions.sensation_levels:
+        experiments.append(Findings.read(known[own.thresholds_from]).experiment())
+    named = [vars(each.sources)[key].path for each in experiments for key in ("protocol", "apparatus", "texts")]
+    folder, schemas = known[template].parent, known[template].parent.glob("schema/*.json")
+    files = {file.relative_to(folder).as_posix(): file for file in (*named, *sorted(schemas))}
+    copied = {f"protocols/{place}": file.read_text(encoding="utf-8") for place, file in files.items()}
+    readme = "".join(f"{line}\n" for line in _readme([each.protocol for each in experiments]))
+    return copied | {"README.md": readme, "results/.gitignore": "*\n!.gitignore\n"}
+
+
+def _readme(protocols: list[Protocol]) -> Iterator[str]:
+    """Yield the lines of the study's README: the commands of its protocol, and of one that is needed before it."""
+    from modaltouch.cli.simulate import analyses
+    from modaltouch.system import version
+
+    protocol, name = protocols[0], protocols[0].protocol
+    files = [f"protocols/{each.protocol}.yaml" for each in reversed(protocols)]
+    yield f"# {protocol.title}\n"
+    yield f"Written by modaltouch {version()} from its protocol `{name}`. In this folder, in this order:\n"
+    yield "| command | what for |\n|---|---|"
+    for file in files:
+        yield f"| `modaltouch check {file}` | after each change: faults with their place, speeds, duration |"
+        yield f"| `modaltouch simulate {file} -n 10` | simulated participants, to see what the data will be |"
+    for command in analyses(protocol, f"results/simulated/{name}"):
+        yield f"| `{command}` | their tables, figures, statistics and report |"
+    for file in files:
+        yield f"| `modaltouch run {file} -p p01 --fullscreen` | a session; asks for the generator's address |"
+    yield f"| `modaltouch verify results/{name}/sub-p01/ses-1` | its record, recomputed |"
+    for command in analyses(protocol, f"results/{name}"):
+        yield f"| `{command}` | the same of the participants |"
+    yield f"\nYour beam goes into `protocols/{protocol.apparatus}`, your words into `protocols/{protocol.texts}`."
+
+
+def _remove(path: Path) -> None:
+    with suppress(OSError):  # what somebody else has put there since stays
+        path.rmdir() if path.is_dir() else path.unlink()

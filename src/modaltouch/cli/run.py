@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from enum import StrEnum
 from functools import partial
@@ -222,8 +224,6 @@ def demo(
 
     A simulated participant answers by typing into the window. Without a screen a virtual one is started.
     """
-    from modaltouch.cli.demonstration import demonstrate
-
     with reporting(json_output=json_output):
         window_options = _window_options(False, size, theme, 0, None)
         with progress("trials answered") as on_progress:
@@ -239,6 +239,52 @@ def demo(
         else:
             for name, path in places.items():
                 print(f"{name.capitalize():12} {path}")
+
+
+DEMO_PARTICIPANT = "demo"
+
+
+def demonstrate(
+    results: Path,
+    *,
+    seed: int,
+    window_options: WindowOptions,
+    tell: Callable[[str], None],
+    on_progress: Callable[[int, int], None],
+) -> dict[str, Path]:
+    """Run the demonstration, a new session in the simulated tree of the results, and return where its traces are."""
+    from modaltouch.analysis import analyse
+    from modaltouch.preflight import examine
+    from modaltouch.protocol import Source
+    from modaltouch.record import RecordExistsError, SessionFolder
+    from modaltouch.session import begin, wire_run
+
+    preflight = examine(Source.shipped("protocol")["demo"]).require()
+    name = preflight.experiment.protocol.protocol
+    with window_options.display() as display:
+        for number in itertools.count(1):
+            place = SessionFolder(results, "simulated", name, DEMO_PARTICIPANT, number)
+            if place.log.exists():
+                continue
+            traces = place.dataset / "derivatives" / f"sub-{DEMO_PARTICIPANT}_ses-{number}"
+            screenshots = window_options.screenshots or traces / "screenshots"
+            tell(f"Session {number} on {display}: a simulated participant answers in the window, about a minute.")
+            setup = wire_run(
+                preflight,
+                DEMO_PARTICIPANT,
+                session=number,
+                answers="robot",
+                seed=seed,
+                results=results,
+                window_options=replace(window_options, screenshots=screenshots),
+            )
+            # Another demonstration may take the number while this one opens its window.
+            with suppress(RecordExistsError):
+                session = begin(replace(setup, on_progress=on_progress))
+                break
+    tell(f"{session.n_answered} answers recorded; now the analysis.")
+    analysis = analyse(session.path.parent, traces / "analysis", mode="simulated")
+    return {"session": session.path.parent, "screenshots": screenshots, "report": analysis.files["report.html"]}
 
 
 def _window_options(

@@ -37,25 +37,21 @@ def validate(
 
     The highest level of the protocol is played. The measured field is compared with the desired one, errors in mm/s.
     """
-    from modaltouch.lab import TooFewPointsError
     from modaltouch.lab import validate as measure
 
     with reporting(json_output=json_output):
-        try:
-            with bars() as progress:
-                report = measure(
-                    protocol,
-                    calibration=calibration,
-                    rig=rig,
-                    out=out,
-                    scan=scan,
-                    points=points,
-                    averages=averages,
-                    record=record,
-                    progress=progress,
-                )
-        except TooFewPointsError as error:
-            raise typer.BadParameter(str(error)) from None
+        with bars() as progress:
+            report = measure(
+                protocol,
+                calibration=calibration,
+                rig=rig,
+                out=out,
+                scan=scan,
+                points=points,
+                averages=averages,
+                record=record,
+                progress=progress,
+            )
         give(report, lambda values: _show(report.table, values), json_output=json_output)
 
 

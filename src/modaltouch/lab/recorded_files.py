@@ -47,10 +47,10 @@ REMEDY = "free the place, or give another folder with --record"
 
 @contextmanager
 def open_measurement(
-    apparatus: Apparatus, rig: str, record: Path | None, progress: MeasurementProgress | None
+    apparatus: Apparatus, rig: str, record: Path | None, progress: MeasurementProgress
 ) -> Iterator[tuple[Laboratory, MeasurementProgress]]:
     """Open generator and scope, or the folder in which records arrive; a signal ends it between two records."""
-    with (progress or MeasurementProgress()).interruptible() as heard:
+    with progress.interruptible() as heard:
         scope = RecordedFiles(record, apparatus, heard) if record else None
         with open_laboratory(apparatus, rig, aim=heard.aim, scope=scope) as laboratory:
             yield laboratory, heard

@@ -11,7 +11,6 @@ import pytest
 from modaltouch.lab.calibration.file import (
     CalibrationResult,
     calibration_of,
-    calibration_text,
     corrected_inputs,
     write_calibration,
 )
@@ -46,9 +45,10 @@ def calibration(preflight: Preflight, outcome: CalibrationResult) -> Calibration
     )
 
 
-def test_read_back_it_is_what_was_written(calibration: Calibration) -> None:
+def test_read_back_it_is_what_was_written(calibration: Calibration, tmp_path: Path) -> None:
     """Every value, through YAML and the reader with its line numbers."""
-    reading = examine_calibration(Source(Path("c.yaml"), calibration_text(calibration)))
+    write_calibration(tmp_path / "c.yaml", calibration)
+    reading = examine_calibration(Source.load(tmp_path / "c.yaml"))
     assert reading.problems == ()
     assert reading.value == calibration
     assert calibration.person == "Zoé"

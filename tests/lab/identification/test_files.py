@@ -12,7 +12,8 @@ import pytest
 from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.joint_fit import identify_each
 from modaltouch.lab.identification.peaks import half_power
-from modaltouch.lab.identification.shapes import recognise, roots
+from modaltouch.lab.identification.shapes import recognise
+from modaltouch.stimulus import characteristic_root
 
 POLES = ((120.0, 0.012), (330.0, 0.008), (640.0, 0.006))
 RESIDUES = np.array([[1.0, 0.6, -0.4], [0.7, -1.0, 0.9]])
@@ -288,8 +289,8 @@ def test_resolution_guard_fires_below_five_bins() -> None:
 
 def test_free_free_ratios_are_recognised() -> None:
     """Euler and Bernoulli's own, one of torsion among them, and a cantilever, which is none."""
-    bending = roots(6) ** 2
-    assert roots(1)[0] == pytest.approx(4.730040744862704, rel=1e-12)
+    bending = np.array([characteristic_root(k) for k in range(1, 7)]) ** 2
+    assert characteristic_root(1) == pytest.approx(4.730040744862704, rel=1e-12)
     found = recognise([*bending[:3], 1.3 * bending[2], *bending[3:]])
     assert found is not None
     assert found.recognised

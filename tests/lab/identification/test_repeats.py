@@ -11,8 +11,7 @@ import pyuff
 
 from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.files import read_responses
-from modaltouch.lab.identification.joint_fit import identify, identify_each
-from modaltouch.lab.identification.repeats import over_repeats
+from modaltouch.lab.identification.joint_fit import identify, identify_each, over_repeats
 from modaltouch.lab.identification.responses import FrequencyResponses, ResponseFormat
 from modaltouch.lab.identification.verdict import repeatability
 

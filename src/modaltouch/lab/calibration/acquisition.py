@@ -326,28 +326,6 @@ class DecayRecorder:
         decay = self._within(point, level, self._decay(2 * N_RECORDS), highest)
         return decay.time, decay.velocity.mean(axis=0, keepdims=True), highest
 
-    def drive_about(self, instant: float, level: float, volts: float) -> tuple[FloatArray, FloatArray]:
-        """Return the drive of all channels of the loaded burst within `SWEEP` seconds about an instant.
-
-        Parameters
-        ----------
-        instant : float
-            From the first sample of the burst [s].
-        level : float
-            At which it is played [m/s].
-        volts : float
-            Highest voltage at the beam to be expected [V].
-
-        Returns
-        -------
-        time : (n_samples,) array
-            By the scope's clock, from the trigger [s].
-        drive : (n_channels, n_samples) array
-            Averaged over records [V].
-        """
-        taken = self._drive(instant - SWEEP / 2, level, volts)
-        return taken.time, taken.drive.mean(axis=0)
-
     def drive(self, burst: Burst, volts: float) -> list[Recording]:
         """Return the drive of both channels in the first and in the last `SWEEP` seconds of a burst.
 
@@ -359,9 +337,20 @@ class DecayRecorder:
             Highest voltage at the beam to be expected [V].
         """
         self.bench.load(burst)
-        return [self._drive(start, burst.velocity, volts) for start in (0.0, self.timing.duration - SWEEP)]
+        return [self.drive_from(start, burst.velocity, volts) for start in (0.0, self.timing.duration - SWEEP)]
 
-    def _drive(self, start: float, level: float, volts: float) -> Recording:
+    def drive_from(self, start: float, level: float, volts: float) -> Recording:
+        """Return the drive of all channels of the loaded burst for `SWEEP` seconds from an instant on.
+
+        Parameters
+        ----------
+        start : float
+            From the start of the burst; its own start for what lies before it [s].
+        level : float
+            Level [m/s].
+        volts : float
+            Highest drive that is to be expected [V].
+        """
         rate = max(self.rate, 2.0e6)
         drives = tuple(range(1, self.model.n_channels + 1))
         n_samples = int((SWEEP + MARGIN) * rate)

@@ -11,7 +11,7 @@ from typing import Any
 from modaltouch.lab.calibration.file import calibration_of, write_calibration
 from modaltouch.lab.calibration.loop import calibrate_each
 from modaltouch.lab.calibration.proof import mark_of
-from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress
+from modaltouch.lab.laboratory import SIMULATED, UNTOLD, MeasurementProgress
 from modaltouch.lab.recorded_files import open_measurement
 from modaltouch.preflight import DesignInputs, Preflight, examine
 from modaltouch.protocol import Calibration, InputError, Problem, Protocol
@@ -40,7 +40,7 @@ def calibrate(
     person: str = "",
     accept: bool = False,
     record: Path | None = None,
-    progress: MeasurementProgress | None = None,
+    progress: MeasurementProgress = UNTOLD,
 ) -> CalibrationReport:
     """Calibrate every stimulus of a protocol on a rig.
 

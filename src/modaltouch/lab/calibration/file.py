@@ -327,11 +327,6 @@ def _modes(outcome: CalibrationResult) -> list[dict[str, Any]]:
     return rows
 
 
-def calibration_text(calibration: Calibration) -> str:
-    """Return the text of a calibration file."""
-    return HEAD + yaml_text(calibration.model_dump(mode="json"))
-
-
 def write_calibration(path: Path, calibration: Calibration) -> None:
     """Write a calibration file in one step; an existing one is not overwritten.
 
@@ -348,4 +343,5 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
         If there is a file already, or it cannot be written.
     """
     prepare_file(path)
-    replace_file(path, calibration_text(calibration).encode(), "free the place, or give another file with --out")
+    text = HEAD + yaml_text(calibration.model_dump(mode="json"))
+    replace_file(path, text.encode(), "free the place, or give another file with --out")

@@ -10,6 +10,7 @@ import numpy as np
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.calibration.acquisition import (
     HEADROOM,
+    SWEEP,
     DecayRecorder,
     commanded_voltage,
     identifying_burst,
@@ -42,7 +43,7 @@ from modaltouch.lab.calibration.plant import (
     identify_plant,
     predicted_drive,
 )
-from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
+from modaltouch.lab.laboratory import UNTOLD, Laboratory, MeasurementProgress
 from modaltouch.preflight import DesignInputs, design_to_fit
 from modaltouch.protocol import Apparatus
 from modaltouch.rig import RigError
@@ -62,7 +63,7 @@ def calibrate_each(
     bench: Laboratory,
     apparatus: Apparatus,
     inputs_of: Mapping[str, DesignInputs],
-    progress: MeasurementProgress | None = None,
+    progress: MeasurementProgress = UNTOLD,
     between: Sequence[float] = (),
 ) -> dict[str, CalibrationResult]:
     """Return the targets and amplitudes that make each of several stimuli true on the rig at a bench, by name.
@@ -87,13 +88,12 @@ def calibrate_each(
     RigError, ValueError
         As `calibrate` does.
     """
-    heard = progress or MeasurementProgress()
     found: dict[str, CalibrationResult] = {}
     plant: Plant | None = None
     for name, inputs in inputs_of.items():
         if name:
-            heard.say(f"stimulus {name}")
-        found[name] = calibrate(bench, apparatus, inputs, heard, plant, between, name)
+            progress.say(f"stimulus {name}")
+        found[name] = calibrate(bench, apparatus, inputs, progress, plant, between, name)
         plant = found[name].plant
     return found
 
@@ -102,7 +102,7 @@ def calibrate(
     bench: Laboratory,
     apparatus: Apparatus,
     inputs: DesignInputs,
-    progress: MeasurementProgress | None = None,
+    progress: MeasurementProgress = UNTOLD,
     plant: Plant | None = None,
     between: Sequence[float] = (),
     name: str = "",
@@ -131,7 +131,7 @@ def calibrate(
     ValueError
         If the stimulus cannot be designed for the identified rig.
     """
-    return _Loop(bench, apparatus, inputs, progress or MeasurementProgress(), between, name).run(plant)
+    return _Loop(bench, apparatus, inputs, progress, between, name).run(plant)
 
 
 class _Loop:
@@ -317,10 +317,9 @@ class _Loop:
         commanded = commanded_voltage(stimulus.burst, listed.amplifier.gain * listed.load_factor, level)
         highest = np.abs(commanded).max(axis=0)
         self._recorder.begin(name, 1)
-        time, measured = self._recorder.drive_about(
-            float(highest.argmax()) * self._timing.hold, level, float(highest.max())
-        )
-        return predicted_drive(plant.drive, commanded, time, self._timing), measured
+        about = float(highest.argmax()) * self._timing.hold
+        taken = self._recorder.drive_from(about - SWEEP / 2, level, float(highest.max()))
+        return predicted_drive(plant.drive, commanded, taken.time, self._timing), taken.drive.mean(axis=0)
 
     def _levels(self, plant: Plant, refined: Apparatus, correction: Correction) -> tuple[Level, ...]:
         """Measure every level at the focus, with amplitudes in proportion and then, where that is off, as measured."""

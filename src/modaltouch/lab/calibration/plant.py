@@ -20,9 +20,6 @@ from modaltouch.stimulus import Amplifier, DiagonalSystem, ModalModel, Timing
 LONGEST = 100e-6
 """Longest delay, and lag, that is looked for [s]."""
 
-FORGOTTEN = 30.0
-"""Lags after which nothing is left of a voltage [1]."""
-
 INTERVAL = 1.96
 """Half width of a 95 % interval, in standard errors [1]."""
 
@@ -138,15 +135,12 @@ class _Lagged:
     """Held samples behind a first-order lag, exact at every instant."""
 
     def __init__(self, voltage: FloatArray, hold: float, lag: float) -> None:
+        from scipy.signal import lfilter
+
         self._hold, self._lag = hold, max(lag, 1e-9)
         self._target = np.pad(voltage, ((0, 0), (0, 1)))
-        self._before = np.zeros_like(self._target)
-        self._before[:, 1:] = -np.expm1(-hold / self._lag) * voltage
-        # Sample + c * sample before + c^2 * ... is a product of sums of two.
-        step = 1
-        while step < voltage.shape[1] and hold * step < FORGOTTEN * self._lag:
-            self._before[:, step:] += np.exp(-hold * step / self._lag) * self._before[:, :-step]
-            step *= 2
+        kept = np.exp(-hold / self._lag)
+        self._before = lfilter([0.0, -np.expm1(-hold / self._lag)], [1.0, -kept], self._target)
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return the voltages at instants since the first sample arrived, (n_channels, n_times) array [V]."""

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from modaltouch.lab.comparison.contest import Contest, DriveAssessment, contest, learn
 from modaltouch.lab.comparison.results import Row, criteria, paragraphs, rows_of
-from modaltouch.lab.laboratory import MeasurementProgress, TooFewPointsError
+from modaltouch.lab.laboratory import UNTOLD, MeasurementProgress, TooFewPointsError
 from modaltouch.lab.output import DARK, MIDDLE, rounded
 from modaltouch.preflight import examine
 from modaltouch.report import FAINT, INK, ReportFigure, house_style, page_files, quiet_grid, refuse_other, write_files
@@ -228,7 +228,7 @@ def compare(
     averages: int = 2,
     beams: int = 20,
     seed: int = 1,
-    progress: MeasurementProgress | None = None,
+    progress: MeasurementProgress = UNTOLD,
 ) -> ComparisonReport:
     """Design a drive by every method from the same recordings, and judge them all by the twin's true beam.
 
@@ -265,7 +265,7 @@ def compare(
     folder = out or Path("comparison") / experiment.protocol.protocol
     refuse_other(folder, COMMAND)
     TooFewPointsError.check(points, preflight.stimulus.model.label)
-    with (progress or MeasurementProgress()).interruptible() as heard:
+    with progress.interruptible() as heard:
         responses = learn(preflight, n_points=points, n_records=averages, folder=scan, progress=heard)
         found = contest(preflight, responses, n_beams=beams, seed=seed, progress=heard)
     about = {

@@ -20,7 +20,7 @@ from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.excitation import LOWEST, Campaign, evenly, highest_needed
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import FrequencyResponses, responses_of
-from modaltouch.lab.laboratory import MeasurementProgress, open_laboratory
+from modaltouch.lab.laboratory import UNTOLD, MeasurementProgress, open_laboratory
 from modaltouch.lab.validation.evidence import contrast, root_mean_square, spot_width
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import Apparatus, InputError
@@ -206,7 +206,7 @@ def contest(
     *,
     n_beams: int = 20,
     seed: int = 1,
-    progress: MeasurementProgress | None = None,
+    progress: MeasurementProgress = UNTOLD,
 ) -> Contest:
     """Return the comparison.
 
@@ -231,11 +231,10 @@ def contest(
         If the recordings do not tell the modes.
     """
     apparatus, stimulus = preflight.experiment.apparatus, preflight.stimulus
-    heard = progress or MeasurementProgress()
-    heard.show("modes identified", 0, 1)
+    progress.show("modes identified", 0, 1)
     excited = responses.between(LOWEST, float(responses.frequency[-1]))
     identification = identify(excited, apparatus.beam.length_mm * 1e-3)
-    heard.show("modes identified", 1, 1)
+    progress.show("modes identified", 1, 1)
     known = TrainingData(
         model=identified_model(identification, apparatus),
         responses=for_rivals(responses, identification.delay.value, apparatus),
@@ -243,7 +242,7 @@ def contest(
         timing=stimulus.timing,
         amplifier=stimulus.amplifier,
     )
-    return contend(preflight, known, identification.delay.value, n_beams=n_beams, seed=seed, progress=heard)
+    return contend(preflight, known, identification.delay.value, n_beams=n_beams, seed=seed, progress=progress)
 
 
 def contend(
@@ -253,7 +252,7 @@ def contend(
     *,
     n_beams: int = 20,
     seed: int = 1,
-    progress: MeasurementProgress | None = None,
+    progress: MeasurementProgress = UNTOLD,
 ) -> Contest:
     """Return what every method makes of what is known: its drive played on the twin, and judged."""
     apparatus, stimulus = preflight.experiment.apparatus, preflight.stimulus
@@ -265,15 +264,14 @@ def contend(
         given, remedy = "zones that are no pair", "compare with a protocol that has some"
         raise InputError([preflight.findings.problem(("conditions", "zones"), given, "pairs of zones", remedy)])
     task = Task(stimulus.target_field, stimulus.timing.focusing_instant, zones, pairs, stimulus.projection.field)
-    heard = progress or MeasurementProgress()
-    sent = _play(centre, designed, stimulus.target_field.velocity, heard)
+    sent = _play(centre, designed, stimulus.target_field.velocity, progress)
     verdicts = [judge(each.on_beam(centre, seed), task) for each in sent]
     changed: list[list[DriveAssessment]] = [[] for _ in designed]
     for number in range(n_beams):
-        heard.check()
+        progress.check()
         for own, each in zip(changed, sent, strict=True):
             own.append(judge(each.on_beam(apparatus, seed + number), task, everywhere=False))
-        heard.show("other beams", number + 1, n_beams)
+        progress.show("other beams", number + 1, n_beams)
     return Contest(task, known, delay, tuple(designed), tuple(verdicts), tuple(map(tuple, changed)))
 
 
@@ -296,7 +294,7 @@ def learn(
     n_points: int,
     n_records: int,
     folder: Path | None = None,
-    progress: MeasurementProgress | None = None,
+    progress: MeasurementProgress = UNTOLD,
 ) -> FrequencyResponses:
     """Return the responses that every method learns from, measured with a chirp on each actuator set.
 
@@ -320,10 +318,9 @@ def learn(
     sets = tuple(sorted(apparatus.actuator_sets, key=lambda name: apparatus.actuator_sets[name].channel))
     places = tuple(round(place, 9) for place in evenly(apparatus.beam.length_mm * 1e-3, n_points, 0.0))
     campaign = Campaign(places, n_records, VOLTAGE, highest, sets)
-    heard = progress or MeasurementProgress()
     with open_laboratory(apparatus, repetition="continuous") as laboratory:
         scans = campaign.scan(
-            laboratory, source, folder, on_progress=partial(heard.show, "recordings"), check=heard.check
+            laboratory, source, folder, on_progress=partial(progress.show, "recordings"), check=progress.check
         )
     return responses_of(scans, bandwidth=None)
 

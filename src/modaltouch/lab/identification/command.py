@@ -25,8 +25,7 @@ from modaltouch.lab.identification.excitation import (
 from modaltouch.lab.identification.export import check_export, export
 from modaltouch.lab.identification.files import read_responses
 from modaltouch.lab.identification.joint_fit import identify as fit_jointly
-from modaltouch.lab.identification.joint_fit import identify_each
-from modaltouch.lab.identification.repeats import over_repeats
+from modaltouch.lab.identification.joint_fit import identify_each, over_repeats
 from modaltouch.lab.identification.report import (
     COMMAND,
     as_dict,
@@ -36,7 +35,7 @@ from modaltouch.lab.identification.report import (
 from modaltouch.lab.identification.responses import FrequencyResponses, Quantity, ResponseFormat, responses_of
 from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.identification.verdict import check_all, check_gains, check_modes
-from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, open_laboratory
+from modaltouch.lab.laboratory import SIMULATED, UNTOLD, MeasurementProgress, open_laboratory
 from modaltouch.lab.scan import Scan, read_scan
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.report import refuse_other
@@ -165,7 +164,7 @@ class IdentificationReport:
         }
 
 
-def identify(options: IdentifyOptions, progress: MeasurementProgress | None = None) -> IdentificationReport:
+def identify(options: IdentifyOptions, progress: MeasurementProgress = UNTOLD) -> IdentificationReport:
     """Identify the modes of a beam, from a scan, taken now or earlier, or from files of measured responses.
 
     Parameters
@@ -189,7 +188,6 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress | None = No
     RigError
         If the rig fails.
     """
-    heard = progress or MeasurementProgress()
     if options.export is not None:
         check_export(options.export)
     folders = options.files if all(path.is_dir() for path in options.files) else ()
@@ -197,7 +195,7 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress | None = No
         responses = _read(options)
         if responses.positions is None or responses.n_points < FEWEST_SHAPE_POINTS:
             refuse_other(options.out, COMMAND)
-            with _fitting(heard):
+            with _fitting(progress):
                 found = over_repeats(identify_each(responses))
             check_all(found)
             sources = [path.name for path in options.files]
@@ -209,9 +207,9 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress | None = No
             "source": ", ".join(path.name for path in options.files),
             "method": "responses of a file, joint fit of all of them",
         }
-        return beam.fit(beam.chosen(responses), facts, heard)
+        return beam.fit(beam.chosen(responses), facts, progress)
     beam = _Beam(options)
-    measured = [beam.read(folder) for folder in folders] or [beam.measure(heard)]
+    measured = [beam.read(folder) for folder in folders] or [beam.measure(progress)]
     first = next(iter(measured[0].values())).facts
     facts = {
         "date": first["begun"],
@@ -222,7 +220,7 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress | None = No
         "method": f"{first['settings']['about']['stimulus']}, H1 by the measured drive, joint fit of all responses",
     }
     responses = FrequencyResponses.of_repeats([responses_of(scans, beam.bandwidth) for scans in measured])
-    return beam.fit(responses.between(1.5 * LOWEST, float(responses.frequency[-1])), facts, heard)
+    return beam.fit(responses.between(1.5 * LOWEST, float(responses.frequency[-1])), facts, progress)
 
 
 def _read(options: IdentifyOptions) -> FrequencyResponses:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from modaltouch.lab.laboratory import SIMULATED, Laboratory, MeasurementProgress, open_laboratory, quiet
+from modaltouch.lab.laboratory import SIMULATED, UNTOLD, Laboratory, MeasurementProgress, open_laboratory, quiet
 from modaltouch.lab.output import rounded, yaml_text
 from modaltouch.lab.probe.prober import SPEED, Prober
 from modaltouch.preflight import design, examine
@@ -69,7 +69,7 @@ def probe_fingers(
     laser: float | None = None,
     speed: float = SPEED,
     seed: int | None = None,
-    progress: MeasurementProgress | None = None,
+    progress: MeasurementProgress = UNTOLD,
     lay: Callable[[str], None] = quiet,
 ) -> ProbeReport:
     """Measure the fingers of every finger condition of a protocol, on one pair of zones.
@@ -106,7 +106,7 @@ def probe_fingers(
     plan = _Plan(protocol, pair, hand, seed)
     prepare_file(out)
     with (
-        (progress or MeasurementProgress()).interruptible() as heard,
+        progress.interruptible() as heard,
         open_laboratory(plan.apparatus, rig, seed=seed, aim=heard.aim) as bench,
     ):
         prober = Prober(bench, plan.fingers, laser, speed)

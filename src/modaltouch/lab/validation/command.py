@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from modaltouch.lab.laboratory import SIMULATED, MeasurementProgress, TooFewPointsError
+from modaltouch.lab.laboratory import SIMULATED, UNTOLD, MeasurementProgress, TooFewPointsError
 from modaltouch.lab.output import rounded
 from modaltouch.lab.recorded_files import open_measurement
 from modaltouch.lab.scan import Scan
@@ -124,7 +124,7 @@ def validate(
     points: int = 41,
     averages: int = 10,
     record: Path | None = None,
-    progress: MeasurementProgress | None = None,
+    progress: MeasurementProgress = UNTOLD,
 ) -> ValidationReport:
     """Play the drive of both laws, scan the beam, and compare the measured fields with the target and the prediction.
 
@@ -174,7 +174,7 @@ def _observe(
     points: int,
     averages: int,
     record: Path | None,
-    progress: MeasurementProgress | None,
+    progress: MeasurementProgress,
 ) -> list[Observation]:
     """Return what was recorded, now or before."""
     experiment, (inputs, stimulus) = preflight.experiment, preflight.sound
@@ -296,13 +296,13 @@ def _map_lines(evidence: Evidence) -> list[dict[str, Any]]:
 
 def _spectrum_lines(evidence: Evidence) -> list[dict[str, Any]]:
     """Return the spectrogram at the natural frequencies of the modelled modes."""
-    one, model = spectrogram_of(evidence), evidence.observation.stimulus.model
-    rows = [int(np.abs(one.frequency - frequency).argmin()) for frequency in model.natural_frequency]
+    (time, frequency, amplitude), model = spectrogram_of(evidence), evidence.observation.stimulus.model
+    rows = [int(np.abs(frequency - natural).argmin()) for natural in model.natural_frequency]
     names = [f"amplitude_mm_s_at_mode_{label}" for label in model.label]
     return [
         {"law": evidence.law, "time_ms": round(float(instant) * 1e3, 4)}
         | {name: _round(value) for name, value in zip(names, column, strict=True)}
-        for instant, column in zip(one.time, one.amplitude[rows].T, strict=True)
+        for instant, column in zip(time, amplitude[rows].T, strict=True)
     ]
 
 

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from numpy.typing import NDArray
 
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.output import DARK, LIGHT, MIDDLE
@@ -160,56 +158,46 @@ STEP = 0.2e-3
 """From one window to the next [s]."""
 
 
-@dataclass(frozen=True, eq=False)
-class Spectrogram:
-    """Amplitude of a velocity by frequency and time.
+def spectrogram(time: FloatArray, velocity: FloatArray, highest: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the amplitude of a velocity by frequency and time.
 
-    Attributes
+    Parameters
     ----------
+    time : (n,) array
+        Evenly spaced instants [s].
+    velocity : (n,) array
+        The velocity [m/s].
+    highest : float
+        Highest frequency that is kept [Hz].
+
+    Returns
+    -------
     time : (n_times,) array
-        Middle of each window [s].
+        Middles of the windows [s].
     frequency : (n_frequencies,) array
-        From 0 to the highest asked for [Hz].
+        From 0 [Hz].
     amplitude : (n_frequencies, n_times) array
-        Amplitude of a steady sine that would give as much [m/s].
+        Of the sine at each frequency [m/s].
+
+    Raises
+    ------
+    ValueError
+        If the velocity is shorter than a window.
     """
-
-    time: FloatArray
-    frequency: FloatArray
-    amplitude: FloatArray
-
-    @classmethod
-    def of(cls, time: FloatArray, velocity: FloatArray, highest: float) -> Self:
-        """Return the spectrogram of a velocity.
-
-        Parameters
-        ----------
-        time : (n_samples,) array
-            Evenly spaced instants [s].
-        velocity : (n_samples,) array
-            Velocity of a point [m/s].
-        highest : float
-            Highest frequency that is kept [Hz].
-
-        Raises
-        ------
-        ValueError
-            If the record is shorter than a window.
-        """
-        step = (time[-1] - time[0]) / (time.size - 1)
-        n_window, n_step = round(WINDOW / step), max(1, round(STEP / step))
-        if velocity.size < n_window:
-            raise ValueError(
-                f"the record lasts {velocity.size * step * 1e3:g} ms, but a window of the spectrogram "
-                f"{WINDOW * 1e3:g} ms: record longer"
-            )
-        window = 0.5 - 0.5 * np.cos(2 * np.pi * (np.arange(n_window) + 0.5) / n_window)
-        parts = np.lib.stride_tricks.sliding_window_view(velocity, n_window)[::n_step]
-        frequency = np.fft.rfftfreq(FINER * n_window, step)
-        kept = frequency <= highest
-        amplitude = 2 / window.sum() * np.abs(np.fft.rfft(parts * window, FINER * n_window, axis=1)[:, kept])
-        middle = time[0] + (np.arange(len(parts)) * n_step + (n_window - 1) / 2) * step
-        return cls(middle, frequency[kept], amplitude.T)
+    step = (time[-1] - time[0]) / (time.size - 1)
+    n_window, n_step = round(WINDOW / step), max(1, round(STEP / step))
+    if velocity.size < n_window:
+        raise ValueError(
+            f"the record lasts {velocity.size * step * 1e3:g} ms, but a window of the spectrogram "
+            f"{WINDOW * 1e3:g} ms: record longer"
+        )
+    window = 0.5 - 0.5 * np.cos(2 * np.pi * (np.arange(n_window) + 0.5) / n_window)
+    parts = np.lib.stride_tricks.sliding_window_view(velocity, n_window)[::n_step]
+    frequency = np.fft.rfftfreq(FINER * n_window, step)
+    kept = frequency <= highest
+    amplitude = 2 / window.sum() * np.abs(np.fft.rfft(parts * window, FINER * n_window, axis=1)[:, kept])
+    middle = time[0] + (np.arange(len(parts)) * n_step + (n_window - 1) / 2) * step
+    return middle, frequency[kept], amplitude.T
 
 
 SIGNED = "cividis"
@@ -257,27 +245,29 @@ def around_focus(evidence: Evidence, step: float) -> tuple[FloatArray, FloatArra
     return evidence.map_time[near], evidence.velocity_map[:, near]
 
 
-def spectrogram_of(evidence: Evidence) -> Spectrogram:
+def spectrogram_of(evidence: Evidence) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the spectrogram at the focus, up to a quarter above the highest modelled mode."""
     highest = 1.25 * float(evidence.observation.stimulus.model.natural_frequency.max())
-    return Spectrogram.of(evidence.course_time, evidence.focus_course, highest)
+    return spectrogram(evidence.course_time, evidence.focus_course, highest)
 
 
 def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
     """Return the spectrogram of the velocity at the focus, in the form of Fig. 8."""
     found = [spectrogram_of(each) for each in evidences]
-    top = 20 * np.log10(max(float(each.amplitude.max()) for each in found) * 1e3)
+    top = 20 * np.log10(max(float(amplitude.max()) for *_, amplitude in found) * 1e3)
     with house_style(7.6, 3.6, 1, len(evidences), sharex=True, sharey=True) as (figure, [panels]):
         image = None
-        for axes, evidence, one in zip(panels, evidences, found, strict=True):
-            rows = _evenly_in_octaves(one.frequency)
-            decibels = 20 * np.log10(np.maximum(one.amplitude[rows] * 1e3, 1e-9))
+        for axes, evidence, (time, frequency, amplitude) in zip(panels, evidences, found, strict=True):
+            # Evenly in octaves: other rows would fall onto the same lines of a logarithmic scale.
+            wanted = np.searchsorted(frequency, np.geomspace(LOWEST, frequency[-1], 400))
+            rows = np.unique(wanted.clip(1, frequency.size - 1))
+            decibels = 20 * np.log10(np.maximum(amplitude[rows] * 1e3, 1e-9))
             image = axes.pcolormesh(
-                one.time * 1e3, one.frequency[rows] * 1e-3, decibels, cmap="Greys", vmin=top - _DECIBELS, vmax=top,
+                time * 1e3, frequency[rows] * 1e-3, decibels, cmap="Greys", vmin=top - _DECIBELS, vmax=top,
                 shading="gouraud", rasterized=True,
             )  # fmt: skip
             axes.axvline(evidence.instant * 1e3, color=DARK, linewidth=0.7, linestyle=":")
-            axes.set(xlabel="time [ms]", yscale="log", ylim=(LOWEST * 1e-3, one.frequency[-1] * 1e-3))
+            axes.set(xlabel="time [ms]", yscale="log", ylim=(LOWEST * 1e-3, frequency[-1] * 1e-3))
             axes.set_title(LAW_TITLES[evidence.law], loc="left")
             _mark_modes(axes, evidence)
         panels[0].set_ylabel("frequency [kHz]")
@@ -287,12 +277,6 @@ def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
         if image is not None:
             figure.colorbar(image, ax=panels, label="amplitude [dB re 1 mm/s]", shrink=0.9, pad=0.02)
     return figure
-
-
-def _evenly_in_octaves(frequency: FloatArray, n: int = 400) -> NDArray[np.intp]:
-    """Return which rows to draw on a logarithmic scale: the others would fall onto the same line."""
-    wanted = np.geomspace(LOWEST, frequency[-1], n)
-    return np.unique(np.searchsorted(frequency, wanted).clip(1, frequency.size - 1))
 
 
 def _mark_modes(axes: Axes, evidence: Evidence) -> None:

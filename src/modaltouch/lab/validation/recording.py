@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
+from modaltouch.lab.laboratory import UNTOLD, Laboratory, MeasurementProgress
 from modaltouch.lab.scan import Scan, ScanPlan, read_scan, take_scan
 from modaltouch.preflight import DesignInputs, design
 from modaltouch.protocol import Source
@@ -124,7 +124,7 @@ def record_laws(
     n_records: int,
     folder: Path | None = None,
     source: Source | None = None,
-    progress: MeasurementProgress | None = None,
+    progress: MeasurementProgress = UNTOLD,
 ) -> list[Observation]:
     """Return what each law does on a rig, recorded.
 
@@ -145,7 +145,6 @@ def record_laws(
     progress : MeasurementProgress, optional
         What is called between positions.
     """
-    heard = progress or MeasurementProgress()
     observed = []
     for law in LAWS:
         stimulus = design(inputs, law=law)
@@ -158,8 +157,8 @@ def record_laws(
                 None if folder is None else folder / name,
                 source=source,
                 reduction=keep_velocities,
-                on_progress=partial(heard.show, name),
-                check=heard.check,
+                on_progress=partial(progress.show, name),
+                check=progress.check,
             )
             scans.append(scan.refuse_overloaded())
         observed.append(_observation(inputs, stimulus, velocity, scans[0], scans[1]))
