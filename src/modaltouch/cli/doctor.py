@@ -39,13 +39,7 @@ class MachineCheck:
 
 
 def examine_machine(results: Path) -> tuple[MachineCheck, ...]:
-    """Look at everything a session needs, and draw a letter in the window; no instrument is opened.
-
-    Parameters
-    ----------
-    results : Path
-        Where sessions would be recorded.
-    """
+    """Look at everything a session needs, and draw a letter in the window; no instrument is opened."""
     from modaltouch.window import examine_surroundings
 
     return (

@@ -20,13 +20,7 @@ INTERRUPTED = 130
 
 @contextmanager
 def reporting(*, json_output: bool = False) -> Iterator[None]:
-    """Turn every failure a user may meet into its message and exit status.
-
-    Parameters
-    ----------
-    json_output : bool
-        Whether standard output carries one JSON object, also on failure.
-    """
+    """Turn every failure a user may meet into its message and exit status, or into one JSON object."""
     try:
         yield
     except (typer.Exit, typer.Abort):

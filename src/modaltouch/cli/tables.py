@@ -34,13 +34,7 @@ def make_bars() -> Progress:
 
 @contextmanager
 def progress(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show how far one thing is; yield what is called with (done, total).
-
-    Parameters
-    ----------
-    what : str
-        What is done.
-    """
+    """Show how far something is; yield what is called with (done, total)."""
     with make_bars() as bars:
         task = bars.add_task(what, total=None)
         yield lambda done, total: bars.update(task, completed=done, total=total)

@@ -184,13 +184,7 @@ class Preflight:
         return self.inputs, self.designed
 
     def speeds(self, trial: Trial) -> tuple[float, ...]:
-        """Return the predicted peak speeds under the fingers, from left to right [m/s].
-
-        Parameters
-        ----------
-        trial : Trial
-            What is presented.
-        """
+        """Return the peak speeds predicted for a trial under the fingers, from left to right [m/s]."""
         condition = trial.condition
         if condition.is_catch:
             return (0.0,) * len(condition.zones)

@@ -68,22 +68,10 @@ class Burst:
         return tuple(float(code) for code in np.abs(codes.astype(np.int32) - zero).max(axis=1) / zero)
 
     def amplitude_for(self, velocity: float) -> tuple[float, ...]:
-        """Return the amplitude of each channel at a level, on the instrument's grid [V peak to peak].
-
-        Parameters
-        ----------
-        velocity : float
-            Peak velocity at the focus [m/s].
-        """
+        """Return the amplitude of each channel at a level [m/s], on the instrument's grid [V peak to peak]."""
         level = corrected(velocity, self.corrections)
         return self.converter.amplitudes_at(self.amplitude, level, self.velocity, self.shares)
 
     def full_scale_for(self, velocity: float) -> tuple[float, ...]:
-        """Return the amplitude of each channel's full scale at a level [V peak to peak, open circuit].
-
-        Parameters
-        ----------
-        velocity : float
-            Peak velocity at the focus [m/s].
-        """
+        """Return the amplitude of each channel's full scale at a level [m/s], [V peak to peak, open circuit]."""
         return tuple(a / share for a, share in zip(self.amplitude_for(velocity), self.shares.tolist(), strict=True))

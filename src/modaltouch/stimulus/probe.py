@@ -101,13 +101,7 @@ class ProbedBeam:
         return self.model.n_modes * (2 + self.model.n_channels) + 1
 
     def spread(self, figures: Callable[[ModalModel], FloatArray]) -> FloatArray:
-        """Standard deviations of figures of the beam, by the covariance, (n_figures,) array.
-
-        Parameters
-        ----------
-        figures : callable
-            Returns them for a beam under fingers.
-        """
+        """Standard deviations of figures of a beam under fingers, by the covariance, (n_figures,) array."""
         root, middle = np.linalg.cholesky(self.covariance) * _SHRUNK, figures(self.model)
         slopes = np.array([figures(self.moved(column).model) - middle for column in root.T]) / _SHRUNK
         return np.asarray(np.sqrt((slopes**2).sum(axis=0)))

@@ -43,13 +43,7 @@ class Converter:
     any_rate: bool = False
 
     def shares(self, codes: FloatArray | NDArray[np.uint16]) -> FloatArray:
-        """Return what part of its full scale the amplitude of each channel is, (n_channels,) array [1].
-
-        Parameters
-        ----------
-        codes : (n_channels, n_samples) array
-            Its record.
-        """
+        """Return what part of its full scale the amplitude of each channel of a record is, (n_channels,) array [1]."""
         shares = np.ones(codes.shape[0])
         if self.of_record:
             span = np.subtract(codes.max(axis=1), codes.min(axis=1), dtype=float)

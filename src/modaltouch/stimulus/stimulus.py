@@ -234,13 +234,7 @@ class Stimulus:
         return TouchedBeam(self.model.touched(fingers), self.amplifier, self.timing, self._played.codes)
 
     def under_law(self, law: Law) -> Stimulus:
-        """Return the same stimulus under another drive law; what does not depend on the law is not computed again.
-
-        Parameters
-        ----------
-        law : str
-            ``exact`` or ``paper``.
-        """
+        """Return the same stimulus under another drive law; what does not depend on the law is not computed again."""
         other = replace(self, law=law, design=self.design if law == "exact" else "least_energy", priority="field")
         vars(other).update({name: getattr(self, name) for name in _SHARED})
         return other

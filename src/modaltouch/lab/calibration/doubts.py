@@ -174,13 +174,7 @@ def refuse_doubtful_velocity(recording: Recording) -> None:
 
 
 def refuse_saturation(predicted: FloatArray, measured: FloatArray) -> None:
-    """Refuse an amplifier that saturates so far below its limit that the rig cannot be identified.
-
-    Parameters
-    ----------
-    predicted, measured : (n_channels, n_times) array
-        Drive [V].
-    """
+    """Refuse an amplifier of whose predicted drive [V] so much is lacking that the rig cannot be identified."""
     lacking = peak_shortfall(predicted, measured)
     output = int(lacking.argmax())
     if lacking[output] > MOST_LACKING:
@@ -192,13 +186,7 @@ def refuse_saturation(predicted: FloatArray, measured: FloatArray) -> None:
 
 
 def refuse_disproportion(whole: ModalState, half: ModalState) -> None:
-    """Refuse a beam that moves by another share than half at half the level.
-
-    Parameters
-    ----------
-    whole, half : ModalState
-        Of one stimulus, at a level and at half of it.
-    """
+    """Refuse a beam that a stimulus moves by another share than half at half the level."""
     off = 2 * float(half.velocity @ whole.velocity / (whole.velocity @ whole.velocity)) - 1
     if abs(off) > MOST_DISPROPORTION:
         raise RigError(
@@ -208,13 +196,7 @@ def refuse_disproportion(whole: ModalState, half: ModalState) -> None:
 
 
 def peak_shortfall(predicted: FloatArray, measured: FloatArray) -> FloatArray:
-    """Return what the peaks of a drive lack against its lower half, (n_channels,) array [1]; 0 where it keeps up.
-
-    Parameters
-    ----------
-    predicted, measured : (n_channels, n_times) array
-        Drive [V].
-    """
+    """Return what the peaks of a drive [V] lack against its lower half, (n_channels,) array [1]; 0 if it keeps up."""
     lacking = np.zeros(len(predicted))
     for channel, (want, have) in enumerate(zip(predicted, measured, strict=True)):
         size = np.abs(want) / np.abs(predicted).max()

@@ -138,13 +138,7 @@ Figures = dict[str, Any]
 
 
 def summary(figures: Sequence[Figures]) -> list[dict[str, Any]]:
-    """Return the rows of the table that sets the laws side by side: a quantity, its unit, a cell to each law.
-
-    Parameters
-    ----------
-    figures : sequence of dict
-        As `key_figures` returns them, one to each law.
-    """
+    """Return the rows of the table of `key_figures`, law beside law: a quantity, its unit, a cell to each law."""
     rows: list[tuple[str, str, Callable[[Figures], str]]] = [
         ("velocity at the focus, at the focusing instant", "mm/s", lambda f: f"{f['velocity_at_focus_mm_s']:.1f}"),
         (
@@ -185,13 +179,7 @@ def summary(figures: Sequence[Figures]) -> list[dict[str, Any]]:
 
 
 def findings(figures: Sequence[Figures]) -> list[str]:
-    """Return what the numbers say, in sentences made from them.
-
-    Parameters
-    ----------
-    figures : sequence of dict
-        As `key_figures` returns them, one to each law.
-    """
+    """Return what the `key_figures` of the laws say, in sentences made from them."""
     said = [_reached(f) for f in figures]
     if len(figures) > 1:
         said.append(_compared(figures))
