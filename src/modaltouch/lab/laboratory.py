@@ -215,7 +215,6 @@ def open_laboratory(
     seed: int | None = None,
     repetition: Literal["single", "timer", "continuous", "wired"] | None = None,
     aim: Callable[[float], None] = quiet,
-    log: Callable[..., None] = quiet,
     scope: Scope | None = None,
     **options: Any,
 ) -> Iterator[Laboratory]:
@@ -234,8 +233,6 @@ def open_laboratory(
         apparatus says, as in a session.
     aim : callable
         Brings the vibrometer's spot to a position [m from mid-beam]; the twin's needs nobody.
-    log : callable
-        ``log(event, **facts)`` takes every exchange with the generator.
     scope : Scope, optional
         What measures, instead of the twin's scope or a PicoScope; closed here.
     **options
@@ -250,7 +247,7 @@ def open_laboratory(
 
         def open_generator(where: str, **further: Any) -> Rig:
             how = {"repetition": repetition, **further, **options}
-            return stack.enter_context(Generator(where, apparatus, log=log, **how))
+            return stack.enter_context(Generator(where, apparatus, **how))
 
         if address == SIMULATED:
             from modaltouch.rig import Simulator

@@ -74,8 +74,9 @@ class WatchdogProcess:
         The message that switches the outputs off and asks of each whether it is.
     limit : float
         Longest silence of an armed master [s].
-    persistence, long_persistence : float
-        How long it keeps trying to switch off what plays only when triggered, and what plays by itself [s].
+    persistence : float
+        How long it keeps trying to switch off what plays only when triggered; what plays by itself, LONG_PERSISTENCE
+        [s].
     say : callable
         Takes a sentence for the terminal.
     clock : Clock
@@ -89,7 +90,6 @@ class WatchdogProcess:
         *,
         limit: float = LIMIT,
         persistence: float = PERSISTENCE,
-        long_persistence: float = LONG_PERSISTENCE,
         say: Callable[[str], object] = lambda sentence: None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
@@ -97,7 +97,6 @@ class WatchdogProcess:
         self._off = off.encode("ascii") + b"\n"
         self._limit = limit
         self._persistence = persistence
-        self._long_persistence = long_persistence
         self._say = say
         self._clock = clock
         self._busy = threading.Lock()
@@ -267,7 +266,7 @@ class WatchdogProcess:
                         self._say("the generator's outputs are off now")
                     return True
             passed = self._clock.now() - started
-            gives_up = passed > (self._long_persistence if self._plays_by_itself else self._persistence)
+            gives_up = passed > (LONG_PERSISTENCE if self._plays_by_itself else self._persistence)
             if gives_up or self._clock.now() > next_word:
                 next_word, said = self._clock.now() + WORD_PERIOD, True
                 trying = "no further attempt" if gives_up else "still trying"
