@@ -13,6 +13,9 @@ from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.mixed_logistic import model_findings
 from modaltouch.analysis.models import model_files
 from modaltouch.analysis.pipeline import analyse
+from modaltouch.analysis.responses import AnswerSource, Responses
+from modaltouch.analysis.tidy_models import tidy_files
+from modaltouch.protocol import AnswerList
 
 GLMER = {
     "intercept": (1.22850, 0.25736),
@@ -91,6 +94,30 @@ def test_an_analysis_writes_the_table_and_the_script(paper_csv, tmp_path) -> Non
     assert "ordinal::clmm(zone ~ pair" in script and "brms::brm(" in script
     assert {row.question for row in found.findings} >= {"model"}
     assert "What does a mixed model say?" in found.files["report.html"].read_text(encoding="utf-8")
+
+
+def test_answers_that_name_no_finger_have_a_table_and_a_script_too() -> None:
+    """Of trials of two intervals: what was chosen, where it stood, how sure; a term for group and level, which vary."""
+    rows = [
+        {"participant": who, "group": who, "finger_condition": "one_hand", "zone_left": "A", "zone_right": "C", "n": 1,
+         "velocity_mm_s": level, "interval": 1 + level // 100, "response": "first", "sure": "low"}
+        for who in ("p1", "p2") for level in (80, 120)
+    ]  # fmt: skip
+    section = {"keys": {"first": ["a"], "second": ["b"]}, "intervals": {"first": 1, "second": 2}}
+    further = {"sure": {"keys": {"low": ["c"], "high": ["d"]}}}
+    design = {
+        "answers": {**section, "then": further},
+        "intervals": {"number": 2, "standard": {"velocity_mm_s": 100}, "asked": "stronger"},
+    }
+    frame = pd.DataFrame(rows)
+    frame["response"] = pd.Categorical(frame["response"], ["first", "second"])
+    answers = AnswerList.of(section)
+    files = tidy_files(Responses(frame, (), (), AnswerSource("", "csv", ""), answers=answers, design=design))
+    table = list(csv.DictReader(files["answers.csv"].splitlines()))
+    assert [row["response"] for row in table] == ["comparison", "standard"] * 2
+    assert [row["sure"] for row in table] == ["1.0"] * 4
+    assert "glmer(chosen ~ group + level + (1 | participant)" in files["models.R"]
+    assert "clmm(ordered(`sure`) ~ group + level + (1 | participant)" in files["models.R"]
 
 
 def test_what_does_not_vary_is_no_term(frame) -> None:

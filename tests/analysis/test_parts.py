@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from modaltouch.analysis.findings import holm
-from modaltouch.analysis.parts import PartsAnalysis, analyse_parts
+from modaltouch.analysis.parts import PartsAnalysis, analyse_parts, render_parts
 from modaltouch.analysis.responses import AnswerSource, Responses
 from modaltouch.analysis.statistics import uncorrected
 from modaltouch.protocol import AnswerList, InputError
@@ -107,6 +107,24 @@ def test_groups_are_parts_of_their_own() -> None:
     ]
     assert {part.counts.n_participants for part in found.parts} == {5}
     assert found.as_dict()["n_missing"] == 0
+
+
+def test_groups_are_compared_by_one_number_of_each_participant() -> None:
+    """By hand: all of one group answer right, all of the other left: p = 2 / 70, in the table and in words."""
+    both = [
+        row | {"response": word}
+        for people, group, word in ((PEOPLE[:4], "low", "left"), (PEOPLE[4:8], "high", "right"))
+        for row in rows(people, group=group)
+        if row["zone_left"] == "A"
+    ]
+    found = analyse_parts(responses(both))
+    tests = found.tests[found.tests["part"] == "all"].set_index("quantity")
+    dominant = tests.loc["difference of P(C)"]
+    assert (dominant["scope"], dominant["estimate"], dominant["n"]) == ("high - low", 1.0, 8)
+    assert dominant["p"] == pytest.approx(2 / 70)
+    assert dominant["p_holm"] == pytest.approx(holm([2 / 70, 1.0])[0])
+    page = render_parts(found)["report.html"]
+    assert "Over all parts" in page and "groups are compared by one number of each participant" in page
 
 
 def test_participants_of_a_group_who_met_other_cells_are_refused() -> None:

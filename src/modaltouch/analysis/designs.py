@@ -17,6 +17,7 @@ from modaltouch.analysis.measures import Measure, Own, contrast_findings, group_
 from modaltouch.analysis.ratings import level_findings, questions_of, ratings
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import LevelScale, scale_of
+from modaltouch.analysis.task import TrialTask
 from modaltouch.analysis.thresholds.constant import FittedCell, fit_cells, measures_of_fits
 
 
@@ -38,6 +39,8 @@ class DesignAnalysis:
         What the levels are.
     groups : dict of str to str
         Group of each participant; empty where there is one alone.
+    limits : tuple of str
+        What the design cannot tell, in words.
     """
 
     values: tuple[Own, ...]
@@ -46,6 +49,7 @@ class DesignAnalysis:
     catches: tuple[CatchRow, ...]
     scale: LevelScale
     groups: Mapping[str, str]
+    limits: tuple[str, ...] = ()
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
@@ -75,7 +79,24 @@ def analyse_design(responses: Responses, counts: Sequence[AnswerCounts]) -> Desi
         *level_findings(rated),
         *group_findings((*values, *shares), groups),
     )
-    return DesignAnalysis(values, fits, findings, catches, scale, groups)
+    return DesignAnalysis(values, fits, findings, catches, scale, groups, tuple(_limits(responses, task, fits)))
+
+
+def _limits(responses: Responses, task: TrialTask, fits: Sequence[FittedCell]) -> Iterator[str]:
+    """Yield what has no test or estimate here, and where the answers are for one's own."""
+    if task.n_intervals > 1 and not (task.named or task.different):
+        yield (
+            "No answer says which interval it names, or same or different (answers.intervals), so neither d' nor a "
+            "threshold is estimated."
+        )
+    if task.named and not fits and responses.frame[scale_of(responses.frame.columns).column].nunique() > 2:
+        yield "No psychometric function is fitted: by the question asked, its answers do not rise with the level."
+    if task.named and (task.n_intervals > 2 or responses.frame["interval"].nunique() < 2):
+        yield "d' is of somebody who prefers no interval: these answers cannot tell a preference."
+    yield (
+        "No test here is of interactions between factors, or of several measures together: answers.csv is the tidy "
+        "table for one's own, and models.R fits mixed models to it."
+    )
 
 
 def _shares(counts: AnswerCounts) -> Iterator[Own]:

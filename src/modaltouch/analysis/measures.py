@@ -287,18 +287,39 @@ def cells(frame: pd.DataFrame, scale: LevelScale, *, by_level: bool) -> Iterator
     by_level : bool
         Whether each level is a cell of its own; else all are together, at a level that is not a number.
     """
-    zones = [name for name in ("zone_left", "zone_between", "zone_right") if name in frame.columns]
-    pair = frame[zones[0]].astype(str)
-    for name in zones[1:]:
-        other = frame[name].astype(str)
-        pair = pair.where(other == "", pair + "-" + other)
+    pair = pair_labels(frame)
     for name in ("stimulus", "session_kind"):
         if name in frame.columns and frame[name].nunique() > 1:
             pair = pair + " " + frame[name].astype(str)
-    keys = [frame["participant"].astype(str), frame["finger_condition"].astype(str), pair.rename("pair")]
+    keys = [frame["participant"].astype(str), frame["finger_condition"].astype(str), pair]
     for key, part in frame.groupby([*keys, *([frame[scale.column]] if by_level else [])], sort=True):
         who, finger_condition, label, *level = cast(tuple[Any, ...], key)
         yield (str(who), str(finger_condition), str(label), float(level[0]) if level else math.nan), part
+
+
+_CLAIMS = {
+    " compared": "{claim} between conditions",
+    " over levels": "ratings change with the level",
+    "groups": "{claim}",
+    "PSE": "the PSE is not the standard",
+    "": "{family} is not zero",
+}
+"""What the families of tests of measures claim, by how they end."""
+
+
+def claim_of(family: str, claim: str) -> str:
+    """Return what a family of tests of measures claims; `claim` is that of its question."""
+    end = next(end for end in _CLAIMS if family.endswith(end))
+    return _CLAIMS[end].format(claim=claim, family=family)
+
+
+def pair_labels(frame: pd.DataFrame) -> pd.Series:
+    """Return the zones under the fingers of each row, as in ``A-C``."""
+    zones = [frame[name].astype(str) for name in ("zone_left", "zone_between", "zone_right") if name in frame.columns]
+    pair = zones[0]
+    for zone in zones[1:]:
+        pair = pair.where(zone == "", pair + "-" + zone)
+    return pair
 
 
 def by_measure(values: Iterable[Own]) -> Iterator[tuple[Measure, list[Own]]]:

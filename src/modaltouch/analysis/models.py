@@ -53,9 +53,7 @@ def terms_of_model(answers: AnswerCounts) -> list[str]:
 
 
 def model_files(answers: AnswerCounts, frame: pd.DataFrame) -> dict[str, Any]:
-    """Return the tidy table and the R script of the models, by file name; nothing where no finger is named alone."""
-    if not answers.compares:
-        return {}
+    """Return the tidy table and the R script of the models, by file name."""
     table, terms = model_table(answers, frame), " + ".join(terms_of_model(answers)) or "1"
     orders = [zone for zone in ("other", "both", "dominant") if zone != "both" or answers.both_place is not None]
     script = render_page("modaltouch.analysis", "models.R.j2", terms=terms, zones=orders, scale=answers.scale)

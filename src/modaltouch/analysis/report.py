@@ -80,7 +80,7 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
         else ["none", *felt],
         # A table is read as the paper's answers where no protocol is named.
         is_named=answers.answers != AnswerList.of_words(("none",) if answers.offers_none else ()),
-        limits=design_limits(analysis),
+        limits=design_limits(analysis) + list(analysis.design.limits if analysis.design else ()),
         preregistration=analysis.preregistration,
         departures=analysis.departures,
         left_out=analysis.responses.left_out,
@@ -111,7 +111,7 @@ def design_limits(analysis: Analysis) -> list[str]:
             "sample size were chosen before the data.",
         ),
         (
-            not answers.compares,
+            not answers.compares and len(answers.answers) > 1,
             f"The answers ({', '.join(answers.answers.names)}) do not name each finger alone, so no zone is dominant: "
             "there is no net dominance (a2), no prevalence of it, no side bias, no drift of it and no fit to the ratio "
             "of speeds. Cells are tested against an even split, and each answer by itself.",

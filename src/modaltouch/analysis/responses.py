@@ -209,7 +209,7 @@ class Responses:
 
     def by_choice(self) -> Responses:
         """Return the answers by what they choose, where they name an interval; else as they are."""
-        if not self.design.get("intervals") or not self.task.named:
+        if not self.design.get("intervals") or not set(self.task.named) & set(self.answers.names):
             return self
         frame, answers = self.task.by_choice(self.frame, self.answers)
         scheduled = None if self.scheduled is None else self.task.by_choice(self.scheduled, self.answers)[0]

@@ -125,21 +125,12 @@ def answer_question(own: Sequence[Finding], claim: str, answers: AnswerCounts) -
     return " ".join(_answer_family(rows, _claim(claim, name), answers) for name, rows in parts.items())
 
 
-_CLAIMS = {
-    " compared": "{claim} between conditions",
-    " over levels": "ratings change with the level",
-    "groups": "{claim}",
-    "PSE": "the PSE is not the standard",
-    "": "{family} is not zero",
-}
-"""What the families of tests of measures claim, by how they end."""
-
-
 def _claim(claim: str, family: str) -> str:
     """Return what a family of tests claims: of people on average, of somebody at least, or that they are alike."""
     if family not in STATISTICS:
-        end = next(end for end in _CLAIMS if family.endswith(end))
-        return _CLAIMS[end].format(claim=claim, family=family)
+        from modaltouch.analysis.measures import claim_of
+
+        return claim_of(family, claim)
     if family == "c alike":
         return "the finger conditions are alike on average, within the margin"
     if family.endswith(" mean"):

@@ -253,6 +253,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         n_pictures=len(pictures),
         most_pictures=MOST_FIGURES,
         values=values,
+        limits=analysis.design.limits if analysis.design else (),
         groups=sorted({*responses.groups.values()}),
         whole=[_line(finding) for finding in analysis.whole],
         alpha=ALPHA,
@@ -279,7 +280,9 @@ def _models(analysis: PartsAnalysis) -> dict[str, Any]:
     """Return the tidy table, and the R script of mixed models over all parts where each finger is named alone."""
     first = analysis.parts[0].counts
     if not first.compares:
-        return {"answers.csv": analysis.responses.frame.to_csv(index=False, lineterminator="\n")}
+        from modaltouch.analysis.tidy_models import tidy_files
+
+        return tidy_files(analysis.responses)
     table = pd.concat([model_table(part.counts, part.frame).assign(**part.factors) for part in analysis.parts])
     middle = (table[first.scale.column].max() + table[first.scale.column].min()) / 2
     table = table.assign(level=(table[first.scale.column] - middle) / first.scale.step)
