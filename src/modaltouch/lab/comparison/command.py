@@ -17,6 +17,7 @@ from modaltouch.lab.comparison.results import Row, criteria, paragraphs, rows_of
 from modaltouch.lab.laboratory import UNTOLD, MeasurementProgress, TooFewPointsError
 from modaltouch.lab.output import DARK, MIDDLE, rounded
 from modaltouch.preflight import examine
+from modaltouch.protocol import InputError
 from modaltouch.report import FAINT, INK, ReportFigure, house_style, page_files, quiet_grid, refuse_other, write_files
 from modaltouch.system import commit, version
 
@@ -262,6 +263,9 @@ def compare(
     """
     preflight = examine(protocol).of_untouched_beam()
     experiment = preflight.experiment
+    if not experiment.protocol.conditions.pairs:
+        given, remedy = "zones that are no pair", "compare with a protocol that has some"
+        raise InputError([preflight.findings.problem(("conditions", "zones"), given, "pairs of zones", remedy)])
     folder = out or Path("comparison") / experiment.protocol.protocol
     refuse_other(folder, COMMAND)
     TooFewPointsError.check(points, preflight.stimulus.model.label)

@@ -23,7 +23,7 @@ from modaltouch.lab.identification.responses import FrequencyResponses, response
 from modaltouch.lab.laboratory import UNTOLD, MeasurementProgress, open_laboratory
 from modaltouch.lab.validation.evidence import contrast, root_mean_square, spot_width
 from modaltouch.preflight import Preflight
-from modaltouch.protocol import Apparatus, InputError
+from modaltouch.protocol import Apparatus
 from modaltouch.rig import RigError, Simulator
 from modaltouch.stimulus import ModalModel, TargetField
 
@@ -260,9 +260,6 @@ def contend(
     designed = design_all(known, stimulus.release, stimulus.load_factor)
     zones = {name: zone.centre_mm * 1e-3 for name, zone in apparatus.zones.items()}
     pairs = preflight.experiment.protocol.conditions.pairs
-    if not pairs:
-        given, remedy = "zones that are no pair", "compare with a protocol that has some"
-        raise InputError([preflight.findings.problem(("conditions", "zones"), given, "pairs of zones", remedy)])
     task = Task(stimulus.target_field, stimulus.timing.focusing_instant, zones, pairs, stimulus.projection.field)
     sent = _play(centre, designed, stimulus.target_field.velocity, progress)
     verdicts = [judge(each.on_beam(centre, seed), task) for each in sent]
