@@ -12,6 +12,7 @@ import contextlib
 import json
 import time
 from dataclasses import asdict, dataclass
+from itertools import chain
 from pathlib import Path
 
 import joblib
@@ -24,6 +25,8 @@ from modaltouch.analysis.exact import sign_flip_test, sign_test
 from modaltouch.analysis.findings import holm
 from modaltouch.analysis.intervals import clopper_pearson, matched_odds_ratio
 from modaltouch.analysis.means import BoundedMean
+from modaltouch.analysis.measures import flip_test, group_test, rank_test
+from modaltouch.analysis.ratings import friedman
 from modaltouch.analysis.shares import Shares
 from modaltouch.analysis.statistics import STATISTICS, conditions_compared, dominance, pairs_compared, slopes
 from modaltouch.system import version
@@ -37,8 +40,10 @@ LIMITS = {
     "a1, a2, b, c, d, leaning": "hold where nobody differs, the null they name; not where people differ about zero",
     "means, share, paired difference": "coverage is proven for scores at both ends of the scale, else shown here alone",
     "agreement": "coverage is shown here alone",
-    "time": "holds where differences are as likely with either sign about their centre",
-    "all": "missing answers are missing by chance; d', mixed models and adaptive thresholds have no certificate",
+    "time, rank": "hold where differences are as likely with either sign about their centre",
+    "d'": "is of the difference of two rates; that its sign is as likely either way is shown here alone",
+    "group, friedman": "hold where groups, or a participant's ratings, could have been exchanged",
+    "all": "missing answers are missing by chance; mixed models and thresholds have no certificate",
 }
 BATCH = 500
 ALPHA = 0.05
@@ -233,10 +238,26 @@ def errors_of_tests(population, rng, shape):
     yield "time", sign_flip_test(gaps).quick_p <= ALPHA * TIES
 
 
+def errors_of_measures(rng, shape):
+    """Yield the name of each test of a number of each participant and whether it rejects, where nobody differs."""
+    # Differences of ratings, coarse and of heavy tails, as likely with either sign.
+    yield "rank", rank_test(np.rint(2 * rng.laplace(size=shape))).quick_p <= ALPHA * TIES
+    # Who feels nothing answers "yes" at a rate of the own, in 40 trials with a signal and 12 without.
+    rates = rng.beta(1, 4, shape)
+    contrasts = rng.binomial(40, rates) / 40 - rng.binomial(12, rates) / 12
+    yield "d'", flip_test(contrasts).quick_p <= ALPHA * TIES
+    half = shape[-1] // 2
+    skewed = np.exp(rng.normal(0, 1, (min(shape[0], 50), shape[-1])))
+    yield "group", np.array([group_test(row[:half], row[half:])[0].p <= ALPHA * TIES for row in skewed])
+    ratings = np.sort(rng.integers(1, 8, (min(shape[0], 10), shape[-1], 5)), axis=-1)
+    rated = rng.permuted(ratings + rng.normal(0, 0.3, ratings.shape).round(), axis=-1)
+    yield "friedman", np.array([friedman(rows)[0].p <= ALPHA * TIES for rows in rated])
+
+
 def certify(number, n_experiments):
     """Return the rows of one population."""
     population = Population.draw(number)
-    rng = np.random.default_rng([1906, number])
+    rng, own_rng = (np.random.default_rng([seed, number]) for seed in (1906, 1907))
     truth = truths_of(population, rng)
     wrong: dict[str, list[np.ndarray]] = {}
     widths: dict[str, float] = {}
@@ -248,7 +269,8 @@ def certify(number, n_experiments):
             wrong.setdefault(name, []).append(errors)
             if mean is not None and name not in widths:
                 widths[name] = float(np.mean(mean.interval().half_width[:100]))
-        for name, errors in (*errors_of_shares(answers, truth), *errors_of_tests(population, rng, shape)):
+        others = errors_of_shares(answers, truth), errors_of_tests(population, rng, shape)
+        for name, errors in chain(*others, errors_of_measures(own_rng, shape)):
             wrong.setdefault(name, []).append(errors)
     rows = []
     for name, parts in wrong.items():

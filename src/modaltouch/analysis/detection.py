@@ -85,6 +85,6 @@ def _share(part: pd.DataFrame, chosen: pd.Series) -> Count:
 
 def _told(cell: Cell, found: SignalDetection, part: pd.DataFrame) -> Iterator[Own]:
     n = int(part["n"].sum())
-    yield Own(D_PRIME, *cell, found.d_prime, n)
+    yield Own(D_PRIME, *cell, found.d_prime, n, tested=found.contrast)
     if found.criterion is not None and math.isfinite(found.criterion.estimate):
         yield Own(CRITERION, *cell, found.criterion, n)

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import combinations
 from typing import Any, cast
 
@@ -81,6 +82,8 @@ class Own:
         Answers that it rests on.
     note : str
         Why it cannot be told, or what a reader must know.
+    tested : float or None
+        What is tested in its place, as its own expectation is not that of no effect where there is none.
     """
 
     measure: Measure
@@ -91,6 +94,7 @@ class Own:
     interval: Interval
     n: int
     note: str = ""
+    tested: float | None = None
 
     def as_dict(self, scale: LevelScale, groups: Mapping[str, str]) -> dict[str, Any]:
         """Return it as a row of the table ``measures.csv``."""
@@ -111,37 +115,48 @@ class Own:
         }
 
 
-def by_flips(values: FloatArray) -> Located:
-    """Return the exact test that values are symmetric about zero, and the centres that it does not reject.
+def flip_test(values: FloatArray) -> ExactTest:
+    """Return the exact test that values are symmetric about zero, by sign flips of their four leading digits.
 
     Parameters
     ----------
-    values : (n,) array
-        One value a participant; four digits of the largest count.
+    values : (..., n) array
+        One value a participant.
     """
+    return sign_flip_test(np.rint(values / _unit(values) * 1000).astype(np.int64))
+
+
+def _unit(values: FloatArray) -> float:
     largest = float(np.abs(values).max(initial=0.0))
-    unit = 10.0 ** math.floor(math.log10(largest)) if largest > 0 else 1.0
-    test = sign_flip_test(np.rint(values / unit * 1000).astype(np.int64))
-    return test, centre_interval(values / unit).changed(lambda scaled: scaled * unit)
+    return 10.0 ** math.floor(math.log10(largest)) if largest > 0 else 1.0
 
 
-def by_ranks(values: FloatArray) -> Located:
-    """Return Wilcoxon's exact test of signed ranks, and the median of the averages of two with its exact interval.
+def by_flips(values: FloatArray) -> Located:
+    """Return the test by sign flips, and the centres that it does not reject, of values as `flip_test` takes them."""
+    unit = _unit(values)
+    return flip_test(values), centre_interval(values / unit).changed(lambda scaled: scaled * unit)
 
-    Zeros are left out of the test and kept in the interval; equal sizes share their rank.
+
+def rank_test(values: FloatArray) -> ExactTest:
+    """Return Wilcoxon's exact test of signed ranks; zeros are left out, equal sizes share their rank.
 
     Parameters
     ----------
-    values : (n,) array
+    values : (..., n) array
         One value a participant.
 
     Examples
     --------
-    >>> float(by_ranks(np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0]))[0].p)  # 2 / 2^6
+    >>> float(rank_test(np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])).p)  # 2 / 2^6
     0.03125
     """
-    moved = pd.Series(values[values != 0])
-    test = sign_flip_test(np.rint(2 * moved.abs().rank() * np.sign(moved)).to_numpy().astype(np.int64))
+    rows = np.abs(values).reshape(-1, values.shape[-1])
+    ranks = pd.DataFrame(np.where(rows > 0, rows, np.nan)).rank(axis=1).fillna(0.0).to_numpy().reshape(values.shape)
+    return sign_flip_test(np.rint(2 * ranks * np.sign(values)).astype(np.int64))
+
+
+def by_ranks(values: FloatArray) -> Located:
+    """Return the test of signed ranks, and the median of the averages of two values with its exact interval."""
     n = values.size
     first, second = np.triu_indices(n)
     averages = np.sort((values[first] + values[second]) / 2)
@@ -150,9 +165,10 @@ def by_ranks(values: FloatArray) -> Located:
         chances = (np.pad(chances, (0, rank)) + np.pad(chances, (rank, 0))) / 2
     dropped = int(np.searchsorted(np.cumsum(chances), (1 - CONFIDENCE) / 2))
     low, high = (averages[dropped - 1], averages[-dropped]) if dropped and n else (-math.inf, math.inf)
-    return test, Interval(float(np.median(averages)) if n else math.nan, float(low), float(high), n)
+    return rank_test(values), Interval(float(np.median(averages)) if n else math.nan, float(low), float(high), n)
 
 
+_IN_PLACE = "p is of the difference of rates, which has no bias where nothing is told apart"
 _FLIPS, _RANKS = "sign flips", "signed ranks"
 _MOST_ORDERS = 20_000
 """Ways to share out the participants up to which all are counted; beyond, as many are drawn."""
@@ -167,27 +183,34 @@ def group_test(first: FloatArray, second: FloatArray) -> Located:
         One value a participant; the statistic is the difference of the means, first less second.
     """
     values, n, size = np.concatenate([first, second]), len(first), len(first) + len(second)
-    is_first = np.arange(size) < n
-    if is_exact := math.comb(size, n) <= _MOST_ORDERS:
-        orders = np.zeros((math.comb(size, n), size), dtype=bool)
-        for row, chosen in zip(orders, combinations(range(size), n), strict=True):
-            row[list(chosen)] = True
-    else:
-        rng = np.random.default_rng(1)
-        orders = np.stack([is_first, *(rng.permutation(is_first) for _ in range(_MOST_ORDERS - 1))])
-    weights = orders / n - ~orders / (size - n)
-    differences, moved = weights @ values, weights @ is_first.astype(float)
+    weights, is_exact = _weights(n, size)
+    differences, moved = weights @ values, weights[:, :n].sum(axis=1)
     observed = float(first.mean() - second.mean())
 
     def p(shift: float) -> float:
         reached = np.abs(differences - shift * moved) >= abs(observed - shift) - 1e-9
         return float(reached.mean())
 
-    least = (2 if is_exact and 2 * n == size else 1) / len(orders)
+    least = (2 if is_exact and 2 * n == size else 1) / len(weights)
     test = ExactTest(observed, p(0.0), least, size)
     far = 2 * float(np.ptp(values)) + 1e-9
     low, high = (_last_kept(p, observed, observed + far * side) for side in (-1, 1))
     return test, Interval(observed, low, high, size)
+
+
+@lru_cache(maxsize=4)
+def _weights(n: int, size: int) -> tuple[FloatArray, bool]:
+    """Return what turns values into differences of means, an order a row, the given one first; and whether all are."""
+    is_first = np.arange(size) < n
+    is_exact = math.comb(size, n) <= _MOST_ORDERS
+    if is_exact:
+        chosen = np.array(list(combinations(range(size), n)))
+        orders = np.zeros((len(chosen), size), dtype=bool)
+        np.put_along_axis(orders, chosen, True, axis=1)
+    else:
+        rng = np.random.default_rng(1)
+        orders = np.stack([is_first, *(rng.permutation(is_first) for _ in range(_MOST_ORDERS - 1))])
+    return orders / n - ~orders / (size - n), is_exact
 
 
 def _last_kept(p: Callable[[float], float], kept: float, rejected: float) -> float:
@@ -200,7 +223,7 @@ def _last_kept(p: Callable[[float], float], kept: float, rejected: float) -> flo
     return kept
 
 
-def over_participants(measure: Measure, own: Iterable[Own]) -> Located:
+def over_participants(measure: Measure, own: Sequence[Own]) -> Located:
     """Return the test that a measure has no effect, and its mean over the participants who have one.
 
     Parameters
@@ -212,6 +235,9 @@ def over_participants(measure: Measure, own: Iterable[Own]) -> Located:
     """
     null = 0.0 if measure.null is None else math.log(measure.null) if measure.is_ratio else measure.null
     test, interval = by_flips(np.array(list(_known(own).values())) - null)
+    in_place = np.array([each.tested for each in own if each.tested is not None], dtype=float)
+    if in_place.size:
+        test = flip_test(in_place[np.isfinite(in_place)])
     return test, _told(measure, interval.changed(lambda shifted: shifted + null))
 
 
@@ -226,7 +252,7 @@ def mean_findings(values: Sequence[Own], scale: LevelScale) -> Iterator[Finding]
         yield finding_of(
             measure.question, f"{measure.name} over participants, {_FLIPS}", scope, test if tested else None,
             measure.quantity, interval, n, family=measure.name if tested else "",
-            notes=[*notes, "" if tested else "described, not tested"],
+            notes=[*notes, ("" if own[0].tested is None else _IN_PLACE) if tested else "described, not tested"],
         )  # fmt: skip
 
 

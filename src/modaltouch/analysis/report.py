@@ -272,8 +272,8 @@ def _part(name: str, rows: Sequence[Finding], answers: AnswerCounts) -> dict[str
 _CERTIFICATES = {
     "leaning": "leaning", "agreement": "agreement", "prevalence": "prevalence", "share of answers": "share",
     "paired difference": "paired difference", "odds ratio": "odds ratio", "reaction times": "time", "false": "share",
-    "misses": "share", "bounded mean": "c mean", "sign flips": "time", "signed ranks": "rank", "permutation": "group",
-    "Friedman": "friedman",
+    "misses": "share", "bounded mean": "c mean", "d' over": "d'", "sign flips": "time", "signed ranks": "rank",
+    "permutation": "group", "Friedman": "friedman",
 }  # fmt: skip
 """Certificates of what stands in no family, by a part of its name; the first that fits counts."""
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -45,12 +45,16 @@ class SignalDetection:
     ----------
     d_prime : Interval
         SignalDetection, in standard deviations of what is felt at one presentation.
+    contrast : float
+        Difference of the two rates, or of one and its chance [1]: unlike d', whose correction pulls the rate of fewer
+        trials farther, its expectation is zero where nothing is told apart. Not a number without trials of both.
     criterion : Interval or None
         Criterion; 0 where no answer is preferred, above 0 the fewer answers of the first kind. None where all answers
         count together.
     """
 
     d_prime: Interval
+    contrast: float
     criterion: Interval | None = None
 
 
@@ -70,6 +74,7 @@ def yes_no(signal: Count, noise: Count) -> SignalDetection:
     """
     return SignalDetection(
         _profile(lambda hit, alarm: ndtri(hit) - ndtri(alarm), signal, noise),
+        _rate(signal) - _rate(noise),
         _profile(lambda hit, alarm: -(ndtri(hit) + ndtri(alarm)) / 2, signal, noise),
     )
 
@@ -83,7 +88,7 @@ def two_intervals(first: Count, second: Count) -> SignalDetection:
         "First" among the trials with the signal in the first interval, and among those with it in the second.
     """
     found = yes_no(first, second)
-    return SignalDetection(found.d_prime.changed(lambda d_prime: d_prime / math.sqrt(2)), found.criterion)
+    return replace(found, d_prime=found.d_prime.changed(lambda d_prime: d_prime / math.sqrt(2)))
 
 
 def m_intervals(correct: Count, m: int) -> SignalDetection:
@@ -100,7 +105,7 @@ def m_intervals(correct: Count, m: int) -> SignalDetection:
     rates = np.array([_corrected(*correct), share.low, share.high])
     ends = np.full(rates.shape, -_FARTHEST), np.full(rates.shape, _FARTHEST)
     estimate, low, high = _inverted(lambda d: share_correct(d, m), rates, *ends).tolist()
-    return SignalDetection(Interval(estimate, low, high, correct[1]))
+    return SignalDetection(Interval(estimate, low, high, correct[1]), _rate(correct) - 1 / m)
 
 
 def share_correct(d_prime: ArrayLike, m: int) -> FloatArray:
@@ -139,7 +144,9 @@ def same_different(differing: Count, alike: Count) -> SignalDetection:
         "Different" among the trials whose stimuli differ, and among those whose stimuli are the same.
     """
     return SignalDetection(
-        _profile(_signed, differing, alike), _profile(lambda hit, alarm: _criterion(alarm), differing, alike)
+        _profile(_signed, differing, alike),
+        _rate(differing) - _rate(alike),
+        _profile(lambda hit, alarm: _criterion(alarm), differing, alike),
     )
 
 
@@ -172,6 +179,10 @@ def _inverted(
         low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
     found = np.where((wanted >= 1) | (high == top), np.inf, low)
     return np.where((low == bottom) & (bottom < 0), -np.inf, found)
+
+
+def _rate(count: Count) -> float:
+    return count[0] / count[1] if count[1] else math.nan
 
 
 def _corrected(given: int, n: int) -> float:
