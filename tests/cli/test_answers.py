@@ -50,7 +50,8 @@ def write_protocol(folder: Path, base: str, name: str, keys: str, labels: dict[s
     if labels:
         texts = folder / "texts" / "english.yaml"
         added = "".join(f"  {answer}: {label}\n" for answer, label in labels.items())
-        texts.write_text(texts.read_text(encoding="utf-8") + f"\nanswers:\n{added}", encoding="utf-8")
+        words = texts.read_text(encoding="utf-8").replace("\nanswers:\n", f"\nanswers:\n{added}")
+        texts.write_text(words, encoding="utf-8")
     return file
 
 

@@ -280,7 +280,7 @@ def test_a_missing_protocol_is_a_problem(tmp_path: Path) -> None:
     """Not an exception either; the names that would do are told."""
     (problem,) = examine(tmp_path / "thresholds.yaml").problems
     assert problem.given == "a file that does not exist"
-    assert problem.allowed.startswith("a YAML file that exists and can be read, or one of demo, differentiated")
+    assert problem.allowed.startswith("a YAML file that exists and can be read, or one of demo, detection")
     assert problem.remedy == "did you mean 'threshold'?"
 
 
@@ -464,8 +464,8 @@ def test_it_is_said_how_answers_without_fingers_are_simulated(edit: Edit, other:
     text = file.read_text(encoding="utf-8")
     file.write_text(f"{text[: text.index('  keys:')]}  keys: {{stronger: [up], {other}: [down]}}\n", encoding="utf-8")
     words = file.parent / "texts" / "english.yaml"
-    labels = "\nanswers: {stronger: Stronger, weaker: Weaker}\n"
-    words.write_text(words.read_text(encoding="utf-8") + labels, encoding="utf-8")
+    labels = "\nanswers:\n  stronger: Stronger\n  weaker: Weaker\n"
+    words.write_text(words.read_text(encoding="utf-8").replace("\nanswers:\n", labels), encoding="utf-8")
     (said,) = [each for each in examine(file).as_dict()["warnings"] if "names a finger" in each]
     assert said.endswith(f"answers at random, {told}")
 

@@ -109,7 +109,8 @@ def test_a_label_is_a_text_like_any_other(edit: Edit, label: str, fault: str) ->
     """The participant would read nothing, too small a print (all labels have one size), or the braces."""
     file = edit(FILE, (BOTH, "    rechts: [up]\n"))
     texts = file.parent / "texts" / "english.yaml"
-    texts.write_text(texts.read_text(encoding="utf-8") + f"answers: {{rechts: {label}}}\n", encoding="utf-8")
+    words = texts.read_text(encoding="utf-8").replace("\nanswers:\n", f"\nanswers:\n  rechts: {label}\n")
+    texts.write_text(words, encoding="utf-8")
     with pytest.raises(InputError) as caught:
         Findings.read(file).experiment()
     assert any(fault in str(problem) for problem in caught.value.problems), caught.value.problems

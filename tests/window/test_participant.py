@@ -671,7 +671,7 @@ def test_a_robot_goes_through_a_whole_session(paper_room: Callable[..., Any], ex
         lambda trial: (speeds[trial.condition.zone_left], speeds[trial.condition.zone_right]),
         np.random.default_rng(1),
     )
-    room = paper_room(robot=Robot(answerer, experiment.protocol.answers, patience=0.3), seconds=20)
+    room = paper_room(robot=Robot(answerer, experiment.protocol, patience=0.3), seconds=20)
     trials = [Trial(index, 1, Condition("one_hand", *pair, 100.0)) for index, pair in enumerate(["AC", "BD", "CE"], 1)]
     room.window.welcome(trials[0])
     given = []

@@ -208,7 +208,7 @@ def test_a_robot_answers_by_the_windows_own_event_queue(
 ) -> None:
     """Expected: a noiseless observer with twice the speed under the right finger answers right."""
     answerer = Answerer(Participant(noise=0.0, lapse_rate=0.0), lambda _: (0.1, 0.2), np.random.default_rng(1))
-    robot = Robot(answerer, experiment.protocol.answers, patience=0.3)
+    robot = Robot(answerer, experiment.protocol, patience=0.3)
     made = room(robot=robot, screenshots=tmp_path)
     made.window.welcome(trial)
     made.window.place_fingers(trial)

@@ -30,7 +30,7 @@ def robot(experiment: Any) -> Robot:
         lambda trial: (speeds[trial.condition.zone_left], speeds[trial.condition.zone_right]),
         np.random.default_rng(1),
     )
-    return Robot(answerer, experiment.protocol.answers, patience=0.3)
+    return Robot(answerer, experiment.protocol, patience=0.3)
 
 
 def deafen(room: Any, misses: Callable[[int], bool]) -> None:

@@ -49,7 +49,7 @@ class SessionAnswers:
     digest : str
         SHA-256 of the log.
     rows : tuple of tuple
-        Its answers in the order of `COLUMNS`; none where it stays out.
+        Its answers in the order of `COLUMNS` and `columns`; none where it stays out.
     facts : SessionFacts or None
         What it tells beside the answers; None where it stays out.
     focus : str
@@ -67,6 +67,8 @@ class SessionAnswers:
         The participant's group, and which of several kinds of session it is; empty without.
     is_crossed : bool
         Whether its protocol has every pair at every level, equally often.
+    columns : tuple of str
+        Columns of numbers on a scale, and of further questions.
     """
 
     path: Path
@@ -84,16 +86,20 @@ class SessionAnswers:
     foci: dict[str, str] = field(default_factory=dict)
     kind: tuple[str, str] = ("", "")
     is_crossed: bool = True
+    columns: tuple[str, ...] = ()
 
 
 def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
-    """Return the answers of a session that count, in the order of `COLUMNS`; catch trials only of adaptive ones."""
+    """Return the answers of a session that count, in the order of `COLUMNS` and of its questions.
+
+    Catch trials are only in those of adaptive sessions.
+    """
     rows, with_catches = [], _levels(session) == "adaptive"
     for row in session.table():
         if row["practice"] or (row["catch"] and not with_catches):
             continue
         row |= {"velocity_mm_s": row["multiple_of_threshold"] or row["velocity_mm_s"], "n": 1}
-        values = (row[name] for name in COLUMNS)
+        values = (row[name] for name in (*COLUMNS, *session.question_columns))
         # One copy of a word that comes in every row.
         rows.append(tuple(sys.intern(value) if isinstance(value, str) else value for value in values))
     return tuple(rows)
@@ -167,6 +173,7 @@ def open_log(path: Path) -> SessionAnswers:
         catches=Counter(row["response"] for row in session.table() if row["catch"]),
         kind=session.kind,
         is_crossed=not any(design.get("conditions", {}).get(key) for key in ("cells", "exclude")),
+        columns=session.question_columns,
     )
 
 
@@ -259,7 +266,7 @@ def _join(
     is_crossed: bool,
 ) -> pd.DataFrame:
     """Return the tidy table of the sessions' answers, to one stimulus where their levels are fixed and crossed."""
-    frame = pd.DataFrame([row for item in taken for row in item.rows], columns=list(COLUMNS))
+    frame = pd.DataFrame([row for item in taken for row in item.rows], columns=[*COLUMNS, *taken[0].columns])
     numbers = [len(item.rows) for item in taken]
     for place_of, column in enumerate(("group", "session_kind")):
         frame[column] = np.repeat([item.kind[place_of] for item in taken], numbers)
@@ -302,6 +309,10 @@ def _one_list(place: Path, taken: Sequence[SessionAnswers]) -> AnswerList:
     """Return what could be answered in all sessions: some may lack an answer that others offer."""
     longest = max((item.answers for item in taken), key=len)
     for item in taken:
+        if item.columns != taken[0].columns:
+            given = f"sessions that ask {', '.join(taken[0].columns) or 'nothing more'}, and {', '.join(item.columns)}"
+            remedy = "give the folder of one of them; name the other protocol anew"
+            raise InputError.of(place, given, "the same questions under the name of one protocol", remedy)
         if not set(item.answers) <= set(longest):
             given = f"sessions with the answers {', '.join(longest.names)}, and with {', '.join(item.answers.names)}"
             remedy = "give the folder of one of them; name the other protocol anew"

@@ -149,7 +149,8 @@ def estimated_duration(protocol: Protocol) -> float:
     n_placements = 1 + (n_trials - 1) * (1 - 1 / n_pairs)
     n_breaks = (protocol.n_trials - 1) // schedule.break_after_trials if schedule.break_after_trials else 0
     seconds = (
-        n_trials * (before_question + ANSWER_S + pause)
+        n_trials * (before_question + ANSWER_S * (1 + len(answers.then)) + pause)
+        + ANSWER_S * len(protocol.form)
         + n_placements * PLACEMENT_S
         + n_breaks * BREAK_S
         + INSTRUCTIONS_S

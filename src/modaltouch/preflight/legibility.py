@@ -73,7 +73,8 @@ def _check_type(findings: Findings, window: tuple[int, int] | None) -> Iterator[
         for trial in Schedule.draw(protocol, "p01", 1).trials
     }
     zones, hand = tuple(experiment.apparatus.zones), protocol.conditions.hand
-    pixels, text = smallest_type(protocol.answers, experiment.texts, hand, zones, [*placements.values()], size)
+    asked = [protocol.answers, *protocol.answers.further.values(), *protocol.closing.values()]
+    pixels, text = smallest_type(asked, experiment.texts, hand, zones, [*placements.values()], size)
     height = pixels * screen.width_mm / screen.width_px
     angle = math.degrees(2 * math.atan(height / 2 / screen.distance_mm)) * 60
     if angle < LEAST_ANGLE:

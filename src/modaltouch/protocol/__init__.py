@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from modaltouch.protocol.observers import ObserverFile
     from modaltouch.protocol.practice import judge_round
     from modaltouch.protocol.problems import InputError, Problem, suggest
+    from modaltouch.protocol.questions import ScaleSection
     from modaltouch.protocol.schedule import Schedule, Turn
     from modaltouch.protocol.sections import AnswersSection, Protocol
     from modaltouch.protocol.source import Source
@@ -40,6 +41,7 @@ else:
             "observers": "ObserverFile",
             "practice": "judge_round",
             "problems": "InputError Problem suggest",
+            "questions": "ScaleSection",
             "schedule": "Schedule Turn",
             "sections": "AnswersSection Protocol",
             "source": "Source",
@@ -64,6 +66,7 @@ __all__ = [
     "Problem",
     "Protocol",
     "Response",
+    "ScaleSection",
     "Schedule",
     "Source",
     "Sources",

@@ -232,4 +232,5 @@ def contacts(reading: Reading[Any]) -> list[tuple[tuple[str, str, int], tuple[st
 def offered_answers(reading: Reading[Any]) -> AnswerList:
     """Return the answers that a protocol offers, as far as its sound parts tell."""
     fingers, below = dict(reading.items("answers", "fingers")), [name for _, name in reading.items("answers", "below")]
-    return AnswerList.of({"keys": reading.keys("answers", "keys") or (), "fingers": fingers, "below": below})
+    keys, scale = reading.keys("answers", "keys") or (), bool(reading.keys("answers", "scale"))
+    return AnswerList.of({"keys": keys, "fingers": fingers, "below": below, "scale": scale})

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from modaltouch.protocol.questions import RATED
 from modaltouch.protocol.trial import SIDES
 
 Side = Literal["left", "between", "right"]
@@ -74,13 +75,16 @@ class AnswerList(tuple[Answer, ...]):
         Parameters
         ----------
         section : mapping
-            ``keys`` by answer, and where they are given ``fingers`` and ``below``; the paper's answers without any.
+            ``keys`` by answer, and where they are given ``fingers`` and ``below``; the paper's answers without any;
+            one alone, ``rated``, where there is a ``scale``.
 
         Returns
         -------
         AnswerList
             In the order of the file; where all of a row name fingers, each on the side of its finger.
         """
+        if section.get("scale"):
+            return cls((Answer(RATED),))
         fingers = {**SHIPPED, **section.get("fingers", {})}
         placed = section.get("below", ())
         row: list[Answer] = []

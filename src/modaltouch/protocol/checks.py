@@ -11,10 +11,11 @@ from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels,
 from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.contacts import check_contacts
-from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
+from modaltouch.protocol.keys import END_KEY
 from modaltouch.protocol.masking import check_masking
 from modaltouch.protocol.people import check_people
 from modaltouch.protocol.problems import Problem, suggest
+from modaltouch.protocol.questions import MOST_ANSWERS, check_key, check_questions
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.sections import AnswersSection, Protocol, whole_bursts
 from modaltouch.protocol.stimulus_sections import check_target_field
@@ -22,9 +23,6 @@ from modaltouch.protocol.trial import TIME_OUT
 
 TRIAL_LIMIT = 10_000
 """Most trials of a session: a day of them."""
-
-MOST_ANSWERS = 7
-"""Most answers that a screen has room for, and a console digits."""
 
 TAKEN_NAMES = frozenset(
     {"finger_condition", "pair", "zone_left", "zone_right", "velocity_mm_s", "multiple_of_threshold", "n"}
@@ -44,6 +42,7 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
         *check_adaptive(reading),
         *check_sensation_levels(reading),
         *_check_keys(reading),
+        *check_questions(reading),
         *check_people(reading),
     ]
 
@@ -179,20 +178,20 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
     places: dict[str, tuple[str | int, ...]] = {}
     for path in [("answers", "keys", name) for name in offered_answers(reading).names]:
         for index, name in reading.items(*path):
-            yield from _check_key(reading, (*path, index), name)
+            yield from check_key(reading, (*path, index), name)
             if name in taken:
                 given = f"'{name}', which answers {taken[name]} already"
                 yield reading.problem((*path, index), given, "each key for one answer", "remove one of them")
             taken.setdefault(name, path[-1])
             places.setdefault(name, (*path, index))
     for index, name in reading.items("answers", "continue_keys"):
-        yield from _check_key(reading, ("answers", "continue_keys", index), name)
+        yield from check_key(reading, ("answers", "continue_keys", index), name)
         taken.setdefault(name, "to go on")
         places.setdefault(name, ("answers", "continue_keys", index))
     is_written = reading.find(("answers", "emergency_keys")) is not None
     for index, name in reading.items("answers", "emergency_keys"):
         path = ("answers", "emergency_keys", index)
-        yield from _check_key(reading, path, name)
+        yield from check_key(reading, path, name)
         if name in places and not is_written:
             # The fault belongs where somebody wrote it, not at a key that is not in the file.
             given = f"'{name}', which switches the outputs off in an emergency where `emergency_keys` names no other"
@@ -263,16 +262,6 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
             given = f"{str(value).lower()}, where no answer names a finger"
             remedy = "remove it: nothing tells which answer is right"
             yield reading.problem(("schedule", key), given, "answers that name fingers", remedy)
-
-
-def _check_key(reading: Reading[Protocol], path: tuple[str | int, ...], name: str) -> Iterator[Problem]:
-    if name in RESERVED_KEYS:
-        yield reading.problem(path, f"'{name}', which pauses the session", "any other key", "choose another")
-    elif name not in KEY_NAMES:
-        meant = KEY_ALIASES.get(name.casefold()) or suggest(name, KEY_NAMES)
-        allowed = "left, right, up, down, space, enter, letters, digits, num_0 to num_9, f1 to f20 and the like"
-        remedy = f"did you mean '{meant}'?" if meant else "write it in small letters"
-        yield reading.problem(path, f"'{name}', which is no key's name", allowed, remedy)
 
 
 LEAST_SAMPLES_PER_CYCLE = 2.5

@@ -131,6 +131,8 @@ class Findings:
         fingers = None if self.fingers is None else self.fingers.source
         files = self.protocol.source, self.apparatus.source, self.texts.source
         sources = Sources(*files, calibration, self.field, fingers, self.table)
+        if protocol.instructions:
+            texts = texts.model_copy(update={"instructions": texts.named(protocol.instructions)})
         return Experiment(protocol, apparatus, texts, sources)
 
     def problem(self, path: Iterable[str | int], given: str, allowed: str, remedy: str = "") -> Problem:

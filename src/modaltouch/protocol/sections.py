@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -14,12 +15,12 @@ from modaltouch.protocol.conditions import ConditionsSection, FingerCondition
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, PAUSE_KEY
 from modaltouch.protocol.masking import MaskingSection
 from modaltouch.protocol.people import PersonField, read_people
+from modaltouch.protocol.questions import AskedSection, KeyName, QuestionSection
 from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
 from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant
 
 AnswerWay = Literal["free_hand", "lifting", "foot_switch", "experimenter"]
 Seconds = Annotated[NotNegative, Field(le=600)]
-KeyName = Annotated[Text, Field(json_schema_extra={"x-allowed": "the name of a key"})]
 
 _UNIQUE = {"uniqueItems": True}
 
@@ -103,7 +104,7 @@ class ScheduleSection(Section):
         return self.practice_trials * (self.practice_rounds if self.practice_criterion is not None else 1)
 
 
-class AnswersSection(Section):
+class AnswersSection(AskedSection):
     """How the question is asked and answered."""
 
     PAUSE_KEY: ClassVar[str] = PAUSE_KEY
@@ -145,11 +146,6 @@ class AnswersSection(Section):
         "What follows the longest stimulus: the question stays with the beam at rest, or the trial ends as timed out.",
         default="ask",
     )
-    time_out_s: Annotated[Positive, Field(le=600)] | None = described(
-        "Longest time from the question to an answer; then the trial ends as timed out [s]. Null for no limit.",
-        default=None,
-        exclude_if=lambda given: given is None,
-    )
     question_delay_s: Seconds = described("From the first burst to the question [s].", default=0.5)
     pause_s: Seconds = described(
         "Between an answer, or a key to go on, and the next stimulus [s]; settling_s where that is longer and a hand "
@@ -161,9 +157,12 @@ class AnswersSection(Section):
         "experimenter, and in lifting [s]; the participant sees a countdown.",
         default=1.5,
     )
-    keys: dict[Word, Annotated[tuple[KeyName, ...], Field(min_length=1)]] = described(
-        "Keys of each answer, two answers or more: left, both and right as in the paper, with `none`, felt nowhere, or "
-        "without; or answers of other names, which stand in this order and have their labels in the texts.",
+    then: dict[Word, QuestionSection] = described(
+        "Further questions after the answer of each trial, by the name of their column, in this order: how sure "
+        "somebody is, for instance. They are asked once the stimulus is confirmed to have ended, and not after a "
+        "time-out.",
+        default={},
+        exclude_if=lambda given: not given,
     )
     fingers: dict[Word, tuple[Side, ...]] = described(
         "Fingers that answers of other names stand for, by their place on the beam: [left], [right], [left, right], "
@@ -188,7 +187,20 @@ class AnswersSection(Section):
     @property
     def offered(self) -> AnswerList:
         """The answers as they stand on the screen."""
-        return AnswerList.of({"keys": self.keys, "fingers": self.fingers, "below": self.below})
+        return AnswerList.of({"keys": self.keys, "fingers": self.fingers, "below": self.below, "scale": self.scale})
+
+    @property
+    def further(self) -> dict[str, AnswersSection]:
+        """How each further question is asked, by its name."""
+        return self.asking(self.then)
+
+    def asking(self, questions: Mapping[str, QuestionSection]) -> dict[str, AnswersSection]:
+        """Return how each question is asked: as the first one, but for its words, answers and time-out."""
+        none = {"fingers": {}, "below": (), "then": {}, "change_until_confirmed": False}
+        return {
+            name: self.model_copy(update=none | vars(asked) | {"question": asked.question or name})
+            for name, asked in questions.items()
+        }
 
     @property
     def offers_none(self) -> bool:
@@ -287,6 +299,22 @@ class Protocol(Section):
         default={},
         exclude_if=lambda given: not given,
     )
+    form: dict[Word, QuestionSection] = described(
+        "Questions at the end of each session, by the name of their column, in this order.",
+        default={},
+        exclude_if=lambda given: not given,
+    )
+    instructions: Text | None = described(
+        "What the experiment asks of the participant, in words, or the name of a text under `further` in the texts; "
+        "null for the text `instructions`.",
+        default=None,
+        exclude_if=lambda given: given is None,
+    )
+
+    @property
+    def closing(self) -> dict[str, AnswersSection]:
+        """How each question of the form at the end is asked, by its name."""
+        return self.answers.asking(self.form)
 
     def read_people(self, path: Path) -> dict[str, float | str | None]:
         """Return a participant's answers from a YAML file; InputError with every fault of it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import string
 from collections.abc import Iterator
 from typing import Annotated
@@ -12,6 +13,7 @@ from modaltouch.protocol.adaptive import offered_answers
 from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.conditions import FingerName
 from modaltouch.protocol.problems import Problem, fault, suggest
+from modaltouch.protocol.questions import RATED
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Section, Text, Word, described
 from modaltouch.protocol.sections import Protocol
@@ -29,6 +31,8 @@ _PLACEHOLDERS: dict[str, frozenset[str]] = {
     "placed_by_free_hand": frozenset({"key", "hand"}),
     "placed_by_hand_on_beam": frozenset({"key", "hand"}),
     "free_hand_answers": frozenset({"hand"}),
+    "how_to_rate": frozenset({"pause_key"}),
+    "confirm_rating": frozenset({"key"}),
 }
 """Words in braces that a text must contain; every other text must contain none."""
 
@@ -94,6 +98,10 @@ class Texts(Section):
     answers: dict[Word, Annotated[Text, Field(min_length=1), AfterValidator(_check_text)]] = described(
         "Labels of answers of other names, by the name that the protocol gives them.", default={}
     )
+    further: dict[Word, Annotated[Text, Field(min_length=1), AfterValidator(_check_text)]] = described(
+        "Further texts by name, which a protocol names as its question, its instructions, or a further question.",
+        default={},
+    )
     trial_of: Text = described("Progress; holds {number} and {total}.")
     practice_of: Text = described("Progress in practice; holds {number} and {total}.")
     rest: Text = described("Shown in a break.")
@@ -134,6 +142,14 @@ class Texts(Section):
     measure_again: Text = described(
         "Asks for the fingers once more where they could not be measured.",
         default="Once more, please.\n\nYour fingers could not be measured. Lay them down as before, and keep still.",
+    )
+    how_to_rate: Text = described(
+        "Instead of how_to_answer where the answer is a place or number on a scale; holds {pause_key}.",
+        default="Each time, answer on this scale, and confirm.\n\nThere is no right or wrong here: tell us what you "
+        "feel, and if in doubt trust your first impression. Press {pause_key} whenever you need a pause.",
+    )
+    confirm_rating: Text = described(
+        "On the button that confirms the mark or number on a scale; holds {key}.", default="Confirm: {key}"
     )
     confirm_answer: Text = described("How to confirm or change an answer, where the protocol lets it be changed.")
     practice_agreed: Text = described("After a practice trial: the answer was the stronger finger.")
@@ -182,7 +198,11 @@ class Texts(Section):
 
     def label(self, answer: str) -> str:
         """Return what the participant calls an answer."""
-        return self.answers.get(answer) or str(getattr(self, answer))
+        return self.answers.get(answer) or str(getattr(self, answer, answer))
+
+    def named(self, words: str) -> str:
+        """Return the further text of a name, or the words themselves where they name none."""
+        return self.further.get(words, words)
 
 
 _ROOM = 120
@@ -191,10 +211,10 @@ _ROOM = 120
 
 def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Problem]:
     """Return the texts that a protocol needs and its language file lacks, and labels too long for their buttons."""
-    problems: list[Problem] = []
+    problems = [*_check_further(protocol, texts)]
     file, offered = protocol.source.path.name, offered_answers(protocol)
     absent = [name for name in SHIPPED if name not in offered.names]
-    for answer in offered:
+    for answer in offered if offered.names != (RATED,) else ():
         needed = [(answer.name,) if answer.name in SHIPPED else ("answers", answer.name)]
         needed += [("how_to_answer_or_none",)] if answer.says_nothing_felt else []
         for path in needed:
@@ -236,3 +256,26 @@ def _lacking_fingers(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iter
         if texts.find(path) is None:
             allowed = f"a text, as {protocol.source.path.name} has other fingers than two index or middle ones"
             yield texts.problem(path, "nothing", allowed, f"add the missing key `{': '.join(path)}`")
+
+
+def _check_further(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[Problem]:
+    """Yield the texts and labels of further questions, and of the form, that the language file lacks."""
+    wanted: list[tuple[tuple[str, ...], str, str]] = []
+    for questions in (("answers", "then"), ("form",)):
+        for name, question in protocol.items(*questions):
+            path = (*questions, str(name))
+            wanted += [(path, "further", str(name))] if question.question is None else []
+            wanted += [
+                ((*path, "keys", answer), "answers", answer) for answer in question.keys if answer not in SHIPPED
+            ]
+    for path in (("answers", "question"), ("instructions",)):
+        words = protocol.sound(*path)
+        wanted += [(path, "further", words)] if words and re.fullmatch(r"[A-Za-z0-9_-]{1,32}", words) else []
+    for path, section, name in wanted:
+        known = texts.keys(section) or []
+        if name not in known:
+            file, meant = texts.source.path.name, suggest(name, known)
+            remedy = f"did you mean '{meant}'? Else " if meant else ""
+            given = f"'{name}', which has no words in {file}"
+            remedy += f"add `{section}.{name}` to {file}" + (", or write the words here" * (section == "further"))
+            yield protocol.problem(path, given, f"a text under `{section}`", remedy, at_key=path[-1] == name)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 TIME_OUT = "time_out"
 """What is recorded where no answer came in time; never offered."""
+
+_SELDOM = ("value", "further")
+"""What a response says only where there is any."""
 
 FINGERS: dict[tuple[str, str], tuple[str, str]] = {
     ("one_hand", "right"): ("right index", "right middle"),
@@ -183,6 +186,10 @@ class Response:
         How long bringing the question onto the screen took: it was there this much earlier at most [s].
     time_uncertainty : float
         Longest time the answer event may have waited before it was stamped [s].
+    value : float or None
+        The number that was answered on a scale.
+    further : dict of str to dict
+        What was answered to each further question, by its name, as a response of its own.
     """
 
     answer: str
@@ -196,6 +203,8 @@ class Response:
     question_after: float | None = None
     question_uncertainty: float = 0.0
     time_uncertainty: float = 0.0
+    value: float | None = None
+    further: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
     def counted_from(self) -> float:
@@ -204,4 +213,5 @@ class Response:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the response as plain values for the record."""
-        return asdict(self)
+        values = asdict(self)
+        return {name: value for name, value in values.items() if name not in _SELDOM or value not in (None, {})}

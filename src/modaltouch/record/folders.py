@@ -122,8 +122,16 @@ class SessionFolder:
     @property
     def table(self) -> Path:
         """The BIDS table derived from the log; its side file has the suffix ``.json``."""
+        return self._table_of("")
+
+    @property
+    def form_table(self) -> Path:
+        """The BIDS table of the form at the end, a task of its own beside the trials."""
+        return self._table_of("form")
+
+    def _table_of(self, part: str) -> Path:
         task = re.sub(r"[^A-Za-z0-9]", "", self.protocol)
-        return self.folder / f"sub-{self.participant}_ses-{self.session}_task-{task}_beh.tsv"
+        return self.folder / f"sub-{self.participant}_ses-{self.session}_task-{task}{part}_beh.tsv"
 
     def refuse_existing(self) -> None:
         """Raise if a session has been recorded here.

@@ -5,7 +5,6 @@ Level, amplitudes and speeds of a trial follow from its place in the order; its 
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -13,6 +12,7 @@ from datetime import datetime
 from typing import Any
 
 from modaltouch.protocol import Protocol, Schedule, Trial, judge_round
+from modaltouch.record.questions import check_answers, check_form
 from modaltouch.record.restored import UNTOLD, RestoredExperiment
 from modaltouch.record.session import Session
 
@@ -83,7 +83,7 @@ def check_amplitudes(event: Event, trial: Trial, given: TrialExpectation) -> Ite
 
 def check_answered(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
     """Yield where an answer's line contradicts its trial: level, predicted speeds, fingers, what the answer can be."""
-    planned, condition, response = event["planned"], trial.condition, event["response"]
+    planned, condition = event["planned"], trial.condition
     if planned["velocity_mm_s"] != condition.velocity_mm_s:
         yield f"was planned at {planned['velocity_mm_s']:g} mm/s and presented at {condition.velocity_mm_s:g} mm/s"
     said = tuple(planned[f"speed_{side}_mm_s"] for side in condition.sides)
@@ -95,11 +95,7 @@ def check_answered(event: Event, trial: Trial, given: TrialExpectation) -> Itera
         yield f"was felt with {_listed(fingers)}, the record says {_listed(tuple(event['fingers']))}"
     if event.get("catch", False) is not condition.is_catch:
         yield f"at {condition.velocity_mm_s:g} mm/s it is {'' if condition.is_catch else 'not '}a catch trial"
-    offered = [*given.protocol.answers.keys, "time_out"]
-    if response["answer"] not in offered:
-        yield f"was answered {response['answer']!r}; allowed: {', '.join(offered)}"
-    if not 0 <= response["reaction_time"] < math.inf:
-        yield f"has a reaction time of {response['reaction_time']} s"
+    yield from check_answers(event, given.protocol.answers)
 
 
 def check_instants(event: Event, trial: Trial) -> Iterator[str]:
@@ -232,7 +228,7 @@ class EventSequence:
         self._next = 1
         self._unfinished: dict[int, Event] = {}
         self._settled: tuple[Trial, Trial] | None = None
-        self._passed = False
+        self._passed, self._filled = False, set[str]()
         self._boot, self._clock, self._before = "", float("-inf"), ""
 
     def walk(self) -> None:
@@ -245,6 +241,7 @@ class EventSequence:
             "trial_cut": self._named,
             "withdrawn": self._withdrawn,
             "practice_round": self._judged,
+            "form": lambda _, event: check_form(event, self._given.protocol, self._filled),
             "probe": self._probed,
             "stop": self._stopped,
         }
@@ -403,7 +400,8 @@ class EventSequence:
         if answer is None:
             yield f"finishes the answer of line {event['answered']}, which is none that waits for its end"
             return
-        differing = [name for name in _SAME if answer.get(name) != event.get(name)]
+        first = {name: value for name, value in event["response"].items() if name != "further"}
+        differing = [name for name in _SAME if answer.get(name) != {**event, "response": first}.get(name)]
         differing += ["answer"] if answer["instants"]["answer"] != event["instants"]["answer"] else []
         if differing:
             yield f"has another {differing[0]} than line {event['answered']}, where it was answered"
@@ -435,7 +433,8 @@ class EventSequence:
     def _stopped(self, number: int, event: Event) -> Iterator[str]:
         """Check how many trials a sitting says it left behind."""
         n_done = sum(n > 0 for (practice, _), n in self._done.items() if not practice)
-        if number > self._whole_from and (event["n_answered"], event["complete"]) != (n_done, n_done >= self._n_trials):
+        is_complete = n_done >= self._n_trials and self._filled >= self._given.protocol.form.keys()
+        if number > self._whole_from and (event["n_answered"], event["complete"]) != (n_done, is_complete):
             yield f"says that {event['n_answered']} trials are answered, {n_done} are"
 
 

@@ -190,7 +190,18 @@ class Session:
             "speed_between_mm_s": planned.get("speed_between_mm_s"),
             "speed_right_mm_s": planned.get("speed_right_mm_s"),
             "log_line": event["n"],
+            **dict(zip(self.question_columns, self._further(response), strict=True)),
         }
+
+    def _further(self, response: dict[str, Any]) -> Iterator[Any]:
+        """Yield the number that was answered, and what was answered to further questions, in order of their columns."""
+        for name, asked in self.questions.items():
+            if name == "value":
+                yield response.get("value")
+                continue
+            further = response.get("further", {}).get(name, {})
+            yield further.get("value" if asked.get("scale") else "answer")
+            yield further.get("reaction_time")
 
     @cached_property
     def answered(self) -> frozenset[tuple[bool, int]]:
@@ -212,10 +223,35 @@ class Session:
             }
         )
 
+    @cached_property
+    def form(self) -> dict[str, dict[str, Any]]:
+        """What was answered to the form at the end, by question: each answer as a response."""
+        return {event["name"]: event["response"] for event in self.events if event["event"] == "form"}
+
+    @property
+    def questions(self) -> dict[str, dict[str, Any]]:
+        """Questions that are asked beside the first one of a trial, by their columns, as the protocol has them."""
+        answers = self.start.get("design", {}).get("answers", {})
+        scale = {"value": {"scale": answers["scale"]}} if answers.get("scale") else {}
+        return {**scale, **answers.get("then", {})}
+
+    @cached_property
+    def question_columns(self) -> tuple[str, ...]:
+        """Columns of these questions: a number, or an answer and its time."""
+        return tuple(
+            each for name in self.questions for each in ([name] if name == "value" else [name, f"{name}_time"])
+        )
+
+    @property
+    def lacks_trials(self) -> bool:
+        """Whether a scheduled trial is not answered, practice not counted."""
+        return self.n_answered < int(self.start.get("schedule", {"n_trials": 1})["n_trials"])
+
     @property
     def complete(self) -> bool:
-        """Whether every scheduled trial is answered, practice not counted."""
-        return bool(self.start) and self.n_answered >= self.start["schedule"]["n_trials"]
+        """Whether every scheduled trial is answered, practice not counted, and the form at the end filled in."""
+        asked = self.start.get("design", {}).get("form", {})
+        return bool(self.start) and not self.lacks_trials and asked.keys() <= self.form.keys()
 
     @property
     def unfit(self) -> str:
@@ -223,6 +259,8 @@ class Session:
         if not self.complete and self.begun_anew_as is not None:
             return f"closed: begun anew as session {self.begun_anew_as}"
         total = self.start.get("schedule", {}).get("n_trials", 0)
+        if not self.complete and not self.lacks_trials:
+            return "incomplete: the form at the end is not filled in (go on with `modaltouch resume`)"
         if not self.complete:
             return f"incomplete: {self.n_answered} of {total} trials answered (go on with `modaltouch resume`)"
         n_timed_out = sum(event["response"]["answer"] == TIME_OUT for event in self.trials)

@@ -33,6 +33,7 @@ _NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] 
     ),
     "withdrawn": ((("lines",), list),),
     "closed": ((("begun_anew_as",), int),),
+    "form": ((("name",), str), (("response", "answer"), str), (("response", "reaction_time"), (int, float))),
     "trial": (
         (("trial", "index"), int),
         (("trial", "block"), int),

@@ -130,6 +130,8 @@ MULTIPLE: dict[str, Any] = {
     "Units": "1",
 }
 
+_QUESTION_TIME: dict[str, Any] = {"Description": "From the question to its answer", "Units": "s"}
+
 STIMULUS: dict[str, Any] = {"Description": "Which of the protocol's stimuli; n/a in a catch trial"}
 
 
@@ -161,6 +163,12 @@ def write_view(
         "Mode": session.mode,
         "SessionLog": {"File": LOG_NAME, **head},
     }
+    if form := form_text(session):
+        replace_text(place.form_table, form)
+        asked = session.start["design"]["form"]
+        described = {name: describe_question(asked[name]) for name in asked}
+        form_side = {"TaskName": f"{place.protocol} form", **described}
+        replace_text(place.form_table.with_suffix(".json"), json.dumps(form_side, indent=2, ensure_ascii=False) + "\n")
     text = table_text(session, before)
     replace_text(place.table, text)
     replace_text(place.table.with_suffix(".json"), json.dumps(side, indent=2, ensure_ascii=False) + "\n")
@@ -185,6 +193,15 @@ def table_text(session: Session, before: tuple[tuple[Any, ...], str] = ((), ""))
     return text + "".join("\t".join(_text(name, row[name]) for name in columns) + "\n" for row in rows)
 
 
+def form_text(session: Session) -> str:
+    """Return the table of the form at the end, a row with a column for each question; empty before any answer."""
+    if not session.form:
+        return ""
+    given = {name: session.form.get(name, {"answer": None}) for name in session.start["design"]["form"]}
+    row = [_text(name, each.get("value", each["answer"])) for name, each in given.items()]
+    return "\t".join(given) + "\n" + "\t".join(row) + "\n"
+
+
 def _columns(session: Session) -> dict[str, dict[str, Any]]:
     """Return the columns of a session's table: those for catch trials and the answer none only where it has them."""
     design = session.start.get("design", {})
@@ -198,7 +215,21 @@ def _columns(session: Session) -> dict[str, dict[str, Any]]:
         (design.get("stimuli"), {"stimulus": STIMULUS}),
         (any(len(zones) > 2 for zones in design.get("conditions", {}).get("zones", ())), BETWEEN),
     )
-    return {name: column for held, columns in known if held for name, column in columns.items()}
+    columns = {name: column for held, columns in known if held for name, column in columns.items()}
+    for name, asked in session.questions.items():
+        columns[name] = describe_question(asked)
+        columns |= {f"{name}_time": _QUESTION_TIME} if name != "value" else {}
+    return columns
+
+
+def describe_question(asked: dict[str, Any]) -> dict[str, Any]:
+    """Return the description of the column of a question, from the protocol's section of it."""
+    scale, words = asked.get("scale"), asked.get("question") or ""
+    if not scale:
+        levels = {name: f"the answer {name}" for name in asked["keys"]} | {TIME_OUT: "no answer in time"}
+        return {"Description": words or "The answer", "Levels": levels}
+    ends = f" ({' - '.join(scale['words'])})" if scale["words"] else ""
+    return {"Description": f"{words or 'Number on the scale'}; {scale['kind']} scale{ends}, n/a without an answer"}
 
 
 def _describe_answers(section: dict[str, Any]) -> dict[str, Any]:
@@ -215,5 +246,6 @@ def _text(name: str, value: Any) -> str:
     """Return a value as it stands in the table."""
     if value is None or value == "":
         return "n/a"
-    text = str(int(value)) if isinstance(value, bool) else format(value, _FORMATS.get(name, ""))
+    usual = ".4f" if name.endswith("_time") else ".10g" if isinstance(value, float) else ""
+    text = str(int(value)) if isinstance(value, bool) else format(value, _FORMATS.get(name, usual))
     return text.replace("\t", " ").replace("\n", " ")

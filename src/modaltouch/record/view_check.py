@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from modaltouch.record.session import Session
-from modaltouch.record.view import table_text
+from modaltouch.record.view import form_text, table_text
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,9 @@ def check_view(session: Session) -> ViewFound:
         As it was read from its log.
     """
     checks = session.chain.checks
-    tables = sorted(session.path.parent.glob("*_beh.tsv"))
+    found = {path.name: path for path in session.path.parent.glob("*_beh.tsv")}
+    forms = {name: found[name] for name in found if name.replace("form_beh.tsv", "_beh.tsv") in found.keys() - {name}}
+    tables = [found[name] for name in found.keys() - forms.keys()]
     if len(tables) != 1:
         said = f"{session.path.parent}: holds {len(tables)} BIDS tables (*_beh.tsv), exactly one is needed"
         return ViewFound(problem=said, is_mendable=not tables)
@@ -53,6 +55,7 @@ def check_view(session: Session) -> ViewFound:
         if is_described:
             head = json.loads(side.read_text(encoding="utf-8"))["SessionLog"]
         text, n_lines, check = table.read_text(encoding="utf-8"), int(head["lines"]), head["check"]
+        form = "".join(path.read_text(encoding="utf-8") for path in forms.values())
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         return ViewFound(problem=f"{table}: the BIDS view cannot be read ({error}); move it away, and {_REMAKE}")
     if n_lines > len(checks):
@@ -65,7 +68,11 @@ def check_view(session: Session) -> ViewFound:
         return ViewFound(problem=f"{side}: was made from another log")
     # After a kill between the two, the table is of a later line than its side file.
     made_from = (Session(session.path, session.events[:n]) for n in range(max(n_lines, 0), len(checks) + 1))
+    # The form's own table is written first.
     shown = next((each for each in made_from if text == table_text(each)), None)
+    if shown is not None and form not in {form_text(shown), form_text(session)}:
+        named = next(iter(forms.values()), session.path.parent)
+        return ViewFound(problem=f"{named}: the table of the form differs from the log; move it away, and {_REMAKE}")
     if shown is None:
         return ViewFound(
             problem=f"{table}: differs from what the log says; the log is the truth: move the table away, and {_REMAKE}"

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.protocol import Protocol, Response, Trial
+from modaltouch.protocol import TIME_OUT, AnswersSection, Protocol, Response, Trial
 from modaltouch.record import RecordError, SessionLog
 from modaltouch.rig import Firing, Rig, RigError, StimulusLost
 from modaltouch.session.console.experimenter import Experimenter
@@ -100,7 +100,8 @@ def conduct(sitting: SessionRun) -> None:
     SessionStopped, Interrupted, RigError, RecordError, WindowError
         Whatever ended the session early; what was answered is kept.
     """
-    sitting.window.welcome(sitting.trials[0])
+    if sitting.trials:
+        sitting.window.welcome(sitting.trials[0])
     previous = practise(sitting)
     rested = sitting.clock.now()
     for trial in sitting.trials:
@@ -121,6 +122,7 @@ def conduct(sitting: SessionRun) -> None:
         settled = _settle(sitting, trial)
         run(sitting, settled, previous)
         previous = repeat(sitting, settled)
+    fill_in(sitting)
     sitting.window.goodbye()
     # The last trial may be wanted again while the participant is thanked; the fingers are lifted by then.
     while repeat(sitting, None) is not None:
@@ -326,11 +328,34 @@ def present(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]
             raise
         stop()
         firing = sitting.rig.firing or firing
+        if firing.confirmed and not faults and response.answer != TIME_OUT:
+            # A trial that is cut here is asked again as a whole: each line `trial` has all its answers.
+            asked = sitting.protocol.answers.further
+            further = {name: _ask_further(sitting, name, how, trial).as_dict() for name, how in asked.items()}
+            response = replace(response, further=further)
         _write_down(sitting, "trial", trial, response, firing, answered=line)
         sitting.save_view()
         if faults:
             raise faults[0]
         return response, firing
+
+
+def _ask_further(sitting: SessionRun, name: str, asked: AnswersSection, trial: Trial | None = None) -> Response:
+    """Ask one further question, at the console too where the experimenter answers."""
+    way = asked.given_by if trial is None else asked.way(trial.condition.finger_condition)
+    if way == "experimenter":
+        keys = {answer: list(keys) for answer, keys in asked.actions.items()}
+        sitting.experimenter.tell({"event": "question_next", "keys": keys, "rates": asked.scale is not None})
+    return sitting.window.ask_further(name, asked, trial)
+
+
+def fill_in(sitting: SessionRun) -> None:
+    """Ask what is left of the form at the end; each answer is on the disk before the next question."""
+    done = {event["name"] for event in sitting.log.events if event["event"] == "form"}
+    for name, asked in sitting.protocol.closing.items():
+        if name not in done:
+            sitting.log.append("form", name=name, response=_ask_further(sitting, name, asked).as_dict())
+            sitting.save_view()
 
 
 def fire(sitting: SessionRun, trial: Trial) -> Firing:

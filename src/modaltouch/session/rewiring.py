@@ -68,7 +68,8 @@ def wire_resume(
     schedule = Schedule.draw(protocol, place.participant, start["seed"], session.drawn_as, given=given)
     observer = Observer.from_dict(start["observer"]) if "observer" in start else Observer()
     at = preflight.experiment.protocol.schedule.resume.at
-    anew = _place_anew(place, session) if (restart or at == "restart") and not session.complete else None
+    begins_anew = (restart and not session.complete) or (at == "restart" and session.lacks_trials)
+    anew = _place_anew(place, session) if begins_anew else None
     if anew is None and session.begun_anew_as is not None:
         anew = _place_anew(place, session)
     wires = SessionParts(

@@ -229,8 +229,9 @@ class SessionParts:
     def _answerer(self) -> Answerer:
         who = self.seed, self.place.participant, self.place.session
         person = self.observer.draw(Schedule.random_generator(*who, "observer"))
-        answers = self.preflight.experiment.protocol.answers.offered
-        return Answerer(person, self._felt, Schedule.random_generator(*who, "answers"), answers)
+        section = self.preflight.experiment.protocol.answers
+        rng = Schedule.random_generator(*who, "answers")
+        return Answerer(person, self._felt, rng, section.offered, section.scale)
 
     def _felt(self, trial: Trial) -> tuple[float, ...]:
         """Return what the fingers feel: on the twin where there is one, else as predicted."""

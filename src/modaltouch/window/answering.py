@@ -70,7 +70,11 @@ class AnswerTaker:
         raise SessionStopped(reason)
 
     def await_answer(
-        self, trial: Trial, interrupt: Callable[[Event], NoReturn], times_out: Callable[[], bool] | None = None
+        self,
+        trial: Trial | None,
+        interrupt: Callable[[Event], NoReturn],
+        times_out: Callable[[], bool] | None = None,
+        since: float | None = None,
     ) -> tuple[str, Event] | None:
         """Return the first answer and its event, or None once time is up; what came after it is left to be read.
 
@@ -82,13 +86,15 @@ class AnswerTaker:
             Called with an event that cuts the trial; raises.
         times_out : callable, optional
             Asked at every poll whether the time for an answer is up.
+        since : float, optional
+            When the question came; the picture that is on if not given [s].
         """
         while True:
             events = self._loop.poll()
             for place, event in enumerate(events):
                 if self._reader.interrupts(event):
                     interrupt(event)
-                if event.kind == "answer" and event.time < self._loop.shown:
+                if event.kind == "answer" and event.time < (since or self._loop.shown):
                     # Typed at the console before the question came, and on its way since.
                     self._loop.note("discarded", when="before the question", **describe_press(event))
                     continue
@@ -97,7 +103,7 @@ class AnswerTaker:
                     self._loop.put_back(events[place + 1 :])
                     return answer, event
                 if is_press(event):
-                    self._loop.note("ignored", trial=trial.index, **describe_press(event))
+                    self._loop.note("ignored", trial=trial.index if trial else None, **describe_press(event))
             if times_out is not None and times_out():
                 return None
 

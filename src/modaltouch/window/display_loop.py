@@ -34,11 +34,17 @@ class Moment:
         The trial that is on.
     onset : float
         When its stimulus began, by the window's clock [s].
+    asked : str
+        Name of the further question that is asked; empty for the first of a trial.
+    entered : str
+        What stands on a scale so far.
     """
 
     wants: Literal["go_on", "feel", "answer", "confirm", "nothing"] = "nothing"
     trial: Trial | None = None
     onset: float = 0.0
+    asked: str = ""
+    entered: str = ""
 
 
 class Sitter:

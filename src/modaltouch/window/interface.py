@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Self
 
-from modaltouch.protocol import Response, Trial
+from modaltouch.protocol import AnswersSection, Response, Trial
 
 EventKind = typing.Literal["key", "release", "click", "close", "focus", "blur", "expose", "pause", "continue", "answer"]
 
@@ -174,6 +174,25 @@ class AnswerWindow:
 
     def confirm(self, response: Response) -> None:
         """Show which answer was taken; it is on the disk."""
+
+    def ask_further(self, name: str, asked: AnswersSection, trial: Trial | None = None) -> Response:
+        """Ask a further question, and return its answer; after a pause it is asked once more.
+
+        Parameters
+        ----------
+        name : str
+            Its name in the protocol.
+        asked : AnswersSection
+            How it is asked.
+        trial : Trial, optional
+            The trial whose stimulus is over; none for a question of the form at the end.
+
+        Raises
+        ------
+        SessionStopped
+            If the session was ended.
+        """
+        raise NotImplementedError
 
     def give_feedback(self, response: Response, expected: str) -> None:
         """Show for a moment where the vibration was stronger, after a practice trial."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from modaltouch.protocol import AnswerList
+from modaltouch.protocol import AnswerList, ScaleSection
 from modaltouch.window.shapes import Box
 
 _FULL_ASPECT = 1.32
@@ -27,7 +27,7 @@ class Layout:
     zones : dict of str to Box
         Zones of the beam from the left, by name.
     buttons : dict of str to Box
-        Answer buttons, by answer.
+        Answer buttons, by answer; or the parts of a scale.
     answer_width : float
         Width of those in the row.
     headline, body, page, go_on, label, bar, note : Box
@@ -75,6 +75,7 @@ def lay_out(
     height_px: int,
     zones: tuple[str, ...],
     answers: AnswerList,
+    scale: ScaleSection | None = None,
 ) -> Layout:
     """Return where everything stands in a window.
 
@@ -86,6 +87,8 @@ def lay_out(
         Names of the zones from the left.
     answers : AnswerList
         Answers that are offered.
+    scale : ScaleSection, optional
+        The scale in their place; its parts are then among the buttons, by what a click on each does.
     """
     width = width_px / height_px
     unit = min(1.0, width / _FULL_ASPECT)
@@ -97,7 +100,7 @@ def lay_out(
         unit=unit,
         type_scale=type_scale,
         zones=_row(zones, Box(0, 0.16, zone_width, 0.105 * unit)),
-        **_answer_buttons(answers, across, unit),
+        **(_answer_buttons(answers, across, unit) if scale is None else _scale_parts(scale, across, unit)),
         headline=Box(0, 0.405, 1.24 * unit, 0.14),
         body=Box(0, 0.24 - 0.06 * (1 - unit), 1.18 * unit, 0.21),
         page=Box(0, 0.06, 1.14 * unit, 0.6),
@@ -119,6 +122,18 @@ def _answer_buttons(answers: AnswerList, across: float, unit: float) -> dict[str
         return {"buttons": _row(row, Box(0, -0.275, width, 0.175 * max(unit, 0.8)), gap), "answer_width": width}
     above = _row(row, Box(0, -0.21, width, 0.14 * max(unit, 0.8)), gap)
     return {"buttons": {**above, **_row(below, Box(0, -0.3285, low, 0.075), gap)}, "answer_width": width}
+
+
+def _scale_parts(scale: ScaleSection, across: float, unit: float) -> dict[str, Any]:
+    """Return the parts of a scale by what a click on each does, and the width of a point or key."""
+    confirm, line = Box(0, -0.333, 0.42 * unit, 0.058), Box(0, -0.215, 0.96 * across, 0.07)
+    if scale.kind == "vas":
+        return {"buttons": {"confirm": confirm, "line": line}, "answer_width": line.width}
+    signs = [*"0123456789", ".", *(["-"] if "-" in scale.actions else []), "back"]
+    names = tuple(f"{point:.10g}" for point in scale.points) or tuple(signs)
+    step = across / max(len(names), 5)
+    middle = Box(0, -0.208, 0.86 * step, 0.075) if scale.points else Box(0, -0.268, 0.86 * step, 0.05)
+    return {"buttons": {"confirm": confirm, **_row(names, middle, 0.14 * step)}, "answer_width": middle.width}
 
 
 def _row(names: tuple[str, ...], middle: Box, gap: float = 0.0) -> dict[str, Box]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from modaltouch.protocol import AnswersSection, Texts, Trial
 from modaltouch.window.buttons import typesetter_of
 from modaltouch.window.interface import Progress
@@ -28,6 +30,7 @@ def every_picture(pictures: Illustrator, trial: Trial) -> list[Picture]:
     """
     progress, texts = Progress(trial.index, max(trial.index, 99)), pictures.texts
     names = pictures.answers.offered.names
+    chosen = names[0] if pictures.answers.scale is None else f"{pictures.answers.scale.at(0.5):g}"
     expected = [name for name in names if pictures.answers.offered.fingers_of(name)]
     return [
         pictures.welcome(trial),
@@ -37,7 +40,7 @@ def every_picture(pictures: Illustrator, trial: Trial) -> list[Picture]:
         pictures.ready(trial, progress, 3),
         pictures.feel(trial, progress),
         pictures.question(trial, progress),
-        pictures.question(trial, progress, chosen=names[0], confirmed=False),
+        pictures.question(trial, progress, chosen=chosen, confirmed=False),
         *(pictures.feedback(trial, progress, names[0], name) for name in expected),
         *(pictures.page(name, str(getattr(texts, name)), progress) for name in _PAGES),
         *(pictures.page(name, str(getattr(texts, name)), waits=False) for name in _LAST_PAGES),
@@ -47,21 +50,31 @@ def every_picture(pictures: Illustrator, trial: Trial) -> list[Picture]:
 
 
 def smallest_type(
-    answers: AnswersSection, texts: Texts, hand: str, zones: tuple[str, ...], trials: list[Trial], size: tuple[int, int]
+    asked: Sequence[AnswersSection],
+    texts: Texts,
+    hand: str,
+    zones: tuple[str, ...],
+    trials: list[Trial],
+    size: tuple[int, int],
 ) -> tuple[float, str]:
     """Return the height of a capital where the type is smallest [pixels], and the text that is set in it.
 
     Parameters
     ----------
-    answers, texts, hand, zones
+    asked : sequence of AnswersSection
+        How the first question is asked, and how each other.
+    texts, hand, zones
         As for `Illustrator` and `lay_out`.
     trials : list of Trial
         One of each placement.
     size : (width, height) of int
         Size of the window [pixels].
     """
-    pictures = Illustrator(lay_out(*size, zones, answers.offered), DARK, texts, answers, hand)
-    every = (picture for trial in trials for picture in every_picture(pictures, trial))
+    pictures, *others = (
+        Illustrator(lay_out(*size, zones, each.offered, each.scale), DARK, texts, each, hand) for each in asked
+    )
+    every = [picture for trial in trials for picture in every_picture(pictures, trial)]
+    every += [picture.question(trials[0], Progress(1, 1)) for picture in others]
     words = {mark for picture in every for mark in picture.marks if isinstance(mark, Words)}
     set_type = typesetter_of(texts).set_type
     return min((_CAPITAL * set_type(mark, size[1]).size, mark.text) for mark in words)

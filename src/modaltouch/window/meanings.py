@@ -10,7 +10,7 @@ from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import Event
 from modaltouch.window.layout import Layout
 
-DEVICES = {"key": "key", "click": "mouse", "answer": "console"}
+DEVICES = {"key": "key", "click": "mouse", "answer": "console", "continue": "console"}
 """Where an answer comes from, by the kind of its event."""
 
 
@@ -28,27 +28,31 @@ class Reader:
         Keys that go on from one screen to the next.
     needs_focus : bool
         Whether answers come from the window alone; the experimenter has the console, too.
+    rates : bool
+        Whether a number is entered on a scale, so that releases count, and going on at the console confirms it.
     """
 
     layout: Layout
     keys: dict[str, str]
     continue_keys: frozenset[str]
     needs_focus: bool = True
+    rates: bool = False
 
     @classmethod
     def of(cls, answers: AnswersSection, layout: Layout) -> Self:
         """Return the reader for a protocol's keys."""
-        keys = {canonical_key(key): answer for answer, given in answers.keys.items() for key in given}
-        return cls(
-            layout, keys, frozenset(map(canonical_key, answers.continue_keys)), answers.given_by == "participant"
-        )
+        keys = {canonical_key(key): answer for answer, given in answers.actions.items() for key in given}
+        goes_on = frozenset(map(canonical_key, answers.continue_keys))
+        return cls(layout, keys, goes_on, answers.given_by == "participant", answers.scale is not None)
 
     def answer(self, event: Event) -> str | None:
-        """Return the answer that a key press, a click or the experimenter gives, or None."""
+        """Return the answer that somebody gives, or what is done on a scale; None for anything else."""
         if event.kind == "key":
             return self.keys.get(event.key) or self.keys.get(event.digit)
         if event.kind == "click":
             return self.layout.answer_at(event.x, event.y)
+        if self.rates and event.kind in ("release", "continue"):
+            return "release" if event.kind == "release" else "confirm"
         return event.answer
 
     def goes_on(self, event: Event) -> bool:

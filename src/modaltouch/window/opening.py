@@ -119,7 +119,7 @@ def open_window(
 
     options = options or WindowOptions()
     theme = THEMES[options.theme]
-    robot = Robot(answerer, protocol.answers) if answers == "robot" and answerer is not None else None
+    robot = Robot(answerer, protocol) if answers == "robot" and answerer is not None else None
     display = Screen(
         size=options.size,
         fullscreen=options.fullscreen,

@@ -5,17 +5,20 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from modaltouch.protocol import TIME_OUT, Protocol, Response, Texts, Trial
+from modaltouch.protocol import TIME_OUT, AnswersSection, Protocol, Response, Texts, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
-from modaltouch.window.answering import SETTLE, AnswerTaker
+from modaltouch.window.answering import SETTLE
+from modaltouch.window.asking import AskedQuestion, chosen
 from modaltouch.window.display_loop import POLL_INTERVAL, DisplayLoop, Moment, Sitter
 from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import AnswerWindow, Event, Log, Presentation, Progress, Tick, TrialInterrupted
 from modaltouch.window.layout import lay_out
-from modaltouch.window.meanings import DEVICES, Reader, is_press
+from modaltouch.window.meanings import is_press
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.shapes import Picture
 from modaltouch.window.theme import THEMES, Theme
@@ -83,11 +86,8 @@ class ParticipantWindow(AnswerWindow):
         self._answers = protocol.answers
         self._n_practice = protocol.schedule.practice_trials
         self._texts = texts
-        self._theme = next((name for name, known in THEMES.items() if known == theme), "")
-        layout = lay_out(*display.size, zones, protocol.answers.offered)
-        self._pictures = Illustrator(
-            layout, theme, texts, protocol.answers, protocol.conditions.hand, protocol.conditions.fingers
-        )
+        self._colours, self._theme = theme, next((name for name, known in THEMES.items() if known == theme), "")
+        self._zones, self._design = zones, protocol.conditions
         self._loop = DisplayLoop(
             display,
             tick=tick,
@@ -98,8 +98,8 @@ class ParticipantWindow(AnswerWindow):
             clock=clock,
         )
         self._answered_by = "simulated" if robot else ""
-        self._reader = Reader.of(protocol.answers, layout)
-        self._taker = AnswerTaker(self._loop, self._pictures, self._reader)
+        self._first = self._asking(protocol.answers)
+        self._pictures, self._reader, self._taker = self._first.pictures, self._first.reader, self._first.taker
         self._current: tuple[Trial, Progress] | None = None
         self._answered, self._by_hand = -math.inf, True
 
@@ -181,26 +181,74 @@ class ParticipantWindow(AnswerWindow):
         def interrupt(event: Event) -> NoReturn:
             self._interrupt(trial, event, presentation.stop)
 
-        taken = self._taker.await_answer(trial, interrupt, self._end_of(presentation, asked))
+        def draw(entered: str | None) -> Picture:
+            return self._pictures.question(trial, counted, chosen=entered, confirmed=False)
+
+        moment, is_over = Moment("answer", trial, onset), self._end_of(presentation, asked)
+        taken, value = self._first.take(moment, draw, interrupt, is_over)
         gap = self._loop.poll_gap
-        if taken is not None and answers.change_until_confirmed:
+        if taken is not None and value is None and answers.change_until_confirmed:
             taken = self._taker.await_confirmation(trial, counted, *taken, interrupt)
         presentation.end()
-        answered = taken[1].time if taken is not None else self._clock.now()
-        self._answered = self._clock.now() if taken is None or answers.change_until_confirmed else answered
-        return Response(
-            answer=taken[0] if taken is not None else TIME_OUT,
-            reaction_time=answered - (asked if stops_first else onset),
+        since, by = asked if stops_first else onset, self._answered_by or self._who(trial)
+        response = self._first.respond(taken, value, since, by)
+        self._answered = self._clock.now() if taken is None or answers.change_until_confirmed else taken[1].time
+        return replace(
+            response,
             onset="question" if stops_first else "first_burst",
-            answered_by=self._answered_by or self._who(trial),
             way=answers.way(trial.condition.finger_condition),
-            device=DEVICES[taken[1].kind] if taken is not None else "none",
-            key=(self._reader.name(taken[1]) or taken[0]) if taken is not None else "",
-            double=taken is not None and self._taker.watch_double(*taken),
+            double=taken is not None and value is None and self._taker.watch_double(*taken),
             question_after=asked - onset,
             question_uncertainty=flip_took,
             time_uncertainty=gap,
         )
+
+    def ask_further(self, name: str, asked: AnswersSection, trial: Trial | None = None) -> Response:
+        """Ask a further question, after a trial or without one, and return its answer.
+
+        Raises
+        ------
+        SessionStopped
+            If the session was ended.
+        """
+        self._rest_on(None, self._answered + _CONFIRMATION)
+        question = self._asking(asked)
+
+        def draw(entered: str | None, *, confirmed: bool = False) -> Picture:
+            if trial is None or self._current is None:
+                return question.pictures.form(name, entered, confirmed=confirmed)
+            return question.pictures.question(*self._current, chosen=entered, confirmed=confirmed, name=name)
+
+        def interrupt(event: Event) -> NoReturn:
+            self._hold(None, event)
+            raise TrialInterrupted("asked again")
+
+        while True:
+            moment = Moment("answer", trial, asked=name)
+            shown = self._loop.show(draw(None), moment)
+            flip_took, limit = self._loop.flip_took, shown + (asked.time_out_s or math.inf)
+            for event in self._loop.poll_quietly():
+                self._taker.discard(event, "before the question", trial)
+            try:
+                taken, value = question.take(moment, draw, interrupt, partial(self._is_past, limit))
+            except TrialInterrupted:
+                continue
+            gap, by = self._loop.poll_gap, self._who(trial)
+            response = question.respond(taken, value, shown, self._answered_by or by)
+            self._answered = self._clock.now() if taken is None else taken[1].time
+            if (given := chosen(response)) is not None:
+                self._rest_on(draw(given, confirmed=True), self._answered + _CONFIRMATION)
+            return replace(response, onset="question", question_uncertainty=flip_took, time_uncertainty=gap)
+
+    def _is_past(self, instant: float) -> bool:
+        return self._clock.now() >= instant
+
+    def _asking(self, answers: AnswersSection) -> AskedQuestion:
+        """Return what asks by a list of answers, or on a scale."""
+        layout = lay_out(*self._display.size, self._zones, answers.offered, answers.scale)
+        design = self._design
+        pictures = Illustrator(layout, self._colours, self._texts, answers, design.hand, design.fingers)
+        return AskedQuestion.prepare(self._loop, pictures)
 
     def _end_of(self, presentation: Presentation, asked: float) -> Callable[[], bool]:
         """Return what, asked again and again, ends the longest stimulus and tells whether the time to answer is up."""
@@ -223,7 +271,7 @@ class ParticipantWindow(AnswerWindow):
         if self._current is not None and response.answer == TIME_OUT:
             self._loop.show(self._pictures.ready(*self._current), Moment())
         elif self._current is not None and response.answer != TIME_OUT:
-            self._loop.show(self._pictures.question(*self._current, chosen=response.answer), Moment())
+            self._loop.show(self._pictures.question(*self._current, chosen=chosen(response)), Moment())
         self._loop.write_notes()
 
     def give_feedback(self, response: Response, expected: str) -> None:
@@ -273,7 +321,7 @@ class ParticipantWindow(AnswerWindow):
         progress, draw = Progress(1, 1), self._pictures
         for picture in (draw.placement(trial), draw.feel(trial, progress), draw.question(trial, progress)):
             self._loop.prepare(picture)
-        for answer in draw.layout.buttons:
+        for answer in draw.layout.buttons if self._answers.scale is None else ():
             self._loop.prepare(draw.question(trial, progress, chosen=answer))
 
     def _count(self, trial: Trial, progress: tuple[int, int]) -> Progress:
@@ -283,8 +331,8 @@ class ParticipantWindow(AnswerWindow):
         n_trials = max(self._n_practice, 1)
         return Progress((trial.index - 1) % n_trials + 1, n_trials)
 
-    def _who(self, trial: Trial) -> str:
-        way = self._answers.way(trial.condition.finger_condition)
+    def _who(self, trial: Trial | None) -> str:
+        way = self._answers.given_by if trial is None else self._answers.way(trial.condition.finger_condition)
         return "experimenter" if way == "experimenter" else "participant"
 
     def _go_on(self, draw: Callable[[], Picture], trial: Trial | None = None) -> None:

@@ -11,6 +11,7 @@ from modaltouch.protocol import AnswersSection, Texts, Trial
 from modaltouch.window.buttons import Buttons, key_name
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import Layout
+from modaltouch.window.rating import draw_scale
 from modaltouch.window.shapes import Box, Mark, Picture, Point, Words, capsule, framed, moved, rectangle, rounded
 from modaltouch.window.theme import Theme, mixed
 
@@ -183,7 +184,7 @@ class Illustrator:
         layout, texts, offered = self.layout, self.texts, self.answers.offered
         nothing = offered.naming()
         words = (texts.how_to_answer_or_none if nothing else None) or texts.how_to_answer
-        filled = words.format(
+        filled = (texts.how_to_rate if self.answers.scale else words).format(
             pause_key=key_name(texts, AnswersSection.PAUSE_KEY),
             n_answers=texts.number(len(offered)),
             nothing_felt=texts.label(nothing.name) if nothing else "",
@@ -195,7 +196,7 @@ class Illustrator:
             (
                 self._headline(title, 0.054),
                 Words("\n\n".join(rest), below, 0.042 * layout.type_scale, self.theme.text),
-                *self._buttons.draw(None, with_keys=self.answers.given_by == "participant"),
+                *self._draw_answers(None, confirmed=False, with_keys=self.answers.given_by == "participant"),
                 *self._go_on(),
             ),
         )
@@ -227,15 +228,30 @@ class Illustrator:
         )
 
     def question(
-        self, trial: Trial, progress: Progress, chosen: str | None = None, *, confirmed: bool = True
+        self, trial: Trial, progress: Progress, chosen: str | None = None, *, confirmed: bool = True, name: str = ""
     ) -> Picture:
-        """Return the question with its answers; `chosen` is shown as taken, or as still to be confirmed."""
+        """Return the question with its answers; `chosen` is shown as taken, or as still to be confirmed.
+
+        Parameters
+        ----------
+        trial, progress
+            What is asked, and where the session stands.
+        chosen : str, optional
+            The answer, or the number on a scale.
+        confirmed : bool
+            Whether it is taken.
+        name : str
+            Of a further question.
+        """
         layout, way = self.layout, self.answers.way(trial.condition.finger_condition)
         texts, hand = self.texts, self._pressing_hand(trial)
-        if chosen and not confirmed:
+        kind, asked = f"_{name}" if name else "", self.answers.question
+        rates = self.answers.scale is not None
+        if chosen and not confirmed and not rates:
             name, words = f"chosen_{chosen}", self.texts.confirm_answer
         else:
-            name = f"answered_{chosen}" if chosen else f"question_{_tag(trial)}"
+            state = ("answered" if confirmed else "rating") if chosen else "question"
+            name = f"{state}{kind}_{_tag(trial) if rates or not chosen else chosen}"
             words = {
                 "experimenter": texts.experimenter_answers,
                 "lifting": texts.lift_to_answer.format(hand=hand),
@@ -246,9 +262,9 @@ class Illustrator:
         return Picture(
             name,
             (
-                self._headline(texts.question, 0.056),
+                self._headline(texts.named(asked) if asked else texts.question, 0.056),
                 *self._beam(trial),
-                *self._buttons.draw(chosen, with_keys=way != "experimenter"),
+                *self._draw_answers(chosen, confirmed=confirmed, with_keys=way != "experimenter"),
                 *note,
                 *self._progress(trial, progress),
             ),
@@ -345,13 +361,29 @@ class Illustrator:
             *self._go_on(),
         )
 
-    @property
-    def _buttons(self) -> Buttons:
-        return Buttons(self.layout, self.theme, self.texts, self.answers)
+    def form(self, name: str, entered: str | None, *, confirmed: bool) -> Picture:
+        """Return a question without a trial, with what has been answered."""
+        page, keys = self.layout.page, self.answers.given_by == "participant"
+        words, state = self.texts.named(self.answers.question or name), "_answered" if confirmed else ""
+        above = Box(page.x, 0.12, page.width, 0.3)
+        return Picture(
+            f"form_{name}{state}",
+            (
+                Words(words, above, 0.056 * self.layout.type_scale, self.theme.text, bold=True),
+                *self._draw_answers(entered, confirmed=confirmed, with_keys=keys),
+            ),
+        )
+
+    def _draw_answers(self, chosen: str | None, *, confirmed: bool, with_keys: bool) -> tuple[Mark, ...]:
+        """Return the answers, or the scale, with what is chosen."""
+        own = self.layout, self.theme, self.texts
+        if self.answers.scale is None:
+            return Buttons(*own, self.answers).draw(chosen, with_keys=with_keys)
+        return draw_scale(*own, self.answers.scale, chosen or "", confirmed=confirmed, keys=with_keys)
 
     def _answers_box(self) -> Box:
         """Return the middle of the row of answers."""
-        row = self.layout.buttons[next(answer.name for answer in self.answers.offered)]
+        row = list(self.layout.buttons.values())[-1 if self.answers.scale else 0]
         return Box(0, row.y, row.width, row.height)
 
     def _beam(self, trial: Trial) -> tuple[Mark, ...]:

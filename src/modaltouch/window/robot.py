@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from modaltouch.protocol import AnswersSection
+from modaltouch.protocol import Protocol
 from modaltouch.window.display_loop import Moment, Sitter
 from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import WindowError
+from modaltouch.window.rating import Entry
 from modaltouch.window.simulated import Answerer
 
 _HOLD = 0.06
@@ -31,19 +32,20 @@ class Robot(Sitter):
     ----------
     answerer : Answerer
         Who answers.
-    answers : AnswersSection
+    protocol : Protocol
         Which key gives which answer, and which one goes on.
     patience : float
         Time it takes to read a screen [s].
     """
 
-    def __init__(self, answerer: Answerer, answers: AnswersSection, *, patience: float = 0.6) -> None:
+    def __init__(self, answerer: Answerer, protocol: Protocol, *, patience: float = 0.6) -> None:
+        answers = protocol.answers
         self._answerer = answerer
-        self._keys = {answer: canonical_key(keys[0]) for answer, keys in answers.keys.items()}
+        self._asked = {"": answers, **answers.further, **protocol.closing}
         self._continue_key = canonical_key(answers.continue_keys[0])
         self._counts_from_question = answers.stimulus_until == "question"
         self._patience = patience
-        self._felt: tuple[str, float] = ("", 0.0)
+        self._felt: tuple[str, float | None, float] = ("", None, 0.0)
         self._seen: tuple[Moment, str] = (Moment(), "")
         self._wanted, self._due, self._tries = "", 0.0, 0
         self._down, self._moved = "", 0.0
@@ -54,15 +56,25 @@ class Robot(Sitter):
             return
         self._seen, self._wanted, self._tries = (moment, picture), "", 0
         if moment.wants in ("go_on", "confirm"):
-            self._wanted = self._continue_key if moment.wants == "go_on" else self._keys[self._felt[0]]
+            self._wanted = self._continue_key if moment.wants == "go_on" else self._key(moment)
             self._due = shown + self._patience
         elif moment.wants == "feel" and moment.trial is not None:
             # Felt now: by the time of the question the stimulus may have stopped.
-            self._felt = self._answerer.answer(moment.trial)
+            self._felt = self._answerer.first(moment.trial)
         elif moment.wants == "answer":
-            answer, reaction_time = self._felt
-            start = shown if self._counts_from_question else moment.onset
-            self._wanted, self._due = self._keys[answer], max(start + reaction_time, shown + _GLANCE)
+            if moment.asked and not moment.entered:
+                asked = self._asked[moment.asked]
+                self._felt = self._answerer.rate(moment.trial, asked.scale, asked.offered.names, moment.asked)
+            start = shown if self._counts_from_question or moment.asked else moment.onset
+            due = max(start + self._felt[2], shown + _GLANCE)
+            self._wanted, self._due = self._key(moment), shown if moment.entered else due
+
+    def _key(self, moment: Moment) -> str:
+        """Return the key that answers, or brings what stands on a scale nearer to the answer."""
+        asked, (answer, value, _) = self._asked[moment.asked], self._felt
+        if asked.scale is not None and value is not None:
+            answer = Entry(asked.scale, text=moment.entered).towards(value)
+        return canonical_key(asked.actions[answer][0])
 
     def act(self, now: float, type_key: Callable[..., None]) -> None:
         """Press or release the key that is due; raise `WindowError` if the window has not taken one for a minute."""

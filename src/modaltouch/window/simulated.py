@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 
-from modaltouch.protocol import TIME_OUT, AnswerList, Response, Trial
+from modaltouch.protocol import TIME_OUT, AnswerList, AnswersSection, Response, ScaleSection, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
 from modaltouch.window.interface import AnswerWindow, Log, Presentation, Tick, TrialInterrupted
+
+Rated = tuple[str, float | None, float]
+"""An answer, its number on a scale, and its reaction time [s]."""
 
 
 class Observing(Protocol):
@@ -28,6 +32,10 @@ class Observing(Protocol):
         *speed_between: float,
     ) -> tuple[str, float]:
         """Return the answer to two or three peak speeds [m/s] and its reaction time [s]."""
+        ...
+
+    def rate(self, speeds: Sequence[float], rng: np.random.Generator) -> tuple[float, float]:
+        """Return how strong peak speeds [m/s] are felt, as a share of a scale [1], and the reaction time [s]."""
         ...
 
 
@@ -46,15 +54,60 @@ class Answerer:
         and a repeated trial get the same answers as an uninterrupted one.
     answers : AnswerList
         Answers that the protocol offers.
+    scale : ScaleSection or None
+        The scale, where it offers one in their place.
     """
 
     participant: Observing
     felt: Callable[[Trial], tuple[float, ...]]
     generator: np.random.Generator
     answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
+    scale: ScaleSection | None = None
 
     def answer(self, trial: Trial) -> tuple[str, float]:
-        """Return the answer to a trial and its reaction time [s].
+        """Return the answer to a trial and its reaction time [s]."""
+        speeds, stream = self.felt(trial), self._stream(int(trial.practice), trial.index)
+        # One finger alone is like two that feel the same: what it can tell is whether there was anything.
+        of = speeds[0], speeds[-1], trial.condition.finger_condition
+        return self.participant.answer(*of, stream, self.answers, *speeds[1:-1])
+
+    def first(self, trial: Trial) -> Rated:
+        """Return the answer to the first question of a trial, as `rate` does."""
+        if self.scale is not None:
+            return self.rate(trial, self.scale, self.answers.names)
+        answer, reaction_time = self.answer(trial)
+        return answer, None, reaction_time
+
+    def rate(self, trial: Trial | None, scale: ScaleSection | None, names: Iterable[str], name: str = "") -> Rated:
+        """Return the answer to a question of strength, its number on a scale, and the reaction time [s].
+
+        The stronger the vibration, the larger the number, and the later the answer in a list. Where there is no trial,
+        every place is as likely.
+
+        Parameters
+        ----------
+        trial : Trial or None
+            What was presented, if anything.
+        scale : ScaleSection or None
+            What is answered on; None for a list.
+        names : iterable of str
+            The answers.
+        name : str
+            Of the question, if it is a further one.
+        """
+        number, listed = zlib.crc32(name.encode()), list(names)
+        if trial is None:
+            stream = self._stream(2, 0, number)
+            share, reaction_time = float(stream.random()), self.participant.rate((0.0,), stream)[1]
+        else:
+            stream = self._stream(int(trial.practice), trial.index, number)
+            share, reaction_time = self.participant.rate(self.felt(trial), stream)
+        if scale is not None:
+            return listed[0], scale.at(share), reaction_time
+        return listed[int(share * len(listed))], None, reaction_time
+
+    def _stream(self, *key: int) -> np.random.Generator:
+        """Return the source of chance of one answer.
 
         Raises
         ------
@@ -67,12 +120,7 @@ class Answerer:
                 f"given a generator seeded by {type(seed).__name__}; allowed: one with a SeedSequence, such as "
                 "numpy.random.default_rng(seed)"
             )
-        key = (*seed.spawn_key, int(trial.practice), trial.index)
-        stream = np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=key))
-        speeds = self.felt(trial)
-        # One finger alone is like two that feel the same: what it can tell is whether there was anything.
-        of = speeds[0], speeds[-1], trial.condition.finger_condition
-        return self.participant.answer(*of, stream, self.answers, *speeds[1:-1])
+        return np.random.default_rng(np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, *key)))
 
 
 class SimulatedParticipant(AnswerWindow):
@@ -129,7 +177,7 @@ class SimulatedParticipant(AnswerWindow):
 
     def ask(self, trial: Trial, progress: tuple[int, int], presentation: Presentation) -> Response:
         """Return the observer's answer once its reaction time has passed."""
-        answer, reaction_time = self._answerer.answer(trial)
+        answer, value, reaction_time = self._answerer.first(trial)
         stops_first = self._onset_is == "question"
         start = presentation.ends if stops_first else presentation.onset
         if stops_first:
@@ -149,6 +197,22 @@ class SimulatedParticipant(AnswerWindow):
             onset=self._onset_is,
             answered_by="simulated",
             device="none" if timed_out else "model",
+            value=None if timed_out else value,
+        )
+
+    def ask_further(self, name: str, asked: AnswersSection, trial: Trial | None = None) -> Response:
+        """Return the observer's answer to a further question once its reaction time has passed."""
+        answer, value, reaction_time = self._answerer.rate(trial, asked.scale, asked.offered.names, name)
+        limit = asked.time_out_s or math.inf
+        timed_out = reaction_time > limit
+        self._pass(min(reaction_time, limit))
+        return Response(
+            TIME_OUT if timed_out else answer,
+            min(reaction_time, limit),
+            onset="question",
+            answered_by="simulated",
+            device="none" if timed_out else "model",
+            value=None if timed_out else value,
         )
 
     def _pass_until(self, instant: float, presentation: Presentation) -> None:

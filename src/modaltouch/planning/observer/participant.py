@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -186,6 +187,29 @@ class Participant:
             named = answers.naming(("left", "between", "right")[strongest])
             return (named or answers[0]).name, reaction_time
         return _name(answers, felt, self.criterion, guess), reaction_time
+
+    def rate(self, speeds: Sequence[float], rng: np.random.Generator) -> tuple[float, float]:
+        """Return how strong a vibration is felt, as a share of a scale, and the reaction time from the first burst [s].
+
+        The faster finger counts, its speed v relative to that of the model's reference, s = v / v_ref, times log-normal
+        noise: the share is s / (1 + s), which a scale without an upper end turns back into s (a power law of exponent
+        1, as that of vibration at 60 Hz nearly is [1]_).
+
+        Parameters
+        ----------
+        speeds : sequence of float
+            What the fingers feel [m/s].
+        rng : numpy.random.Generator
+            Source of chance.
+
+        References
+        ----------
+        .. [1] S. S. Stevens, "Tactile vibration: dynamics of sensory intensity", J. Exp. Psychol. 57, 210 (1959): 0.95.
+        """
+        draw, pace = rng.standard_normal(), rng.standard_normal()
+        strength = (max(speeds) + self.floor) / REFERENCE * math.exp(self.noise_at(max(speeds), 0.0) * draw)
+        reaction_time = self.quickest + self.decision_time * math.exp(self.decision_spread * pace)
+        return strength / (1 + strength), reaction_time
 
 
 def _name(answers: AnswerList, felt: float, criterion: float, guess: float) -> str:

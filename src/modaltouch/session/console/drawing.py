@@ -167,8 +167,13 @@ def _describe_question(question: dict[str, Any]) -> str:
     """Return by which keys of the console each answer is typed, while a trial is on."""
     if not question["open"]:
         return "-"
-    named = {answer: " or ".join(_ARROWS.get(key, key) for key in keys) for answer, keys in question["keys"].items()}
-    return "; ".join(f"{answer}: {keys}" for answer, keys in named.items())
+    named = {
+        answer: " or ".join(_ARROWS.get(key, key) for key in keys)
+        for answer, keys in question["keys"].items()
+        if not (answer.isdecimal() and answer in keys)
+    }
+    typed = ["digits"] if len(named) < len(question["keys"]) else []
+    return "; ".join([*typed, *(f"{answer}: {keys}" for answer, keys in named.items())])
 
 
 def _describe_requests(facts: Facts) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from string import ascii_lowercase
 from typing import Any
 
-from modaltouch.protocol import AnswerList
+from modaltouch.protocol import AnswerList, AnswersSection
 from modaltouch.session.console.interface import OWN_KEYS, Facts
 
 HASTY = 0.1
@@ -61,8 +61,10 @@ def _times(count: int) -> str:
     return "once" if count == 1 else f"{count} times"
 
 
-def typed_keys(keys: Mapping[str, Sequence[str]], answers: Sequence[str]) -> dict[str, list[str]]:
+def typed_keys(keys: Mapping[str, Sequence[str]], answers: Sequence[str] | None) -> dict[str, list[str]]:
     """Return the keys of each of the `answers`, as they stand on the screen, at a console: the protocol's first.
+
+    Of a scale, without `answers`, the keys of everything that can be done on it; going on at the console confirms it.
 
     The console's own keys keep their meaning at every moment, so an answer never has one of them. A terminal sends the
     keypad's digits as any others. Each answer also has the number of its place on the screen, unless that is a key of
@@ -73,6 +75,10 @@ def typed_keys(keys: Mapping[str, Sequence[str]], answers: Sequence[str]) -> dic
     >>> typed_keys({"left": ["left", "num_4"], "both": ["n"], "right": ["right", "2"]}, ("left", "both", "right"))
     {'left': ['left', '4', '1'], 'both': ['5'], 'right': ['right', '2', '3']}
     """
+    if answers is None:
+        return {
+            what: [key for key in named if key not in OWN_KEYS] for what, named in keys.items() if what != "confirm"
+        }
     given = [(name, answer) for answer in answers for name in keys[answer] if name not in OWN_KEYS]
     wanted = [(name, answer) for name, answer in given if not name.startswith("num_")]
     wanted += [(name[4:], answer) for name, answer in given if name[:4] == "num_" and name[4:].isdecimal()]
@@ -144,6 +150,7 @@ class Status:
         }
         self._total = 0
         self._nothing: str | None = None
+        self._keys: dict[str, list[str]] = {}
         self._trials: dict[int, dict[str, Any]] = {}
         self._durations: list[float] = []
         self._answered_at: float | None = None
@@ -212,7 +219,10 @@ class Status:
         offered = AnswerList.of(answers)
         self._nothing = next((answer.name for answer in offered if answer.says_nothing_felt), None)
         if "experimenter" in (answers.get("given_by"), *answers.get("ways", {}).values()):
-            facts["question"] = {"open": False, "keys": typed_keys(answers["keys"], offered.names)}
+            section = AnswersSection.model_validate(answers) if answers.get("scale") else None
+            keys = answers["keys"] if section is None else section.actions
+            self._keys = typed_keys(keys, offered.names if section is None else None)
+            facts["question"] = {"open": False, "keys": self._keys}
         self._on_resume(event)
 
     def _on_resume(self, event: dict[str, Any]) -> None:
@@ -227,7 +237,7 @@ class Status:
         """Take answers at the console, or no more."""
         self._facts["too_early"] = ""
         if self._facts["question"] is not None:
-            self._facts["question"] = {**self._facts["question"], "open": on}
+            self._facts["question"] = {"keys": self._keys, "open": on}
 
     def _on_masking(self, event: dict[str, Any]) -> None:
         self._unmasked = self._unmasked if event["state"] == "off" else ""
@@ -237,6 +247,11 @@ class Status:
 
     def _on_trial_next(self, event: dict[str, Any]) -> None:
         self._facts |= {"state": "waiting", "trial": event["trial"], "nothing_to_repeat": False}
+
+    def _on_question_next(self, event: dict[str, Any]) -> None:
+        """Take the answer to a further question at the console."""
+        keys = event["keys"]
+        self._facts["question"] = {"open": True, "keys": typed_keys(keys, None if event["rates"] else tuple(keys))}
 
     def _on_fired(self, event: dict[str, Any]) -> None:
         firing = event["confirmed"]
@@ -253,7 +268,11 @@ class Status:
         if event.get("device"):
             self._facts["too_early"] = str(event["key"])
 
+    def _on_form(self, event: dict[str, Any]) -> None:
+        self._ask(on=False)
+
     def _on_trial(self, event: dict[str, Any]) -> None:
+        self._ask(on=False)
         firing, index = event["confirmed"], event["trial"]["index"]
         self._facts["generator"] |= {"outputs": "off", "confirmed": firing["confirmed"]}
         if firing.get("stalled"):
@@ -270,11 +289,12 @@ class Status:
 
     def _on_answered(self, event: dict[str, Any]) -> None:
         self._ask(on=False)
+        value = event["response"].get("value")
         self._facts["last"] = {
             "line": event.get("n"),
             "number": event["trial"]["index"],
             "practice": event["trial"]["practice"],
-            "answer": event["response"]["answer"],
+            "answer": event["response"]["answer"] + (f" {value:g}" if value is not None else ""),
             "reaction_time_s": round(event["response"]["reaction_time"], 3),
             "counted_from": event["response"].get("onset", ""),
         }

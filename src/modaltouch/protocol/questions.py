@@ -1,0 +1,266 @@
+"""Questions: a scale or a list of answers, in place of the protocol's list, after its answer, or at the end."""
+
+from __future__ import annotations
+
+import math
+import string
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, model_validator
+
+from modaltouch.protocol.keys import KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
+from modaltouch.protocol.problems import Problem, fault, suggest
+from modaltouch.protocol.reading import Reading
+from modaltouch.protocol.section import Number, Positive, Section, Text, Word, described
+from modaltouch.protocol.trial import TIME_OUT
+
+KeyName = Annotated[Text, Field(json_schema_extra={"x-allowed": "the name of a key"})]
+Keys = Annotated[tuple[KeyName, ...], Field(min_length=1)]
+ScaleAction = Literal["lower", "higher", "confirm"]
+
+RATED = "rated"
+"""What is recorded as the answer on a scale; its number stands beside it."""
+
+MOST_ANSWERS = 7
+"""Most answers that a screen has room for, and a console digits."""
+
+_TAKEN = """
+participant session trial block practice group interval finger_condition zone_left zone_right zone_between
+finger_left finger_right finger_between placement velocity_mm_s multiple_of_threshold masked catch stimulus
+repetition response response_time response_onset response_uncertainty answered_by way double confirmed onset
+onset_uncertainty n_bursts n_bursts_dropped repetition_by presentation device speed_left_mm_s speed_right_mm_s
+speed_between_mm_s log_line value n mode
+"""
+TAKEN_COLUMNS = frozenset(_TAKEN.split())
+"""Columns that a table of answers has anyway."""
+
+_BOUNDS = {"vas": (0.0, 100.0), "likert": (1.0, 7.0)}
+_MOST_POINTS, _MOST_STEPS = 11, 1000
+_MODULUS = 10.0
+"""Number that a simulated participant gives to the middle of an open scale [1]."""
+
+
+class ScaleSection(Section):
+    """A scale that is answered by a number."""
+
+    kind: Literal["vas", "likert", "number"] = described(
+        "vas: a visual analogue scale, a line on which a mark is set; likert: some points, one of which is chosen; "
+        "number: a number that is typed, as in magnitude estimation."
+    )
+    lowest: Number | None = described(
+        "Number of the left end, or smallest number that is typed; null for 0 on a line, 1 of points, and any number "
+        "above 0 that is typed.",
+        default=None,
+    )
+    highest: Number | None = described(
+        "Number of the right end, or largest number that is typed; null for 100 on a line, 7 of points, and no limit "
+        "of what is typed.",
+        default=None,
+    )
+    step: Positive | None = described(
+        "From one place of the mark, or one point, to the next; null for 1. Of what is typed always null.", default=None
+    )
+    words: tuple[Text, ...] = described(
+        "What stands at the two ends, such as [not at all, extremely], or at each point; each in words, or by its name "
+        "under `answers` in the texts.",
+        default=(),
+    )
+    keys: dict[ScaleAction, Keys] = described(
+        "Keys that move the mark and confirm it, for a foot switch or a button box, such as {lower: [f1], higher: "
+        "[f3], confirm: [f2]}. Without an entry: left and down, right and up, enter and space. Home and End go to the "
+        "ends, digits choose points and type numbers.",
+        default={},
+    )
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        low, high, step = self.low, self.high, self.step or 1.0
+        is_typed = self.kind == "number"
+        if high is not None and low >= high:
+            raise fault(f"a scale from {low:g} to {high:g}", "lowest below highest", "change one of them")
+        if is_typed:
+            if self.step is not None or self.words:
+                raise fault("a step or words of a number that is typed", "neither", "leave them out")
+            return self
+        n_steps = (self.highest_place - low) / step
+        most = _MOST_POINTS - 1 if self.kind == "likert" else _MOST_STEPS
+        if abs(n_steps - round(n_steps)) > 1e-6 or not 1 <= round(n_steps) <= most:
+            given = f"{n_steps:.6g} steps of {step:g} from {low:g} to {high:g}"
+            raise fault(given, f"1 to {most} whole steps", "change step, lowest or highest")
+        allowed = {0, 2, len(self.points)} if self.kind == "likert" else {0, 2}
+        if len(self.words) not in allowed:
+            many = " or ".join(map(str, sorted(allowed - {0})))
+            raise fault(f"{len(self.words)} words of a {self.kind} scale", f"{many}, or none", "add or remove words")
+        return self
+
+    @property
+    def low(self) -> float:
+        """Number of the left end; 0, which is itself too small, of an open scale."""
+        return _BOUNDS.get(self.kind, (0.0, 0.0))[0] if self.lowest is None else self.lowest
+
+    @property
+    def high(self) -> float | None:
+        """Number of the right end; None of an open scale."""
+        return _BOUNDS[self.kind][1] if self.highest is None and self.kind in _BOUNDS else self.highest
+
+    @property
+    def highest_place(self) -> float:
+        """Number of the right end; infinite of an open scale."""
+        return math.inf if self.high is None else self.high
+
+    @property
+    def points(self) -> tuple[float, ...]:
+        """Numbers of the points, or places of the mark; none where a number is typed."""
+        if self.kind == "number" or self.high is None:
+            return ()
+        step = self.step or 1.0
+        return tuple(round(self.low + place * step, 9) for place in range(round((self.high - self.low) / step) + 1))
+
+    @property
+    def actions(self) -> dict[str, tuple[str, ...]]:
+        """Keys of everything that can be done on the scale; a terminal sends signs in place of their names."""
+        usual: dict[str, tuple[str, ...]] = {"confirm": ("enter", "num_enter", "space")}
+        digits = {digit: (digit, f"num_{digit}") for digit in string.digits}
+        if self.kind == "number":
+            usual |= digits | {".": ("period", "comma", "num_decimal", ".", ","), "back": ("backspace", "delete")}
+            usual |= {"-": ("minus", "num_subtract", "-")} if self.low < 0 else {}
+        else:
+            usual |= {"lower": ("left", "down"), "higher": ("right", "up"), "lowest": ("home",), "highest": ("end",)}
+            usual |= {"ten_lower": ("pagedown",), "ten_higher": ("pageup",)} if self.kind == "vas" else digits
+        return usual | {name: keys for name, keys in self.keys.items() if name in usual}
+
+    @property
+    def allowed(self) -> str:
+        """What may be answered, in words."""
+        if self.points:
+            return f"{self.low:g} to {self.high:g} by {self.step or 1.0:g}"
+        least = "a number above 0" if self.lowest is None else f"a number of at least {self.lowest:g}"
+        return least if self.high is None else f"{least}, at most {self.high:g}"
+
+    def takes(self, value: float) -> bool:
+        """Return whether a number can be answered on the scale."""
+        if self.points:
+            return any(math.isclose(value, point, abs_tol=1e-9) for point in self.points)
+        is_above = value > 0 if self.lowest is None else value >= self.lowest
+        return is_above and value <= self.highest_place and math.isfinite(value)
+
+    def at(self, share: float) -> float:
+        """Number at a share of the scale, as a simulated participant answers it.
+
+        Of an open scale the share is that of a saturating response, s / (1 + s), and the number is proportional to s.
+
+        Parameters
+        ----------
+        share : float
+            Above 0 and below 1 [1].
+        """
+        if self.points:
+            return self.points[min(int(share * len(self.points)), len(self.points) - 1)]
+        reach = share / (1 - share) * _MODULUS if self.high is None else share * (self.high - self.low)
+        number = float(f"{max(self.low + reach, 1e-3):.3g}")
+        return min(max(number, self.low), self.highest_place)
+
+
+class AskedSection(Section):
+    """What a question asks, and what may be answered."""
+
+    question: Text | None = described(
+        "The question, in words, or the name of a text under `further` in the texts. Null for the text `question`; of "
+        "a further question, and of one of the form, for the text under `further` that is called as it is.",
+        default=None,
+        exclude_if=lambda given: given is None,
+    )
+    keys: dict[Word, Keys] = described(
+        "Keys of each of two to seven answers: left, both and right as in the paper, with `none`, felt nowhere, or "
+        "without; or answers of other names, which stand in this order and have their labels in the texts. Left out "
+        "where there is a scale.",
+        default={},
+    )
+    scale: ScaleSection | None = described(
+        "A scale that is answered by a number, in place of a list of answers.",
+        default=None,
+        exclude_if=lambda given: given is None,
+    )
+    time_out_s: Annotated[Positive, Field(le=600)] | None = described(
+        "Longest time from the question to an answer; then it is recorded as timed out, and the trial ends [s]. Null "
+        "for no limit.",
+        default=None,
+        exclude_if=lambda given: given is None,
+    )
+
+    @property
+    def actions(self) -> dict[str, tuple[str, ...]]:
+        """Keys of each answer, or of everything that can be done on the scale."""
+        return self.keys if self.scale is None else self.scale.actions
+
+    @property
+    def allowed(self) -> str:
+        """What may be answered in time, in words."""
+        return ", ".join(self.keys) if self.scale is None else self.scale.allowed
+
+    def takes(self, answer: str, value: float | None) -> bool:
+        """Return whether an answer can have been given, with its number where it is one on the scale."""
+        if answer == TIME_OUT or self.scale is None:
+            return value is None and (answer == TIME_OUT or answer in self.keys)
+        return answer == RATED and isinstance(value, int | float) and self.scale.takes(value)
+
+
+class QuestionSection(AskedSection):
+    """A question after the answer of a trial, or in the form at the end."""
+
+    @model_validator(mode="after")
+    def _asks_one_thing(self) -> Self:
+        if bool(self.keys) == (self.scale is not None):
+            given = "both keys and a scale" if self.keys else "neither keys nor a scale"
+            raise fault(given, "one of them", "list keys for each answer, or describe a scale")
+        return self
+
+
+def check_key(reading: Reading[Any], path: tuple[str | int, ...], name: str) -> Iterator[Problem]:
+    """Yield the fault of a name that is no key's, or of the key that pauses."""
+    if name in RESERVED_KEYS:
+        yield reading.problem(path, f"'{name}', which pauses the session", "any other key", "choose another")
+    elif name not in KEY_NAMES:
+        meant = KEY_ALIASES.get(name.casefold()) or suggest(name, KEY_NAMES)
+        allowed = "left, right, up, down, space, enter, letters, digits, num_0 to num_9, f1 to f20 and the like"
+        remedy = f"did you mean '{meant}'?" if meant else "write it in small letters"
+        yield reading.problem(path, f"'{name}', which is no key's name", allowed, remedy)
+
+
+def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
+    """Yield what is wrong with a scale in place of the answers, with further questions, and with the form."""
+    answers, has_scale = ("answers",), bool(reading.keys("answers", "scale"))
+    if reading.keys(*answers) is not None and not has_scale and reading.find((*answers, "keys")) is None:
+        remedy = "add the missing key `keys`, or describe a `scale`"
+        yield reading.problem((*answers, "keys"), "nothing", "a mapping", remedy)
+    for key in ("keys", "fingers", "below") if has_scale else ():
+        if reading.find((*answers, key)) is not None:
+            given, remedy = f"{key} beside a scale", "remove one of them; `then` asks a further question"
+            yield reading.problem((*answers, key), given, "answers with keys, or a scale", remedy)
+    yield from _check_used(reading, (*answers, "scale", "keys"))
+    for section in (("answers", "then"), ("form",)):
+        for name in reading.keys(*section) or ():
+            if name in TAKEN_COLUMNS or name.endswith("_time"):
+                given = f"{name}, a column that the table of answers has anyway"
+                yield reading.problem((*section, name), given, "any other name", "choose another", at_key=True)
+            names = reading.keys(*section, name, "keys") or []
+            if names and not 2 <= len(names) <= MOST_ANSWERS:
+                given = f"{len(names)} answer{'s' * (len(names) != 1)}"
+                yield reading.problem(
+                    (*section, name, "keys"), given, f"2 to {MOST_ANSWERS} answers", "or take a scale"
+                )
+            yield from _check_used(reading, (*section, name, "keys"))
+            yield from _check_used(reading, (*section, name, "scale", "keys"))
+
+
+def _check_used(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Problem]:
+    """Yield the faults of keys: no key's name, of two meanings, or one for emergencies."""
+    taken = {name: "switches the outputs off" for _, name in reading.items("answers", "emergency_keys")}
+    for answer in reading.keys(*path) or ():
+        for index, name in reading.items(*path, answer):
+            yield from check_key(reading, (*path, answer, index), name)
+            if name in taken:
+                given = f"'{name}', which {taken[name]} already"
+                yield reading.problem((*path, answer, index), given, "a key with no other meaning", "choose another")
+            taken.setdefault(name, f"means {answer}")

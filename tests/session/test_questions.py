@@ -1,0 +1,208 @@
+"""A number on a scale, further questions and the form at the end: recorded, cut, resumed, verified, in tables."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modaltouch.preflight import examine
+from modaltouch.protocol import InputError
+from modaltouch.protocol.questions import TAKEN_COLUMNS
+from modaltouch.record import Session, audit_session, read_session
+from modaltouch.record.chain import GENESIS, encode_line
+from modaltouch.session import begin, resume, simulate_session, wire_resume, wire_run
+from modaltouch.window.interface import SessionStopped
+
+SHIPPED = Path(__file__).parents[2] / "protocols"
+KEYS = "  keys:\n    left: [left, num_4]\n    both: [up, down, num_8]\n    right: [right, num_6]\n"
+SCALE = "  scale: {kind: vas, words: [nothing, extremely strong]}\n"
+THEN = """\
+  then:
+    sure: {question: "How sure are you?", keys: {no: [left], yes: [right]}, time_out_s: 0.5}
+    pleasant: {question: "How pleasant was it?", scale: {kind: likert, words: [not at all, very]}}
+form:
+  tired: {question: "How tired are you?", scale: {kind: likert, highest: 5}}
+  dizzy: {question: "Do you feel dizzy?", keys: {no: [left], yes: [right]}}
+"""
+LABELS = ("\nanswers:\n", '\nanswers:\n  "no": "No"\n  "yes": "Yes"\n')
+FEW = ("[[A, C], [B, D], [C, E]]", "[[A, C]]"), ("max_same_pair_running: 2", "max_same_pair_running: null")
+
+
+@pytest.fixture(scope="module")
+def protocol(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a protocol of four trials and one of practice, with two questions after each and two at the end."""
+    folder = tmp_path_factory.mktemp("asked") / "protocols"
+    shutil.copytree(SHIPPED, folder)
+    changes = {"texts/english.yaml": [LABELS], "demo.yaml": [(KEYS, SCALE + THEN), *FEW]}
+    for name, edits in changes.items():
+        text = (folder / name).read_text(encoding="utf-8")
+        for old, new in edits:
+            assert text.count(old) == 1
+            text = text.replace(old, new)
+        (folder / name).write_text(text, encoding="utf-8")
+    return folder / "demo.yaml"
+
+
+@pytest.fixture(scope="module")
+def recorded(protocol: Path, tmp_path_factory: pytest.TempPathFactory) -> Session:
+    """Return a session of it."""
+    return simulate_session(protocol, "p01", tmp_path_factory.mktemp("results"))
+
+
+def lines(session: Session, kind: str) -> list[dict[str, Any]]:
+    """Return the events of a kind."""
+    return [event for event in session.events if event["event"] == kind]
+
+
+def table(session: Session, name: str) -> list[dict[str, str]]:
+    """Return the rows of one of the session's two tables."""
+    (file,) = session.path.parent.glob(f"*_task-{name}_beh.tsv")
+    with file.open(encoding="utf-8") as text:
+        return list(csv.DictReader(text, delimiter="\t"))
+
+
+def test_everything_that_was_answered_is_recorded_and_verified(recorded: Session) -> None:
+    """The first answer has its line before a further question comes; tables have a column for each."""
+    session = recorded
+    assert session.complete and not audit_session(session).problems
+    answered, trials = lines(session, "answered"), lines(session, "trial")
+    assert all("further" not in event["response"] for event in answered)
+    for event in trials:
+        response, further = event["response"], event["response"]["further"]
+        assert response["answer"] == "rated" and 0 <= response["value"] <= 100
+        assert list(further) == ["sure", "pleasant"] and further["pleasant"]["value"] in range(1, 8)
+        late = further["sure"]["reaction_time"] >= 0.5
+        assert further["sure"]["answer"] in (("time_out",) if late else ("no", "yes"))
+    rows = table(session, "demo")
+    assert [float(row["value"]) for row in rows] == [event["response"]["value"] for event in trials]
+    assert [row["sure"] for row in rows] == [event["response"]["further"]["sure"]["answer"] for event in trials]
+    assert {"sure_time", "pleasant", "pleasant_time"} <= set(rows[0]) and rows[0]["response"] == "rated"
+    ((tired, dizzy),) = [tuple(row.values()) for row in table(session, "demoform")]
+    assert float(tired) == session.form["tired"]["value"] and dizzy == session.form["dizzy"]["answer"]
+    (side,) = session.path.parent.glob("*demoform_beh.json")
+    described = json.loads(side.read_text(encoding="utf-8"))
+    assert described["TaskName"] == "demo form" and set(described["dizzy"]["Levels"]) == {"no", "yes", "time_out"}
+    known = set(session.row(session.trials[0])) - {"sure", "sure_time", "pleasant", "pleasant_time"}
+    assert known <= TAKEN_COLUMNS
+
+
+def cut_short(protocol: Path, results: Path, name: str, number: int) -> None:
+    """Run a session that ends at a question, the so manieth time that it is asked."""
+    setup = wire_run(examine(protocol).require(), "p01", answers="simulated", results=results)
+    left = [number]
+
+    def opened(tick: Any, log: Any) -> Any:
+        window = setup.open_window(tick, log)
+        ask = window.ask_further
+
+        def stops(question: str, *how: Any) -> Any:
+            left[0] -= question == name
+            if left[0] == 0:
+                raise SessionStopped("window closed")
+            return ask(question, *how)
+
+        window.ask_further = stops  # type: ignore[method-assign]
+        return window
+
+    with pytest.raises(SessionStopped):
+        begin(replace(setup, open_window=opened))
+
+
+def test_a_trial_that_is_cut_in_a_further_question_is_asked_again(protocol: Path, tmp_path: Path) -> None:
+    """Its answer stays in the log, replaced by the new one: no trial counts without all its answers."""
+    cut_short(protocol, tmp_path / "results", "pleasant", 3)
+    (log,) = (tmp_path / "results").rglob("session.jsonl")
+    before = read_session(log)
+    (unfinished,) = [event for event in before.trials if event["event"] == "answered"]
+    assert not audit_session(before).problems and before.n_answered == 1
+    session = resume(wire_resume(log))
+    (again,) = [event for event in lines(session, "trial") if event["trial"] == unfinished["trial"]]
+    assert again["presentation"] == 2 and list(again["response"]["further"]) == ["sure", "pleasant"]
+    assert session.complete and len(session.trials) == 5
+    assert not audit_session(session).problems
+
+
+def test_a_form_that_is_cut_goes_on_with_its_next_question(protocol: Path, tmp_path: Path) -> None:
+    """A session lacks nothing only with its form filled in; what was answered of it is asked no more."""
+    cut_short(protocol, tmp_path / "results", "dizzy", 1)
+    (log,) = (tmp_path / "results").rglob("session.jsonl")
+    before = read_session(log)
+    assert before.n_answered == 4 and list(before.form) == ["tired"]
+    assert before.unfit == "incomplete: the form at the end is not filled in (go on with `modaltouch resume`)"
+    assert table(before, "demoform")[0]["dizzy"] == "n/a"
+    session = resume(wire_resume(log))
+    assert session.complete and [event["name"] for event in lines(session, "form")] == ["tired", "dizzy"]
+    assert session.form["tired"] == before.form["tired"] and not audit_session(session).problems
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "fault"),
+    [
+        ("trial", {"value": 100.5}, "was answered 'rated' 100.5; allowed: 0 to 100 by 1, time_out"),
+        ("trial", {"further": {}}, "answers the further questions -; asked were sure, pleasant"),
+        ("form", {"name": "hungry"}, "the form has no question 'hungry'"),
+        ("form", {"answer": "perhaps"}, "dizzy of the form: was answered 'perhaps'; allowed: no, yes, time_out"),
+    ],
+)
+def test_what_cannot_have_been_answered_is_found(
+    recorded: Session, tmp_path: Path, kind: str, change: dict[str, Any], fault: str
+) -> None:
+    """Expected: named with its line, though the chain of checks is whole."""
+    events, (check, text) = [dict(event) for event in recorded.events], (GENESIS, b"")
+    last = next(event for event in reversed(events) if event["event"] == kind)
+    last |= change if "name" in change else {"response": last["response"] | change}
+    for event in events:
+        line, check = encode_line({name: value for name, value in event.items() if name != "check"}, check)
+        text += line
+    log = tmp_path / "session.jsonl"
+    log.write_bytes(text)
+    assert any(fault in problem for problem in audit_session(read_session(log)).problems)
+
+
+@pytest.mark.parametrize(
+    ("section", "fault"),
+    [
+        ("", "answers.keys: given nothing; allowed: a mapping; add the missing key `keys`, or describe a `scale`"),
+        (KEYS + SCALE, "answers.keys: given keys beside a scale; allowed: answers with keys, or a scale"),
+        (
+            "  scale: {kind: vas, step: 0.3}\n",
+            "given 333.333 steps of 0.3 from 0 to 100; allowed: 1 to 1000 whole steps",
+        ),
+        ("  scale: {kind: likert, highest: 12}\n", "given 11 steps of 1 from 1 to 12; allowed: 1 to 10 whole steps"),
+        ("  scale: {kind: vas, lowest: 5, highest: 5}\n", "given a scale from 5 to 5; allowed: lowest below highest"),
+        ("  scale: {kind: likert, words: [a, b, c]}\n", "given 3 words of a likert scale; allowed: 2 or 7, or none"),
+        ("  scale: {kind: number, step: 1}\n", "given a step or words of a number that is typed; allowed: neither"),
+        ("  scale: {kind: vas, keys: {lower: [f12]}}\n", "given 'f12', which switches the outputs off already"),
+        (
+            KEYS + "  then: {sure: {question: Sure?}}\n",
+            "then.sure: given neither keys nor a scale; allowed: one of them",
+        ),
+        (
+            KEYS + "  then: {trial: {scale: {kind: vas}}}\n",
+            "then.trial: given trial, a column that the table of answers",
+        ),
+        (KEYS + "  then: {sure: {scale: {kind: vas}}}\n", "given 'sure', which has no words in english.yaml"),
+        (
+            KEYS + "  then: {confidence: {keys: {felt: [a]}}}\n",
+            "confidence.keys: given 1 answer; allowed: 2 to 7 answers",
+        ),
+        (
+            KEYS + "  then: {confidence: {keys: {felt: [a], certain: [a]}}}\n",
+            "keys.certain[0]: given 'a', which means felt already; allowed: a key with no other meaning",
+        ),
+        (KEYS + "  question: magnitud\n", "did you mean 'magnitude'? Else add `further.magnitud` to english.yaml"),
+        (SCALE + "adaptive: {start_mm_s: 100, trials: 9}\n", "given focus_named, where no answer names each finger"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused_in_its_place(edit: Callable[..., Path], section: str, fault: str) -> None:
+    """Expected: what was given, what is allowed, what to do."""
+    with pytest.raises(InputError) as refused:
+        examine(edit("demo.yaml", (KEYS, section))).require()
+    assert any(fault in str(problem) for problem in refused.value.problems), refused.value

@@ -1,0 +1,233 @@
+"""Numbers on a scale and further questions: entered by keys, clicks, a foot switch, the console or the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from modaltouch.planning.observer import Participant
+from modaltouch.protocol.answers import AnswerList
+from modaltouch.protocol.questions import QuestionSection, ScaleSection
+from modaltouch.protocol.trial import Response, Trial
+from modaltouch.window.interface import Event, Progress, SessionStopped
+from modaltouch.window.layout import lay_out
+from modaltouch.window.rating import Entry
+from modaltouch.window.robot import Robot
+from modaltouch.window.simulated import Answerer
+
+PROGRESS = Progress(5, 12)
+VAS = {"kind": "vas", "words": ["not at all", "extremely"]}
+LIKERT = {"kind": "likert", "highest": 5, "words": ["weak", "strong"]}
+NUMBER = {"kind": "number"}
+PEDALS = {"lower": ["f1"], "confirm": ["f2"], "higher": ["f3"]}
+
+
+def press(room: Any, *keys: str, kind: str = "key") -> Callable[[], None]:
+    """Return a step in which some keys are pressed and released."""
+
+    def act() -> None:
+        for key in keys:
+            room.display.events += [Event(room.clock.now(), each, key) for each in (kind, "release")]
+
+    return act
+
+
+def rate(room: Any, trial: Trial) -> Response:
+    """Ask one trial whose stimulus begins now."""
+    response: Response = room.window.ask(trial, PROGRESS, room.present())
+    return response
+
+
+def scale(given: dict[str, Any]) -> dict[str, Any]:
+    """Return the section of a scale in place of the answers."""
+    return {"keys": {}, "scale": ScaleSection.model_validate(given)}
+
+
+@pytest.mark.parametrize(
+    ("given", "keys", "value"),
+    [
+        (VAS, ["right", "right", "down", "enter"], 50),
+        (VAS, ["end", "pagedown", "left", "space"], 89),
+        (VAS, ["home", "left", "enter"], 0),
+        (VAS | {"keys": PEDALS}, ["f3", "f3", "f3", "f1", "f2"], 51),
+        (VAS | {"lowest": -1, "highest": 1, "step": 0.5}, ["end", "left", "enter"], 0.5),
+        (LIKERT, ["4", "enter"], 4),
+        (LIKERT, ["num_2", "right", "right", "9", "enter"], 4),
+        (NUMBER, ["1", "2", "backspace", "comma", "5", "num_enter"], 1.5),
+        (NUMBER, ["0", "enter", "period", "3", "enter"], 0.3),
+        (NUMBER | {"lowest": -9, "highest": 9}, ["1", "0", "enter", "backspace", "minus", "enter"], -1),
+    ],
+)
+def test_a_number_is_entered_by_keys_and_counts_once_confirmed(
+    paper_room: Callable[..., Any], trial: Trial, given: dict[str, Any], keys: list[str], value: float
+) -> None:
+    """Expected by hand; a number that the scale does not take cannot be confirmed, and the first press shows a mark."""
+    room = paper_room(answers=scale(given))
+    room.script = [("question", 0.5, press(room, *keys))]
+    onset = room.clock.now()
+    response = rate(room, trial)
+    assert (response.answer, response.value) == ("rated", value)
+    assert (response.device, response.key) == ("key", keys[-1])
+    assert response.reaction_time == pytest.approx(room.shown[1][1] + 0.5 - onset, abs=0.01)
+    assert len(room.ended) == 1
+
+
+def test_a_mark_moves_on_while_its_key_is_held(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """From the middle, after 0.4 s a place each 0.03 s: a second of holding is about twenty places."""
+    room = paper_room(answers=scale(VAS))
+
+    def hold() -> None:
+        room.display.events.append(Event(room.clock.now(), "key", "right"))
+
+    def let_go() -> None:
+        room.display.events += [Event(room.clock.now(), "release", "right"), Event(room.clock.now(), "key", "enter")]
+
+    start = room.clock.now()
+    room.script = [("question", 0.1, hold), ("rating", 0.0, lambda: None)]
+    tick = room.tick
+
+    def watch() -> Any:
+        if room.clock.now() > start + 1.4 and not room.ended and room.display.typed == []:
+            room.display.typed.append(("let go", False))
+            let_go()
+        return tick()
+
+    room.window._loop._tick = watch
+    assert rate(room, trial).value == pytest.approx(50 + (1.4 - 0.4 - 0.4) / 0.03, abs=2)
+
+
+@pytest.mark.parametrize(
+    ("given", "places", "value"),
+    [(VAS, [("line", 0.25)], 25), (LIKERT, [("5", 0.5)], 5), (NUMBER, [("7", 0.5)] * 2, 77)],
+)
+def test_a_number_is_entered_by_clicks(
+    paper_room: Callable[..., Any], trial: Trial, given: dict[str, Any], places: list[tuple[str, float]], value: float
+) -> None:
+    """Expected by the place of the click; the button confirms."""
+    room = paper_room(answers=scale(given))
+    boxes = room.window._first.pictures.layout.buttons
+
+    def click() -> None:
+        for name, share in [*places, ("confirm", 0.5)]:
+            box = boxes[name]
+            at = box.left + share * box.width, box.y
+            room.display.events.append(Event(room.clock.now(), "click", "", *at))
+
+    room.script = [("question", 0.5, click)]
+    response = rate(room, trial)
+    assert (response.value, response.device) == (value, "mouse")
+
+
+def test_a_scale_times_out_without_a_number(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """What was entered and not confirmed is no answer."""
+    room = paper_room(answers=scale(VAS) | {"time_out_s": 1.0})
+    room.script = [("question", 0.2, press(room, "right"))]
+    response = rate(room, trial)
+    assert (response.answer, response.value, response.device) == ("time_out", None, "none")
+    assert "value" not in response.as_dict()
+
+
+def test_a_number_is_typed_at_the_console(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Keys of the console come as answers, going on confirms; the device is the console."""
+    room = paper_room(answers=scale(NUMBER) | {"given_by": "experimenter"})
+
+    def type_it() -> None:
+        now = room.clock.now()
+        room.requests = [Event(now, "answer", sign, answer=sign) for sign in "42"] + ["continue"]
+
+    room.script = [("question", 0.3, type_it)]
+    response = rate(room, trial)
+    assert (response.value, response.device, response.answered_by) == (42, "console", "experimenter")
+
+
+@pytest.fixture
+def sure(paper_room: Callable[..., Any], trial: Trial) -> tuple[Any, Any]:
+    """Return a window at which a trial was answered, and the further question of it."""
+    section = QuestionSection.model_validate({"question": "How sure?", "keys": {"no": ["left"], "yes": ["right"]}})
+    room = paper_room(answers={"then": {"sure": section}})
+    room.script = [("question_one", 0.1, press(room, "left"))]
+    room.window.confirm(rate(room, trial))
+    return room, room.window._answers.further["sure"]
+
+
+def test_a_further_question_follows_with_a_time_of_its_own(sure: tuple[Any, Any], trial: Trial) -> None:
+    """The answer before stays in sight for a moment; a press meant for it does not count."""
+    room, asked = sure
+    room.script = [("answered", 0.1, press(room, "right")), ("question_sure", 0.4, press(room, "right"))]
+    response = room.window.ask_further("sure", asked, trial)
+    assert (response.answer, response.onset) == ("yes", "question")
+    assert response.reaction_time == pytest.approx(0.4, abs=0.01)
+    assert [name.split("_one")[0] for name in room.names[-2:]] == ["question_sure", "answered_sure_yes"]
+    assert "How sure?" in room.display.drawn.texts
+
+
+def test_a_further_question_is_asked_again_after_a_pause(sure: tuple[Any, Any], trial: Trial) -> None:
+    """Nothing plays any more, so the trial need not come again; its time runs anew."""
+    room, asked = sure
+    room.script = [
+        ("question_sure", 0.3, press(room, "escape")),
+        ("pause_between", 5.0, press(room, "space")),
+        ("question_sure", 0.2, press(room, "left")),
+    ]
+    response = room.window.ask_further("sure", asked, trial)
+    assert (response.answer, response.reaction_time) == ("no", pytest.approx(0.2, abs=0.01))
+
+
+def test_the_key_for_emergencies_ends_a_further_question(sure: tuple[Any, Any], trial: Trial) -> None:
+    """As on every other screen."""
+    room, asked = sure
+    room.script = [("question_sure", 0.1, press(room, "f12"))]
+    with pytest.raises(SessionStopped, match="emergency stop"):
+        room.window.ask_further("sure", asked, trial)
+
+
+def test_a_question_of_the_form_needs_no_trial(paper_room: Callable[..., Any], experiment: Any) -> None:
+    """It has its words and its scale, and no beam."""
+    room = paper_room()
+    section = QuestionSection.model_validate({"question": "How tired?", "scale": LIKERT})
+    room.script = [("form_tired", 0.3, press(room, "2", "enter"))]
+    asked = experiment.protocol.answers.asking({"tired": section})["tired"]
+    assert room.window.ask_further("tired", asked).value == 2
+    assert room.display.drawn.texts[0] == "How tired?"
+
+
+@pytest.mark.parametrize("given", [VAS, LIKERT, NUMBER, VAS | {"step": 0.1}])
+def test_the_robot_reaches_what_the_observer_answers(
+    paper_room: Callable[..., Any], experiment: Any, trial: Trial, given: dict[str, Any]
+) -> None:
+    """It types into the window as a hand does, and gives the number that no window would have given."""
+    section = scale(given)
+    answers = AnswerList.of({"scale": given})
+    answerer = Answerer(Participant(), lambda trial: (0.08, 0.05), np.random.default_rng(4), answers, section["scale"])
+    protocol = experiment.protocol
+    protocol = protocol.model_copy(update={"answers": protocol.answers.model_copy(update=section)})
+    room = paper_room(answers=section, robot=Robot(answerer, protocol, patience=0.1), seconds=60)
+    response = rate(room, trial)
+    assert response.value == pytest.approx(answerer.first(trial)[1])
+    assert response.answered_by == "simulated"
+
+
+def test_an_entry_says_what_to_do_next() -> None:
+    """The way to a number, step by step, ends by confirming it."""
+    given = ScaleSection.model_validate(NUMBER)
+    entry, steps = Entry(given), list[str]()
+    while (action := entry.towards(30.5)) != "confirm":
+        entry.take(action, Event(0.0, "key"))
+        steps.append(action)
+    assert steps == ["3", "0", ".", "5"]
+
+
+@pytest.mark.parametrize("size", [(800, 600), (1280, 800), (1920, 1080)])
+@pytest.mark.parametrize("given", [VAS, LIKERT | {"words": list("abcde")}, LIKERT | {"highest": 11}, NUMBER])
+def test_no_part_of_a_scale_covers_another(experiment: Any, size: tuple[int, int], given: dict[str, Any]) -> None:
+    """Neither do the words under it, nor the lines of the question's screen below."""
+    layout = lay_out(*size, ("A", "B", "C"), AnswerList.of({}), ScaleSection.model_validate(given))
+    boxes = [*layout.buttons.values(), layout.note, layout.label]
+    for place, box in enumerate(boxes):
+        assert box.left >= -layout.width / 2 and box.right <= layout.width / 2
+        for other in boxes[place + 1 :]:
+            apart = box.right <= other.left or other.right <= box.left or box.bottom >= other.top
+            assert apart or other.bottom >= box.top
