@@ -88,7 +88,7 @@ def session_fields() -> tuple[Found, Found]:
     told: Found = defaultdict(dict)
     with TemporaryDirectory() as name:
         folder = Path(name)
-        for protocol in ("demo", "with_catch_trials", "threshold", "two_fields"):
+        for protocol in ("demo", "with_catch_trials", "threshold", "two_fields", "magnitude"):
             events = folder / f"{protocol}.jsonl"
             options = (
                 f"-p p01 --rig simulated --answers simulated -y --plain --json --results {folder} --events {events}"
@@ -254,6 +254,9 @@ def _write_table(folder: Path) -> None:
         "multiple_of_threshold": view.MULTIPLE,
         "masked": view.MASKED,
         "stimulus": view.STIMULUS,
+        "value": {"Description": "Number that was answered on a scale; n/a without an answer"},
+        "<question>": {"Description": "What was answered to a further question, by its name: an answer or a number"},
+        "<question>_time": view.QUESTION_TIME,
     }
     groups = {
         "Of every session": view.COLUMNS,

@@ -130,7 +130,7 @@ MULTIPLE: dict[str, Any] = {
     "Units": "1",
 }
 
-_QUESTION_TIME: dict[str, Any] = {"Description": "From the question to its answer", "Units": "s"}
+QUESTION_TIME: dict[str, Any] = {"Description": "From the question to its answer", "Units": "s"}
 
 STIMULUS: dict[str, Any] = {"Description": "Which of the protocol's stimuli; n/a in a catch trial"}
 
@@ -218,7 +218,7 @@ def _columns(session: Session) -> dict[str, dict[str, Any]]:
     columns = {name: column for held, columns in known if held for name, column in columns.items()}
     for name, asked in session.questions.items():
         columns[name] = describe_question(asked)
-        columns |= {f"{name}_time": _QUESTION_TIME} if name != "value" else {}
+        columns |= {f"{name}_time": QUESTION_TIME} if name != "value" else {}
     return columns
 
 
