@@ -45,6 +45,15 @@ def test_the_question_comes_after_its_delay(paper_room: Callable[..., Any], tria
     assert 0 < response.time_uncertainty < 0.05
 
 
+def test_whoever_listens_is_told_of_the_question(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Expected: the trial, and since when its question is on the screen."""
+    room, told = paper_room(), []
+    room.window.on_question = lambda asked, instant: told.append((asked, instant))
+    room.script = [("question", 0.05, send(room, "key", "left"))]
+    ask(room, trial)
+    assert told == [(trial, room.shown[1][1])]
+
+
 def test_a_stimulus_that_stops_first_is_stopped_before_the_question(
     paper_room: Callable[..., Any], trial: Trial
 ) -> None:

@@ -13,6 +13,7 @@ from modaltouch.protocol.answers import AnswerList, Side
 from modaltouch.protocol.cells import Cell, CellsSection
 from modaltouch.protocol.conditions import ConditionsSection, FingerCondition
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, PAUSE_KEY
+from modaltouch.protocol.markers import MarkersSection
 from modaltouch.protocol.masking import MaskingSection
 from modaltouch.protocol.people import PersonField, read_people
 from modaltouch.protocol.questions import AskedSection, KeyName, QuestionSection
@@ -283,6 +284,11 @@ class Protocol(Section):
     schedule: ScheduleSection = described("How the trials are ordered.", default=ScheduleSection())
     masking: MaskingSection | None = described(
         "Noise that keeps the participant from hearing the beam; null for none.", default=None
+    )
+    markers: MarkersSection | None = described(
+        "Markers for other devices, such as an EEG amplifier; null for none.",
+        default=None,
+        exclude_if=lambda given: given is None,
     )
     speech: dict[str, object] | None = described("No longer used: screens are not spoken.", default=None)
     adaptive: AdaptiveSection | None = described(

@@ -28,6 +28,7 @@ from modaltouch.window import AnswerWindow, Masking
 if TYPE_CHECKING:
     from modaltouch.lab import Prober
     from modaltouch.protocol import Levels
+    from modaltouch.session.markers import Markers
 
 OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
 """Opens the instrument for a while, given a function that takes each exchange with it."""
@@ -74,6 +75,8 @@ class Setup:
         Of window, instrument and record: the machine's, or a virtual one.
     open_prober : callable or None
         How what measures fingers is opened, where they are measured.
+    open_markers : callable
+        How the stream of markers for other devices is opened, where there is one.
     """
 
     preflight: Preflight
@@ -89,6 +92,7 @@ class Setup:
     console: Console = field(default_factory=Console)
     clock: Clock = SYSTEM_CLOCK
     open_prober: OpenProber | None = None
+    open_markers: Callable[[], Markers | None] = lambda: None
 
     @property
     def to_ask(self) -> Mapping[str, Any]:
@@ -190,6 +194,7 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
     seconds = estimated_duration(setup.preflight.experiment.protocol) * 60 / max(len(setup.schedule.trials), 1)
     experimenter = Experimenter(setup.console, buffer.event, seconds_per_trial=seconds)
     buffer.listener = experimenter.tell
+    markers = setup.open_markers()
     with Interruption() as interruption, ExitStack() as stack:
         rig = stack.enter_context(setup.open_rig(buffer.exchange))
         _refuse_other_generator(setup.preflight, rig)
@@ -209,12 +214,15 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
 
         masking = stack.enter_context(setup.open_masking(buffer.event))
         window = stack.enter_context(setup.open_window(tick, buffer.event))
+        if markers is not None:
+            window.on_question = markers.send_question
+            setup = replace(setup, facts=setup.facts | {"markers": markers.describe()})
         setup.place.describe_dataset(setup.preflight.experiment.protocol.title)
         with setup.place.hold_dataset():
             setup = _with_assigned_turn(setup)
             log = stack.enter_context(open_log(setup.place, _describe(setup, rig, window, masking, first)))
         buffer.open(log)
-        _follow(log, experimenter, first)
+        _follow(log, experimenter, markers, first)
         ending = {"reason": "finished"}
         try:
             setup.place.list_participants(log.events[0])
@@ -238,12 +246,18 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
     return read_session(setup.place.log)
 
 
-def _follow(log: SessionLog, experimenter: Experimenter, first: str) -> None:
-    """Tell the experimenter's console what the record holds, and from now on what comes."""
+def _follow(log: SessionLog, experimenter: Experimenter, markers: Markers | None, first: str) -> None:
+    """Tell the experimenter's console what the record holds, and from now on it and other devices what comes."""
     begun = max(event["n"] for event in log.events if event["event"] == first)
     for event in log.events:
         experimenter.tell(event, replayed=event["n"] < begun)
-    log.listener = experimenter.tell
+
+    def tell(event: dict[str, Any]) -> None:
+        if markers is not None:
+            markers.follow(event)
+        experimenter.tell(event)
+
+    log.listener = tell
 
 
 def _levels(protocol: Protocol) -> Levels | None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from modaltouch.planning import Observer, read_observer, usual_observer
 from modaltouch.preflight import Preflight, examine
-from modaltouch.protocol import Protocol, Schedule, Trial
+from modaltouch.protocol import InputError, Protocol, Schedule, Trial
 from modaltouch.record import Session, SessionFolder
 from modaltouch.rig import Generator, Rig
 from modaltouch.session.console.experimenter import Tick
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from modaltouch.lab import Prober
     from modaltouch.planning import FeltSpeeds
     from modaltouch.rig import Simulator
+    from modaltouch.session.markers import Markers
 
 AnswersBy = Literal["window", "simulated", "robot"]
 """A person at the window; an observer model without a window; an observer model typing into the real window."""
@@ -168,7 +169,10 @@ class SessionParts:
             facts["observer"] = self.observer.as_dict()
         opened = self.open_rig, self.open_window, self.open_masking
         prober = self.open_prober if self.preflight.findings.measured else None
-        return Setup(self.preflight, schedule, self.place, *opened, facts, clock=self.clock, open_prober=prober)
+        return Setup(
+            self.preflight, schedule, self.place, *opened, facts,
+            clock=self.clock, open_prober=prober, open_markers=self.open_markers,
+        )  # fmt: skip
 
     @contextmanager
     def open_rig(self, log: Callable[..., None]) -> Iterator[Rig]:
@@ -219,6 +223,20 @@ class SessionParts:
             options=self.window_options,
             clock=self.clock,
         )
+
+    def open_markers(self) -> Markers | None:
+        """Open the stream of markers that the protocol wants, where time is real."""
+        section = self.preflight.experiment.protocol.markers
+        if section is None or not section.lsl or self.clock is not SYSTEM_CLOCK:
+            return None
+        from modaltouch.session.markers import Markers
+
+        try:
+            return Markers(f"{self.place.protocol}/{self.place.participant}/{self.place.session}", self.clock)
+        except (ImportError, RuntimeError) as error:
+            given, allowed = f"true, and pylsl cannot be used ({error})", "true where the extra `lsl` is installed"
+            remedy = "run `pip install 'modaltouch[lsl]'`, or leave the section out"
+            raise InputError([self.preflight.findings.problem(("markers", "lsl"), given, allowed, remedy)]) from error
 
     def open_masking(self, log: Callable[..., None]) -> Masking:
         """Open the masking noise that the protocol wants, where there is a person to hear it."""

@@ -126,7 +126,14 @@ class AnswerWindow:
     Every method that waits calls the `tick` given at opening about every millisecond; `tick` may raise, and what
     it returns is done: ``pause`` holds the session until ``continue`` or a press to go on; an answer is
     taken as if it had been given at the window.
+
+    Attributes
+    ----------
+    on_question : callable
+        Told of each question with its trial and since when it is on the screen [s].
     """
+
+    on_question: Callable[[Trial, float], None] = staticmethod(lambda trial, instant: None)
 
     def describe(self) -> dict[str, Any]:
         """Return size, backend and versions for the start record."""

@@ -173,6 +173,7 @@ class ParticipantWindow(AnswerWindow):
             presentation.stop()
         self._feel(trial, question, presentation.stop, until=due)
         asked = self._loop.show(question, Moment("answer", trial, onset))
+        self.on_question(trial, asked)
         flip_took = self._loop.flip_took
         # What is read now was pressed while the question was being drawn: it cannot answer it.
         for event in self._loop.poll_quietly():

@@ -1,0 +1,61 @@
+"""Markers for other devices: stimulus, question and answer of every trial, as a stream of the Lab Streaming Layer."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from modaltouch.protocol import Trial
+from modaltouch.system import Clock
+
+
+class Markers:
+    """An outlet of text markers, dated by the clock of the Lab Streaming Layer.
+
+    Parameters
+    ----------
+    source : str
+        What tells the stream from any other, such as ``demo/p01/1``.
+    clock : Clock
+        That of the session.
+
+    Raises
+    ------
+    ImportError, RuntimeError
+        If pylsl or its library is not installed.
+    """
+
+    def __init__(self, source: str, clock: Clock) -> None:
+        import pylsl
+
+        about = pylsl.StreamInfo("modaltouch", "Markers", 1, pylsl.IRREGULAR_RATE, "string", source)
+        self._outlet = pylsl.StreamOutlet(about)
+        self._source, self._library = source, pylsl.library_version()
+        # Both clocks run evenly from the start of the machine: their difference stays as it is.
+        self._offset = pylsl.local_clock() - clock.now()
+
+    def describe(self) -> dict[str, Any]:
+        """Return name and source of the stream, and what its clock is ahead of the session's [s]."""
+        stream = {"name": "modaltouch", "source_id": self._source, "clock_offset_s": round(self._offset, 6)}
+        return {"lsl": {**stream, "library": self._library}}
+
+    def send_question(self, trial: Trial, instant: float) -> None:
+        """Send that the question of a trial is on the screen since an instant [s]."""
+        self._send("question", trial.as_dict(), instant)
+
+    def follow(self, event: dict[str, Any]) -> None:
+        """Send what an event of the log tells of a stimulus or an answer."""
+        if event["event"] == "fired":
+            self._send("stimulus", event["trial"], event["confirmed"]["onset"])
+        elif event["event"] == "answered":
+            instant = event["instants"]["answer"]
+            middle = (instant["earliest_s"] + instant["latest_s"]) / 2
+            self._send("answer", event["trial"], middle, event["response"]["answer"])
+        elif event["event"] == "trial_cut":
+            self._send("cut", event["trial"], event["clock"])
+
+    def _send(self, event: str, trial: dict[str, Any], instant: float, detail: str = "") -> None:
+        """Send one marker, such as ``answer/5/one_hand/AC/100/left``, with its instant by the session's clock [s]."""
+        condition, practice = trial["condition"], "practice" if trial["practice"] else ""
+        pair, level = condition["zone_left"] + condition["zone_right"], f"{condition['velocity_mm_s']:g}"
+        words = (event, practice, str(trial["index"]), condition["finger_condition"], pair, level, detail)
+        self._outlet.push_sample(["/".join(filter(None, words))], instant + self._offset)

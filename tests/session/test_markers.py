@@ -1,0 +1,91 @@
+"""Markers of the Lab Streaming Layer: sent by a session, received by an inlet on this very machine."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modaltouch.preflight import examine
+from modaltouch.protocol import InputError
+from modaltouch.record import Session
+from modaltouch.session.markers import Markers
+from modaltouch.session.setup import Setup, begin
+from modaltouch.session.wiring import wire_run
+from modaltouch.system import SYSTEM_CLOCK
+
+DEMO = Path(__file__).parents[2] / "protocols" / "demo.yaml"
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Setup:
+    """A demonstration that wants markers, answered by an observer in virtual time."""
+    folder = tmp_path_factory.mktemp("markers")
+    for name in ("apparatus", "texts"):
+        (folder / name).symlink_to(DEMO.parent / name)
+    file = folder / "demo.yaml"
+    file.write_text(DEMO.read_text(encoding="utf-8") + "\nmarkers: {lsl: true}\n", encoding="utf-8")
+    return wire_run(examine(file).require(), "p01", answers="simulated", results=folder / "results")
+
+
+@pytest.fixture(scope="module")
+def received(demo: Setup, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Session, list[Any]]]:
+    """The session as it was recorded, and every marker that came through with its time by the clock of LSL [s]."""
+    with pytest.MonkeyPatch.context() as patch:
+        config = tmp_path_factory.mktemp("lsl") / "lsl_api.cfg"
+        # Nobody beyond this machine is asked.
+        config.write_text("[multicast]\nResolveScope = machine\n[log]\nlevel = -3\n", encoding="ascii")
+        patch.setenv("LSLAPICFG", str(config))
+        import pylsl
+
+        markers = Markers("demo/p01/1", demo.clock)
+        (found,) = pylsl.resolve_byprop("source_id", "demo/p01/1", timeout=10)
+        inlet = pylsl.StreamInlet(found)
+        inlet.open_stream(timeout=10)
+        session = begin(replace(demo, open_markers=lambda: markers))
+        samples = []
+        while len(samples) < 2 * len(session.trials):
+            (words,), instant = inlet.pull_sample(timeout=10)
+            samples.append((words, instant))
+        yield session, samples
+        inlet.close_stream()
+
+
+def test_every_stimulus_and_answer_comes_through_at_its_instant(received: tuple[Session, list[Any]]) -> None:
+    """Expected: the conditions and instants of the record, moved by the offset of the clocks that it tells."""
+    session, samples = received
+    offset = session.start["markers"]["lsl"]["clock_offset_s"]
+    expected = []
+    for event in session.trials:
+        trial, instants = event["trial"], event["instants"]
+        condition, practice = trial["condition"], "practice/" if trial["practice"] else ""
+        place = f"{condition['finger_condition']}/{condition['zone_left']}{condition['zone_right']}"
+        about = f"{practice}{trial['index']}/{place}/{condition['velocity_mm_s']:g}"
+        answered = (instants["answer"]["earliest_s"] + instants["answer"]["latest_s"]) / 2
+        expected += [
+            (f"stimulus/{about}", event["confirmed"]["onset"]),
+            (f"answer/{about}/{event['response']['answer']}", answered),
+        ]
+    assert [words for words, _ in samples] == [words for words, _ in expected]
+    assert [instant - offset for _, instant in samples] == pytest.approx([instant for _, instant in expected], abs=1e-5)
+
+
+def test_a_session_in_virtual_time_sends_nothing(demo: Setup) -> None:
+    """Expected: no stream, whose times would be nobody's; and none of which the record would tell."""
+    assert demo.open_markers() is None
+
+
+def test_a_machine_without_pylsl_is_told_before_anything_is_opened(
+    demo: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Expected: the line of the protocol, and the extra to install."""
+    monkeypatch.setitem(sys.modules, "pylsl", None)
+    parts = demo.open_markers.__self__  # type: ignore[attr-defined]
+    monkeypatch.setitem(parts.__dict__, "clock", SYSTEM_CLOCK)
+    with pytest.raises(InputError, match=r"demo.yaml:\d+:16: markers.lsl: given true, and pylsl cannot") as told:
+        parts.open_markers()
+    assert "pip install 'modaltouch[lsl]'" in str(told.value)
