@@ -1,14 +1,11 @@
 from __future__ import annotations
 
-from statistics import NormalDist
-
 import numpy as np
 import pytest
 
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.covariates import (
     centre_interval,
-    detection,
     order_findings,
     side_findings,
     speed_findings,
@@ -24,15 +21,6 @@ def test_a_side_bias_is_the_difference_between_focus_right_and_left(build) -> No
     finding = next(iter(side_findings(answers)))
     assert finding.estimate == 1
     assert finding.p == 2 / 2**10
-
-
-def test_detection_uses_the_log_linear_correction() -> None:
-    """Hautus (1995): rates (k + 0.5) / (n + 1); 40 of 40 hits and 0 of 38 false alarms."""
-    z = NormalDist().inv_cdf
-    hit, false_alarm = 40.5 / 41, 0.5 / 39
-    sensitivity, criterion = detection(np.array([[0, 40]]), np.array([[38, 0]]))
-    assert sensitivity == pytest.approx(z(hit) - z(false_alarm))
-    assert criterion == pytest.approx(-(z(hit) + z(false_alarm)) / 2)
 
 
 def test_a_drift_over_the_session_is_found(build) -> None:

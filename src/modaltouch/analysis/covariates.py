@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
-from statistics import NormalDist
 
 import numpy as np
 import pandas as pd
@@ -64,16 +63,14 @@ def side_findings(answers: AnswerCounts) -> Iterator[Finding]:
     for f, condition in enumerate(answers.finger_conditions):
         on_right, on_left = (mean_of_known(dominant[f, places].T) for places in (right, left))
         labels = [", ".join(answers.pairs[q].label for q in group) for group in (right, left)]
-        sensitivity, criterion = detection(*_seen(answers, f, right, left))
-        notes = [f"d' {sensitivity:.2f}, criterion c {criterion:.2f} with the log-linear correction, all answers"]
         yield _mean_finding(
             "side", "side bias", f"{condition} {labels[0]} - {labels[1]}", (on_right - on_left) * answers.facing,
-            "P(focus) on the right less on the left", notes,
+            "P(focus) on the right less on the left",
         )  # fmt: skip
 
 
 def _mean_finding(
-    question: str, what: str, scope: str, scores: ArrayLike, quantity: str, notes: Sequence[str]
+    question: str, what: str, scope: str, scores: ArrayLike, quantity: str, notes: Sequence[str] = ()
 ) -> Finding:
     """Return the mean over participants of scores from -1 to 1, with its test and interval."""
     mean, name = BoundedMean(scores), f"{what}, test and interval of a bounded mean"
@@ -87,16 +84,6 @@ def focused_pairs(answers: AnswerCounts) -> tuple[list[int], list[int]]:
         [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_side == side] for side in sides
     )
     return left, right
-
-
-def _seen(answers: AnswerCounts, f: int, right: list[int], left: list[int]) -> tuple[IntArray, IntArray]:
-    """Return counts of left and right, the focus on the right and on the left, as the participants saw the beam."""
-    turned = answers.facing < 0
-    own = answers.sided()[:, f]
-    exchanged = own[..., ::-1]
-    on_right = np.concatenate([own[~turned][:, right].reshape(-1, 2), exchanged[turned][:, left].reshape(-1, 2)])
-    on_left = np.concatenate([own[~turned][:, left].reshape(-1, 2), exchanged[turned][:, right].reshape(-1, 2)])
-    return on_right, on_left
 
 
 def _aliased_side_findings(answers: AnswerCounts) -> Iterator[Finding]:
@@ -115,24 +102,6 @@ def _aliased_side_findings(answers: AnswerCounts) -> Iterator[Finding]:
             "P(right) - P(left), as the participant sees the beam",
             [f"{len(answers.mirrored)} of {answers.n_participants} participants with the beam turned end to end"],
         )  # fmt: skip
-
-
-def detection(on_right: NDArray[np.int64], on_left: NDArray[np.int64]) -> tuple[float, float]:
-    """Return sensitivity d' and criterion c of telling right from left, "both" not counted.
-
-    Parameters
-    ----------
-    on_right, on_left : (..., 2) array of int
-        Counts of left and right where the focus was on the right, and where it was on the left.
-
-    References
-    ----------
-    Hautus, Behavior Research Methods 27 (1995) 46-51 (log-linear correction).
-    """
-    signal, noise = (counts.reshape(-1, 2).sum(axis=0) for counts in (on_right, on_left))
-    hit, false_alarm = ((right + 0.5) / (right + left + 1) for left, right in (signal, noise))
-    z = NormalDist().inv_cdf
-    return z(hit) - z(false_alarm), -(z(hit) + z(false_alarm)) / 2
 
 
 def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:

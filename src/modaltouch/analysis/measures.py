@@ -168,7 +168,6 @@ def by_ranks(values: FloatArray) -> Located:
     return rank_test(values), Interval(float(np.median(averages)) if n else math.nan, float(low), float(high), n)
 
 
-_IN_PLACE = "p is of the difference of rates, which has no bias where nothing is told apart"
 _FLIPS, _RANKS = "sign flips", "signed ranks"
 _MOST_ORDERS = 20_000
 """Ways to share out the participants up to which all are counted; beyond, as many are drawn."""
@@ -249,10 +248,11 @@ def mean_findings(values: Sequence[Own], scale: LevelScale) -> Iterator[Finding]
         left_out = len({each.participant for each in own}) - n
         notes = [f"{left_out} participants left out, who have none"] if left_out else []
         tested = measure.null is not None and n > 0
+        way = _FLIPS if own[0].tested is None else f"{_FLIPS}, p by those of the rates"
         yield finding_of(
-            measure.question, f"{measure.name} over participants, {_FLIPS}", scope, test if tested else None,
+            measure.question, f"{measure.name} over participants, {way}", scope, test if tested else None,
             measure.quantity, interval, n, family=measure.name if tested else "",
-            notes=[*notes, ("" if own[0].tested is None else _IN_PLACE) if tested else "described, not tested"],
+            notes=[*notes, "" if tested else "described, not tested"],
         )  # fmt: skip
 
 

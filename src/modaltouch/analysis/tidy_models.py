@@ -27,7 +27,8 @@ def tidy_files(responses: Responses) -> dict[str, Any]:
     frame = taken.frame.loc[taken.frame.index.repeat(taken.frame["n"])]
     scale, asked = scale_of(frame.columns), questions_of(responses.design, frame)
     level = frame[scale.column].astype(float)
-    factors = {name: frame[name].astype(str) for name in FACTORS if name in frame.columns}
+    named = [name for name in FACTORS if name in frame.columns and (frame[name] != "").any()]
+    factors = {name: frame[name].astype(str) for name in named}
     factors["pair"] = pair_labels(frame)
     table = pd.DataFrame({
         "participant": frame["participant"].astype(str), **factors, scale.column: level,
