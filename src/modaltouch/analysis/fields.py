@@ -48,10 +48,10 @@ def _of(stimulus: str, recorded: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def _predict_again(start: dict[str, Any]) -> list[dict[str, Any]]:
     """Return the fields of a record that keeps none, designed from its texts; none where they cannot be read."""
     from modaltouch.preflight import examine_findings
-    from modaltouch.protocol import Findings, InputError, Sources
+    from modaltouch.protocol import Findings, InputError
 
     try:
-        preflight = examine_findings(Findings.restored(Sources.from_dict(start["sources"]))).require()
+        preflight = examine_findings(Findings.recorded(start)).require()
         own = start.get("sensation_levels")
         return (preflight.with_levels(tuple(own["levels_mm_s"])) if own else preflight).fields
     except (InputError, KeyError, TypeError):

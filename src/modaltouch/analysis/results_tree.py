@@ -171,7 +171,7 @@ def open_log(path: Path) -> SessionAnswers:
             for name, own in design.get("stimuli", {}).items()
         },
         catches=Counter(row["response"] for row in session.table() if row["catch"]),
-        kind=session.kind,
+        kind=session.occasion,
         is_crossed=not any(design.get("conditions", {}).get(key) for key in ("cells", "exclude")),
         columns=session.question_columns,
     )

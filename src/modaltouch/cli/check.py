@@ -130,6 +130,12 @@ def show(preflight: Preflight, *, compare: bool = False, fingers: str | None = N
             f"{', '.join(map(str, each['selected_modes']))}, {each['n_samples']} samples at "
             f"{each['sampling_rate_Hz'] / 1e6:g} MHz, spot {each['fwhm_mm']:.1f} mm wide"
         )
+    for each in values.get("occasions", ()):
+        levels = ", ".join(format(level, "g") for level in each["peak_velocities_mm_s"])
+        console.print(
+            f"{escape(' '.join(filter(None, (each['group'], each['session_kind']))))}: {each['n_trials']} trials and "
+            f"{each['n_practice_trials']} for practice, about {each['estimated_duration_min']:.0f} min; {levels} mm/s"
+        )
     if calibration := values["calibration"]:
         console.print(
             f"Calibrated {calibration['made']} on {escape(calibration['generator'])}: worst modal error then "

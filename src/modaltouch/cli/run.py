@@ -85,6 +85,12 @@ THRESHOLD = Annotated[
     ),
 ]
 
+GROUP = Annotated[
+    str | None, typer.Option(help="The participant's group, where the protocol has groups.", show_default="the one due")
+]
+ANY_GAP = Annotated[
+    bool, typer.Option("--any-gap", help="Begin however little time has passed since the session before.")
+]
 PEOPLE = Annotated[
     Path | None,
     typer.Option(
@@ -114,6 +120,8 @@ def run(
     with_marked_calibration: WITH_MARKED = False,
     threshold: THRESHOLD = None,
     people: PEOPLE = None,
+    group: GROUP = None,
+    any_gap: ANY_GAP = False,
     yes: YES = False,
     json_output: JSON = False,
 ) -> None:
@@ -144,7 +152,8 @@ def run(
         SessionFolder.check_participant(participant)
         setup = wire_run(
             preflight, participant, session=session, rig=rig, answers=answers.value, pilot=pilot, seed=seed,
-            results=results, window_options=window_options, threshold_mm_s=threshold,
+            results=results, window_options=window_options, threshold_mm_s=threshold, group=group,
+            any_gap=any_gap,
         )  # fmt: skip
         setup.place.refuse_existing()
         if fields := setup.to_ask:

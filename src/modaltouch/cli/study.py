@@ -90,8 +90,8 @@ def _tell(dataset: dict[str, Any]) -> dict[str, Any]:
         "heading": f"{title}{kind}: {n_complete} of {len(rows)} sessions complete{each}",
         "sessions": [
             (
-                row["participant"],
-                str(row["session"]),
+                row["participant"] + (f" ({row['group']})" if "group" in row else ""),
+                f"{row['session']} {row.get('session_kind', '')}".strip(),
                 row["state"] + (f": {row['why']}" if row["state"] in ("interrupted", "closed") else ""),
                 "–" if row["begun"] is None else str(row["begun"])[:16].replace("T", " "),
                 f"{row['duration_min']:.0f}" + (f" in {row['n_sittings']}" if row["n_sittings"] > 1 else ""),
@@ -114,6 +114,7 @@ def _tell(dataset: dict[str, Any]) -> dict[str, Any]:
         ],
         "next": [
             f"{row['participant']} session {row['session']}, "
+            + (f"{row['session_kind']}, " if "session_kind" in row else "")
             + (_order(row) if row["do"] == "run" else f"`modaltouch {row['do']} {Path(row['log']).parent.parent}`")
             for row in dataset["next"]
         ],
@@ -123,4 +124,5 @@ def _tell(dataset: dict[str, Any]) -> dict[str, Any]:
 def _order(row: dict[str, Any]) -> str:
     """Return an order of finger conditions in words, with the placement where it is not the usual one."""
     placed = "" if row["placement"] == "normal" else f" ({row['placement']})"
-    return " then ".join(row["finger_conditions"]) + placed
+    group = f"{row['group']}: " if "group" in row else ""
+    return group + " then ".join(row["finger_conditions"]) + placed

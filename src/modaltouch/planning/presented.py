@@ -59,10 +59,10 @@ def refuse_uncrossed(preflight: Preflight) -> None:
     """
     protocol = preflight.experiment.protocol
     if not protocol.is_crossed:
-        given = "cells that are listed or left out one by one"
-        allowed = "every pair at every level, equally often, in every finger condition"
-        remedy = "simulate sessions and analyse those, or plan with a protocol of some of the cells"
-        raise InputError([preflight.findings.problem(("conditions", protocol.listed_by), given, allowed, remedy)])
+        given = "a design that is not crossed"
+        allowed = "every pair at every level, equally often, in every finger condition, for all participants"
+        remedy = "simulate sessions and analyse those, or plan with a protocol of a part of the design"
+        raise InputError([preflight.findings.problem(protocol.uncrossed_by, given, allowed, remedy)])
 
 
 def refuse_answers(preflight: Preflight) -> None:

@@ -134,8 +134,7 @@ def design_warnings(protocol: Protocol) -> list[str]:
     n_pairs, n_fingers = len(conditions.contacts), len(conditions.finger_conditions)
     if not protocol.is_crossed:
         said.append(
-            f"the cells are not crossed (conditions.{protocol.listed_by}): the tests are those of each crossed part of "
-            "the design"
+            f"the design is not crossed ({'.'.join(protocol.uncrossed_by)}): the tests are those of each crossed part"
         )
     elif protocol.adaptive is None:
         numbers = {"level": len(protocol.scheduled_levels), "finger condition": n_fingers, "pair of zones": n_pairs}

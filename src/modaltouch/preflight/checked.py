@@ -9,13 +9,15 @@ from typing import Any, Self
 
 from modaltouch.preflight.design_inputs import DesignInputs
 from modaltouch.preflight.figures import (
+    DESIGN_FIGURES,
     contrasts,
-    estimated_duration,
+    design_figures_of,
     field_figures,
     finger_places,
+    occasion_figures,
     stimulus_figures,
 )
-from modaltouch.protocol import Experiment, Findings, InputError, Problem, Protocol, Trial
+from modaltouch.protocol import Experiment, Findings, InputError, Problem, Trial
 from modaltouch.stimulus import Burst, Law, Stimulus
 
 
@@ -39,6 +41,8 @@ class Preflight:
         Of a stimulus designed for fingers, the design of each placement; empty for the untouched beam.
     attainable : float
         Of a design for measured fingers, the highest level that is played [mm/s].
+    others : tuple of Preflight
+        The protocol for the other groups of participants and kinds of session, examined.
     """
 
     findings: Findings
@@ -48,6 +52,12 @@ class Preflight:
     variants: dict[str, Preflight] = field(default_factory=dict)
     placed: dict[str, Preflight] = field(default_factory=dict)
     attainable: float = math.inf
+    others: tuple[Preflight, ...] = ()
+
+    def at(self, group: str, session_kind: str) -> Preflight:
+        """Return the preflight of a group of participants in a kind of session; itself where there are none."""
+        own = (each for each in self.others if each.findings.occasion == (group, session_kind))
+        return next(own, self)
 
     def require(self) -> Self:
         """Return the preflight itself if a session may run.
@@ -311,7 +321,10 @@ class Preflight:
             "file": str(reading.source.path) if reading else None,
             "apparatus": self.findings.apparatus.sound("apparatus") if self.findings.apparatus else None,
             "calibration": self._calibration(),
-            **dict.fromkeys(_DESIGN_FIGURES),
+            **dict.fromkeys(DESIGN_FIGURES),
+            **(
+                {"occasions": [occasion_figures(each.findings) for each in (self, *self.others)]} if self.others else {}
+            ),
             "problems": [problem.as_dict() for problem in self.problems],
             "warnings": [],
             "defaults": self.findings.defaults(),
@@ -322,7 +335,7 @@ class Preflight:
             "offered_gains": [],
         }
         if reading is not None and reading.value is not None:
-            values |= _design_figures(reading.value)
+            values |= design_figures_of(reading.value)
         if self.problems:
             return values
         from modaltouch.preflight import advice
@@ -406,22 +419,3 @@ class Preflight:
             "worst_modal_error_mm_s": max(each.worst_error_mm_s for each in value.by_stimulus.values()),
             "mark": value.mark,
         }
-
-
-_DESIGN_FIGURES = ("sensation_levels", "n_trials", "n_catch_trials", "n_practice_trials", "estimated_duration_min")
-
-
-def _design_figures(protocol: Protocol) -> dict[str, Any]:
-    own, velocities = protocol.conditions.sensation_levels, protocol.conditions.peak_velocities_mm_s
-    return {
-        "sensation_levels": own
-        and {
-            "thresholds_from": own.thresholds_from,
-            "multiples": list(own.multiples),
-            "thresholds_mm_s": [round(each, 4) for each in own.thresholds(min(velocities), max(velocities))],
-        },
-        "n_trials": protocol.n_trials,
-        "n_catch_trials": protocol.schedule.catch_trials * len(protocol.conditions.finger_conditions),
-        "n_practice_trials": protocol.schedule.practice_trials,
-        "estimated_duration_min": estimated_duration(protocol),
-    }

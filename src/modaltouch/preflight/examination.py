@@ -238,6 +238,10 @@ def examine_findings(findings: Findings) -> Preflight:
     findings : Findings
         The files and what is wrong with them.
     """
+    if findings.others:
+        first, *others = (examine_findings(replace(each, others=())) for each in (findings, *findings.others))
+        problems = set(first.problems).union(*(each.problems for each in others))
+        return replace(first, problems=tuple(sorted(problems)), others=tuple(others))
     reading = findings.protocol
     if reading is not None and reading.value is not None and reading.value.stimuli and not findings.problems:
         return _examine_several(findings)

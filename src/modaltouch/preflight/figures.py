@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from modaltouch.preflight.design_inputs import DesignInputs
-from modaltouch.protocol import Protocol
+from modaltouch.protocol import Findings, Protocol
 from modaltouch.stimulus import Stimulus
 
 ANSWER_S, PLACEMENT_S, BREAK_S, INSTRUCTIONS_S = 1.5, 5.0, 30.0, 90.0
@@ -165,3 +165,35 @@ def finite(value: float) -> float | None:
 
 def _by(names: Any, values: Any) -> dict[str, float | None]:
     return {name: finite(float(value)) for name, value in zip(names, values, strict=True)}
+
+
+DESIGN_FIGURES = ("sensation_levels", "n_trials", "n_catch_trials", "n_practice_trials", "estimated_duration_min")
+
+
+def design_figures_of(protocol: Protocol) -> dict[str, Any]:
+    """Return how many trials a protocol has, and how long a session takes."""
+    own, velocities = protocol.conditions.sensation_levels, protocol.conditions.peak_velocities_mm_s
+    return {
+        "sensation_levels": own
+        and {
+            "thresholds_from": own.thresholds_from,
+            "multiples": list(own.multiples),
+            "thresholds_mm_s": [round(each, 4) for each in own.thresholds(min(velocities), max(velocities))],
+        },
+        "n_trials": protocol.n_trials,
+        "n_catch_trials": protocol.schedule.catch_trials * len(protocol.conditions.finger_conditions),
+        "n_practice_trials": protocol.schedule.practice_trials,
+        "estimated_duration_min": estimated_duration(protocol),
+    }
+
+
+def occasion_figures(findings: Findings) -> dict[str, Any]:
+    """Return group and kind of session with levels, trials and duration; null where the protocol is faulty."""
+    protocol = None if findings.protocol is None else findings.protocol.value
+    known = {} if protocol is None else design_figures_of(protocol)
+    return {
+        "group": findings.occasion.group,
+        "session_kind": findings.occasion.kind,
+        "peak_velocities_mm_s": None if protocol is None else list(protocol.conditions.peak_velocities_mm_s),
+        **{name: known.get(name) for name in ("n_trials", "n_practice_trials", "estimated_duration_min")},
+    }

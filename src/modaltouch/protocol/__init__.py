@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from modaltouch.protocol.answers import Answer, AnswerList
     from modaltouch.protocol.apparatus import Apparatus
     from modaltouch.protocol.calibration import Calibration
-    from modaltouch.protocol.findings import Experiment, Findings, Sources
+    from modaltouch.protocol.findings import Experiment, Findings
     from modaltouch.protocol.levels import Levels
     from modaltouch.protocol.masking import MaskingSection
     from modaltouch.protocol.observers import ObserverFile
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from modaltouch.protocol.questions import ScaleSection
     from modaltouch.protocol.schedule import Schedule, Turn
     from modaltouch.protocol.sections import AnswersSection, Protocol
-    from modaltouch.protocol.source import Source
+    from modaltouch.protocol.source import Source, Sources
     from modaltouch.protocol.stimulus_sections import StimulusSection
     from modaltouch.protocol.texts import Texts
     from modaltouch.protocol.trial import TIME_OUT, Response, Trial
@@ -35,7 +35,7 @@ else:
             "answers": "Answer AnswerList",
             "apparatus": "Apparatus",
             "calibration": "Calibration",
-            "findings": "Experiment Findings Sources",
+            "findings": "Experiment Findings",
             "levels": "Levels",
             "masking": "MaskingSection",
             "observers": "ObserverFile",
@@ -44,7 +44,7 @@ else:
             "questions": "ScaleSection",
             "schedule": "Schedule Turn",
             "sections": "AnswersSection Protocol",
-            "source": "Source",
+            "source": "Source Sources",
             "stimulus_sections": "StimulusSection",
             "texts": "Texts",
             "trial": "Response TIME_OUT Trial",

@@ -41,7 +41,7 @@ def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, 
         problems.append(
             Problem(str(source.path), *place, f"conditions.{other}", given, "one of the two", "remove one of them")
         )
-    if table is not None:
+    if table is not None and "table" in written:
         listed, faults = _read_table(table)
         problems += faults
         conditions = conditions.with_child("cells", listed)

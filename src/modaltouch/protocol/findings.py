@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 from modaltouch.protocol.apparatus import Apparatus, examine_apparatus
 from modaltouch.protocol.checks import check_fit, check_protocol, check_settling, check_timing
+from modaltouch.protocol.occasions import Occasion, at_occasion, check_groups, occasions_of
 from modaltouch.protocol.problems import InputError, Problem
 from modaltouch.protocol.reading import Reading, read, read_tree
 from modaltouch.protocol.sections import Protocol
-from modaltouch.protocol.source import YAML_FILE, Source
+from modaltouch.protocol.source import YAML_FILE, Source, Sources
 from modaltouch.protocol.stimulus_sections import MEASURED, NO_FINGERS, StimulusSection, read_points
 from modaltouch.protocol.texts import Texts, check_words
 from modaltouch.protocol.tree import parse_tree
@@ -25,42 +26,6 @@ if TYPE_CHECKING:
     from modaltouch.protocol.fingers import FingersFile
     from modaltouch.protocol.placements import Placements
     from modaltouch.protocol.trial import Condition
-
-
-@dataclass(frozen=True)
-class Sources:
-    """The files of an experiment as they were read.
-
-    Attributes
-    ----------
-    protocol, apparatus, texts : Source
-        Path, text and hash of each.
-    calibration : Source or None
-        Path, text and hash of the calibration, where there is one.
-    field : Source or None
-        The same of the points of the target field, where they stand in a file.
-    fingers : Source or None
-        The same of the fingers that the stimulus is designed for, where there are any.
-    table : Source or None
-        The same of the table of cells, where there is one.
-    """
-
-    protocol: Source
-    apparatus: Source
-    texts: Source
-    calibration: Source | None = None
-    field: Source | None = None
-    fingers: Source | None = None
-    table: Source | None = None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return path, hash and text of each file for the record."""
-        return {name: source.as_dict() for name, source in vars(self).items() if source is not None}
-
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> Sources:
-        """Return the sources that `as_dict` described."""
-        return cls(**{name: Source(Path(each["path"]), str(each["text"])) for name, each in values.items()})
 
 
 @dataclass(frozen=True)
@@ -103,6 +68,10 @@ class Findings:
         The fingers that the stimulus is designed for, where there are any.
     table : Source or None
         The table of cells, where there is one.
+    occasion : Occasion
+        The group of participants and the kind of session that it is for.
+    others : tuple of Findings
+        The files on the other occasions; what is wrong with these is among the problems.
     """
 
     protocol: Reading[Protocol] | None
@@ -113,6 +82,8 @@ class Findings:
     field: Source | None = None
     fingers: Reading[FingersFile] | None = None
     table: Source | None = None
+    occasion: Occasion = Occasion()
+    others: tuple[Findings, ...] = ()
 
     def experiment(self) -> Experiment:
         """Return the experiment.
@@ -288,15 +259,20 @@ class Findings:
                 yield replace(problem, given=given, path=at)
 
     @classmethod
-    def restored(cls, sources: Sources) -> Findings:
+    def restored(cls, sources: Sources, occasion: tuple[str, str] = ("", "")) -> Findings:
         """Findings in the texts that a record keeps, whatever became of their files.
 
         Parameters
         ----------
         sources : Sources
             As `Sources.from_dict` reads them from the record.
+        occasion : (str, str)
+            The group and the kind of session that it is for.
         """
-        protocol, texts = _read_protocol(sources.protocol, sources.table), read(sources.texts, Texts)
+        protocol, texts = (
+            _read_protocol(sources.protocol, Occasion(*occasion), sources.table),
+            read(sources.texts, Texts),
+        )
         apparatus, problems = examine_apparatus(sources.apparatus)
         problems += [*protocol.problems, *check_protocol(protocol), *check_fit(protocol, apparatus)]
         problems += [*texts.problems, *check_words(protocol, texts)]
@@ -315,7 +291,15 @@ class Findings:
 
             fingers, faults = read_fingers(sources.fingers, protocol)
             problems += faults
-        return cls(protocol, apparatus, texts, tuple(problems), calibration, sources.field, fingers, sources.table)
+        files = calibration, sources.field, fingers, sources.table
+        return cls(protocol, apparatus, texts, tuple(problems), *files, Occasion(*occasion))
+
+    @classmethod
+    def recorded(cls, start: dict[str, Any]) -> Findings:
+        """Findings in the texts that a session's start record keeps, on its occasion."""
+        schedule = start.get("schedule", {})
+        occasion = str(schedule.get("group", "")), str(schedule.get("session_kind", ""))
+        return cls.restored(Sources.from_dict(start["sources"]), occasion)
 
     @classmethod
     def read(
@@ -338,10 +322,22 @@ class Findings:
             source = Source.find("protocol", path)
         except InputError as error:
             return cls(None, None, None, error.problems)
+        first, *others = (
+            cls._read(source, occasion, calibration, uncalibrated=uncalibrated, marked=marked)
+            for occasion in occasions_of(parse_tree(source)[0])
+        )
+        problems = set(first.problems).union(*(each.problems for each in others))
+        return replace(first, problems=tuple(sorted(problems)), others=tuple(others))
+
+    @classmethod
+    def _read(
+        cls, source: Source, occasion: Occasion, calibration: Path | None, *, uncalibrated: bool, marked: bool
+    ) -> Findings:
+        """Return what `read` does, on one occasion."""
         problems: list[Problem] = []
-        protocol = _read_protocol(source)
+        protocol = _read_protocol(source, occasion)
         table = _load_named(protocol, ("conditions", "table"), problems)
-        protocol = protocol if table is None else _read_protocol(source, table)
+        protocol = protocol if table is None else _read_protocol(source, occasion, table)
         problems += [*protocol.problems, *check_protocol(protocol), *check_settling(protocol)]
         apparatus, texts = None, None
         named = _load_named(protocol, ("apparatus",), problems)
@@ -367,12 +363,17 @@ class Findings:
 
             fingers = load_fingers(protocol, problems)
             problems += check_measured(protocol, apparatus)
-        return cls(protocol, apparatus, texts, tuple(sorted(set(problems))), calibrated, field, fingers, table)
+        return cls(
+            protocol, apparatus, texts, tuple(sorted(set(problems))), calibrated, field, fingers, table, occasion
+        )
 
 
-def _read_protocol(source: Source, table: Source | None = None) -> Reading[Protocol]:
-    """Return a protocol with the cells of its table, where it has one."""
+def _read_protocol(source: Source, occasion: Occasion, table: Source | None = None) -> Reading[Protocol]:
+    """Return a protocol as it is on an occasion, with the cells of its table, where it has one."""
     root, problems = parse_tree(source)
+    if root is not None and any(occasion):
+        problems += check_groups(source, root)
+        root = at_occasion(root, occasion)
     conditions = None if root is None else root.child("conditions")
     if root is None or conditions is None or not (conditions.child("table") or conditions.child("cells")):
         return read_tree(source, Protocol, root, problems)

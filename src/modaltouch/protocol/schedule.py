@@ -32,27 +32,39 @@ class Turn:
         To be taken modulo the number of orders, placements and rows.
     reason : str
         What decided it.
+    group : str
+        The participant's group; empty where the protocol has none.
+    group_by : str
+        What decided the group.
     """
 
     number: int
     reason: str
+    group: str = ""
+    group_by: str = ""
 
     @staticmethod
-    def of(participant: str, seed: int, session: int) -> Turn:
-        """Return which of several balanced orders is a participant's by number or hash.
+    def of(participant: str, seed: int, session: int, groups: Iterable[str] = ()) -> Turn:
+        """Return which group and which of several balanced orders is a participant's by number or hash.
 
-        Sessions of one participant take turns too, so nothing is drawn anew for them.
+        Sessions of one participant take turns too, so nothing is drawn anew for them. Groups change with every
+        participant, turns each time all groups have been had.
 
         Parameters
         ----------
         participant, seed, session
             As `Schedule.draw` takes them.
+        groups : iterable of str
+            Groups of the protocol.
         """
+        names = list(groups) or [""]
         ending = re.search(r"[0-9]+$", participant)
         if ending is not None:
-            return Turn(int(ending.group()[-18:]) - 1 + session - 1, "number of the participant")
-        stream = Stream(seed, participant, 1, "order of finger conditions")
-        return Turn(stream.below(2**64) + session - 1, "hash of the participant")
+            number, reason = int(ending.group()[-18:]) - 1, "number of the participant"
+        else:
+            number, reason = Stream(seed, participant, 1, "order of finger conditions").below(2**64), _BY_HASH
+        turn, place = divmod(number, len(names))
+        return Turn(turn + session - 1, reason, names[place], reason if names[place] else "")
 
     @staticmethod
     def recorded(start: dict[str, Any]) -> Turn | None:
@@ -64,7 +76,8 @@ class Turn:
             Start record of a session.
         """
         schedule = start.get("schedule", {})
-        return Turn(int(schedule["turn"]), str(schedule["turn_by"])) if "turn" in schedule else None
+        own = [str(schedule.get(key, "")) for key in ("group", "group_by")]
+        return Turn(int(schedule["turn"]), str(schedule["turn_by"]), *own) if "turn" in schedule else None
 
     def order(self, protocol: Protocol) -> tuple[tuple[str, ...], Placement]:
         """Return the order of the finger conditions, and the placement, that the turn gives.
@@ -133,6 +146,10 @@ class Schedule:
         Whether the levels follow from the answers; a trial is then scheduled with the level of a run's first.
     turn : int or None
         The turn where it was given; None where participant, seed and session decide it.
+    group, group_by : str
+        The participant's group and what decided it; empty where the protocol has none.
+    session_kind : str
+        Which of several kinds of session it is; empty where they are all alike.
     """
 
     participant: str
@@ -143,6 +160,9 @@ class Schedule:
     finger_conditions_by: str
     is_adaptive: bool = False
     turn: Turn | None = None
+    group: str = ""
+    group_by: str = ""
+    session_kind: str = ""
 
     @property
     def trials(self) -> tuple[Trial, ...]:
@@ -184,6 +204,7 @@ class Schedule:
             "finger_conditions_by": self.finger_conditions_by,
             **({"levels": "adaptive"} if self.is_adaptive else {}),
             **({"turn": self.turn.number, "turn_by": self.turn.reason} if self.turn is not None else {}),
+            **{name: own for name in ("group", "group_by", "session_kind") if (own := getattr(self, name))},
             "n_trials": len(self.trials),
             "n_practice_trials": len(self.practice),
             "practice": [_brief(trial) for trial in self.practice],
@@ -214,7 +235,8 @@ class Schedule:
         ValueError
             If no order keeps the protocol's limit on runs.
         """
-        decided = given or Turn.of(participant, seed, session)
+        decided = given or Turn.of(participant, seed, session, protocol.groups)
+        kind = protocol.schedule.kind_of(session)
         turn = decided.number
         finger_conditions, placement = decided.order(protocol)
         blocks: list[Block] = []
@@ -239,6 +261,9 @@ class Schedule:
             is_adaptive=protocol.adaptive is not None,
             finger_conditions_by=decided.reason if len(_orders_of_finger_conditions(protocol)) > 1 else "protocol",
             turn=given,
+            group=decided.group,
+            group_by=decided.group_by,
+            session_kind="" if kind is None else kind.name,
         )
 
     @staticmethod
@@ -253,6 +278,9 @@ class Schedule:
             What it is for; each purpose has chance of its own.
         """
         return np.random.Generator(np.random.PCG64(seed_sequence(seed, participant, session, purpose)))
+
+
+_BY_HASH = "hash of the participant"
 
 
 def _orders_of_finger_conditions(protocol: Protocol) -> list[tuple[str, ...]]:

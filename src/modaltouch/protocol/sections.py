@@ -15,8 +15,10 @@ from modaltouch.protocol.conditions import ConditionsSection, FingerCondition
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, PAUSE_KEY
 from modaltouch.protocol.markers import MarkersSection
 from modaltouch.protocol.masking import MaskingSection
+from modaltouch.protocol.occasions import Overrides
 from modaltouch.protocol.people import PersonField, read_people
 from modaltouch.protocol.questions import AskedSection, KeyName, QuestionSection
+from modaltouch.protocol.schedule_section import ScheduleSection
 from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
 from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant
 
@@ -32,77 +34,6 @@ USUAL_PRESENTATION, USUAL_LONGEST = 2.0, 60.0
 def whole_bursts(seconds: float, rate: float) -> int:
     """Return the number of bursts, one at least, whose periods come nearest to a time [s] at a rate [Hz]."""
     return max(round(seconds * rate), 1)
-
-
-class ResumeSection(Section):
-    """How an interrupted session goes on."""
-
-    at: Literal["trial", "block", "restart"] = described(
-        "trial: with the next trial; block: the block that was cut from its first trial on, its answers kept but not "
-        "counted; restart: as a new session in the same order, the old one closed.",
-        default="trial",
-    )
-    within_hours: Positive | None = described(
-        "Longest interruption after which it may go on [h]; null for no limit.", default=None
-    )
-
-
-class ScheduleSection(Section):
-    """How the trials are ordered."""
-
-    repetitions: Annotated[Count, Field(le=10_000)] = described("Trials of each condition.", default=1)
-    order: Literal["shuffled", "by_pair", "by_velocity", "latin_square", "as_listed"] = described(
-        "Order within a finger condition: shuffled, pairs or velocities one after the other, every participant "
-        "another row of a balanced Latin square, or for all as the cells are listed (conditions.cells or table).",
-        default="shuffled",
-    )
-    max_same_pair_running: Count | None = described(
-        "Most trials in a row with the same pair of zones, in shuffled orders; null for no limit.", default=None
-    )
-    counterbalance_finger_conditions: bool = Field(
-        strict=True,
-        default=True,
-        description="Whether participants take turns in which finger condition comes first.",
-    )
-    catch_trials: Annotated[int, Field(strict=True, ge=0, le=100)] = described(
-        "Trials without a stimulus among those of each finger condition; none is the first, no two are neighbours.",
-        default=0,
-    )
-    balance: Literal["by_number", "least_filled"] = described(
-        "How participants take turns in orders, placements and rows of a Latin square: by their number, or each new "
-        "one gets the turn that fewest of those on record have filled, so that dropouts are made good.",
-        default="by_number",
-    )
-    sessions: Annotated[Count, Field(le=1000)] = described(
-        "Sessions of each participant; each has the turn after the one before.", default=1
-    )
-    practice_trials: Annotated[int, Field(strict=True, ge=0, le=1000)] = described(
-        "Trials before the ones that count.", default=0
-    )
-    practice_feedback: bool = Field(
-        strict=True,
-        default=False,
-        description="Whether a practice trial is followed by where the vibration was stronger.",
-    )
-    practice_criterion: Annotated[float, Field(strict=True, gt=0, le=1)] | None = described(
-        "Share of the practice trials to be answered as predicted; null where practice cannot fail.", default=None
-    )
-    practice_rounds: Annotated[Count, Field(le=10)] = described(
-        "Most rounds of practice, where the criterion is not met at once.", default=1
-    )
-    after_failed_practice: Literal["continue", "stop"] = described(
-        "What follows when no round met the criterion.", default="continue"
-    )
-    break_after_trials: Count | None = described("Trials between two breaks; null for no breaks.", default=None)
-    break_after_min: Positive | None = described(
-        "Minutes between two breaks, at the next trial; null for no breaks by time.", default=None
-    )
-    resume: ResumeSection = described("How an interrupted session goes on.", default=ResumeSection())
-
-    @property
-    def all_practice_trials(self) -> int:
-        """Number of practice trials in all the rounds there may be."""
-        return self.practice_trials * (self.practice_rounds if self.practice_criterion is not None else 1)
 
 
 class AnswersSection(AskedSection):
@@ -282,6 +213,12 @@ class Protocol(Section):
     )
     conditions: ConditionsSection = described("The cells of the design.")
     schedule: ScheduleSection = described("How the trials are ordered.", default=ScheduleSection())
+    groups: dict[Word, Overrides] = described(
+        "Groups of participants, by name, and what is otherwise for each; participants are allotted in turn, or as "
+        "schedule.balance says. Such as {low: {conditions: {peak_velocities_mm_s: [80]}}, high: {}}.",
+        default={},
+        exclude_if=lambda given: not given,
+    )
     masking: MaskingSection | None = described(
         "Noise that keeps the participant from hearing the beam; null for none.", default=None
     )
@@ -334,15 +271,21 @@ class Protocol(Section):
 
     @property
     def is_crossed(self) -> bool:
-        """Whether every finger condition has every pair with every level, equally often."""
-        return not self.listed_by
+        """Whether all have every pair with every level in every finger condition and session, equally often."""
+        return not self.uncrossed_by
 
     @property
-    def listed_by(self) -> str:
-        """Key of the section conditions that says which cells there are; empty where they are crossed."""
-        conditions = self.conditions
-        held = {"table": conditions.table, "cells": conditions.cells, "exclude": conditions.exclude}
-        return next((key for key, value in held.items() if value), "")
+    def uncrossed_by(self) -> tuple[str, ...]:
+        """Path of the key by which the design is not crossed; empty where it is."""
+        conditions, kinds = self.conditions, self.schedule.session_kinds
+        known: tuple[tuple[tuple[str, ...], object], ...] = (
+            (("conditions", "table"), conditions.table),
+            (("conditions", "cells"), conditions.cells),
+            (("conditions", "exclude"), conditions.exclude),
+            (("groups",), self.groups),
+            (("schedule", "sessions"), kinds),
+        )
+        return next((path for path, value in known if value), ())
 
     def cells(self, finger_condition: str, *, excluded: bool = False) -> list[Cell]:
         """Return the cells of a finger condition in order, each as often as its weight.

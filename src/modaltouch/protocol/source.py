@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from modaltouch.protocol.problems import InputError, Problem, suggest
 
@@ -138,6 +138,42 @@ class Source:
         installed = package / "protocols"
         folder = installed if installed.is_dir() else package.parents[1] / "protocols"
         return {file.stem: file for file in sorted((folder / _FOLDERS[kind]).glob("*.yaml"))}
+
+
+@dataclass(frozen=True)
+class Sources:
+    """The files of an experiment as they were read.
+
+    Attributes
+    ----------
+    protocol, apparatus, texts : Source
+        Path, text and hash of each.
+    calibration : Source or None
+        Path, text and hash of the calibration, where there is one.
+    field : Source or None
+        The same of the points of the target field, where they stand in a file.
+    fingers : Source or None
+        The same of the fingers that the stimulus is designed for, where there are any.
+    table : Source or None
+        The same of the table of cells, where there is one.
+    """
+
+    protocol: Source
+    apparatus: Source
+    texts: Source
+    calibration: Source | None = None
+    field: Source | None = None
+    fingers: Source | None = None
+    table: Source | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return path, hash and text of each file for the record."""
+        return {name: source.as_dict() for name, source in vars(self).items() if source is not None}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> Sources:
+        """Return the sources that `as_dict` described."""
+        return cls(**{name: Source(Path(each["path"]), str(each["text"])) for name, each in values.items()})
 
 
 def find(kind: Kind, name: Path | str) -> Path:

@@ -80,7 +80,7 @@ def audit_session(session: Session) -> Audit:
         return Audit(path, (), (*problems, *(() if start else (f"{place} is no start record",))))
     lines = [] if problems else [f"{len(session.events)} lines, each continuing the one before"]
     try:
-        restored = restore(Sources.from_dict(start["sources"]))
+        restored = restore(Sources.from_dict(start["sources"]), session.occasion)
         protocol = levels_of(restored.protocol, start)
         schedule = draw_again(session, protocol)
         checked = [each for each in check_beginning(session, restored, protocol, schedule) if each[1]]

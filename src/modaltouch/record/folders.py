@@ -222,6 +222,10 @@ class SessionFolder:
         """
         fields = (start or {}).get("design", {}).get("people", {})
         answers = (start or {}).get("people", {})
+        if group := (start or {}).get("schedule", {}).get("group"):
+            names = list((start or {})["design"]["groups"])
+            fields = {"group": {"question": "Group of the participant", "kind": "choice", "choices": names}} | fields
+            answers = {"group": group} | answers
         with self.hold_dataset():  # two sessions may begin at once: none may write a list that lacks the other
             table, side = self.dataset / "participants.tsv", self.dataset / "participants.json"
             read, own = table, f"sub-{self.participant}"

@@ -24,6 +24,8 @@ class RestoredExperiment:
     ----------
     sources : Sources
         The texts.
+    occasion : (str, str)
+        The group and the kind of session.
 
     Raises
     ------
@@ -31,8 +33,8 @@ class RestoredExperiment:
         With every fault of them.
     """
 
-    def __init__(self, sources: Sources) -> None:
-        self.preflight = examine_findings(Findings.restored(sources)).require()
+    def __init__(self, sources: Sources, occasion: tuple[str, str]) -> None:
+        self.preflight = examine_findings(Findings.restored(sources, occasion)).require()
         self.protocol = self.preflight.experiment.protocol
         apparatus = self.preflight.experiment.apparatus
         self.instrument = instrument_of(apparatus)
@@ -123,7 +125,7 @@ class RestoredExperiment:
 
 
 @lru_cache(maxsize=4)
-def restore(sources: Sources) -> RestoredExperiment:
+def restore(sources: Sources, occasion: tuple[str, str] = ("", "")) -> RestoredExperiment:
     """Return the experiment of a record; that of the latest few is kept.
 
     Raises
@@ -131,4 +133,4 @@ def restore(sources: Sources) -> RestoredExperiment:
     InputError
         With every fault of the texts.
     """
-    return RestoredExperiment(sources)
+    return RestoredExperiment(sources, occasion)

@@ -118,7 +118,7 @@ class Session:
         return int(closed[-1]) if closed else None
 
     @property
-    def kind(self) -> tuple[str, str]:
+    def occasion(self) -> tuple[str, str]:
         """The participant's group, and which of several kinds of session it is; empty without."""
         schedule = self.start.get("schedule", {})
         return str(schedule.get("group", "")), str(schedule.get("session_kind", ""))
@@ -263,6 +263,10 @@ class Session:
             return "incomplete: the form at the end is not filled in (go on with `modaltouch resume`)"
         if not self.complete:
             return f"incomplete: {self.n_answered} of {total} trials answered (go on with `modaltouch resume`)"
+        kinds = self.start.get("design", {}).get("schedule", {}).get("sessions")
+        kept = [kind["name"] for kind in kinds if not kind["analysed"]] if isinstance(kinds, list) else []
+        if self.occasion[1] in kept:
+            return f"of the kind {self.occasion[1]}, which is not analysed (schedule.sessions)"
         n_timed_out = sum(event["response"]["answer"] == TIME_OUT for event in self.trials)
         is_adaptive = bool(self.start.get("design", {}).get("adaptive"))
         return f"{n_timed_out} of {total} trials timed out without an answer" if n_timed_out and is_adaptive else ""

@@ -13,11 +13,12 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 from modaltouch.protocol import Protocol, Turn
-from modaltouch.record import RecordError, Session, SessionFolder, read_session
+from modaltouch.record import RecordError, RecordInputError, Session, SessionFolder, read_session
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Assignment:
         }
 
 
-def assign_turn(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Assignment:
+def assign_turn(place: SessionFolder, protocol: Protocol, drawn_as: int, group: str = "") -> Assignment:
     """Return the turn of a participant whose session begins; to be called while the dataset is held.
 
     Parameters
@@ -62,6 +63,8 @@ def assign_turn(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Assi
         The design.
     drawn_as : int
         Number of the session in the participant's own count; each has the turn after the one before.
+    group : str
+        The participant's group; orders are balanced within it.
 
     Raises
     ------
@@ -73,6 +76,8 @@ def assign_turn(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Assi
     left: Counter[int] = Counter()
     own: int | None = None
     for participant, first, latest in _participants(place.dataset):
+        if first.occasion[0] != group:
+            continue
         base = first_turn(first) % n_turns
         if participant == place.participant:
             own = base
@@ -85,6 +90,69 @@ def assign_turn(place: SessionFolder, protocol: Protocol, drawn_as: int) -> Assi
         own = min(range(n_turns), key=lambda turn: (filled[turn], left[turn], turn))
         reason = "least filled in the records"
     return Assignment(Turn(own + drawn_as - 1, reason), n_turns, dict(filled), dict(left))
+
+
+def assign_group(place: SessionFolder, protocol: Protocol, seed: int, given: str | None = None) -> tuple[str, str]:
+    """Return a participant's group, and what decided it; empty where the protocol has none.
+
+    Parameters
+    ----------
+    place : SessionFolder
+        Where the session will be.
+    protocol : Protocol
+        The design.
+    seed : int
+        Seed of the study.
+    given : str, optional
+        The group that the experimenter wants.
+
+    Raises
+    ------
+    RecordInputError
+        If there is no such group, or the participant is of another.
+    """
+    names = list(protocol.groups)
+    if given is not None and given not in names:
+        listed = ", ".join(names) or "none, as the protocol has no section groups"
+        raise RecordInputError(f"given --group {given}; allowed: {listed}; leave it out for the group that is due")
+    if not names:
+        return "", ""
+    filled: Counter[str] = Counter()
+    for participant, first, _ in _participants(place.dataset):
+        own = first.occasion[0]
+        filled[own] += 1
+        if participant == place.participant:
+            if given not in (None, own):
+                raise RecordInputError(f"given --group {given}, but participant {participant} is of the group {own}")
+            return own, "the participant's earlier sessions"
+    if given is not None:
+        return given, "given"
+    if protocol.schedule.balance == "least_filled":
+        return min(names, key=lambda name: filled[name]), "least filled in the records"
+    turn = Turn.of(place.participant, seed, 1, names)
+    return turn.group, turn.group_by
+
+
+def refuse_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datetime) -> None:
+    """Raise if a session would begin sooner after the one before than its kind allows.
+
+    Raises
+    ------
+    RecordInputError
+        With the day from which it may begin.
+    """
+    kind = protocol.schedule.kind_of(drawn_as)
+    logs = SessionFolder.logs_of(place.dataset / f"sub-{place.participant}")
+    if kind is None or not kind.min_gap_days or not logs:
+        return
+    ended = datetime.fromisoformat(str(read_session(logs[-1]).events[-1]["time"]))
+    due = ended + timedelta(days=kind.min_gap_days)
+    if now < due:
+        raise RecordInputError(
+            f"{logs[-1]}: the session before ended {ended:%Y-%m-%d %H:%M} UTC, and a session of the kind {kind.name} "
+            f"begins at least {kind.min_gap_days:g} days after it (schedule.sessions), from {due:%Y-%m-%d %H:%M} UTC "
+            "on; wait, or begin it all the same with --any-gap, which the record then says"
+        )
 
 
 def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, int]:

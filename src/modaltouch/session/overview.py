@@ -13,7 +13,7 @@ from typing import Any
 
 from modaltouch.protocol import Findings, InputError, Protocol, Sources, Turn
 from modaltouch.record import RecordError, Session, SessionFolder, read_session
-from modaltouch.session.assignment import assign_turn, first_turn, propose_participant
+from modaltouch.session.assignment import assign_group, assign_turn, first_turn, propose_participant
 
 _AFTER_THE_END = ("stop", "closed", "recovered")
 """Events that may be written long after a sitting, when a record is mended."""
@@ -67,24 +67,51 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
     }
     try:
         survey["title"] = str(start.get("design", {}).get("title", ""))
-        protocol = Findings.restored(Sources.from_dict(start["sources"])).experiment().protocol
+        protocol = _protocol_of(latest, *latest.occasion)
         # Whatever its mode, the dataset is a folder of that name.
         new = SessionFolder(dataset.parent, "real", dataset.name, propose_participant(dataset))
-        if protocol.schedule.balance == "least_filled":
-            turn = assign_turn(new, protocol, 1).turn
-        else:
-            turn = Turn.of(new.participant, int(start["seed"]), 1)
+        group, _ = assign_group(new, protocol, int(start["seed"]))
+        due = [each for name in begun if (each := _next_of(name, rows, protocol.schedule.n_sessions))]
+        due.append({"participant": new.participant, "session": 1, "do": "run", "nth": 1})
         turns = {name: first_turn(session) for name, session in begun.items()}
+        own = {name: session.occasion[0] for name, session in begun.items()} | {new.participant: group}
+        found = {nth: protocol.schedule.kind_of(nth) for nth in {1, *(each["nth"] for each in due)}}
+        kinds = {nth: "" if kind is None else kind.name for nth, kind in found.items()}
+        # A record keeps the table of its own group alone.
+        of_group = {session.occasion[0]: session for session in begun.values()}
+        protocols = {
+            (name, kind): _protocol_of(of_group.get(name, latest), name, kind)
+            for name in sorted(set(own.values()) | set(protocol.groups)) or [""]
+            for kind in set(kinds.values())
+        }
+        if protocol.schedule.balance == "least_filled":
+            turns[new.participant] = assign_turn(new, protocols[group, kinds[1]], 1, group).turn.number
+        else:
+            turns[new.participant] = Turn.of(new.participant, int(start["seed"]), 1, protocol.groups).number
     except (InputError, RecordError, LookupError, AttributeError, TypeError, ValueError) as error:
         return survey | {"notes": [f"orders and next sessions are not known: {error or type(error).__name__}"]}
-    n_each = protocol.schedule.sessions
-    due = [each for name in turns if (each := _next_of(name, rows, n_each))]
     for each in due:
-        each |= _order(Turn(turns[each["participant"]] + each.pop("nth") - 1, ""), protocol)
-    due.append({"participant": new.participant, "session": 1, "do": "run", **_order(turn, protocol)})
+        who, nth = each["participant"], each.pop("nth")
+        each |= _named(own[who], kinds[nth])
+        each |= _order(Turn(turns[who] + nth - 1, ""), protocols[own[who], kinds[nth]])
     states = {row["participant"]: row["state"] for row in rows}
-    orders = _balance(protocol, [(turn, states[name]) for name, turn in turns.items()])
+    orders = [
+        _named(name) | row
+        for name in dict.fromkeys([*protocol.groups, *own.values()])
+        for row in _balance(protocols[name, kinds[1]], [(turns[who], states[who]) for who in begun if own[who] == name])
+    ]
+    n_each = protocol.schedule.n_sessions
     return survey | {"sessions_each": n_each, "orders": orders, "next": due, "notes": _notes(begun, rows)}
+
+
+def _protocol_of(session: Session, group: str, kind: str) -> Protocol:
+    """Return the protocol for a group in a kind of session, as the record of a session has it."""
+    return Findings.restored(Sources.from_dict(session.start["sources"]), (group, kind)).experiment().protocol
+
+
+def _named(group: str, kind: str = "") -> dict[str, str]:
+    """Return group and kind of session, where there are any."""
+    return {name: own for name, own in (("group", group), ("session_kind", kind)) if own}
 
 
 def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
@@ -102,6 +129,7 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
     row = {
         "participant": log.parts[-4:][0].removeprefix("sub-"),
         "session": SessionFolder.number_of(log),
+        **_named(*session.occasion),
         "begun": session.start.get("time"),
         "duration_min": round(sum(sittings) / 60, 1),
         "n_sittings": len(sittings),

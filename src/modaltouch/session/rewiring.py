@@ -10,7 +10,7 @@ from typing import Any
 
 from modaltouch.planning import Observer
 from modaltouch.preflight import examine_findings
-from modaltouch.protocol import Findings, Schedule, Sources, Turn
+from modaltouch.protocol import Findings, Schedule, Turn
 from modaltouch.record import (
     RecordError,
     RecordInputError,
@@ -61,7 +61,7 @@ def wire_resume(
     place = SessionFolder.of(session.path, session.mode, session.protocol)
     rig, answers = rig or start["rig_choice"], answers or start["answers_choice"]
     _refuse_another_kind(session, rig, answers, restart=restart)
-    preflight = examine_findings(Findings.restored(Sources.from_dict(start["sources"]))).require()
+    preflight = examine_findings(Findings.recorded(start)).require()
     preflight = recorded_levels(preflight, start)
     given = Turn.recorded(start)
     protocol = preflight.experiment.protocol

@@ -276,8 +276,9 @@ def _with_assigned_turn(setup: Setup) -> Setup:
     from modaltouch.session.assignment import assign_turn
 
     drawn, protocol = setup.schedule, setup.preflight.experiment.protocol
-    assignment = assign_turn(setup.place, protocol, setup.drawn_as)
-    schedule = Schedule.draw(protocol, drawn.participant, drawn.seed, drawn.session, given=assignment.turn)
+    assignment = assign_turn(setup.place, protocol, setup.drawn_as, drawn.group)
+    turn = replace(assignment.turn, group=drawn.group, group_by=drawn.group_by)
+    schedule = Schedule.draw(protocol, drawn.participant, drawn.seed, drawn.session, given=turn)
     return replace(setup, schedule=schedule, facts={**setup.facts, "balance": assignment.as_dict()})
 
 

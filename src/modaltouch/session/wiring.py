@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from modaltouch.planning import Observer, read_observer, usual_observer
 from modaltouch.preflight import Preflight, examine
-from modaltouch.protocol import InputError, Protocol, Schedule, Trial
+from modaltouch.protocol import InputError, Protocol, Schedule, Trial, Turn
 from modaltouch.record import Session, SessionFolder
 from modaltouch.rig import Generator, Rig
 from modaltouch.session.console.experimenter import Tick
@@ -48,6 +49,8 @@ def wire_run(
     window_options: WindowOptions | None = None,
     observer: Observer | None = None,
     threshold_mm_s: float | None = None,
+    group: str | None = None,
+    any_gap: bool = False,
 ) -> Setup:
     """Return what a new session needs.
 
@@ -64,6 +67,10 @@ def wire_run(
     threshold_mm_s : float, optional
         The participant's own threshold, where levels are calibrated by participant and it was measured otherwise than
         by a session of this program.
+    group : str, optional
+        The participant's group; by default the one that is due.
+    any_gap : bool
+        Whether it begins however little time has passed since the session before.
 
     Raises
     ------
@@ -78,19 +85,41 @@ def wire_run(
     if session is None:
         from modaltouch.session.assignment import next_session
 
-        place, drawn_as = next_session(place, protocol.schedule.sessions)
+        place, drawn_as = next_session(place, protocol.schedule.n_sessions)
+    given, preflight, facts = _on_occasion(preflight, place, drawn_as, seed, group, any_gap=any_gap)
     preflight, calibrated = _at_own_levels(preflight, place, threshold_mm_s)
-    schedule = Schedule.draw(preflight.experiment.protocol, participant, seed, drawn_as)
+    schedule = Schedule.draw(preflight.experiment.protocol, participant, seed, drawn_as, given=given)
     wires = SessionParts(
         preflight, place, seed=seed, rig=rig, answers=answers, window_options=window_options,
         observer=observer or _usual(protocol, answers),
     )  # fmt: skip
     setup = wires.setup(schedule)
-    setup = replace(setup, facts=setup.facts | calibrated)
+    setup = replace(setup, facts=setup.facts | calibrated | facts)
     if answers != "window" and (fields := setup.to_ask):
         rng = Schedule.random_generator(seed, participant, place.session, "people")
         setup = setup.with_people({name: each.draw(rng) for name, each in fields.items()})
     return replace(setup, drawn_as=drawn_as) if protocol.schedule.balance == "least_filled" else setup
+
+
+def _on_occasion(
+    preflight: Preflight, place: SessionFolder, drawn_as: int, seed: int, group: str | None, *, any_gap: bool
+) -> tuple[Turn | None, Preflight, dict[str, Any]]:
+    """Return turn and preflight of a participant's group in the kind of session, and what the record says of the gap.
+
+    The turn is None where the participant's number or hash decides it all.
+    """
+    schedule, groups = preflight.experiment.protocol.schedule, preflight.experiment.protocol.groups
+    if not (groups or schedule.session_kinds or group):
+        return None, preflight, {}
+    from modaltouch.session.assignment import assign_group, refuse_early
+
+    own, reason = assign_group(place, preflight.experiment.protocol, seed, group)
+    kind = schedule.kind_of(drawn_as)
+    if not any_gap:
+        refuse_early(place, preflight.experiment.protocol, drawn_as, datetime.now(UTC))
+    usual = Turn.of(place.participant, seed, drawn_as, groups)
+    given = None if (own, reason) == (usual.group, usual.group_by) else replace(usual, group=own, group_by=reason)
+    return given, preflight.at(own, "" if kind is None else kind.name), {"any_gap": True} if any_gap else {}
 
 
 def _at_own_levels(

@@ -162,7 +162,7 @@ def _find_parts(responses: Responses) -> Iterator[CrossedPart]:
     if scheduled is None:
         return
     cell = list(cell_of(scheduled.columns))
-    named = [name for name in FACTORS if scheduled[name].astype(bool).any()]
+    named = [name for name in FACTORS if scheduled[name].nunique() > 1]
     for values, own in scheduled.groupby(named, observed=True) if named else [((), scheduled)]:
         factors = dict(zip(named, map(str, values), strict=True))
         levels_of: dict[tuple[tuple[str, ...], int], list[float]] = {}

@@ -1,0 +1,119 @@
+"""Groups of participants and kinds of session: what is otherwise for each, as the protocol's own keys."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, NamedTuple
+
+from pydantic import Discriminator, Field, Tag
+
+from modaltouch.protocol.problems import Problem
+from modaltouch.protocol.section import Count, NotNegative, Section, Word, described
+from modaltouch.protocol.source import Source
+from modaltouch.protocol.tree import Node
+
+_OWN: dict[str, Any] = {"default": {}, "exclude_if": lambda given: not given}
+
+
+class Overrides(Section):
+    """What is otherwise for a group, or in a kind of session; all else is as in the protocol."""
+
+    conditions: dict[str, object] = described(
+        "Keys of the section conditions that are otherwise, such as {peak_velocities_mm_s: [80, 100]}.", **_OWN
+    )
+    stimulus: dict[str, object] = described(
+        "Keys of the section stimulus that are otherwise, such as {focus: B}.", **_OWN
+    )
+    schedule: dict[str, object] = described(
+        "Keys of the section schedule that are otherwise, such as {repetitions: 1, practice_trials: 10}.", **_OWN
+    )
+    answers: dict[str, object] = described(
+        "Keys of the section answers that are otherwise, such as {presentation_bursts: 7}.", **_OWN
+    )
+    masking: dict[str, object] = described(
+        "Keys of the section masking that are otherwise, such as {level_dB_FS: -30}.", **_OWN
+    )
+
+
+class SessionKind(Overrides):
+    """A kind of session, in the order in which each participant has them."""
+
+    name: Word = described("Name of the kind, such as training; in record, tables and report.")
+    times: Annotated[Count, Field(le=1000)] = described("Sessions of this kind, one after the other.", default=1)
+    min_gap_days: NotNegative = described(
+        "Least time since the participant's session before, whatever its kind [days]; `run` refuses earlier ones.",
+        default=0.0,
+    )
+    analysed: bool = Field(
+        strict=True, default=True, description="Whether `analyse` takes sessions of this kind; false for training."
+    )
+
+
+def _kind_of_sessions(value: object) -> str:
+    return "kinds" if isinstance(value, list | tuple) else "number"
+
+
+Sessions = Annotated[
+    Annotated[Annotated[Count, Field(le=1000)], Tag("number")]
+    | Annotated[Annotated[tuple[SessionKind, ...], Field(min_length=1, max_length=100)], Tag("kinds")],
+    Discriminator(_kind_of_sessions),
+]
+
+
+class Occasion(NamedTuple):
+    """A group of participants and a kind of session; empty where the protocol has none."""
+
+    group: str = ""
+    kind: str = ""
+
+
+def occasions_of(root: Node | None) -> list[Occasion]:
+    """Return every group with every kind of session that the tree of a protocol has; one without names for neither."""
+    groups = list(_overrides(root, "groups")) or [""]
+    kinds = list(_overrides(root, "schedule", "sessions")) or [""]
+    return [Occasion(group, kind) for group in groups for kind in kinds]
+
+
+def at_occasion(root: Node, occasion: Occasion) -> Node:
+    """Return the tree of a protocol with what is otherwise on an occasion; every value keeps its place."""
+    own = [_overrides(root, "groups").get(occasion.group), _overrides(root, "schedule", "sessions").get(occasion.kind)]
+    for each in filter(None, own):
+        for section in Overrides.model_fields:
+            over = each.child(section)
+            if over is not None:
+                root = root.with_child(section, _merged(root.child(section), over))
+    return root
+
+
+def check_groups(source: Source, root: Node) -> list[Problem]:
+    """Return the groups that have other sessions than all."""
+    problems = []
+    for name, group in _overrides(root, "groups").items():
+        schedule = group.child("schedule")
+        if schedule is not None and "sessions" in schedule.keys:
+            path, place = f"groups.{name}.schedule.sessions", schedule.keys["sessions"]
+            allowed, remedy = "the same sessions for all groups", "write them under schedule.sessions"
+            problems.append(Problem(str(source.path), *place, path, "sessions of one group", allowed, remedy))
+    return problems
+
+
+def _overrides(root: Node | None, *path: str) -> dict[str, Node]:
+    """Return the groups or kinds of session at a path of the tree, by name."""
+    node = root
+    for step in path:
+        node = None if node is None else node.child(step)
+    content = None if node is None else node.content
+    if isinstance(content, dict):
+        return content
+    named = [(each.child("name"), each) for each in content] if isinstance(content, list) else []
+    return {name.text: each for name, each in named if name is not None}
+
+
+def _merged(base: Node | None, over: Node) -> Node:
+    """Return a mapping with the values of another over its own; anything else is replaced."""
+    if base is None or not (isinstance(base.content, dict) and isinstance(over.content, dict)):
+        return over
+    for key, each in over.content.items():
+        child = _merged(base.content.get(key), each)
+        base = base.with_child(key, child)
+        base.keys[key] = over.keys[key]
+    return base

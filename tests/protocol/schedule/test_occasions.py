@@ -1,0 +1,116 @@
+"""Groups of participants and kinds of session: the protocol with a few keys otherwise, every fault in its place."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from modaltouch.preflight import examine
+from modaltouch.protocol import Findings, InputError, Schedule, Sources, Turn
+
+LEVELS = "  peak_velocities_mm_s: [80, 200]\n"
+GROUPS = (
+    "groups:\n  low: {conditions: {peak_velocities_mm_s: [80, 100]}}\n  high: {conditions: {zone_pairs: [[A, C]]}}\n"
+)
+KINDS = """schedule:
+  sessions:
+    - {name: training, analysed: false, schedule: {practice_trials: 3}, conditions: {finger_conditions: [one_hand]}}
+    - {name: test, min_gap_days: 1, times: 2}
+"""
+
+
+@pytest.fixture
+def read(edit: Callable[..., Path]) -> Callable[..., Findings]:
+    """Return what reads the demonstration with groups and kinds of session."""
+
+    def findings(*changes: tuple[str, str]) -> Findings:
+        return Findings.read(edit("demo.yaml", ("schedule:\n", GROUPS + KINDS), *changes))
+
+    return findings
+
+
+def test_each_group_in_each_kind_of_session_is_a_protocol_of_its_own(read: Callable[..., Findings]) -> None:
+    """What a group or a kind does not say is as for all."""
+    first = read()
+    every = {tuple(each.occasion): each.experiment().protocol for each in (first, *first.others)}
+    assert list(every) == [("low", "training"), ("low", "test"), ("high", "training"), ("high", "test")]
+    assert {name: protocol.n_trials for name, protocol in every.items()} == {
+        ("low", "training"): 6, ("low", "test"): 12, ("high", "training"): 2, ("high", "test"): 4,
+    }  # fmt: skip
+    assert every["low", "test"].conditions.peak_velocities_mm_s == (80.0, 100.0)
+    assert every["high", "training"].schedule.practice_trials == 3
+    assert [every["low", "test"].schedule.kind_of(n).name for n in (1, 2, 3, 4)] == ["training", "test", "test", "test"]
+
+
+def test_a_record_gives_the_protocol_of_its_own_occasion(read: Callable[..., Findings]) -> None:
+    """From the one text that it keeps."""
+    first = read()
+    kept = Sources.from_dict(first.experiment().sources.as_dict())
+    for each in first.others:
+        assert Findings.restored(kept, each.occasion).experiment().protocol == each.experiment().protocol
+
+
+def test_levels_that_only_groups_have_need_not_be_written_for_all(read: Callable[..., Findings]) -> None:
+    """The protocol without a group is none."""
+    both = GROUPS.replace("{zone_pairs: [[A, C]]}", "{peak_velocities_mm_s: [150]}")
+    assert read((LEVELS, ""), (GROUPS, both)).problems == ()
+
+
+def test_levels_that_one_group_lacks_are_missing(read: Callable[..., Findings]) -> None:
+    """Although the other has its own."""
+    assert ["missing key" in each.message for each in read((LEVELS, "")).problems] == [True]
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (("[80, 100]", "[80, 9000]"), "given 9000 mm/s, beyond the safety limit"),
+        (("practice_trials: 3", "practice_trial: 3"), "did you mean 'practice_trials'?"),
+        (("high: {cond", "high: {schedule: {sessions: 3}, cond"), "given sessions of one group; allowed: the same"),
+        (("times: 2", "times: 0"), "given 0; allowed: a whole number of at least 1"),
+        (("name: test", "nam: test"), "did you mean 'name'?"),
+    ],
+)
+def test_a_fault_of_one_group_or_kind_is_told_where_it_is_written(
+    read: Callable[..., Findings], change: tuple[str, str], told: str
+) -> None:
+    """Once, though several occasions have it."""
+    findings = read(change)
+    with pytest.raises(InputError, match="given"):
+        findings.experiment()
+    fitting = [each for each in findings.problems if told in each.message]
+    assert len(fitting) == 1
+    text = Path(fitting[0].file).read_text("utf-8").splitlines()
+    assert change[1].split()[-1] in text[fitting[0].line - 1] or change[1].split(":")[0] in text[fitting[0].line - 1]
+
+
+def test_the_check_refuses_a_level_of_one_group_that_no_amplifier_reaches(edit: Callable[..., Path]) -> None:
+    """Not that of the first group alone."""
+    own = GROUPS.replace("{zone_pairs: [[A, C]]}", "{peak_velocities_mm_s: [400]}")
+    problems = examine(edit("demo.yaml", ("schedule:\n", own + KINDS))).problems
+    assert ["400 mm/s, which needs" in each.given for each in problems] == [True]
+
+
+def test_the_check_shows_every_occasion(edit: Callable[..., Path]) -> None:
+    """With its own number of trials."""
+    shown = examine(edit("demo.yaml", ("schedule:\n", GROUPS + KINDS))).require().as_dict()["occasions"]
+    assert [(each["group"], each["session_kind"], each["n_trials"]) for each in shown] == [
+        ("low", "training", 6), ("low", "test", 12), ("high", "training", 2), ("high", "test", 4),
+    ]  # fmt: skip
+
+
+def test_by_number_groups_alternate_and_each_has_every_order_equally_often(read: Callable[..., Findings]) -> None:
+    """Eight participants: four in each group, two with each order of two finger conditions."""
+    first = read()
+    every = {tuple(each.occasion): each.experiment().protocol for each in (first, *first.others)}
+    met = Counter()
+    for number in range(1, 9):
+        turn = Turn.of(f"p{number:02}", 1, 2, ("low", "high"))
+        schedule = Schedule.draw(every[turn.group, "test"], f"p{number:02}", 1, 2)
+        assert (schedule.group, schedule.session_kind) == (turn.group, "test")
+        met[schedule.group, schedule.blocks[0].finger_condition] += 1
+    assert set(met.values()) == {2}
+    assert len(met) == 4

@@ -1,0 +1,163 @@
+"""Groups, kinds of session and a table of cells on their whole way: run, killed, resumed, verified, analysed, shown."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modaltouch.analysis import analyse
+from modaltouch.planning import designs_for, read_observer
+from modaltouch.preflight import Preflight, examine
+from modaltouch.protocol import InputError
+from modaltouch.record import RecordInputError, Session, audit_session, read_session
+from modaltouch.session import begin, resume, survey_results, wire_resume, wire_run
+
+GROUPS = """groups:
+  near: {conditions: {table: near.csv}}
+  far: {conditions: {cells: [{pair: [C, E], peak_velocities_mm_s: [150], weight: 2}]}}
+
+schedule:
+  sessions:
+    - {name: training, analysed: false, conditions: {finger_conditions: [one_hand]},
+       schedule: {max_same_pair_running: null}}
+    - {name: test, min_gap_days: 1, schedule: {order: as_listed, max_same_pair_running: null}}
+"""
+NEAR = "zone_left,zone_right,peak_velocity_mm_s,weight\nA,C,80,2\nB,D,120,1\n"
+CROSSED = "  zone_pairs: [[A, C], [B, D], [C, E]]\n  peak_velocities_mm_s: [80, 200]\n"
+"""Lines of the demonstration that the groups have otherwise."""
+
+
+@pytest.fixture(scope="module")
+def preflight(tmp_path_factory: pytest.TempPathFactory) -> Preflight:
+    """Two groups with other cells, and a training before the test."""
+    folder = tmp_path_factory.mktemp("protocols") / "protocols"
+    shutil.copytree(Path(__file__).parents[2] / "protocols", folder)
+    text = (folder / "demo.yaml").read_text("utf-8").replace(CROSSED, "").replace("schedule:\n", GROUPS)
+    (folder / "demo.yaml").write_text(text, "utf-8")
+    (folder / "near.csv").write_text(NEAR, "utf-8")
+    return examine(folder / "demo.yaml").require()
+
+
+def sit(preflight: Preflight, results: Path, participant: str, **more: Any) -> Session:
+    """Return a participant's next session, as it was recorded."""
+    more = {"session": None} | more
+    return begin(wire_run(preflight, participant, answers="simulated", results=results, **more))
+
+
+@pytest.fixture(scope="module")
+def results(preflight: Preflight, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four participants with both sessions, the last of which was killed and resumed."""
+    place = tmp_path_factory.mktemp("results")
+    for participant in ("p01", "p02", "p03", "p04"):
+        sit(preflight, place, participant)
+        last = sit(preflight, place, participant, any_gap=True)
+    lines = last.path.read_bytes().splitlines(keepends=True)
+    last.path.write_bytes(b"".join(lines[:-12]))
+    for view in last.path.parent.glob("sub-*"):
+        view.unlink()
+    assert not read_session(last.path).complete
+    assert resume(wire_resume(last.path)).complete
+    return place
+
+
+def test_every_record_follows_from_its_group_and_its_kind_of_session(results: Path) -> None:
+    """Order, cells, drive and answers are computed again from the one text and the table that it keeps."""
+    logs = sorted(results.rglob("session.jsonl"))
+    sessions = [read_session(log) for log in logs]
+    assert [session.occasion for session in sessions] == [
+        ("near", "training"), ("near", "test"), ("far", "training"), ("far", "test"),
+    ] * 2  # fmt: skip
+    assert [problem for session in sessions for problem in audit_session(session).problems] == []
+    near = [trial[2:5] for trial in sessions[1].start["schedule"]["order"]]
+    assert near == [["A", "C", 80.0], ["A", "C", 80.0], ["B", "D", 120.0]] * 2
+    assert sessions[0].start["schedule"]["n_trials"] == 3
+    assert sessions[2].start["schedule"]["group_by"] == "number of the participant"
+    assert sessions[3].start["schedule"]["group_by"] == "the participant's earlier sessions"
+
+
+@pytest.mark.parametrize(("key", "other"), [("group", "far"), ("session_kind", "training")])
+def test_a_record_that_names_another_occasion_does_not_hold(results: Path, key: str, other: str) -> None:
+    """The order of another group or kind is not the recorded one."""
+    session = read_session(next(results.rglob("sub-p01/ses-2/beh/session.jsonl")))
+    start = {**session.start, "schedule": {**session.start["schedule"], key: other}}
+    changed = replace(session, events=(start, *session.events[1:]))
+    assert audit_session(changed).problems
+
+
+def test_participants_are_listed_with_their_group(results: Path) -> None:
+    """In BIDS participants.tsv, with its meaning beside it."""
+    dataset = results / "simulated" / "demo"
+    rows = [line.split("\t") for line in (dataset / "participants.tsv").read_text("utf-8").splitlines()]
+    assert rows == [
+        ["participant_id", "group"], ["sub-p01", "near"], ["sub-p02", "far"], ["sub-p03", "near"], ["sub-p04", "far"],
+    ]  # fmt: skip
+    assert list(json.loads((dataset / "participants.json").read_text("utf-8"))["group"]["Levels"]) == ["near", "far"]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_the_analysis_leaves_training_out_and_counts_each_group_by_itself(results: Path, tmp_path: Path) -> None:
+    """Two of each group, each cell as often as it was met; nothing is missing."""
+    analysis = analyse(results, tmp_path / "analysis")
+    counts = analysis.counts.set_index(["group", "finger_condition", "pair"])["asked"].to_dict()
+    assert counts == {
+        (group, fingers, pair): n
+        for fingers in ("one_hand", "two_hands")
+        for group, pair, n in (("near", "A-C", 4), ("near", "B-D", 2), ("far", "C-E", 4))
+    }
+    values = analysis.as_dict()
+    assert (values["n_participants"], values["n_responses"], values["missing"]) == (4, 20, [])
+    assert {each["reason"] for each in values["left_out"]} == {
+        "of the kind training, which is not analysed (schedule.sessions)"
+    }
+    report = (tmp_path / "analysis" / "report.html").read_text("utf-8")
+    assert "near one_hand and two_hands A-C at 80 mm/s" in report
+    assert "zone ~ group + finger_condition + pair + level" in (tmp_path / "analysis" / "models.R").read_text("utf-8")
+
+
+def test_the_study_shows_groups_and_kinds_and_who_is_next(results: Path) -> None:
+    """p05 would be of the first group; all others are through."""
+    study = survey_results(results)[0]
+    assert [(row["group"], row["session_kind"]) for row in study["sessions"][:3]] == [
+        ("near", "training"), ("near", "test"), ("far", "training"),
+    ]  # fmt: skip
+    assert {(row["group"], row["filled"]) for row in study["orders"]} == {("near", 2), ("far", 2)}
+    assert [(each["participant"], each["group"], each["session_kind"]) for each in study["next"]] == [
+        ("p05", "near", "training")
+    ]
+    assert study["sessions_each"] == 2
+
+
+def test_a_session_sooner_than_its_kind_allows_is_refused(preflight: Preflight, results: Path, tmp_path: Path) -> None:
+    """Where it is begun all the same the record says so."""
+    sit(preflight, tmp_path, "p01")
+    due = (datetime.now(UTC) + timedelta(days=1)).strftime("%Y-%m-%d")
+    with pytest.raises(RecordInputError, match=f"at least 1 days after it .* from {due} .* --any-gap"):
+        sit(preflight, tmp_path, "p01")
+    begun = read_session(next(results.rglob("sub-p01/ses-2/beh/session.jsonl"))).start
+    assert begun["any_gap"] is True
+
+
+def test_a_group_that_is_given_stays_that_of_the_participant(preflight: Preflight, tmp_path: Path) -> None:
+    """Whatever the number would say; another one is refused, and so is one that there is not."""
+    first = sit(preflight, tmp_path, "p01", group="far")
+    second = sit(preflight, tmp_path, "p01", any_gap=True)
+    assert [each.start["schedule"]["group_by"] for each in (first, second)] == [
+        "given", "the participant's earlier sessions",
+    ]  # fmt: skip
+    assert [problem for each in (first, second) for problem in audit_session(each).problems] == []
+    with pytest.raises(RecordInputError, match="p01 is of the group far"):
+        sit(preflight, tmp_path, "p01", any_gap=True, session=3, group="near")
+    with pytest.raises(RecordInputError, match="given --group middle; allowed: near, far"):
+        sit(preflight, tmp_path, "p02", group="middle")
+
+
+def test_power_refuses_a_design_that_is_not_crossed(preflight: Preflight) -> None:
+    """An observer's design has every pair at every level for all."""
+    with pytest.raises(InputError, match="given a design that is not crossed"):
+        designs_for(preflight, read_observer("paper"))
