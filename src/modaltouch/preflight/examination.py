@@ -363,7 +363,7 @@ def _check_schedule(findings: Findings) -> list[Problem]:
     try:
         Schedule.draw(findings.experiment().protocol, "p01", 0)
     except ValueError as error:
-        path = ("schedule", "max_same_pair_running")
+        path = ("schedule", getattr(error, "key", "max_same_pair_running"))
         return [findings.problem(path, f"a limit that cannot be kept, {error}", "")]
     return []
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 from typing import Any
 
-from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels, contacts, is_adaptive, offered_answers
+from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels, contacts, offered_answers
 from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.contacts import check_contacts
@@ -17,12 +17,10 @@ from modaltouch.protocol.people import check_people
 from modaltouch.protocol.problems import Problem, suggest
 from modaltouch.protocol.questions import MOST_ANSWERS, check_key, check_questions
 from modaltouch.protocol.reading import Reading
+from modaltouch.protocol.schedule_checks import check_schedule
 from modaltouch.protocol.sections import AnswersSection, Protocol, whole_bursts
 from modaltouch.protocol.stimulus_sections import check_target_field
 from modaltouch.protocol.trial import TIME_OUT
-
-TRIAL_LIMIT = 10_000
-"""Most trials of a session: a day of them."""
 
 TAKEN_NAMES = frozenset(
     {"finger_condition", "pair", "zone_left", "zone_right", "velocity_mm_s", "multiple_of_threshold", "n"}
@@ -37,8 +35,7 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
         *check_target_field(reading),
         *check_contacts(reading),
         *_check_doubles(reading),
-        *_check_cells(reading),
-        *_check_schedule(reading),
+        *check_schedule(reading),
         *check_adaptive(reading),
         *check_sensation_levels(reading),
         *_check_keys(reading),
@@ -112,15 +109,6 @@ def _check_doubles(reading: Reading[Protocol]) -> Iterator[Problem]:
     yield from _doubled(reading, ("answers", "below"), "answer")
 
 
-def _check_cells(reading: Reading[Protocol]) -> list[Problem]:
-    if not any(reading.find(("conditions", key)) for key in ("table", "cells", "exclude")):
-        return []
-    # Most designs are crossed.
-    from modaltouch.protocol.cell_table import check_cells
-
-    return list(check_cells(reading))
-
-
 def _doubled(reading: Reading[Protocol], path: tuple[str, ...], noun: str) -> Iterator[Problem]:
     seen: dict[object, int] = {}
     for index, value in reading.items(*path):
@@ -129,46 +117,6 @@ def _doubled(reading: Reading[Protocol], path: tuple[str, ...], noun: str) -> It
             given = f"{word}, the {noun} of {path[-1]}[{seen[value]}] again"
             yield reading.problem((*path, index), given, f"each {noun} once", "remove it")
         seen.setdefault(value, index)
-
-
-def _check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
-    own = ("sensation_levels", "multiples") if reading.sound("conditions", "sensation_levels") else None
-    n_pairs, n_levels = len(contacts(reading)), len(reading.items("conditions", *(own or ("peak_velocities_mm_s",))))
-    n_blocks = len(reading.items("conditions", "finger_conditions"))
-    repetitions = reading.sound("schedule", "repetitions")
-    path = ("schedule", "max_same_pair_running")
-    running = reading.sound(*path)
-    if repetitions is None or not n_pairs or not n_levels:
-        return
-    n_in_run = reading.sound("adaptive", "trials") if is_adaptive(reading) else None
-    n_stimuli = len(reading.sound("stimuli") or ()) or 1
-    n_each = n_in_run if is_adaptive(reading) else n_levels * repetitions
-    if n_each is None:
-        return
-    n_driven, n_all = n_pairs * n_each * n_stimuli, n_pairs * n_each * n_stimuli * max(n_blocks, 1)
-    if reading.value is not None and not reading.value.is_crossed:
-        conditions = reading.value.conditions.finger_conditions
-        each = [len(reading.value.cells(name)) * repetitions for name in conditions]
-        n_driven, n_all = min(each), sum(each)
-    n_catch = reading.sound("schedule", "catch_trials") or 0
-    if n_catch > n_driven:
-        given = f"{n_catch} where {n_driven} trials of a finger condition have a stimulus"
-        remedy = "take fewer: each follows a trial with a stimulus"
-        yield reading.problem(("schedule", "catch_trials"), given, f"at most {n_driven}", remedy)
-    n_trials = n_all + n_catch * max(n_blocks, 1)
-    if n_trials > TRIAL_LIMIT:
-        given = f"{repetitions}, which makes {n_trials} trials"
-        yield reading.problem(("schedule", "repetitions"), given, f"at most {TRIAL_LIMIT} trials", "repeat less often")
-    order = reading.sound("schedule", "order")
-    if running is not None and order not in ("shuffled", None):
-        given = f"{running} with the order {order}"
-        yield reading.problem(path, given, "null, or the order shuffled", "remove the limit or shuffle")
-        return
-    faulty = any(problem.path.startswith("conditions.zone") for problem in reading.problems)
-    if running is not None and n_pairs == 1 and not faulty and n_driven > running:
-        given = f"{running} where every trial has the same pair"
-        allowed = f"at least {n_driven}, or null for no limit"
-        yield reading.problem(path, given, allowed, "add a pair of zones or lift the limit")
 
 
 def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:

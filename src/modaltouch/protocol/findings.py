@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from modaltouch.protocol.apparatus import Apparatus, examine_apparatus
 from modaltouch.protocol.checks import check_fit, check_protocol, check_settling, check_timing
 from modaltouch.protocol.occasions import Occasion, at_occasion, check_groups, occasions_of
+from modaltouch.protocol.order_limits import LIMITS
 from modaltouch.protocol.problems import InputError, Problem
 from modaltouch.protocol.reading import Reading, read, read_tree
 from modaltouch.protocol.sections import Protocol
@@ -221,7 +222,7 @@ class Findings:
         for name, variant in self.protocol.value.stimuli.items():
             value = self.protocol.value.with_stimulus(name)
             # The order is drawn and checked for all of them together.
-            eased = value.schedule.model_copy(update={"catch_trials": 0, "max_same_pair_running": None})
+            eased = value.schedule.model_copy(update={"catch_trials": 0, **dict.fromkeys(LIMITS)})
             alone = replace(self.protocol, value=value.model_copy(update={"schedule": eased}))
             problems = [*check_protocol(alone), *check_fit(alone, self.apparatus)]
             if variant.field is not None and variant.field.file is not None:

@@ -16,6 +16,7 @@ from functools import lru_cache
 from itertools import accumulate, groupby, pairwise
 from math import comb
 
+from modaltouch.protocol.order_limits import LIMITS, NoOrderError
 from modaltouch.protocol.streams import Stream
 
 
@@ -189,12 +190,12 @@ SHARE_BITS = 64
 """Bits of a share of long orders, whose numbers of ways have thousands."""
 
 
-def draw_by_rejection(counts: Sequence[int], limit: int, stream: Stream) -> list[int]:
+def draw_by_rejection(counts: Sequence[int], limit: int, stream: Stream, key: str = LIMITS[0]) -> list[int]:
     """Return the first order that keeps limit and counts, of many that keep one of the two by construction.
 
     Raises
     ------
-    ValueError
+    NoOrderError
         If such an order is too rare to be found.
     """
     n_trials, n_kinds = sum(counts), len(counts)
@@ -211,10 +212,12 @@ def draw_by_rejection(counts: Sequence[int], limit: int, stream: Stream) -> list
         work += len(order)
         if len(order) == n_trials and (not by_counts or longest_run(order) <= limit):
             return order
-    raise ValueError(
-        f"orders of {n_kinds} pairs with {max(counts)} trials of each in which a pair comes at most {limit} "
+    noun = key.removeprefix("max_same_").removesuffix("_running")
+    raise NoOrderError(
+        f"orders of {n_kinds} {noun}s with {max(counts)} trials of each in which a {noun} comes at most {limit} "
         f"times running are too many to count and too rare to find; allow {limit + 1} or more running, or "
-        f"repeat each condition less often"
+        f"repeat each condition less often",
+        key,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from modaltouch.protocol.order_limits import LIMITS, NoOrderError
 from modaltouch.protocol.streams import Stream
 
 
@@ -19,7 +20,7 @@ def least_limit(counts: Sequence[int]) -> int:
     return -(-most // (sum(counts) - most + 1))
 
 
-def draw_order(counts: Sequence[int], limit: int | None, stream: Stream) -> list[int]:
+def draw_order(counts: Sequence[int], limit: int | None, stream: Stream, key: str = LIMITS[0]) -> list[int]:
     """Return an order of kinds, drawn uniformly among those that keep the limit.
 
     Parameters
@@ -30,6 +31,8 @@ def draw_order(counts: Sequence[int], limit: int | None, stream: Stream) -> list
         Most times that a kind may come running; None for no limit.
     stream : Stream
         Where chance comes from.
+    key : str
+        Which of `LIMITS` it is.
 
     Returns
     -------
@@ -38,16 +41,17 @@ def draw_order(counts: Sequence[int], limit: int | None, stream: Stream) -> list
 
     Raises
     ------
-    ValueError
+    NoOrderError
         If no order keeps the limit, or those that do are too many to count and too rare to find.
     """
     if limit is None or limit >= max(counts):
         return stream.shuffled(kind for kind, count in enumerate(counts) for _ in range(count))
     least = least_limit(counts)
     if limit < least:
-        raise ValueError(
+        raise NoOrderError(
             f"no order of {sum(counts)} trials keeps the same pair to {limit} times running, since one pair "
-            f"has {max(counts)} of them; the least that works is {least}"
+            f"has {max(counts)} of them; the least that works is {least}",
+            key,
         )
     from modaltouch.protocol.limited_orders import (
         STATE_LIMIT,
@@ -61,4 +65,4 @@ def draw_order(counts: Sequence[int], limit: int | None, stream: Stream) -> list
         return draw_unlike_neighbours(tuple(counts), stream)
     if n_states_at_most(counts) <= STATE_LIMIT:
         return draw_counted(counts, limit, stream)
-    return draw_by_rejection(counts, limit, stream)
+    return draw_by_rejection(counts, limit, stream, key)

@@ -16,7 +16,7 @@ import numpy as np
 
 from modaltouch.protocol.cells import Cell
 from modaltouch.protocol.conditions import Placement
-from modaltouch.protocol.designs import insert_catches, order_cells, period_of_rows
+from modaltouch.protocol.designs import insert_catches, order_cells
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import ALGORITHM, Stream, key_of, seed_sequence
 from modaltouch.protocol.trial import Condition, Trial
@@ -100,6 +100,8 @@ class Turn:
         protocol : Protocol
             The design.
         """
+        from modaltouch.protocol.latin_orders import period_of_rows
+
         n_orders = len(_orders_of_finger_conditions(protocol)) * len(protocol.conditions.placements)
         return math.lcm(n_orders, period_of_rows(protocol))
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
 from modaltouch.protocol.occasions import SessionKind, Sessions
 from modaltouch.protocol.section import Count, Positive, Section, described
+
+_ABSENT: dict[str, Any] = {"default": None, "exclude_if": lambda given: given is None}
 
 
 class ResumeSection(Section):
@@ -34,6 +36,22 @@ class ScheduleSection(Section):
     )
     max_same_pair_running: Count | None = described(
         "Most trials in a row with the same pair of zones, in shuffled orders; null for no limit.", default=None
+    )
+    max_same_level_running: Count | None = described(
+        "Most trials in a row with the same peak velocity, in shuffled orders; null for no limit.", **_ABSENT
+    )
+    max_same_stimulus_running: Count | None = described(
+        "Most trials in a row with the same of several stimuli, in shuffled orders; null for no limit.", **_ABSENT
+    )
+    max_same_side_running: Count | None = described(
+        "Most trials in a row with the focus under the finger of the same side, in shuffled orders, so that the same "
+        "answer is not expected too often in a row; pairs without the focus break a row. Null for no limit.",
+        **_ABSENT,
+    )
+    min_same_cell_distance: Annotated[Count, Field(ge=2)] | None = described(
+        "Least number of trials from one of a cell (pair, peak velocity and stimulus) to the next of the same, in "
+        "shuffled orders: 2 for never twice running, 3 for at least one other between. Null for any.",
+        **_ABSENT,
     )
     counterbalance_finger_conditions: bool = Field(
         strict=True,

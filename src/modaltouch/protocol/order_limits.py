@@ -1,0 +1,20 @@
+"""Which keys limit what may follow what in shuffled orders, and what is raised where none keeps them."""
+
+from __future__ import annotations
+
+LIMITS = (
+    "max_same_pair_running",
+    "max_same_level_running",
+    "max_same_stimulus_running",
+    "max_same_side_running",
+    "min_same_cell_distance",
+)
+"""Keys of the section schedule that limit what may follow what in shuffled orders."""
+
+
+class NoOrderError(ValueError):
+    """No order keeps a limit, or those that do are too rare to find; `key` is the limit's in the section schedule."""
+
+    def __init__(self, message: str, key: str) -> None:
+        super().__init__(message)
+        self.key = key

@@ -1,0 +1,96 @@
+"""Limits beyond that on pairs: kept in every order, each order that keeps them as likely as any other, or refused."""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modaltouch.preflight import examine
+from modaltouch.protocol import Findings, Protocol, Schedule, constrained_orders
+from modaltouch.protocol.constrained_orders import Limit, draw_constrained, limits_of
+from modaltouch.protocol.limited_orders import longest_run
+from modaltouch.protocol.streams import Stream
+
+SHIPPED = Path(__file__).parents[3] / "protocols"
+TWO = Findings.read(SHIPPED / "two_fields.yaml").experiment().protocol
+
+
+def limited(**limits: Any) -> Protocol:
+    """Return two pairs, two levels and two stimuli, twice each, under some limits."""
+    usual = {"max_same_pair_running": None, "repetitions": 2}
+    return TWO.model_copy(update={"schedule": TWO.schedule.model_copy(update=usual | limits)})
+
+
+@pytest.mark.parametrize("participant", ["p01", "p02", "p03"])
+def test_every_limit_holds_in_every_block(participant: str) -> None:
+    """Pair, level, stimulus and side at most so often running; no cell twice within three trials."""
+    protocol = limited(
+        max_same_pair_running=3, max_same_level_running=2, max_same_stimulus_running=3, max_same_side_running=3,
+        min_same_cell_distance=3,
+    )  # fmt: skip
+    for block in Schedule.draw(protocol, participant, 1).blocks:
+        cells = [(each.condition.pair, each.condition.velocity_mm_s, each.condition.stimulus) for each in block.trials]
+        assert sorted(Counter(cells).values()) == [2] * 8
+        assert longest_run([pair for pair, *_ in cells]) <= 3
+        assert longest_run([level for _, level, _ in cells]) <= 2
+        assert longest_run([stimulus for *_, stimulus in cells]) <= 3
+        assert longest_run([pair.index("C") for pair, *_ in cells]) <= 3
+        places = {cell: [n for n, own in enumerate(cells) if own == cell] for cell in cells}
+        assert min(b - a for a, b in places.values()) >= 3
+
+
+def test_all_orders_that_keep_the_limits_are_equally_likely() -> None:
+    """Chi-squared over every order there is, found by going through all permutations; 1 in 1000 above the bound."""
+    cells = [(("A", "C"), 80.0, ""), (("A", "C"), 150.0, ""), (("C", "E"), 80.0, "")] * 2
+    limits = [
+        Limit("max_same_pair_running", lambda cell: cell[0], 2),
+        Limit("max_same_level_running", lambda cell: cell[1], 2),
+        Limit("min_same_cell_distance", lambda cell: cell, 1, 2),
+    ]
+    valid = {order for order in itertools.permutations(cells) if all(limit.holds(order) for limit in limits)}
+    stream = Stream(1, "p01", 1, "a test")
+    drawn = Counter(tuple(draw_constrained(cells, limits, stream)) for _ in range(100 * len(valid)))
+    assert set(drawn) == valid
+    assert len(valid) == 12
+    assert sum((n - 100) ** 2 / 100 for n in drawn.values()) < 31.3
+
+
+def test_pairs_without_the_focus_break_a_row_of_one_side() -> None:
+    """The side is that of the finger on the focus."""
+    (limit,) = limits_of(limited(max_same_side_running=1))
+    left, right, none = ((pair, 80.0, "sharp") for pair in (("C", "E"), ("A", "C"), ("B", "D")))
+    assert limit.holds([left, right, left])
+    assert limit.holds([left, none, left])
+    assert not limit.holds([right, right, none])
+
+
+@pytest.mark.parametrize(
+    ("limits", "told"),
+    [
+        ("min_same_cell_distance: 9", "schedule.min_same_cell_distance is 9, but 4 of 24 trials are of one cell; the"),
+        ("max_same_stimulus_running: 1", "schedule.max_same_stimulus_running is 1, but 24 of 24 trials are alike"),
+        ("max_same_level_running: 1\n  min_same_cell_distance: 6", "most broke schedule.min_same_cell_distance: ease"),
+    ],
+)
+def test_limits_that_cannot_be_kept_are_refused_with_the_reason(
+    edit: Any, monkeypatch: pytest.MonkeyPatch, limits: str, told: str
+) -> None:
+    """At the key that asks too much."""
+    monkeypatch.setattr(constrained_orders, "WORK_LIMIT", 5000)
+    words = ("  max_same_pair_running: 2", f"  {limits}"), ("repetitions: 1", "repetitions: 4")
+    problems = examine(edit("demo.yaml", *words)).problems
+    assert [told in each.given for each in problems] == [True]
+    assert problems[0].path in ("schedule.min_same_cell_distance", "schedule.max_same_stimulus_running")
+
+
+def test_a_limit_with_an_order_that_is_not_drawn_is_refused(edit: Any) -> None:
+    """Rows of a Latin square keep no limits."""
+    words = ("  max_same_pair_running: 2", "  order: latin_square\n  max_same_level_running: 2")
+    problems = examine(edit("demo.yaml", words)).problems
+    assert [each.message for each in problems] == [
+        "given 2 with the order latin_square; allowed: null, or the order shuffled; remove the limit or shuffle"
+    ]
