@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from modaltouch.preflight import Preflight, check_legibility, examine
-from modaltouch.window import Fonts
+from modaltouch.protocol import Findings, Schedule
+from modaltouch.window import Fonts, smallest_type
 
 Edit = Callable[..., Path]
 TEXTS, BEAM = "texts/english.yaml", "apparatus/beam_100x6x2.yaml"
@@ -62,3 +63,16 @@ def test_the_smallest_type_is_20_arcmin_at_the_stated_distance(edit: Edit) -> No
         "shorten the text, take a larger window (--fullscreen), or sit nearer"
     )
     assert " screen: given a window of 1280 x 800 pixels" in fault
+
+
+def test_the_names_of_three_fingers_side_by_side_are_measured() -> None:
+    """Expected: on neighbouring zones the longest of them, set smaller than on zones apart."""
+    experiment = Findings.read(Path(__file__).parents[2] / "docs/examples/protocol_three_fingers.yaml").experiment()
+    trials = {trial.condition.zones: trial for trial in Schedule.draw(experiment.protocol, "p01", 1).trials}
+    zones = tuple(experiment.apparatus.zones)
+    near, far = (
+        smallest_type(experiment.protocol, experiment.texts, zones, [trials[tuple(own)]], (1280, 800))
+        for own in ("BCD", "ACE")
+    )
+    assert near[1] == "right index finger"
+    assert near[0] < far[0]

@@ -69,12 +69,11 @@ def _check_type(findings: Findings, window: tuple[int, int] | None) -> Iterator[
         return
     size = window or (screen.width_px, screen.height_px)
     placements = {
-        (trial.condition.finger_condition, trial.condition.pair, trial.condition.placement): trial
+        (trial.condition.finger_condition, trial.condition.zones, trial.condition.placement): trial
         for trial in Schedule.draw(protocol, "p01", 1).trials
     }
-    zones, hand = tuple(experiment.apparatus.zones), protocol.conditions.hand
-    asked = [protocol.answers, *protocol.answers.further.values(), *protocol.closing.values()]
-    pixels, text = smallest_type(asked, experiment.texts, hand, zones, [*placements.values()], size)
+    zones = tuple(experiment.apparatus.zones)
+    pixels, text = smallest_type(protocol, experiment.texts, zones, [*placements.values()], size)
     height = pixels * screen.width_mm / screen.width_px
     angle = math.degrees(2 * math.atan(height / 2 / screen.distance_mm)) * 60
     if angle < LEAST_ANGLE:

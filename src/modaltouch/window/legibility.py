@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from modaltouch.protocol import AnswersSection, Texts, Trial
+from modaltouch.protocol import Protocol, Texts, Trial
 from modaltouch.window.buttons import typesetter_of
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import lay_out
@@ -31,7 +29,9 @@ def every_picture(pictures: Illustrator, trial: Trial) -> list[Picture]:
     progress, texts = Progress(trial.index, max(trial.index, 99)), pictures.texts
     names = pictures.answers.offered.names
     chosen = names[0] if pictures.answers.scale is None else f"{pictures.answers.scale.at(0.5):g}"
-    expected = [name for name in names if pictures.answers.offered.fingers_of(name)]
+    offered = pictures.answers.offered
+    # No feedback tells of three fingers.
+    expected = [answer.name for answer in offered if answer.fingers and not offered.names_between]
     return [
         pictures.welcome(trial),
         pictures.answering(trial),
@@ -50,28 +50,24 @@ def every_picture(pictures: Illustrator, trial: Trial) -> list[Picture]:
 
 
 def smallest_type(
-    asked: Sequence[AnswersSection],
-    texts: Texts,
-    hand: str,
-    zones: tuple[str, ...],
-    trials: list[Trial],
-    size: tuple[int, int],
+    protocol: Protocol, texts: Texts, zones: tuple[str, ...], trials: list[Trial], size: tuple[int, int]
 ) -> tuple[float, str]:
     """Return the height of a capital where the type is smallest [pixels], and the text that is set in it.
 
     Parameters
     ----------
-    asked : sequence of AnswersSection
-        How the first question is asked, and how each other.
-    texts, hand, zones
-        As for `Illustrator` and `lay_out`.
+    protocol, texts, zones
+        What is asked, in which words, of fingers on which zones.
     trials : list of Trial
         One of each placement.
     size : (width, height) of int
         Size of the window [pixels].
     """
+    design = protocol.conditions
+    asked = [protocol.answers, *protocol.answers.further.values(), *protocol.closing.values()]
     pictures, *others = (
-        Illustrator(lay_out(*size, zones, each.offered, each.scale), DARK, texts, each, hand) for each in asked
+        Illustrator(lay_out(*size, zones, each.offered, each.scale), DARK, texts, each, design.hand, design.fingers)
+        for each in asked
     )
     every = [picture for trial in trials for picture in every_picture(pictures, trial)]
     every += [picture.question(trials[0], Progress(1, 1)) for picture in others]
