@@ -13,6 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
+from modaltouch.protocol import Findings
+from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.session.console.consoles import LONGEST_LINE, EventLines, PlainLines
 from modaltouch.session.console.drawing import describe_trial, draw_session
 from modaltouch.session.console.experimenter import Experimenter
@@ -20,6 +22,7 @@ from modaltouch.session.console.interface import Console as SilentConsole
 from modaltouch.session.console.interface import Request
 from modaltouch.session.console.keyboard import LONGEST_NOTE, Dialogue, split_keys
 from modaltouch.session.console.status import Status, read_signs
+from modaltouch.session.events import describe_trial as of_trial
 from modaltouch.window.interface import SessionStopped
 
 
@@ -200,6 +203,31 @@ def test_the_trial_is_told_with_its_stimulus_and_small_speeds_apart() -> None:
     assert told == "7, block 1, catch trial"
     (_, told), *_ = describe_trial({**facts, "practice": True, "block": 0})
     assert told == "practice 7, blunt at 2 mm/s", "practice belongs to no block"
+
+
+@pytest.mark.parametrize(
+    ("zones", "fingers", "predicted"),
+    [
+        (("C",), "right ring on C", "left 80 mm/s"),
+        (
+            ("A", "C", "E"),
+            "left index on A, right index on C, right ring on E",
+            "left 80 mm/s, between 79 mm/s, right 78 mm/s",
+        ),
+    ],
+)
+def test_one_finger_and_three_are_told_with_their_zones_and_speeds(
+    zones: tuple[str, ...], fingers: str, predicted: str
+) -> None:
+    """From the left; the facts are those that the session hands on."""
+    example = Path(__file__).parents[3] / "docs" / "examples" / "protocol_three_fingers.yaml"
+    protocol = Findings.read(example).experiment().protocol
+    own = {"tip": ("right ring",), **protocol.conditions.fingers}
+    conditions = protocol.conditions.model_copy(update={"fingers": own})
+    condition = Condition.on(zones, "tip" if len(zones) == 1 else "spread", 80.0)
+    speeds = tuple(0.08 - 0.001 * place for place in range(len(zones)))
+    facts = of_trial(protocol.model_copy(update={"conditions": conditions}), speeds, Trial(7, 1, condition))
+    assert [told for _, told in describe_trial(facts)][1:] == [fingers, predicted]
 
 
 def test_the_events_are_json_lines_with_units(tmp_path: Path) -> None:
