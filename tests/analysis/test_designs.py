@@ -16,6 +16,7 @@ from scipy.special import ndtr
 
 from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.findings import Finding, correct
+from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.measures import by_flips, by_ranks, group_test
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.ratings import friedman, power_law
@@ -236,6 +237,26 @@ def test_sign_flips_of_large_numbers_are_those_of_small_ones() -> None:
     small, large = by_flips(values), by_flips(values * 1e6)
     assert small[0].p == large[0].p
     assert small[1].low * 1e6 == pytest.approx(large[1].low)
+
+
+def test_people_who_all_reach_the_ceiling_give_no_upper_bound() -> None:
+    """Synthetic: all 12 felt and no false alarm of 12, by all: nobody's d' has an upper bound, nor has the mean."""
+    frame = presented((5, 10), 12).assign(response="felt")
+    design = {"answers": {"keys": {"felt": ["f1"], "nothing": ["f2"]}, "fingers": {"nothing": []}}}
+    findings, _ = found(take(frame, design, catches={who: Counter(nothing=12) for who in PEOPLE}))
+    d_prime = findings["d' over participants", "one_hand A-C 5 mm/s"]
+    assert d_prime.high == math.inf and d_prime.low == pytest.approx(d_prime.estimate, abs=1e-3)
+    assert "on one side: 8" in d_prime.note
+
+
+def test_ratings_that_all_agree_still_have_an_interval() -> None:
+    """The bounded mean of eight equal ratings of 4, of 1 to 7: those who may be missing could have rated otherwise."""
+    frame = presented((5.0, 10.0), 2).assign(response="rated", value=4.0)
+    findings, _ = found(take(frame, {"answers": {"scale": {"kind": "likert"}}}))
+    rating = findings["rating over participants", "one_hand A-C 5 mm/s"]
+    expected = BoundedMean([4.0] * 8, 1.0, 7.0).interval()
+    assert (rating.estimate, rating.low, rating.high) == (4, expected.low, expected.high)
+    assert expected.low < 4 < expected.high
 
 
 def test_a_measure_that_nobody_has_is_told_as_such() -> None:

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import combinations
 from typing import Any, cast
@@ -27,6 +27,7 @@ from modaltouch.analysis.covariates import centre_interval
 from modaltouch.analysis.exact import ExactTest, sign_flip_test
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import CONFIDENCE, Interval
+from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.scale import LevelScale
 
 FloatArray = NDArray[np.float64]
@@ -54,6 +55,8 @@ class Measure:
         Whether its values are compared by their ratios: means are geometric.
     is_ranked : bool
         Whether its values are compared by their ranks, as ratings are.
+    ends : (float, float) or None
+        Lowest and highest value that there can be; then a mean has the interval of a bounded one.
     """
 
     name: str
@@ -62,6 +65,7 @@ class Measure:
     null: float | None = None
     is_ratio: bool = False
     is_ranked: bool = False
+    ends: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,11 +237,20 @@ def over_participants(measure: Measure, own: Sequence[Own]) -> Located:
         Its values.
     """
     null = 0.0 if measure.null is None else math.log(measure.null) if measure.is_ratio else measure.null
-    test, interval = by_flips(np.array(list(_known(own).values())) - null)
+    values = np.array(list(_known(own).values()))
+    test, interval = by_flips(values - null)
+    interval = interval.changed(lambda shifted: shifted + null)
+    if measure.ends and values.size:
+        interval = BoundedMean(values, *measure.ends).interval()
+    # Where nobody has a bound, people who agree give the mean none.
+    if all(each.interval.low == -math.inf for each in own):
+        interval = replace(interval, low=-math.inf)
+    if all(each.interval.high == math.inf for each in own):
+        interval = replace(interval, high=math.inf)
     in_place = np.array([each.tested for each in own if each.tested is not None], dtype=float)
     if in_place.size:
         test = flip_test(in_place[np.isfinite(in_place)])
-    return test, _told(measure, interval.changed(lambda shifted: shifted + null))
+    return test, _told(measure, interval)
 
 
 def mean_findings(values: Sequence[Own], scale: LevelScale) -> Iterator[Finding]:
@@ -246,13 +259,18 @@ def mean_findings(values: Sequence[Own], scale: LevelScale) -> Iterator[Finding]
         test, interval = over_participants(measure, own)
         n = int(interval.n_effective)
         left_out = len({each.participant for each in own}) - n
-        notes = [f"{left_out} participants left out, who have none"] if left_out else []
+        n_open = sum(math.isinf(each.interval.low) or math.isinf(each.interval.high) for each in own)
         tested = measure.null is not None and n > 0
         way = _FLIPS if own[0].tested is None else f"{_FLIPS}, p by those of the rates"
+        notes = [
+            f"{left_out} participants left out, who have none" if left_out else "",
+            f"without a bound of one's own on one side: {n_open}" if n_open else "",
+            "" if tested else "described, not tested",
+        ]
         yield finding_of(
-            measure.question, f"{measure.name} over participants, {way}", scope, test if tested else None,
-            measure.quantity, interval, n, family=measure.name if tested else "",
-            notes=[*notes, "" if tested else "described, not tested"],
+            measure.question, f"{measure.name} over participants, {'bounded mean' if measure.ends else way}", scope,
+            test if tested else None, measure.quantity, interval, n, family=measure.name if tested else "",
+            notes=notes,
         )  # fmt: skip
 
 

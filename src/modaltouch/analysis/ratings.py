@@ -17,6 +17,7 @@ from modaltouch.analysis.measures import Measure, Own, cells
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import LevelScale, scale_of
 from modaltouch.analysis.task import TrialTask
+from modaltouch.protocol import ScaleSection
 
 _SHUFFLES = 9_999
 
@@ -35,18 +36,32 @@ class Question:
         Whether numbers were typed, whose ratios count.
     places : tuple of str
         Answers, where it was answered by one of a list, whose place in it counts; empty for a scale.
+    ends : (float, float) or None
+        Lowest and highest rating, where the scale has them.
     """
 
     name: str
     column: str
     is_magnitude: bool = False
     places: tuple[str, ...] = ()
+    ends: tuple[float, float] | None = None
+
+    @classmethod
+    def of(cls, name: str, column: str, asked: Mapping[str, Any]) -> Question:
+        """Return a question as the protocol has it: with a scale, or keys of answers."""
+        places = tuple(asked.get("keys") or ())
+        if places or not asked.get("scale"):
+            return cls(name, column, places=places, ends=(1.0, len(places)) if places else None)
+        scale = ScaleSection.model_validate(asked["scale"])
+        ends = None if scale.high is None else (scale.low, scale.high)
+        return cls(name, column, scale.kind == "number", ends=ends)
 
     @property
     def measure(self) -> Measure:
         """What the mean of a participant is."""
         way = " (place in its list)" if self.places else " (geometric mean)" if self.is_magnitude else ""
-        return Measure(self.name, f"{self.name}{way}", "rating", None, self.is_magnitude, is_ranked=True)
+        ends = None if self.is_magnitude else self.ends
+        return Measure(self.name, f"{self.name}{way}", "rating", None, self.is_magnitude, is_ranked=True, ends=ends)
 
     def numbers(self, frame: pd.DataFrame) -> pd.Series:
         """Return the rating of each answer; not a number where there is none, or a magnitude is not above zero."""
@@ -70,11 +85,11 @@ def questions_of(design: Mapping[str, Any], frame: pd.DataFrame) -> tuple[Questi
     section = design.get("answers") or {}
     known = []
     if "value" in frame.columns and pd.to_numeric(frame["value"], errors="coerce").notna().any():
-        is_magnitude = (section.get("scale") or {}).get("kind") == "number"
-        known.append(Question("magnitude" if is_magnitude else "rating", "value", is_magnitude))
+        scale = section.get("scale")
+        name = "magnitude" if scale and scale["kind"] == "number" else "rating"
+        known.append(Question.of(name, "value", {"scale": scale}))
     for name, asked in (section.get("then") or {}).items():
-        is_magnitude = (asked.get("scale") or {}).get("kind") == "number"
-        known.append(Question(name, name, is_magnitude, tuple(asked.get("keys") or ())))
+        known.append(Question.of(name, name, asked))
     return tuple(each for each in known if each.column in frame.columns)
 
 
