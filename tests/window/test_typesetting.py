@@ -32,7 +32,6 @@ def lines(block: TypeBlock) -> list[str]:
 def font_of(letter: str) -> TTFont:
     """Return the tables of the font that draws a letter."""
     (font,) = Fonts().choose(letter)
-    assert font is not None
     return TTFont(font.path, fontNumber=0)
 
 
@@ -145,22 +144,17 @@ def test_digits_and_punctuation_are_in_the_font_of_their_letters() -> None:
     """Expected: Arabic comma and digits in the Arabic font, Latin in Noto Sans, an ideographic full stop in theirs."""
 
     def names(text: str) -> list[str]:
-        return [
-            "-" if font is None else font.path.rpartition("/")[2].partition("-")[0] for font in Fonts().choose(text)
-        ]
+        return [font.path.rpartition("/")[2].partition("-")[0] for font in Fonts().choose(text)]
 
     assert names("من 5،") == ["NotoSansArabic"] * 5
     assert names("按 Esc。") == ["wqy", "wqy", "NotoSans", "NotoSans", "NotoSans", "wqy"]
-    assert names("A\U0010fffd") == ["NotoSans", "-"]
+    assert Fonts().lacking("A \U0010fffd") == "\U0010fffd"
 
 
 def test_a_named_font_is_asked_first_and_a_font_without_bold_is_emboldened() -> None:
     """Expected: DejaVu Sans, which comes along, for Latin and Arabic; strokes where a font has no bold companion."""
-    assert {font.path.rpartition("/")[2] for font in Fonts("DejaVuSans.ttf").choose("قلم A") if font} == {
-        "DejaVuSans.ttf"
-    }
+    assert {font.path.rpartition("/")[2] for font in Fonts("DejaVuSans.ttf").choose("قلم A")} == {"DejaVuSans.ttf"}
     (bold,) = Fonts("DejaVuSans.ttf").choose("A", bold=True)
-    assert bold is not None
     assert bold.path.endswith("DejaVuSans-Bold.ttf")
     (stroked,) = Fonts().choose("中", bold=True)
     assert isinstance(stroked, Font)

@@ -10,7 +10,7 @@ from typing import Any
 
 from modaltouch.preflight.checked import Preflight
 from modaltouch.protocol import Findings, Problem, Schedule
-from modaltouch.window import Fonts, smallest_type
+from modaltouch.window import Fonts, find_font, smallest_type
 
 LEAST_ANGLE = 20.0
 """Least height of a capital at the eye; ISO 9241-303 recommends 20 to 22 [arcmin]."""
@@ -38,13 +38,12 @@ def _check_letters(findings: Findings) -> Iterator[Problem]:
     if findings.texts is None:
         return
     fonts = Fonts(findings.texts.sound("font") or "")
-    if fonts.named and fonts.file is None:
+    if fonts.named and find_font(fonts.named) is None:
         given, allowed = f"{fonts.named}, which is not installed", "the file of an installed font"
         yield findings.texts.problem(("font",), given, allowed, "install it, or leave the key out")
     for reading in (findings.texts, findings.protocol):
         for path, text in _strings((), None if reading is None else reading.root):
-            lacking = [letter for letter, font in zip(text, fonts.choose(text), strict=True) if font is None]
-            if reading is not None and lacking:
+            if reading is not None and (lacking := fonts.lacking(text)):
                 name = unicodedata.name(lacking[0], "no letter of Unicode")
                 given, allowed = f"'{lacking[0]}' ({name}), which no font at hand has", "letters of installed fonts"
                 remedy = "write it otherwise, or install a font that has it (`modaltouch doctor` names packages)"

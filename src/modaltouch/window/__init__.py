@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.window.fonts import Fonts
+    from modaltouch.window.fonts import Fonts, find_font
     from modaltouch.window.interface import (
         AnswerWindow,
         Event,
@@ -29,7 +29,7 @@ else:
     __getattr__ = lazily(
         __name__,
         {
-            "fonts": "Fonts",
+            "fonts": "Fonts find_font",
             "interface": "AnswerWindow Event Presentation SessionStopped TrialInterrupted WindowError",
             "legibility": "smallest_type",
             "machine": "examine_surroundings measure_timing",
@@ -51,6 +51,7 @@ __all__ = [
     "WindowError",
     "WindowOptions",
     "examine_surroundings",
+    "find_font",
     "measure_timing",
     "open_window",
     "smallest_type",

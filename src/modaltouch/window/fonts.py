@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import unicodedata
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -47,36 +46,30 @@ class Fonts:
 
     named: str = ""
 
-    @property
-    def file(self) -> Font | None:
-        """The named font; None where it is not installed."""
-        return find_font(self.named)
-
-    def choose(self, text: str, *, bold: bool = False) -> list[Font | None]:
-        """Return the font of each character; None where no font has it.
+    def choose(self, text: str, *, bold: bool = False) -> list[Font]:
+        """Return the font of each character: one that has it, else that of a hyphen.
 
         Spaces, digits and punctuation are in the font of the letters before them, where it has them.
         """
-        letters = (self._first(character, bold) for character in text if unicodedata.category(character)[0] == "L")
-        last = next((font for font in letters if font is not None), self._first("-", bold))
-        chosen = []
+        letters = [character for character in text if unicodedata.category(character)[0] == "L"]
+        last, chosen = self._first(letters[0] if letters else "-", bold), []
         for character in text:
             is_letter = unicodedata.category(character)[0] == "L"
-            font = self._first(character, bold) if is_letter or last is None or not last.has(character) else last
-            last = font if is_letter and font is not None else last
+            font = self._first(character, bold) if is_letter or not last.has(character) else last
+            last = font if is_letter else last
             chosen.append(font)
         return chosen
 
-    def _first(self, character: str, bold: bool) -> Font | None:
-        return next((font for font in self._candidates(character, bold) if font.has(character)), None)
+    def lacking(self, text: str) -> str:
+        """Return the characters that no font has."""
+        return "".join(letter for letter, font in zip(text, self.choose(text), strict=True) if not font.has(letter))
 
-    def _candidates(self, character: str, bold: bool) -> Iterator[Font]:
+    def _first(self, character: str, bold: bool) -> Font:
         # The first word of a letter's Unicode name is its script.
         script = unicodedata.name(character, "").partition(" ")[0].title()
-        for name in (*([self.named] if self.named else []), "NotoSans", f"NotoSans{script}", *_ALSO):
-            font = find_font(name, bold=bold)
-            if font is not None:
-                yield font
+        names = (*([self.named] if self.named else []), "NotoSans", f"NotoSans{script}", *_ALSO)
+        fonts = (font for name in names if (font := find_font(name, bold=bold)) and font.has(character))
+        return next(fonts, None) or self._first("-", bold)
 
 
 @cache

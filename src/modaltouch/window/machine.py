@@ -100,8 +100,7 @@ def _virtual_display() -> WindowCheck:
 
 def _fonts() -> WindowCheck:
     """Look for fonts beyond those that come along, which have Latin, Greek and Cyrillic, Arabic and Hebrew."""
-    fonts = Fonts()
-    packages = [package for letter, package in _LETTERS.items() if None in fonts.choose(letter)]
+    packages = [package for letter, package in _LETTERS.items() if Fonts().lacking(letter)]
     if not packages:
         return WindowCheck("fonts", "ok", "Latin, Greek, Cyrillic, Arabic, Hebrew, Devanagari, Chinese, Japanese")
     remedy = f"where texts are in other scripts, apt install {' '.join(packages)}, or name a font in the texts"

@@ -14,7 +14,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache, partial
 from itertools import groupby
-from typing import TYPE_CHECKING
+from operator import itemgetter
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -177,11 +178,10 @@ class Typesetter:
             baseline += line.ascent
             x = float(round((columns - line.width) / 2))
             for run in line.runs:
-                font, way = _load(run.font.path, block.size), "rtl" if run.is_rtl else "ltr"
+                font, shaping = _load(run.font.path, block.size), self._shaping(run)
                 stroke = _STROKE * block.size * run.font.is_emboldened
-                place = (x, round(baseline))
-                pen.text(place, run.text, 255, font, "ls", direction=way, language=self._language, stroke_width=stroke)
-                x += font.getlength(run.text, direction=way, language=self._language)
+                pen.text((x, round(baseline)), run.text, 255, font, "ls", stroke_width=stroke, **shaping)
+                x += font.getlength(run.text, **shaping)
             baseline += line.descent + _LEADING * block.size
         left, top, right, bottom = image.getbbox() or (0, 0, 1, 1)
         alpha = np.asarray(image, dtype=np.float32)[top:bottom, left:right][::-1] / np.float32(255)
@@ -189,18 +189,15 @@ class Typesetter:
         y0 = round(window[1] / 2 + words.box.y * window[1] - rows / 2)
         return Coverage(x0 + left, y0 + rows - bottom, alpha)
 
-    @property
-    def _language(self) -> str | None:
-        return self.language or None
+    def _shaping(self, run: GlyphRun) -> dict[str, Any]:
+        return {"direction": "rtl" if run.is_rtl else "ltr", "language": self.language or None}
 
     def _break_lines(self, text: str, size: float, width: float, *, bold: bool) -> Iterator[Line]:
         """Yield the lines of a text, none wider than the width where it can be broken, those of a paragraph alike."""
         for paragraph in text.split("\n"):
             lines = self._fill(paragraph, size, width, bold=bold)
-            if len(lines) == 1:
-                yield from lines
-                continue
-            narrower = (self._fill(paragraph, size, width * share, bold=bold) for share in _NARROWER)
+            shares = _NARROWER if len(lines) > 1 else ()
+            narrower = (self._fill(paragraph, size, width * share, bold=bold) for share in shares)
             yield from next((fewer for fewer in narrower if len(fewer) == len(lines)), lines)
 
     def _fill(self, paragraph: str, size: float, width: float, *, bold: bool) -> list[Line]:
@@ -216,29 +213,20 @@ class Typesetter:
         return [self._extended(line, size) for line in lines]
 
     def _line(self, text: str, size: float, *, bold: bool, is_rtl: bool) -> Line:
-        """Return the runs of a line from left to right, and its extent."""
-        chosen = [font or _missing(bold=bold) for font in Fonts(self.font).choose(text, bold=bold)]
-        runs: list[tuple[int, GlyphRun]] = []
-        start = 0
-        for (level, font), group in groupby(zip(_levels(text, is_rtl=is_rtl), chosen, strict=True)):
-            stop = start + len(list(group))
-            runs.append((level, GlyphRun(text[start:stop], font, is_rtl=level % 2 == 1)))
-            start = stop
-        width = 0.0
-        for _, run in runs:
-            way = "rtl" if run.is_rtl else "ltr"
-            width += _load(run.font.path, size).getlength(run.text, direction=way, language=self._language)
+        """Return the runs of a line from left to right, and its width."""
+        chosen = zip(_levels(text, is_rtl=is_rtl), Fonts(self.font).choose(text, bold=bold), text, strict=True)
+        runs = []
+        for (level, font), group in groupby(chosen, key=itemgetter(0, 1)):
+            letters = "".join(letter for _, _, letter in group)
+            runs.append((level, GlyphRun(letters, font, is_rtl=level % 2 == 1)))
+        width = sum(_load(run.font.path, size).getlength(run.text, **self._shaping(run)) for _, run in runs)
         return Line(tuple(_from_left(runs)), width)
 
     def _extended(self, line: Line, size: float) -> Line:
         """Return a line with its extent over and under the baseline."""
-        tops, bottoms = [-_ASCENT * size], [_DESCENT * size]
-        for run in line.runs:
-            way = "rtl" if run.is_rtl else "ltr"
-            ink = _load(run.font.path, size).getbbox(run.text, direction=way, language=self._language, anchor="ls")
-            tops.append(ink[1])
-            bottoms.append(ink[3])
-        return replace(line, ascent=-min(tops), descent=max(bottoms))
+        inks = [_load(run.font.path, size).getbbox(run.text, anchor="ls", **self._shaping(run)) for run in line.runs]
+        ascent = max([_ASCENT * size, *(-ink[1] for ink in inks)])
+        return replace(line, ascent=ascent, descent=max([_DESCENT * size, *(ink[3] for ink in inks)]))
 
 
 def _pieces(text: str) -> Iterator[str]:
@@ -301,15 +289,6 @@ def _from_left(runs: list[tuple[int, GlyphRun]]) -> list[GlyphRun]:
         parts = groupby(ordered, key=partial(_is_at_least, least))
         ordered = [run for is_high, part in parts for run in (reversed(list(part)) if is_high else part)]
     return [run for _, run in ordered]
-
-
-@cache
-def _missing(*, bold: bool) -> Font:
-    """Return the font whose empty box stands for a character that no font has."""
-    font = Fonts().choose("-", bold=bold)[0]
-    if font is None:
-        raise WindowError("no font can be found; install the project's environment again (`make install`)")
-    return font
 
 
 @lru_cache(256)
