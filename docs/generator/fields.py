@@ -88,7 +88,7 @@ def session_fields() -> tuple[Found, Found]:
     told: Found = defaultdict(dict)
     with TemporaryDirectory() as name:
         folder = Path(name)
-        for protocol in ("demo", "with_catch_trials", "threshold", "two_fields", "magnitude"):
+        for protocol in ("demo", "with_catch_trials", "threshold", "two_fields", "magnitude", "comparison_2ifc"):
             events = folder / f"{protocol}.jsonl"
             options = (
                 f"-p p01 --rig simulated --answers simulated -y --plain --json --results {folder} --events {events}"
@@ -252,6 +252,7 @@ def _write_table(folder: Path) -> None:
     extra = {
         "catch": view.CATCH,
         "multiple_of_threshold": view.MULTIPLE,
+        **view.INTERVALS,
         "masked": view.MASKED,
         "stimulus": view.STIMULUS,
         "value": {"Description": "Number that was answered on a scale; n/a without an answer"},

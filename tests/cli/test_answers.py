@@ -192,7 +192,7 @@ def test_a_missing_label_is_named_with_its_place(tmp_path) -> None:
     write_protocol(tmp_path / "protocols", "demo", "grades", keys, {"stronger": "Stronger"})
     done = call("check", "protocols/grades.yaml", cwd=tmp_path)
     texts = (tmp_path / "protocols" / "texts" / "english.yaml").read_text(encoding="utf-8").splitlines()
-    line = texts.index("answers:") + 1
+    line = next(number for number, text in enumerate(texts, 1) if text.startswith("answers:"))
     assert done.exit_code == 2
     assert f"english.yaml:{line}:" in done.stderr and "answers.weaker: given nothing; allowed: a text" in done.stderr
     assert "answers.keys.lfet: given 'lfet', which has no label in english.yaml" in done.stderr

@@ -116,7 +116,10 @@ def test_an_empty_folder_will_do(tmp_path):
         (["taken"], "taken: given a folder that holds notes.txt; allowed: a folder that is new or empty"),
         (["taken/notes.txt"], "taken/notes.txt: given a folder that cannot be written (Not a directory)"),
         (["taken/notes.txt/study"], "given a folder that cannot be written (Not a directory); allowed: one that you"),
-        (["study", "--from", "treshold"], "--from: given 'treshold', which is no shipped protocol; allowed: demo, "),
+        (
+            ["study", "--from", "treshold"],
+            "--from: given 'treshold', which is no shipped protocol; allowed: comparison_2ifc, demo, ",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_sentence(tmp_path, words, said):

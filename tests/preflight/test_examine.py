@@ -280,7 +280,7 @@ def test_a_missing_protocol_is_a_problem(tmp_path: Path) -> None:
     """Not an exception either; the names that would do are told."""
     (problem,) = examine(tmp_path / "thresholds.yaml").problems
     assert problem.given == "a file that does not exist"
-    assert problem.allowed.startswith("a YAML file that exists and can be read, or one of demo, detection")
+    assert problem.allowed.startswith("a YAML file that exists and can be read, or one of comparison_2ifc, demo, d")
     assert problem.remedy == "did you mean 'threshold'?"
 
 

@@ -367,3 +367,88 @@ def test_a_session_of_format_1_that_was_cut_says_how_to_go_on(copied: Callable[.
     with pytest.raises(RecordError, match="modaltouch resume --restart"):
         wire_resume(log)
     assert wire_resume(log, restart=True).place.session == 2
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results with a session of three comparisons of two intervals."""
+    folder = tmp_path_factory.mktemp("intervals")
+    text = (PROTOCOLS / "comparison_2ifc.yaml").read_text(encoding="utf-8")
+    for name in ("apparatus", "texts"):
+        text = text.replace(f"{name}: {name}/", f"{name}: {PROTOCOLS / name}/")
+    text = re.sub("repetitions: 8|practice_trials: 4|70, 80, 90, ", "", text)
+    (folder / "comparison_2ifc.yaml").write_text(text, encoding="utf-8")
+    simulate_session(folder / "comparison_2ifc.yaml", "sim01", folder)
+    return folder / "simulated"
+
+
+def in_interval(number: int, change: Callable[[dict[str, Any]], object]) -> Lie:
+    """Return the lie that changes an interval in both lines of the last answer."""
+    return everywhere(lambda event: change(event["intervals"][number - 1]))
+
+
+def forget_the_first(events: Events) -> None:
+    """Leave out that the first interval of the last trial began."""
+    told = last(events)["trial"]
+    gone = next(e for e in events if e["event"] == "fired" and e["trial"] == told)
+    events.remove(gone)
+    for number, event in enumerate(events, 1):
+        event["n"] = number
+        event["answered"] = event["answered"] - 1 if event.get("answered", 0) > gone["n"] else event.get("answered")
+
+
+def bring_nearer(events: Events) -> None:
+    """Say that the first interval of the last trial came half a second later, in all its lines."""
+    told = last(events)["trial"]
+    for event in of(events, "fired", "answered", "trial"):
+        for each in event.get("intervals", [])[:1] or ([event] if event.get("interval") == 1 else []):
+            if event["trial"] == told:
+                each["confirmed"]["onset"] = round(each["confirmed"]["onset"] + 0.5, 6)
+                for name in ("earliest_s", "latest_s"):
+                    if "first_burst" in each:
+                        each["first_burst"][name] = round(each["first_burst"][name] + 0.5, 6)
+                if "bursts" in each:
+                    each["bursts"]["first_s"] = each["confirmed"]["onset"]
+
+
+OF_INTERVALS: dict[str, tuple[Lie, str]] = {
+    "a level": (
+        in_interval(1, lambda each: each["planned"].update(velocity_mm_s=90.0)),
+        "interval 1: was planned at 90",
+    ),
+    "an amplitude": (
+        in_interval(2, lambda each: each["confirmed"].update(commanded_amplitude=[1.0, 1.0])),
+        "interval 2: .* Vpp, 1, 1 Vpp were commanded",
+    ),
+    "a burst": (in_interval(1, lambda each: each["bursts"].update(whole=4)), "interval 1: is confirmed with 5 bursts"),
+    "an onset": (
+        in_interval(1, lambda each: each["confirmed"].update(onset=each["confirmed"]["onset"] - 1)),
+        "interval 1: is not the one that began",
+    ),
+    "a confirmation": (
+        in_interval(1, lambda each: each["confirmed"].update(confirmed=False)),
+        "counts though one of its intervals is not confirmed",
+    ),
+    "an interval": (everywhere(lambda event: event["intervals"].pop()), "its line tells of 1"),
+    "where it stood": (
+        everywhere(lambda event: event["trial"].update(interval=3 - event["trial"]["interval"])),
+        "has the interval",
+    ),
+    "the verdict": (
+        everywhere(lambda event: event.update(correct=not event["correct"])),
+        "the record says (right|wrong)",
+    ),
+    "no first interval": (forget_the_first, "its stimulus began 0 times"),
+    "the gap": (bring_nearer, "its protocol has a gap of 0.5 s"),
+}
+
+
+@pytest.mark.parametrize("name", OF_INTERVALS)
+def test_forged_intervals_are_found_out(compared: Path, tmp_path: Path, name: str) -> None:
+    """Order, levels, amplitudes, counts and instants of every interval."""
+    shutil.copytree(compared, tmp_path / "simulated")
+    (log,) = tmp_path.rglob("session.jsonl")
+    lie, said = OF_INTERVALS[name]
+    forge(log, lie)
+    problems = "\n".join(audit_session(Session.find(log)).problems)
+    assert re.search(said, problems), problems

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +78,34 @@ def test_a_question_may_come_later_than_the_stop(paper_room: Callable[..., Any],
     ask(room, trial, onset, 0.1)
     assert room.stopped[0] == pytest.approx(onset + 0.1, abs=0.002)
     assert room.shown[1][1] == pytest.approx(onset + 0.3, abs=0.002)
+
+
+def test_an_interval_shows_its_number_and_the_gap_the_beam_alone(paper_room: Callable[..., Any], trial: Trial) -> None:
+    """Stopped at its end; the last one goes over into the question."""
+    room = paper_room(answers={"stimulus_until": "question", "question_delay_s": 0.1})
+    room.script = [("question", 0.1, send(room, "key", "up"))]
+    onset = room.clock.now()
+    room.window.feel(trial, PROGRESS, replace(room.present(onset, 0.3), interval=1), 0.5)
+    assert room.names == ["feel_one_hand_AC_1", "ready_one_hand_AC"]
+    assert room.stopped == pytest.approx([onset + 0.3], abs=0.002)
+    assert room.clock.now() == pytest.approx(onset + 0.8, abs=0.002)
+    response = room.window.ask(trial, PROGRESS, replace(room.present(seconds=0.3), interval=2))
+    assert room.names[2:] == ["feel_one_hand_AC_2", "question_one_hand_AC"]
+    assert response.onset == "question"
+
+
+@pytest.mark.parametrize("picture", ["feel_one_hand_AC_1", "ready_one_hand_AC"])
+def test_a_pause_in_an_interval_or_a_gap_cuts_the_trial(
+    paper_room: Callable[..., Any], trial: Trial, picture: str
+) -> None:
+    """All its intervals are offered again; an answer before the question does not count."""
+    room = paper_room(answers={"stimulus_until": "question"})
+    steps = [(picture, 0.1, "up"), (picture, 0.15, "escape"), ("pause", 0.3, "space")]
+    room.script = [(name, after, send(room, "key", key)) for name, after, key in steps]
+    with pytest.raises(TrialInterrupted, match="escape"):
+        room.window.feel(trial, PROGRESS, replace(room.present(seconds=0.3), interval=1), 0.5)
+    assert len(room.stopped) > 0
+    assert [facts["when"] for facts in room.events("discarded")] == ["before the question"]
 
 
 def test_the_longest_stimulus_stops_and_the_question_stays(paper_room: Callable[..., Any], trial: Trial) -> None:

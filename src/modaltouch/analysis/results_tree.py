@@ -136,10 +136,16 @@ COLUMNS = (
     "speed_between_mm_s",
     "speed_right_mm_s",
     "confirmed",
+    "interval",
+    "standard_mm_s",
+    "correct",
 )
 """Columns of the tidy table of recorded answers; of levels calibrated by participant the multiple is told instead."""
 
 _STIMULUS = COLUMNS.index("stimulus")
+_OF_INTERVALS = ("interval", "standard_mm_s", "correct")
+"""Columns of trials with several intervals alone."""
+
 _NUMBERS = ("trial", "block", "response_uncertainty", "speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s")
 
 
@@ -275,6 +281,8 @@ def _join(
     frame = unmirror(frame.astype(dict.fromkeys(_NUMBERS, float)), answers)
     if not frame["zone_between"].any():
         frame = frame.drop(columns=["zone_between", "speed_between_mm_s"])
+    if frame["interval"].isna().all():
+        frame = frame.drop(columns=list(_OF_INTERVALS))
     if levels == "calibrated":
         frame = frame.rename(columns={VELOCITY.column: OWN_THRESHOLD.column})
     if levels != "adaptive" and (is_crossed or stimulus is not None):

@@ -71,8 +71,13 @@ def refuse_answers(preflight: Preflight) -> None:
     Raises
     ------
     InputError
-        If each finger cannot be named alone, or both together.
+        If each finger cannot be named alone, or both together, or a trial has several intervals.
     """
+    if (intervals := preflight.experiment.protocol.intervals) is not None:
+        given = f"trials of {intervals.number} intervals, while this compares two fingers in one"
+        raise InputError(
+            [preflight.findings.problem(("intervals",), given, "null", "simulate sessions and analyse those")]
+        )
     offered = preflight.experiment.protocol.answers.offered
     odd = [answer.name for answer in offered if answer.fingers is None]
     if named := [name for name in preflight.experiment.protocol.conditions.finger_conditions if name not in _KNOWN]:

@@ -163,7 +163,8 @@ def answer_warnings(protocol: Protocol) -> list[str]:
         )
     if protocol.adaptive is not None and (protocol.answers.time_out_s or protocol.answers.after_longest == "time_out"):
         warnings.append("an adaptive session in which a single trial times out is left out of the analysis")
-    if not any(answer.fingers for answer in offered) and protocol.answers.scale is None:
+    tells = any(answer.fingers or answer.interval for answer in offered)
+    if not tells and protocol.answers.scale is None:
         nothing = offered.naming()
         which = "whatever it feels" if nothing is None else f"but {nothing.name} where it feels nothing"
         warnings.append(

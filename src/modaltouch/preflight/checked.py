@@ -139,10 +139,11 @@ class Preflight:
         if reading is None or reading.value is None or self.inputs is None:
             raise InputError(self.problems)
         own = replace(reading, value=reading.value.with_levels(levels_mm_s))
+        findings = replace(self.findings, protocol=own)
         return replace(
             self,
-            findings=replace(self.findings, protocol=own),
-            inputs=replace(self.inputs, levels=dict(enumerate(levels_mm_s))),
+            findings=findings,
+            inputs=replace(self.inputs, levels=findings.levels),
             variants={name: part.with_levels(levels_mm_s) for name, part in self.variants.items()},
             placed={name: part.with_levels(levels_mm_s) for name, part in self.placed.items()},
         )

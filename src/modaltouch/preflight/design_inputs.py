@@ -32,8 +32,8 @@ class DesignInputs:
         Its parts, as a calibration found them where there is one; those a stimulus does not need may be missing.
     centre_mm : float
         Centre of the focus zone [mm].
-    levels : dict of int to float
-        Sound peak velocities by their place in the protocol [mm/s].
+    levels : dict of tuple to float
+        Sound levels by their keys in the protocol [mm/s]: the peak velocities, and that of a standard.
     velocity_limit : float
         Safety limit [mm/s]; infinite where it is not sound.
     correction : Correction or None
@@ -47,7 +47,7 @@ class DesignInputs:
     section: StimulusSection
     apparatus: Apparatus
     centre_mm: float
-    levels: dict[int, float]
+    levels: dict[tuple[str | int, ...], float]
     velocity_limit: float
     correction: Correction | None = None
     points: tuple[tuple[float, float], ...] = ()
@@ -103,7 +103,7 @@ def find_ground(findings: Findings) -> DesignInputs | None:
         section=section,
         apparatus=used,
         centre_mm=zones[section.focus].centre_mm,
-        levels=dict(protocol.items("conditions", "peak_velocities_mm_s")),
+        levels=findings.levels,
         velocity_limit=float("inf") if limit is None else limit,
         correction=correction,
         points=points,

@@ -20,7 +20,7 @@ from modaltouch.stimulus import Burst, Release, Stimulus
 _POINTS_PER_ZONE = 5
 """Points at which a zone's speed is looked at: a quarter of the shortest wavelength of Table I apart."""
 
-_LEVELS = ("conditions", "peak_velocities_mm_s")
+_Key = tuple[str | int, ...]
 
 
 def check_levels(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
@@ -29,10 +29,10 @@ def check_levels(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -
     if problems:
         return problems
     fast = _moves_fast(inputs, stimulus)
-    for index, level in inputs.levels.items():
-        amplified = list(_check_amplifier(inputs, stimulus, findings, index, level))
-        problems += amplified or _check_generator(inputs, stimulus, findings, index, level)
-        problems += _check_safety(inputs, stimulus, findings, index, level) if fast else []
+    for path, level in inputs.levels.items():
+        amplified = list(_check_amplifier(inputs, stimulus, findings, path, level))
+        problems += amplified or _check_generator(inputs, stimulus, findings, path, level)
+        problems += _check_safety(inputs, stimulus, findings, path, level) if fast else []
     return problems
 
 
@@ -42,7 +42,7 @@ def _highest_amplitude(inputs: DesignInputs) -> float:
 
 
 def _check_amplifier(
-    inputs: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
+    inputs: DesignInputs, stimulus: Stimulus, findings: Findings, path: _Key, level: float
 ) -> Iterator[Problem]:
     limit = inputs.apparatus.amplifier.limit_V
     needed = float(stimulus.peak_voltage.max()) * level * 1e-3 / stimulus.target_field.velocity
@@ -51,14 +51,14 @@ def _check_amplifier(
         given = f"{level:g} mm/s, which needs {needed:.0f} V at the beam"
         allowed = f"at most {limit:g} V there ({highest} mm/s)"
         remedy = "lower the level, or choose a law, field or focus that needs less"
-        yield findings.problem((*_LEVELS, index), given, allowed, remedy)
+        yield findings.problem(path, given, allowed, remedy)
 
 
 def _check_generator(
-    inputs: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
+    inputs: DesignInputs, stimulus: Stimulus, findings: Findings, path: _Key, level: float
 ) -> Iterator[Problem]:
     smallest, largest = instrument_of(inputs.apparatus).lowest_amplitude, _highest_amplitude(inputs)
-    path, (sounding, full) = (*_LEVELS, index), _sounding(stimulus, level)
+    sounding, full = _sounding(stimulus, level)
     if not sounding:
         return
     strong, weak = max(full, key=full.__getitem__), min(sounding, key=sounding.__getitem__)
@@ -162,7 +162,7 @@ def _zone_points(inputs: DesignInputs) -> NDArray[np.float64]:
 
 
 def _check_safety(
-    inputs: DesignInputs, stimulus: Stimulus, findings: Findings, index: int, level: float
+    inputs: DesignInputs, stimulus: Stimulus, findings: Findings, path: _Key, level: float
 ) -> Iterator[Problem]:
     limit, zones, points = inputs.velocity_limit, inputs.apparatus.ordered_zones, _zone_points(inputs)
     if level > limit:
@@ -181,7 +181,7 @@ def _check_safety(
         given = f"{level:g} mm/s, which moves zone {list(zones)[fastest]} at {speed:.0f} mm/s{said}"
         allowed = f"at most {limit:g} mm/s anywhere in a zone ({_rounded_down(level * limit / speed)} mm/s)"
         remedy = "lower the level; the limit is the safety section of the apparatus"
-        yield findings.problem((*_LEVELS, index), given, allowed, remedy)
+        yield findings.problem(path, given, allowed, remedy)
 
 
 def attainable_level(inputs: DesignInputs, stimulus: Stimulus) -> float:

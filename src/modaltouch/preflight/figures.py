@@ -143,6 +143,8 @@ def estimated_duration(protocol: Protocol) -> float:
     if answers.stimulus_until == "question":
         rate = protocol.stimulus.repetition_rate_Hz
         before_question = max(before_question, answers.n_bursts(rate) / rate)
+        if (intervals := protocol.intervals) is not None:
+            before_question += (intervals.number - 1) * (answers.n_bursts(rate) / rate + intervals.gap_s)
     pause = fmean(map(answers.pause, protocol.conditions.finger_conditions))
     # The fingers move wherever the pair differs from the one before.
     n_pairs = len(protocol.conditions.contacts)

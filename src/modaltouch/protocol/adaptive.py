@@ -12,7 +12,7 @@ from pydantic import Field
 from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.problems import Problem
 from modaltouch.protocol.reading import Reading
-from modaltouch.protocol.section import Count, FileName, Positive, Section, described
+from modaltouch.protocol.section import Count, FileName, Positive, Section, Word, described
 
 Decibels = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=40)]
 GuessRate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=0.6)]
@@ -57,8 +57,9 @@ class AdaptiveSection(Section):
         "Trials of each run, of which there is one for each finger condition, pair and stimulus.", default=40
     )
     start_mm_s: Positive = described("Level of the first trial of each run [mm/s].")
-    success: Literal["focus_named", "felt"] = described(
-        "Which answers count as success: focus_named, the finger in focus alone; felt, any but none.",
+    success: Literal["focus_named", "felt", "correct"] | Word = described(
+        "Which answers count as success: focus_named, the finger in focus alone; felt, any but none; correct, the "
+        "right one where a trial has several intervals; or the name of one answer, as stronger.",
         default="focus_named",
     )
     guess_rate: GuessRate = described(
@@ -74,8 +75,8 @@ class AdaptiveSection(Section):
     def algorithm(self) -> dict[str, Any]:
         """What decides the levels, for the record."""
         if self.method == "staircase":
-            return {"algorithm": "modaltouch staircase 1", "target": round(self.staircase.target, 4)}
-        return {"algorithm": "modaltouch quest_plus 1", "questplus": version("questplus")}
+            return {"algorithm": "modaltouch staircase 2", "target": round(self.staircase.target, 4)}
+        return {"algorithm": "modaltouch quest_plus 2", "questplus": version("questplus")}
 
 
 Multiple = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=1000)]
@@ -213,14 +214,39 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
             if focus not in zones:
                 given = f"[{', '.join(zones)}], none of which is in focus, where success is naming the focus"
                 yield reading.problem(path, given, f"a pair with {focus}", "remove it, or count `felt` as success")
-    offered = offered_answers(reading)
-    if success == "felt" and offered.naming() is None:
+    offered, at = offered_answers(reading), ("adaptive", "success")
+    if success == "correct":
+        yield from _check_correct(reading, offered)
+    elif success not in ("focus_named", "felt", *offered.names):
+        yield reading.unknown(at, "a rule nor an answer", ["focus_named", "felt", "correct", *offered.names])
+    if success == "felt" and "felt" not in offered.names and offered.naming() is None:
         given = "felt, where no answer says that nothing was felt"
-        yield reading.problem(("adaptive", "success"), given, "focus_named, or keys for `none`", "give the keys")
+        yield reading.problem(at, given, "focus_named, or keys for `none`", "give the keys")
     if success == "focus_named" and not offered.compares:
         given = "focus_named, where no answer names each finger alone"
         allowed = "keys for `left` and `right`, or other answers for these fingers under answers.fingers"
-        yield reading.problem(("adaptive", "success"), given, allowed, "give them, or count `felt` as success")
+        yield reading.problem(at, given, allowed, "give them, or count `felt` or one of the answers as success")
+
+
+def _check_correct(reading: Reading[Any], offered: AnswerList) -> Iterator[Problem]:
+    """Yield why runs cannot follow from which answers are right: guessing is right as often, or none ever is."""
+    said = [answer.interval for answer in offered if answer.interval is not None]
+    if reading.keys("intervals") is None or not said:
+        given, allowed = (
+            "correct, where no answer says anything of intervals",
+            "a section intervals, and answers.intervals",
+        )
+        yield reading.problem(("adaptive", "success"), given, allowed, "write them, or name another success")
+        return
+    guess_rate, rule = (reading.sound("adaptive", name) for name in ("guess_rate", "staircase"))
+    chance = 1 / len(said)
+    if guess_rate is not None and isinstance(said[0], int) and abs(guess_rate - chance) > 0.01:
+        given = f"{guess_rate:g}, where one of {len(said)} intervals is named"
+        yield reading.problem(("adaptive", "guess_rate"), given, f"{chance:.4g}", f"write `guess_rate: {chance:.4g}`")
+    elif rule is not None and reading.sound("adaptive", "method") == "staircase" and rule.target <= (guess_rate or 0):
+        given = f"a staircase that settles at {rule.target:.4g}, as guessing does"
+        remedy = "write `down_after: 2` or more"
+        yield reading.problem(("adaptive", "staircase"), given, f"a target above {guess_rate:g}", remedy)
 
 
 def contacts(reading: Reading[Any]) -> list[tuple[tuple[str, str, int], tuple[str, ...]]]:
@@ -233,4 +259,5 @@ def offered_answers(reading: Reading[Any]) -> AnswerList:
     """Return the answers that a protocol offers, as far as its sound parts tell."""
     fingers, below = dict(reading.items("answers", "fingers")), [name for _, name in reading.items("answers", "below")]
     keys, scale = reading.keys("answers", "keys") or (), bool(reading.keys("answers", "scale"))
-    return AnswerList.of({"keys": keys, "fingers": fingers, "below": below, "scale": scale})
+    section = {"keys": keys, "fingers": fingers, "below": below, "scale": scale}
+    return AnswerList.of(section | {"intervals": dict(reading.items("answers", "intervals"))})

@@ -39,11 +39,15 @@ class Answer:
         where it says nothing of the fingers.
     is_below : bool
         Whether its button stands below the others.
+    interval : int, str or None
+        Interval of the trial that it names, from 1; ``same`` or ``different`` where it says whether all were alike;
+        None where it says nothing of the intervals.
     """
 
     name: str
     fingers: Fingers | None = None
     is_below: bool = False
+    interval: int | Literal["same", "different"] | None = None
 
     @property
     def side(self) -> int:
@@ -75,8 +79,8 @@ class AnswerList(tuple[Answer, ...]):
         Parameters
         ----------
         section : mapping
-            ``keys`` by answer, and where they are given ``fingers`` and ``below``; the paper's answers without any;
-            one alone, ``rated``, where there is a ``scale``.
+            ``keys`` by answer, and where they are given ``fingers``, ``below`` and ``intervals``; the paper's answers
+            without any; one alone, ``rated``, where there is a ``scale``.
 
         Returns
         -------
@@ -86,13 +90,13 @@ class AnswerList(tuple[Answer, ...]):
         if section.get("scale"):
             return cls((Answer(RATED),))
         fingers = {**SHIPPED, **section.get("fingers", {})}
-        placed = section.get("below", ())
+        placed, intervals = section.get("below", ()), section.get("intervals", {})
         row: list[Answer] = []
         below: list[Answer] = []
         for name in section.get("keys") or ("left", "both", "right"):
             named = fingers.get(name)
             own = None if named is None else tuple(sorted(named))
-            answer = Answer(name, own, own == () or name in placed)
+            answer = Answer(name, own, own == () or name in placed, intervals.get(name))
             (below if answer.is_below else row).append(answer)
         if all(answer.fingers for answer in row):
             row.sort(key=lambda answer: answer.side)
@@ -133,6 +137,10 @@ class AnswerList(tuple[Answer, ...]):
         """Return the fingers that the answer of a name stands for; None also for a time-out."""
         return next((answer.fingers for answer in self if answer.name == name), None)
 
+    def interval_of(self, name: str) -> int | Literal["same", "different"] | None:
+        """Return what the answer of a name says of the intervals of a trial; None also for a time-out."""
+        return next((answer.interval for answer in self if answer.name == name), None)
+
     def expected(self, *speeds: float) -> str | None:
         """Name of the answer of somebody who feels well; None where it may be either, or no answer says it.
 
@@ -162,7 +170,7 @@ class AnswerList(tuple[Answer, ...]):
 
         ``focus_named``: the answer names the finger on the zone in focus, alone. Naming both fingers or none is a
         failure like naming the other: what is asked is the level from which the focus is told apart, not from which
-        something is felt. ``felt``: any answer but that nothing was felt.
+        something is felt. ``felt``: any answer but that nothing was felt. The name of an answer: that one.
 
         Parameters
         ----------
@@ -176,6 +184,8 @@ class AnswerList(tuple[Answer, ...]):
             Zone under the left finger.
         """
         named = self.fingers_of(name)
-        if rule == "felt":
+        if rule == "felt" and self.naming() is not None:
             return named != ()
+        if rule in self.names:
+            return name == rule
         return named == (("left",) if zone_left == focus else ("right",))

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, RootModel
 
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.intervals import presented_levels
 from modaltouch.protocol.problems import Problem
 from modaltouch.protocol.reading import Reading, read
 from modaltouch.protocol.section import (
@@ -367,11 +368,11 @@ def _check_stimulus(
 
 def _check_levels(calibration: CalibrationFile, protocol: Reading[Protocol]) -> Iterator[Problem]:
     known = {level.velocity_mm_s for level in calibration.levels}
-    for index, level in protocol.items("conditions", "peak_velocities_mm_s"):
+    for path, level in presented_levels(protocol).items():
         if level not in known:
             given = f"{level:g} mm/s, a level that the calibration did not measure"
             allowed = ", ".join(f"{each:g}" for each in sorted(known)) + " mm/s"
-            yield protocol.problem(("conditions", "peak_velocities_mm_s", index), given, allowed, AGAIN)
+            yield protocol.problem(path, given, allowed, AGAIN)
 
 
 def check_age(

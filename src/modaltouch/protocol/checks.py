@@ -11,6 +11,7 @@ from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels,
 from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.contacts import check_contacts
+from modaltouch.protocol.intervals import presented_levels
 from modaltouch.protocol.keys import END_KEY
 from modaltouch.protocol.masking import check_masking
 from modaltouch.protocol.people import check_people
@@ -18,7 +19,7 @@ from modaltouch.protocol.problems import Problem, suggest
 from modaltouch.protocol.questions import MOST_ANSWERS, check_key, check_questions
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.schedule_checks import check_schedule
-from modaltouch.protocol.sections import AnswersSection, Protocol, whole_bursts
+from modaltouch.protocol.sections import AnswersSection, Protocol
 from modaltouch.protocol.stimulus_sections import check_target_field
 from modaltouch.protocol.trial import TIME_OUT
 
@@ -38,10 +39,19 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
         *check_schedule(reading),
         *check_adaptive(reading),
         *check_sensation_levels(reading),
+        *_check_intervals(reading),
         *_check_keys(reading),
         *check_questions(reading),
         *check_people(reading),
     ]
+
+
+def _check_intervals(reading: Reading[Protocol]) -> Iterator[Problem]:
+    if reading.keys("intervals") is None and not reading.items("answers", "intervals"):
+        return
+    from modaltouch.protocol.interval_design import check_intervals
+
+    yield from check_intervals(reading)
 
 
 def check_settling(reading: Reading[Protocol]) -> Iterator[Problem]:
@@ -177,9 +187,9 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
         yield reading.problem((*path, name), f"{name}, {why[name]}", "any other name", "choose another")
     for name in [str(step) for step, _ in reading.items("answers", "fingers")]:
         yield from _check_fingers(reading, name)
-    for section in ("fingers", "below"):
+    for section in ("fingers", "below", "intervals"):
         for step, value in reading.items("answers", section):
-            name = step if section == "fingers" else value
+            name = value if section == "below" else step
             if names is not None and name not in names:
                 meant = suggest(name, names)
                 remedy = f"did you mean '{meant}'?" if meant else "give it keys, or remove it"
@@ -295,90 +305,7 @@ def _check_delay(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
 
 def _check_levels(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
     limit = apparatus.sound("safety", "velocity_limit_mm_s")
-    for index, velocity in protocol.items("conditions", "peak_velocities_mm_s"):
+    for path, velocity in presented_levels(protocol).items():
         if limit is not None and velocity > limit:
             given = f"{velocity:g} mm/s, beyond the safety limit of the apparatus"
-            path = ("conditions", "peak_velocities_mm_s", index)
             yield protocol.problem(path, given, f"at most {limit:g} mm/s", "lower the level")
-
-
-WHOLE = 5e-3
-"""How far from a whole number of bursts a duration may be, for its rounding [1]."""
-
-MOST_OF_PERIOD = 0.95
-"""Longest burst that leaves room for the next one's jitter, as a part of the period [1]."""
-
-
-def check_timing(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None) -> list[Problem]:
-    """Return the durations that are no whole bursts, and the bursts that cannot be played one by one."""
-    found = [*_check_durations(protocol), *_check_written_once(protocol)]
-    if apparatus is not None:
-        found += [*_check_period(protocol, apparatus), *_check_catch_trials(protocol, apparatus)]
-    return found
-
-
-def _stimuli(protocol: Reading[Protocol], key: str) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Yield the values of a key of the stimulus, and of those of the several stimuli that have their own."""
-    value = protocol.sound("stimulus", key)
-    if value is not None:
-        yield ("stimulus", key), value
-    for name in protocol.sound("stimuli") or ():
-        own = protocol.sound("stimuli", name, key)
-        if own is not None:
-            yield ("stimuli", name, key), own
-
-
-def _check_durations(protocol: Reading[Protocol]) -> Iterator[Problem]:
-    for key in ("presentation_s", "longest_presentation_s"):
-        seconds = protocol.sound("answers", key)
-        if seconds is None:
-            continue
-        for _, rate in _stimuli(protocol, "repetition_rate_Hz"):
-            n_bursts = seconds * rate
-            if n_bursts > 1 - WHOLE and abs(n_bursts - round(n_bursts)) <= WHOLE:
-                continue
-            below, above = int(n_bursts), int(n_bursts) + 1
-            nearest = " or ".join(f"{n / rate:.5g} s ({n} burst{'s' * (n > 1)})" for n in (below, above))
-            if n_bursts < 1:
-                nearest = f"{1 / rate:.5g} s (1 burst), or more"
-            given = f"{seconds:g} s, which is {n_bursts:.4g} bursts at {rate:g} per second"
-            remedy = "or give `presentation_bursts`" if key == "presentation_s" else "or leave it out"
-            yield protocol.problem(("answers", key), given, f"whole bursts: {nearest}", remedy)
-            break
-
-
-def _check_written_once(protocol: Reading[Protocol]) -> Iterator[Problem]:
-    seconds, n_bursts = (protocol.sound("answers", f"presentation_{unit}") for unit in ("s", "bursts"))
-    rates = [rate for _, rate in _stimuli(protocol, "repetition_rate_Hz")]
-    if seconds is None or n_bursts is None:
-        return
-    if any(whole_bursts(seconds, rate) != n_bursts for rate in rates):
-        given = f"{n_bursts}, where presentation_s says {seconds:g} s"
-        yield protocol.problem(("answers", "presentation_bursts"), given, "one of the two", "remove one of them")
-
-
-def _check_period(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
-    if (apparatus.sound("generator", "repetition") or "single") != "single":
-        return
-    shared = {key: protocol.sound("stimulus", key) for key in ("duration_ms", "repetition_rate_Hz")}
-    for own in (None, *(protocol.sound("stimuli") or ())):
-        section = ("stimulus",) if own is None else ("stimuli", own)
-        duration, rate = (protocol.sound(*section, key) or shared[key] for key in shared)
-        is_written = own is None or any(protocol.sound(*section, key) for key in shared)
-        if duration is None or rate is None or not is_written or duration * rate <= MOST_OF_PERIOD * 1e3:
-            continue
-        if duration * rate > 1e3:
-            continue  # longer than the period, which is told anyway
-        given = f"{duration:g} ms at {rate:g} bursts per second"
-        allowed = f"at most {MOST_OF_PERIOD * 1e3 / rate:.6g} ms, so that a burst is over before the next is triggered"
-        remedy = "shorten the burst, repeat it less often, or set generator.repetition to continuous"
-        key = "duration_ms" if protocol.sound(*section, "duration_ms") is not None else "repetition_rate_Hz"
-        yield protocol.problem((*section, key), given, allowed, remedy)
-
-
-def _check_catch_trials(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
-    n_catch, repetition = protocol.sound("schedule", "catch_trials"), apparatus.sound("generator", "repetition")
-    if n_catch and repetition in ("continuous", "wired"):
-        given = f"{n_catch}, where the generator's repetition is {repetition}"
-        allowed = "0: only bursts that are triggered by command can be kept back while the outputs are on"
-        yield protocol.problem(("schedule", "catch_trials"), given, allowed, "set generator.repetition to single")

@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.protocol.apparatus import Apparatus, examine_apparatus
-from modaltouch.protocol.checks import check_fit, check_protocol, check_settling, check_timing
+from modaltouch.protocol.checks import check_fit, check_protocol, check_settling
+from modaltouch.protocol.durations import check_timing
+from modaltouch.protocol.intervals import presented_levels
 from modaltouch.protocol.occasions import Occasion, at_occasion, check_groups, occasions_of
 from modaltouch.protocol.order_limits import LIMITS
 from modaltouch.protocol.problems import InputError, Problem
@@ -134,6 +136,11 @@ class Findings:
         keys = StimulusSection.model_fields if any(named) else ()
         own = [f"stimulus.{key}" for key in keys if all(node and node.child(key) for node in named)]
         return [each for each in self.protocol.defaults() if ".".join(each["key"].split(".")[:2]) not in own]
+
+    @property
+    def levels(self) -> dict[tuple[str | int, ...], float]:
+        """Sound levels that the protocol presents, by their keys [mm/s]."""
+        return {} if self.protocol is None else presented_levels(self.protocol)
 
     def points(self) -> tuple[tuple[float, float], ...] | None:
         """Points in the file of the target field, positions [mm] and relative velocities; None where it is faulty."""

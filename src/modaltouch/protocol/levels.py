@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from modaltouch.protocol.adaptive import StaircaseSection
 from modaltouch.protocol.sections import Protocol
-from modaltouch.protocol.trial import Condition, Trial
+from modaltouch.protocol.trial import TIME_OUT, Condition, Trial
 
 FloatArray = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ class Levels:
                 for run in ((finger_condition, *zones, name), (finger_condition, *zones[::-1], name)):
                     self._quests[run] = blank.another()
 
-    def settle(self, trial: Trial, answered: Iterable[Mapping[str, Any]]) -> Trial:
+    def settle(self, trial: Trial, answered: Iterable[Mapping[str, Any]], algorithm: str = "") -> Trial:
         """Return a scheduled trial with the level that it is presented at.
 
         Parameters
@@ -62,12 +62,15 @@ class Levels:
         answered : iterable of mapping
             The record's trial events that count (`Session.trials`), in any order; only those before this trial in
             the session and of its run are looked at.
+        algorithm : str
+            As the record names it; the first version of each took a time-out for "felt".
         """
         adaptive = self._protocol.adaptive
         if adaptive is None or trial.practice or trial.condition.is_catch:
             return trial
         run = run_of(trial.condition)
-        before = self._history(run, trial.index, adaptive.success, answered)
+        timed_out = TIME_OUT if not algorithm.endswith(" 1") else ""
+        before = self._history(run, trial.index, adaptive.success, answered, timed_out)
         if adaptive.method == "staircase":
             start, successes = to_dB(adaptive.start_mm_s), [success for _, success in before]
             level = follow(adaptive.staircase, start, self._bounds, successes)
@@ -76,7 +79,7 @@ class Levels:
         return replace(trial, condition=replace(trial.condition, velocity_mm_s=from_dB(level, self._range)))
 
     def _history(
-        self, run: Run, until: int, rule: str, answered: Iterable[Mapping[str, Any]]
+        self, run: Run, until: int, rule: str, answered: Iterable[Mapping[str, Any]], timed_out: str
     ) -> list[tuple[float, bool]]:
         """Return level [dB] and success of the trials of a run that the instrument confirmed before one, in order."""
         found: list[tuple[int, float, bool]] = []
@@ -87,7 +90,8 @@ class Levels:
             if counts and index < until and run_of(condition) == run:
                 focus, answer = self._protocol.stimulus_of(condition.stimulus).focus, event["response"]["answer"]
                 success = offered.is_success(answer, rule, focus, condition.zone_left)
-                found.append((index, to_dB(condition.velocity_mm_s), success))
+                success = bool(event.get("correct")) if rule == "correct" else success
+                found.append((index, to_dB(condition.velocity_mm_s), success and answer != timed_out))
         return [(level, success) for _, level, success in sorted(found, key=lambda each: each[0])]
 
 

@@ -8,7 +8,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -195,7 +195,9 @@ class Schedule:
         orders = [_purpose_of_order(block.finger_condition) for block in self.blocks]
         with_catches = (block for block in self.blocks if any(trial.condition.is_catch for trial in block.trials))
         catches = [_purpose_of_catches(block.finger_condition) for block in with_catches]
-        return ["order of finger conditions", "practice", *orders, *catches]
+        intervals = [_purpose_of_intervals(block.finger_condition) for block in self.blocks if block.trials[0].interval]
+        intervals += [_purpose_of_intervals("practice")] if intervals and self.practice else []
+        return ["order of finger conditions", "practice", *orders, *catches, *intervals]
 
     def as_dict(self) -> dict[str, Any]:
         """Return the schedule as plain values for the record."""
@@ -250,15 +252,18 @@ class Schedule:
                 cells = insert_catches(protocol, cells, catches)
             conditions = [_place(finger_condition, cell, placement) for cell in cells]
             first = sum(len(block.trials) for block in blocks) + 1
-            blocks.append(Block(number, finger_condition, _number(conditions, block=number, first=first)))
+            stream = Stream(seed, participant, session, _purpose_of_intervals(finger_condition))
+            trials = _number(protocol, conditions, stream, block=number, first=first)
+            blocks.append(Block(number, finger_condition, trials))
         stream = Stream(seed, participant, session, "practice")
         drawn = _draw_practice(protocol, finger_conditions[0], stream)
         practised = [_place(finger_conditions[0], cell, placement) for cell in drawn]
+        stream = Stream(seed, participant, session, _purpose_of_intervals("practice"))
         return cls(
             participant=participant,
             session=session,
             seed=seed,
-            practice=_number(practised, block=0, first=1),
+            practice=_number(protocol, practised, stream, block=0, first=1),
             blocks=tuple(blocks),
             is_adaptive=protocol.adaptive is not None,
             finger_conditions_by=decided.reason if len(_orders_of_finger_conditions(protocol)) > 1 else "protocol",
@@ -304,6 +309,10 @@ def _purpose_of_catches(finger_condition: str) -> str:
     return f"catch trials within {finger_condition}"
 
 
+def _purpose_of_intervals(part: str) -> str:
+    return f"intervals within {part}"
+
+
 def _draw_practice(protocol: Protocol, finger_condition: str, stream: Stream) -> list[Cell]:
     """Return the cells to practise, none again before all others have come."""
     cells, n_trials = dict.fromkeys(protocol.cells(finger_condition)), protocol.schedule.all_practice_trials
@@ -313,17 +322,25 @@ def _draw_practice(protocol: Protocol, finger_condition: str, stream: Stream) ->
     return drawn[:n_trials]
 
 
-def _number(conditions: Iterable[Condition], *, block: int, first: int) -> tuple[Trial, ...]:
+def _number(
+    protocol: Protocol, conditions: Sequence[Condition], stream: Stream, *, block: int, first: int
+) -> tuple[Trial, ...]:
     """Return the conditions as trials, those of block 0 for practice; repetitions count as they are presented."""
     seen: Counter[Condition] = Counter()
+    intervals = [0] * len(conditions)
+    if protocol.intervals is not None:
+        from modaltouch.protocol.interval_design import draw_intervals
+
+        intervals = draw_intervals(protocol.intervals, conditions, stream)
     trials = []
-    for index, condition in enumerate(conditions, start=first):
+    for index, (condition, interval) in enumerate(zip(conditions, intervals, strict=True), start=first):
         seen[condition] += 1
-        trials.append(Trial(index, block, condition, seen[condition], practice=block == 0))
+        trials.append(Trial(index, block, condition, seen[condition], practice=block == 0, interval=interval))
     return tuple(trials)
 
 
 def _brief(trial: Trial) -> list[Any]:
     condition = trial.condition
     values = [trial.block, condition.finger_condition, *condition.zones, condition.velocity_mm_s, condition.placement]
-    return [*values, condition.stimulus] if condition.stimulus else values
+    values += [condition.stimulus] if condition.stimulus else []
+    return [*values, trial.interval] if trial.interval else values

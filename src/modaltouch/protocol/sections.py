@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -10,8 +11,10 @@ from pydantic import Field
 
 from modaltouch.protocol.adaptive import AdaptiveSection
 from modaltouch.protocol.answers import AnswerList, Side
+from modaltouch.protocol.calibration_section import CalibrationSection
 from modaltouch.protocol.cells import Cell, CellsSection
 from modaltouch.protocol.conditions import ConditionsSection, FingerCondition
+from modaltouch.protocol.intervals import IntervalsSection, Meaning
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, PAUSE_KEY
 from modaltouch.protocol.markers import MarkersSection
 from modaltouch.protocol.masking import MaskingSection
@@ -21,6 +24,7 @@ from modaltouch.protocol.questions import AskedSection, KeyName, QuestionSection
 from modaltouch.protocol.schedule_section import ScheduleSection
 from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
 from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant
+from modaltouch.protocol.trial import Trial
 
 AnswerWay = Literal["free_hand", "lifting", "foot_switch", "experimenter"]
 Seconds = Annotated[NotNegative, Field(le=600)]
@@ -108,6 +112,12 @@ class AnswersSection(AskedSection):
         default=(),
         exclude_if=lambda given: not given,
     )
+    intervals: dict[Word, Meaning] = described(
+        "What answers say of the intervals of a trial, by their names: the number of the interval that was it, as in "
+        "{first: 1, second: 2}, or same and different where all are compared.",
+        default={},
+        exclude_if=lambda given: not given,
+    )
     continue_keys: tuple[KeyName, ...] = described(
         "Keys that go on from a screen that waits.", default=("space", "enter", "num_enter"), min_length=1
     )
@@ -119,7 +129,8 @@ class AnswersSection(AskedSection):
     @property
     def offered(self) -> AnswerList:
         """The answers as they stand on the screen."""
-        return AnswerList.of({"keys": self.keys, "fingers": self.fingers, "below": self.below, "scale": self.scale})
+        said = ("keys", "fingers", "below", "intervals", "scale")
+        return AnswerList.of({name: getattr(self, name) for name in said})
 
     @property
     def further(self) -> dict[str, AnswersSection]:
@@ -128,7 +139,7 @@ class AnswersSection(AskedSection):
 
     def asking(self, questions: Mapping[str, QuestionSection]) -> dict[str, AnswersSection]:
         """Return how each question is asked: as the first one, but for its words, answers and time-out."""
-        none = {"fingers": {}, "below": (), "then": {}, "change_until_confirmed": False}
+        none = {"fingers": {}, "below": (), "intervals": {}, "then": {}, "change_until_confirmed": False}
         return {
             name: self.model_copy(update=none | vars(asked) | {"question": asked.question or name})
             for name, asked in questions.items()
@@ -170,34 +181,6 @@ class AnalysisSection(Section):
     )
 
 
-class CalibrationLimits(Section):
-    """What a calibration may leave at most, its uncertainty included; one that misses them is marked."""
-
-    velocity_mm_s: Positive = described("Error of a modal velocity at the focusing instant [mm/s].", default=0.3)
-    displacement_mm_s: Positive = described(
-        "Modal displacement times angular frequency there, desired to be 0 [mm/s].", default=0.3
-    )
-    level_percent: Positive = described("Deviation of a level at the focus [percent].", default=1.0)
-
-
-class CalibrationSection(Section):
-    """Which calibration the stimulus needs."""
-
-    file: Text | None = described(
-        "File of the calibration that `modaltouch calibrate` wrote, seen from this file; null for none.", default=None
-    )
-    max_age_days: Positive | None = described(
-        "Oldest calibration that a session may begin with [days]; null for any.", default=None
-    )
-    required: bool = Field(
-        strict=True, default=False, description="Whether a session without a calibration is refused."
-    )
-    limits: CalibrationLimits = described(
-        "What a calibration may leave at most, its uncertainty included; one that misses them is marked.",
-        default=CalibrationLimits(),
-    )
-
-
 class Protocol(Section):
     """The whole experiment as one frozen value."""
 
@@ -212,6 +195,11 @@ class Protocol(Section):
         default={},
     )
     conditions: ConditionsSection = described("The cells of the design.")
+    intervals: IntervalsSection | None = described(
+        "Several stimuli to a trial, one after the other, as in a choice between two intervals; null for one.",
+        default=None,
+        exclude_if=lambda given: given is None,
+    )
     schedule: ScheduleSection = described("How the trials are ordered.", default=ScheduleSection())
     groups: dict[Word, Overrides] = described(
         "Groups of participants, by name, and what is otherwise for each; participants are allotted in turn, or as "
@@ -341,10 +329,25 @@ class Protocol(Section):
         """Return the stimulus of a name; of a catch trial, which has none, what all share."""
         return self.stimuli[name].applied(self.stimulus) if name in self.stimuli else self.stimulus
 
+    def presented(self, trial: Trial) -> tuple[Trial, ...]:
+        """Return a trial with what each of its intervals presents as its condition, in order; of one, the trial."""
+        if self.intervals is None:
+            return (trial,)
+        standard = replace(trial, condition=self.intervals.standard_of(trial.condition))
+        return tuple(trial if n == trial.interval else standard for n in range(1, self.intervals.number + 1))
+
+    def is_correct(self, trial: Trial, answer: str) -> bool | None:
+        """Whether an answer is right about a trial's intervals; None where it says nothing of them, or any may be."""
+        if self.intervals is None:
+            return None
+        return self.intervals.is_correct(self.answers.offered.interval_of(answer), trial.condition, trial.interval)
+
     def with_stimulus(self, name: str) -> Protocol:
-        """Return the protocol with one of its stimuli alone, in a crossed design."""
+        """Return the protocol with one of its stimuli alone, in a crossed design; without the standard of another."""
         crossed = self.conditions.model_copy(update={"cells": (), "exclude": ()})
-        return self.model_copy(update={"stimulus": self.stimulus_of(name), "stimuli": {}, "conditions": crossed})
+        fits = self.intervals is not None and self.intervals.standard.stimulus in (None, name)
+        own = {"stimulus": self.stimulus_of(name), "stimuli": {}, "intervals": self.intervals if fits else None}
+        return self.model_copy(update={**own, "conditions": crossed})
 
     def with_levels(self, levels_mm_s: tuple[float, ...]) -> Protocol:
         """Return the protocol as a participant gets it whose levels, calibrated by participant, are known [mm/s]."""

@@ -134,6 +134,8 @@ class Trial:
         Which presentation of this condition it is, from 1.
     practice : bool
         Whether the answer stays out of the analysis.
+    interval : int
+        In which interval of the trial the condition is presented, from 1; 0 where the trial has a single stimulus.
     """
 
     index: int
@@ -141,6 +143,7 @@ class Trial:
     condition: Condition
     repetition: int = 1
     practice: bool = False
+    interval: int = 0
 
     def as_dict(self) -> dict[str, Any]:
         """Return the trial as plain values for the record."""
@@ -148,6 +151,8 @@ class Trial:
         for name in ("stimulus", "zone_between"):
             if not values["condition"][name]:
                 del values["condition"][name]
+        if not self.interval:
+            del values["interval"]
         return values
 
     @classmethod

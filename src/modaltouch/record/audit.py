@@ -11,8 +11,8 @@ from typing import Any
 from modaltouch.protocol import InputError, Protocol, Schedule, Sources, Turn
 from modaltouch.record.chain import RecordError, read_chain
 from modaltouch.record.folders import SessionFolder
-from modaltouch.record.restored import UNTOLD, RestoredExperiment, restore
-from modaltouch.record.sequence import SPEED, EventSequence, TrialExpectation
+from modaltouch.record.restored import UNTOLD, RestoredExperiment, TrialExpectation, restore
+from modaltouch.record.sequence import SPEED, EventSequence
 from modaltouch.record.session import Session
 from modaltouch.record.shape import check_shape
 from modaltouch.record.view_check import check_view

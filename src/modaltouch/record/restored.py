@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Self
 
 from modaltouch.preflight import examine_findings
-from modaltouch.protocol import Findings, Sources, Trial
+from modaltouch.protocol import Findings, Protocol, Sources, Trial
 from modaltouch.rig import RigError, instrument_of
 
 if TYPE_CHECKING:
@@ -122,6 +123,25 @@ class RestoredExperiment:
             burst = self.preflight.designs[name].stimulus.burst
             self._amplitudes[key] = self._limits.amplitudes(burst, level_mm_s * 1e-3)
         return self._amplitudes[key]
+
+
+@dataclass(frozen=True)
+class TrialExpectation:
+    """What a trial is checked against.
+
+    Attributes
+    ----------
+    restored : RestoredExperiment
+        What the record's texts give.
+    protocol : Protocol
+        The protocol at the participant's own levels, where there are such.
+    schema : int
+        Format of the log.
+    """
+
+    restored: RestoredExperiment
+    protocol: Protocol
+    schema: int
 
 
 @lru_cache(maxsize=4)

@@ -5,28 +5,21 @@ Level, amplitudes and speeds of a trial follow from its place in the order; its 
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from typing import Any
 
-from modaltouch.protocol import Protocol, Schedule, Trial, judge_round
+from modaltouch.protocol import Schedule, Trial, judge_round
 from modaltouch.record.questions import check_answers, check_form
-from modaltouch.record.restored import UNTOLD, RestoredExperiment
+from modaltouch.record.restored import UNTOLD, TrialExpectation
 from modaltouch.record.session import Session
-
-Event = dict[str, Any]
+from modaltouch.record.timing import INSTANT, Event, check_bursts, check_instants, listed
 
 SPEED = 2e-3
 """Speeds are written to 0.001 mm/s [mm/s]."""
-_INSTANT = 5e-6
-"""Instants are written to the microsecond, and sums of them are compared [s]."""
-_LATE = 0.2
-"""How late a burst may be, as far as counts go; a burst that is later than a twentieth is dropped [periods]."""
-_IN_ORDER = ("trigger", "first_burst", "question", "answer")
-_COUNTS = ("asked", "played", "whole", "dropped")
-
 
 Key = tuple[bool, int]
 """Whether a trial is practice, and its index."""
@@ -34,27 +27,8 @@ Key = tuple[bool, int]
 _MOST = 20
 """Faults that are told one by one."""
 
-_SAME = ("trial", "presentation", "fingers", "planned", "commanded", "response", "supersedes")
+_SAME = ("trial", "presentation", "fingers", "planned", "commanded", "response", "correct", "supersedes")
 """What the line of an answer and that of its finished trial have alike."""
-
-
-@dataclass(frozen=True)
-class TrialExpectation:
-    """What a trial is checked against.
-
-    Attributes
-    ----------
-    restored : RestoredExperiment
-        What the record's texts give.
-    protocol : Protocol
-        The protocol at the participant's own levels, where there are such.
-    schema : int
-        Format of the log.
-    """
-
-    restored: RestoredExperiment
-    protocol: Protocol
-    schema: int
 
 
 def check_amplitudes(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
@@ -71,130 +45,76 @@ def check_amplitudes(event: Event, trial: Trial, given: TrialExpectation) -> Ite
     needed = given.restored.amplitudes(trial, level)
     for amplitude in said:
         if amplitude != needed:
-            yield f"{level:g} mm/s takes {_listed(needed)} Vpp, {_listed(amplitude)} Vpp were commanded"
+            yield f"{level:g} mm/s takes {listed(needed)} Vpp, {listed(amplitude)} Vpp were commanded"
             return
     instrument, pairs = given.restored.instrument, zip(needed, back, strict=False)
     agree = len(back) == len(needed) and all(instrument.level(1, a).confirmed_by(str(b)) for a, b in pairs)
     if (confirmed["confirmed"] or event["event"] == "fired") and not agree:
-        yield f"{level:g} mm/s takes {_listed(needed)} Vpp, {_listed(back)} Vpp were read back"
+        yield f"{level:g} mm/s takes {listed(needed)} Vpp, {listed(back)} Vpp were read back"
     if agree:
         given.restored.agreed.add(found)
 
 
 def check_answered(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
     """Yield where an answer's line contradicts its trial: level, predicted speeds, fingers, what the answer can be."""
-    planned, condition = event["planned"], trial.condition
-    if planned["velocity_mm_s"] != condition.velocity_mm_s:
-        yield f"was planned at {planned['velocity_mm_s']:g} mm/s and presented at {condition.velocity_mm_s:g} mm/s"
-    said = tuple(planned[f"speed_{side}_mm_s"] for side in condition.sides)
-    found = given.restored.speeds_mm_s(trial)
-    if not all(abs(a - b) <= SPEED for a, b in zip(said, found, strict=True)):
-        yield f"{condition.velocity_mm_s:g} mm/s gives {_listed(found)} mm/s at the fingers, not {_listed(said)}"
+    condition, response = trial.condition, event["response"]
+    yield from _check_planned(event["planned"], trial, given)
     fingers = given.protocol.conditions.fingers_of(condition)
     if tuple(event["fingers"]) != fingers:
-        yield f"was felt with {_listed(fingers)}, the record says {_listed(tuple(event['fingers']))}"
+        yield f"was felt with {listed(fingers)}, the record says {listed(tuple(event['fingers']))}"
     if event.get("catch", False) is not condition.is_catch:
         yield f"at {condition.velocity_mm_s:g} mm/s it is {'' if condition.is_catch else 'not '}a catch trial"
     yield from check_answers(event, given.protocol.answers)
+    if event.get("correct") is not (correct := given.protocol.is_correct(trial, response["answer"])):
+        words = {True: "right", False: "wrong", None: "neither"}
+        said, found = words[event.get("correct")], words[correct]
+        yield f"was answered {response['answer']!r}, which is {found}; the record says {said}"
 
 
-def check_instants(event: Event, trial: Trial) -> Iterator[str]:
-    """Yield where the instants of an answer contradict each other, or its reaction time."""
-    instants, response, confirmed = event["instants"], event["response"], event["confirmed"]
-    between = {name: (span["earliest_s"], span["latest_s"]) for name, span in instants.items() if span is not None}
-    for name, (earliest, latest) in between.items():
-        if not earliest <= latest:
-            yield f"its {name.replace('_', ' ')} came between {earliest} and {latest} s"
-    if not between["answer"][0] <= event["clock"] + _INSTANT:
-        yield f"its answer came at {between['answer'][0]} s, after its line was written at {event['clock']} s"
-    known = [name for name in _IN_ORDER if name in between]
-    for place, name in enumerate(known):
-        late = next((each for each in known[place + 1 :] if between[each][1] < between[name][0] - _INSTANT), None)
-        if late is not None:
-            yield f"its {late.replace('_', ' ')} came before its {name.replace('_', ' ')}"
-    if trial.condition.is_catch and "first_burst" in between:
-        yield "is a catch trial with a first burst"
-    if response["answer"] == "time_out":
+def _check_planned(planned: dict[str, Any], trial: Trial, given: TrialExpectation) -> Iterator[str]:
+    """Yield where the level or the predicted speeds of a stimulus are not those of its condition."""
+    condition = trial.condition
+    level, said = condition.velocity_mm_s, tuple(planned[f"speed_{side}_mm_s"] for side in condition.sides)
+    if planned["velocity_mm_s"] != level:
+        yield f"was planned at {planned['velocity_mm_s']:g} mm/s and presented at {level:g} mm/s"
+    found = given.restored.speeds_mm_s(trial)
+    if not all(abs(a - b) <= SPEED for a, b in zip(said, found, strict=True)):
+        yield f"{level:g} mm/s gives {listed(found)} mm/s at the fingers, not {listed(said)}"
+
+
+def check_intervals(event: Event, trial: Trial, begun: list[Event], given: TrialExpectation) -> Iterator[str]:
+    """Yield where the intervals of an answer are not those of its trial, nor those that began."""
+    parts, told, section = given.protocol.presented(trial), event.get("intervals", []), given.protocol.intervals
+    if section is None:
         return
-    onset, around = confirmed["onset"], confirmed["onset_uncertainty"]
-    answered = between["answer"]
-    first = between.get("first_burst", (onset - around, onset + around))
-    asked = response["onset"] == "question"
-    begun = between.get("question", first) if asked else first
-    least, most = answered[0] - begun[1], answered[1] - begun[0]
-    # Without a screen nobody saw the question come: it was there after the first burst.
-    least = 0.0 if asked and "question" not in between else least
-    time = response["reaction_time"]
-    if not least - _INSTANT <= time <= most + _INSTANT:
-        yield f"has a reaction time of {time:.6g} s, its instants one of {least:.6g} to {most:.6g} s"
-
-
-def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield where the counts of a finished stimulus contradict each other, the protocol, or its instants."""
-    bursts, confirmed = event["bursts"], event["confirmed"]
-    asked, played, whole, dropped = counts = [bursts[name] for name in _COUNTS]
-    first, around = bursts["first_s"], bursts["uncertainty_s"]
-    if any(each is not None and (type(each) is not int or each < 0) for each in counts):
-        yield f"its bursts are counted as {counts}"
+    if len(told) != len(parts) or [each["interval"] for each in begun] != list(range(1, len(parts) + 1)):
+        yield f"has {len(parts)} intervals; {len(begun)} began, its line tells of {len(told)}"
         return
-    repeats = given.restored.preflight.experiment.apparatus.generator.repeats
-    if confirmed["repetition"] != repeats:
-        yield f"its bursts were repeated as {confirmed['repetition']!r}, its apparatus file says {repeats!r}"
-    sound = confirmed["confirmed"]
-    if sound and confirmed["repetition"] == "single":
-        if None in counts or (first is None) is not trial.condition.is_catch:
-            yield "is confirmed though its bursts are not all counted"
-            return
-        if whole != played or played + dropped != asked:
-            yield f"is confirmed with {asked} bursts asked, {played} played, {whole} whole and {dropped} dropped"
-        yield from _check_number(event, trial, given)
-    if not _rises(whole, played, asked) or not _rises(dropped, asked):
-        yield f"has {asked} bursts asked, {played} played, {whole} whole and {dropped} dropped"
-    if first is None:
-        return
-    said = event["instants"]["first_burst"]
-    ends = None if said is None else (said["earliest_s"], said["latest_s"])
-    if ends is None or not _near(ends[0], first - around) or not _near(ends[1], first + around):
-        yield f"its first burst came at {first} s +- {around} s, its instants say {_listed(ends or ('never',))}"
-    if abs(confirmed["onset"] - first) > around + _INSTANT:
-        yield f"its first burst came at {first} s, its onset is {confirmed['onset']} s"
-
-
-def _check_number(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield where a confirmed stimulus of single bursts has not as many as its protocol and its time give."""
-    asked, rate = event["bursts"]["asked"], given.protocol.stimulus_of(trial.condition.stimulus).repetition_rate_Hz
-    if trial.condition.is_catch:
-        if asked:
-            yield f"is a catch trial with {asked} bursts asked"
-        return
-    most = given.protocol.answers.n_bursts(rate)
-    if given.protocol.answers.stimulus_until == "question":
-        if (asked, event["bursts"]["dropped"]) != (most, 0):
-            yield f"is confirmed with {asked} of {most} bursts asked and {event['bursts']['dropped']} dropped"
-        return
-    first, around = event["bursts"]["first_s"], event["bursts"]["uncertainty_s"]
-    answer = event["instants"]["answer"]
-    due = (answer["earliest_s"] - first - around) * rate + 1
-    possible = (event["clock"] - first + around) * rate + 1
-    if not (min(due - 1 - _LATE, most) <= asked <= most and event["bursts"]["played"] <= possible + _LATE):
-        yield (
-            f"{asked} bursts were asked, at {rate:g} Hz {max(due, 1):.0f} were due by its answer and {possible:.0f} by "
-            f"its end, at most {most}"
+    over, sound = -math.inf, True
+    for number, (part, said, first) in enumerate(zip(parts, told, begun, strict=True), 1):
+        confirmed, stimulus = said["confirmed"], given.protocol.stimulus_of(part.condition.stimulus)
+        line = {**event, **said, "instants": {**event["instants"], "first_burst": said["first_burst"]}}
+        faults = [*check_amplitudes(line, part, given), *_check_planned(said["planned"], part, given)]
+        if event["event"] == "trial" or number < len(parts):
+            sound = sound and confirmed["confirmed"]
+            faults += check_bursts(line, part, given)
+        if any(confirmed[name] != first["confirmed"][name] for name in ("onset", "commanded_amplitude")):
+            faults += ["is not the one that began"]
+        own = (event, said) if number == trial.interval else (said, said)
+        if any(own[0][name] != own[1][name] for name in ("commanded", "bursts")):
+            faults += ["is another than its trial has"]
+        gap, unsure = (
+            confirmed["onset"] - over,
+            confirmed["onset_uncertainty"] + first["confirmed"]["onset_uncertainty"],
         )
-
-
-def _rises(*counts: int | None) -> bool:
-    """Return whether counts do not fall, those that are unknown left out."""
-    known = [count for count in counts if count is not None]
-    return known == sorted(known)
-
-
-def _near(one: float, other: float) -> bool:
-    return abs(one - other) <= _INSTANT
-
-
-def _listed(values: tuple[Any, ...]) -> str:
-    return ", ".join(f"{each:.6g}" if isinstance(each, float) else str(each) for each in values)
+        if gap + unsure + INSTANT < section.gap_s:
+            faults += [f"began {gap:.6g} s after the one before, its protocol has a gap of {section.gap_s:g} s"]
+        rate = stimulus.repetition_rate_Hz
+        n_bursts = given.protocol.answers.n_bursts(rate)
+        over = confirmed["onset"] + (n_bursts - 1) / rate + stimulus.duration_ms * 1e-3
+        yield from (f"interval {number}: {fault}" for fault in faults)
+    if not sound and (event["event"] == "answered" or event["confirmed"]["confirmed"]):
+        yield "counts though one of its intervals is not confirmed"
 
 
 class EventSequence:
@@ -223,6 +143,7 @@ class EventSequence:
         self._done: Counter[Key] = Counter()
         self._n_fired: Counter[tuple[bool, int, float]] = Counter()
         self._pending: Trial | None = None
+        self._begun: list[Event] = []
         self._last_line: dict[tuple[bool, int, float], int] = {}
         self._trial, self._written, self._faulty = next(iter(self._order.values())), dict[str, object](), False
         self._next = 1
@@ -313,7 +234,9 @@ class EventSequence:
     def _settle(self, planned: Trial) -> Trial:
         """Return a trial of an adaptive run at the level to which the answers that count so far lead."""
         if self._settled is None or self._settled[0] != planned:
-            self._settled = planned, self._given.restored.levels.settle(planned, self._counted.values())
+            algorithm = self._session.start["adaptive"]["algorithm"]
+            settled = self._expected.levels.settle(planned, self._counted.values(), algorithm)
+            self._settled = planned, settled
         return self._settled[1]
 
     def _fired(self, number: int, event: Event) -> Iterator[str]:
@@ -321,9 +244,10 @@ class EventSequence:
         trial, due = self._trial, self._due()
         if number > self._whole_from and (trial.practice, trial.index) != due:
             yield f"{_name(trial)} was presented out of its order; due was {_name(self._order[due]) if due else 'none'}"
-        self._pending = trial
-        self._n_fired[_key(trial)] += 1
-        for fault in check_amplitudes(event, trial, self._given):
+        interval = event.get("interval", 1)
+        self._pending, self._begun = trial, [*(self._begun if interval > 1 else ()), event]
+        self._n_fired[_key(trial)] += interval == 1
+        for fault in check_amplitudes(event, self._given.protocol.presented(trial)[interval - 1], self._given):
             yield f"{_name(trial)}: {fault}"
 
     def _probed(self, number: int, event: Event) -> Iterator[str]:
@@ -364,6 +288,8 @@ class EventSequence:
         if number > self._whole_from and is_answer:
             faults += self._follows(event, trial)
             self._pending = None
+        if number > self._whole_from:
+            faults += check_intervals(event, trial, self._begun, self._given)
         if event["event"] == "answered":
             self._counted[number] = self._unfinished[number] = event
             faults += ["is confirmed before its end"] if event["confirmed"]["confirmed"] else []
@@ -403,6 +329,7 @@ class EventSequence:
         first = {name: value for name, value in event["response"].items() if name != "further"}
         differing = [name for name in _SAME if answer.get(name) != {**event, "response": first}.get(name)]
         differing += ["answer"] if answer["instants"]["answer"] != event["instants"]["answer"] else []
+        differing += ["interval"] if answer.get("intervals", [])[:-1] != event.get("intervals", [])[:-1] else []
         if differing:
             yield f"has another {differing[0]} than line {event['answered']}, where it was answered"
 

@@ -149,6 +149,7 @@ class Session:
         """
         trial, response, condition = event["trial"], event["response"], event["trial"]["condition"]
         bursts, planned, confirmed = (event.get(name) or {} for name in ("bursts", "planned", "confirmed"))
+        others = (each["planned"] for n, each in enumerate(event.get("intervals", ()), 1) if n != trial["interval"])
         velocity = float(condition["velocity_mm_s"])
         laid: list[str] = event.get("fingers") or []
         return {
@@ -170,8 +171,11 @@ class Session:
             "masked": bool(event.get("masked")),
             "catch": velocity == 0,
             "stimulus": condition.get("stimulus", ""),
+            "interval": trial.get("interval"),
+            "standard_mm_s": next((float(each["velocity_mm_s"]) for each in others), None),
             "repetition": trial["repetition"],
             "response": response["answer"],
+            "correct": event.get("correct"),
             "response_time": float(response["reaction_time"]),
             "response_onset": response.get("onset", ""),
             "response_uncertainty": _uncertainty(event),

@@ -102,7 +102,7 @@ LINE: dict[str, dict[str, Any]] = {
 }
 
 _FORMATS = {
-    **dict.fromkeys(("velocity_mm_s", "multiple_of_threshold"), "g"),
+    **dict.fromkeys(("velocity_mm_s", "multiple_of_threshold", "standard_mm_s"), "g"),
     **dict.fromkeys(("speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s"), "g"),
     **dict.fromkeys(("response_time", "onset", "onset_uncertainty"), ".4f"),
 }
@@ -131,6 +131,18 @@ MULTIPLE: dict[str, Any] = {
 }
 
 QUESTION_TIME: dict[str, Any] = {"Description": "From the question to its answer", "Units": "s"}
+
+INTERVALS: dict[str, dict[str, Any]] = {
+    "interval": {"Description": "Interval of the trial in which this condition was presented, from 1"},
+    "standard_mm_s": {
+        "Description": "Level asked at the focus in the other intervals, 0 for silence",
+        "Units": "mm/s",
+    },
+    "correct": {
+        "Description": "Whether the answer is right; n/a where any may be, and at a time-out",
+        "Levels": {"0": "no", "1": "yes"},
+    },
+}
 
 STIMULUS: dict[str, Any] = {"Description": "Which of the protocol's stimuli; n/a in a catch trial"}
 
@@ -214,6 +226,7 @@ def _columns(session: Session) -> dict[str, dict[str, Any]]:
         (design.get("masking"), {"masked": MASKED}),
         (design.get("stimuli"), {"stimulus": STIMULUS}),
         (any(len(zones) > 2 for zones in design.get("conditions", {}).get("zones", ())), BETWEEN),
+        (design.get("intervals"), INTERVALS),
     )
     columns = {name: column for held, columns in known if held for name, column in columns.items()}
     for name, asked in session.questions.items():

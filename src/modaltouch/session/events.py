@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -101,10 +102,10 @@ def describe_ending(error: BaseException) -> dict[str, str]:
 
 def describe_answer(
     protocol: Protocol,
-    speeds: tuple[float, ...],
+    speeds: Callable[[Trial], tuple[float, ...]],
     trial: Trial,
     response: Response,
-    firing: Firing,
+    firings: Sequence[Firing],
     *,
     masked: bool | None,
     events: Sequence[dict[str, Any]],
@@ -115,37 +116,44 @@ def describe_answer(
     ----------
     protocol : Protocol
         What is presented and asked.
-    speeds : tuple of float
-        Predicted peak speeds under the fingers, from left to right [m/s].
-    trial, response, firing
-        What was asked, answered, and confirmed by the instrument.
+    speeds : callable
+        Predicted peak speeds under the fingers in a trial, from left to right [m/s].
+    trial, response
+        What was asked and answered.
+    firings : sequence of Firing
+        What the instrument confirmed of each interval; the trial's condition is that of its own.
     masked : bool or None
         Whether noise masked the sound of the beam; None where none is asked for.
     events : sequence of dict
         What the record holds of this trial so far.
     """
-    values, onset, around = trial.as_dict(), firing.onset, firing.onset_uncertainty
-    answered = onset + response.counted_from + response.reaction_time
-    asked = None if response.question_after is None else onset + response.question_after
-    is_undated = trial.condition.is_catch or firing.repetition == "wired"
+    values, last = trial.as_dict(), firings[-1]
+    answered = last.onset + response.counted_from + response.reaction_time
+    asked = None if response.question_after is None else last.onset + response.question_after
+    # An interval that is not confirmed spoils the trial.
+    spoilt = next((each for each in firings if not each.confirmed), last)
+    own = firings[trial.interval - 1]
+    firing = replace(own, confirmed=spoilt.confirmed, reason=spoilt.reason, stalled=spoilt.stalled)
+    parts = zip(protocol.presented(trial), firings, strict=True) if trial.interval else ()
+    intervals = [
+        {**_describe_stimulus(speeds(part), part, each), "first_burst": _first(part, each)} for part, each in parts
+    ]
     return {
         "trial": values,
-        "presentation": sum(event["event"] == "fired" and event["trial"] == values for event in events),
+        "presentation": sum(
+            event["event"] == "fired" and event["trial"] == values and event.get("interval", 1) == 1 for event in events
+        ),
         "fingers": list(protocol.conditions.fingers_of(trial.condition)),
         **({"catch": True} if trial.condition.is_catch else {}),
         **({"masked": masked} if masked is not None else {}),
-        "planned": {
-            "velocity_mm_s": trial.condition.velocity_mm_s,
-            **_by_side("speed_{}_mm_s", trial, (round(speed * 1e3, 3) for speed in speeds)),
-        },
-        "commanded": {"amplitude_Vpp": list(firing.commanded_amplitude)},
-        "confirmed": firing.as_dict(),
-        "bursts": firing.bursts.as_dict(),
+        **_describe_stimulus(speeds(trial), trial, firing),
+        **({"intervals": intervals} if intervals else {}),
         "response": response.as_dict(),
+        **({"correct": protocol.is_correct(trial, response.answer)} if intervals else {}),
         # A picture is on the screen between the call that flips it and the call's return; a monitor's own latency comes
         # on top, unseen. A press is stamped when it is read, at most one poll after it happened.
         "instants": {
-            "first_burst": None if is_undated else _between(onset - around, onset + around),
+            "first_burst": _first(trial, firing),
             "question": None if asked is None else _between(asked - response.question_uncertainty, asked),
             "answer": _between(answered - response.time_uncertainty, answered),
         },
@@ -153,19 +161,44 @@ def describe_answer(
     }
 
 
+def _describe_stimulus(speeds: tuple[float, ...], part: Trial, firing: Firing) -> dict[str, Any]:
+    """Return what was planned, commanded, confirmed and played of a trial, or of one of its intervals."""
+    stimulus = part.condition.stimulus if part.interval else ""
+    return {
+        "planned": {
+            "velocity_mm_s": part.condition.velocity_mm_s,
+            **({"stimulus": stimulus} if stimulus else {}),
+            **_by_side("speed_{}_mm_s", part, (round(speed * 1e3, 3) for speed in speeds)),
+        },
+        "commanded": {"amplitude_Vpp": list(firing.commanded_amplitude)},
+        "confirmed": firing.as_dict(),
+        "bursts": firing.bursts.as_dict(),
+    }
+
+
+def _first(part: Trial, firing: Firing) -> dict[str, float] | None:
+    """Return between which instants the first burst began; None without one, and where nobody knows."""
+    if part.condition.is_catch or firing.repetition == "wired":
+        return None
+    return _between(firing.onset - firing.onset_uncertainty, firing.onset + firing.onset_uncertainty)
+
+
 def describe_trial(protocol: Protocol, speeds: tuple[float, ...], trial: Trial) -> dict[str, Any]:
     """Return what the experimenter should know of a trial before it is on.
 
     Parameters
     ----------
-    protocol, speeds, trial
+    protocol, trial
         As for `describe_answer`.
+    speeds : (left, right) of float
+        Predicted peak speeds under the two fingers [m/s].
     """
     return {
         "number": trial.index,
         "practice": trial.practice,
         "block": trial.block,
         **({"stimulus": trial.condition.stimulus} if trial.condition.stimulus else {}),
+        **({"interval": trial.interval} if trial.interval else {}),
         "velocity_mm_s": trial.condition.velocity_mm_s,
         **_by_side("predicted_{}_mm_s", trial, (round(speed * 1e3, 1) for speed in speeds)),
         **describe_placement(protocol, trial),

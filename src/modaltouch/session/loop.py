@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
@@ -198,7 +198,9 @@ def _has_passed_practice(sitting: SessionRun) -> bool:
 
 def _settle(sitting: SessionRun, trial: Trial) -> Trial:
     """Return a trial at the level to which the answers so far lead; as it is where levels are fixed."""
-    return trial if sitting.levels is None else sitting.levels.settle(trial, _counted(sitting))
+    if sitting.levels is None:
+        return trial
+    return sitting.levels.settle(trial, _counted(sitting), sitting.log.events[0]["adaptive"]["algorithm"])
 
 
 def _close_rounds(sitting: SessionRun) -> None:
@@ -291,10 +293,22 @@ def present(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]
     while True:
         sitting.window.settle(trial, (trial.index, sitting.total))
         sitting.masking.ensure(sitting.tick)
-        firing = fire(sitting, trial)
+        try:
+            return _present_once(sitting, trial)
+        except TrialInterrupted:
+            continue
+
+
+def _present_once(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]:
+    """Present the stimulus of a trial, or that of each interval in order, and ask; raise where that is interrupted."""
+    parts, over, response = sitting.protocol.presented(trial), list[Firing](), None
+    for number, part in enumerate(parts, 1):
+        interval = number if len(parts) > 1 else 0
+        facts = {"trial": trial.as_dict(), **({"interval": interval} if interval else {})}
+        firing = fire(sitting, part)
         if not firing.started:
-            sitting.log.append("unconfirmed", trial=trial.as_dict(), confirmed=firing.as_dict())
-            return None, firing
+            sitting.log.append("unconfirmed", **facts, confirmed=firing.as_dict())
+            break
         faults: list[RigError] = []
 
         def stop(faults: list[RigError] = faults) -> None:
@@ -303,41 +317,50 @@ def present(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]
             except RigError as error:
                 faults.append(error)
 
-        presentation = Presentation(firing.onset, _ends(sitting, trial, firing), sitting.rig.end, stop)
+        presentation = Presentation(firing.onset, _ends(sitting, part, firing), sitting.rig.end, stop, interval)
         try:
             # Whatever ends the session now, the record knows that this stimulus had begun.
-            sitting.log.append("fired", trial=trial.as_dict(), confirmed=firing.as_dict())
-            response = sitting.window.ask(trial, (trial.index, sitting.total), presentation)
-            line = _write_down(sitting, "answered", trial, response, firing.pending(NOT_OVER))
-            sitting.window.confirm(response)
+            sitting.log.append("fired", **facts, confirmed=firing.as_dict())
+            if number == len(parts):
+                response = sitting.window.ask(part, (trial.index, sitting.total), presentation)
+                line = _write_down(sitting, "answered", trial, response, [*over, firing.pending(NOT_OVER)])
+                sitting.window.confirm(response)
+            elif sitting.protocol.intervals is not None:
+                gap = sitting.protocol.intervals.gap_s
+                sitting.window.feel(part, (trial.index, sitting.total), presentation, gap)
         except (TrialInterrupted, StimulusLost) as cut:
             stop()
             firing = sitting.rig.firing or firing
             reason = cut.reason if isinstance(cut, TrialInterrupted) else str(cut)
-            _write_cut(sitting, trial, reason, firing)
+            _write_cut(sitting, facts, reason, firing)
             if faults:
                 raise faults[0] from cut
             if isinstance(cut, StimulusLost):
                 return None, replace(firing, reason=firing.reason or reason)
-            continue
+            raise
         except BaseException as error:
             with suppress(RigError):
                 sitting.rig.stop(at_once=True)
             with suppress(RecordError):
-                _write_cut(sitting, trial, describe_ending(error)["reason"], sitting.rig.firing or firing)
+                _write_cut(sitting, facts, describe_ending(error)["reason"], sitting.rig.firing or firing)
             raise
         stop()
-        firing = sitting.rig.firing or firing
-        if firing.confirmed and not faults and response.answer != TIME_OUT:
-            # A trial that is cut here is asked again as a whole: each line `trial` has all its answers.
-            asked = sitting.protocol.answers.further
-            further = {name: _ask_further(sitting, name, how, trial).as_dict() for name, how in asked.items()}
-            response = replace(response, further=further)
-        _write_down(sitting, "trial", trial, response, firing, answered=line)
-        sitting.save_view()
+        over.append(firing := sitting.rig.firing or firing)
+        if response is not None:
+            if firing.confirmed and not faults and response.answer != TIME_OUT:
+                # A trial that is cut here is asked again as a whole: each line `trial` has all its answers.
+                asked = sitting.protocol.answers.further
+                further = {name: _ask_further(sitting, name, how, trial).as_dict() for name, how in asked.items()}
+                response = replace(response, further=further)
+            _write_down(sitting, "trial", trial, response, over, answered=line)
+            sitting.save_view()
+        elif not firing.confirmed:
+            _write_cut(sitting, facts, firing.reason, firing)
         if faults:
             raise faults[0]
-        return response, firing
+        if not firing.confirmed:
+            break
+    return response, firing
 
 
 def _ask_further(sitting: SessionRun, name: str, asked: AnswersSection, trial: Trial | None = None) -> Response:
@@ -378,26 +401,26 @@ def _ends(sitting: SessionRun, trial: Trial, firing: Firing) -> float:
 
 
 def _write_down(
-    sitting: SessionRun, event: str, trial: Trial, response: Response, firing: Firing, **further: Any
+    sitting: SessionRun, event: str, trial: Trial, response: Response, firings: Sequence[Firing], **further: Any
 ) -> int:
     """Put an answer on the disk, and return its line."""
     facts = describe_answer(
         sitting.protocol,
-        sitting.speeds(trial),
+        sitting.speeds,
         trial,
         response,
-        firing,
+        firings,
         masked=sitting.masking.is_on,
         events=sitting.log.events_of(trial.as_dict()),
     )
     return int(sitting.log.append(event, **facts, **further)["n"])
 
 
-def _write_cut(sitting: SessionRun, trial: Trial, reason: str, firing: Firing) -> None:
+def _write_cut(sitting: SessionRun, facts: dict[str, Any], reason: str, firing: Firing) -> None:
     """Put on the disk what was played of a stimulus that nobody answered."""
     sitting.log.append(
         "trial_cut",
-        trial=trial.as_dict(),
+        **facts,
         reason=reason,
         confirmed=firing.as_dict(),
         bursts=firing.bursts.as_dict(),

@@ -34,6 +34,8 @@ class Moment:
         The trial that is on.
     onset : float
         When its stimulus began, by the window's clock [s].
+    interval : int
+        Which of several intervals it is, from 1; 0 where the question comes after it.
     asked : str
         Name of the further question that is asked; empty for the first of a trial.
     entered : str
@@ -43,6 +45,7 @@ class Moment:
     wants: Literal["go_on", "feel", "answer", "confirm", "nothing"] = "nothing"
     trial: Trial | None = None
     onset: float = 0.0
+    interval: int = 0
     asked: str = ""
     entered: str = ""
 

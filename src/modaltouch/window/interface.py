@@ -105,12 +105,15 @@ class Presentation:
         Lets no further burst go; cheap, never raises.
     stop : callable
         Has the outputs off after the burst that plays; never raises.
+    interval : int
+        Which of several intervals of the trial it is, from 1; 0 where there is one alone.
     """
 
     onset: float
     ends: float
     end: Callable[[], None]
     stop: Callable[[], None]
+    interval: int = 0
 
 
 class Progress(typing.NamedTuple):
@@ -159,6 +162,25 @@ class AnswerWindow:
 
     def announce(self, text: str) -> None:
         """Show one text of the protocol, such as ``practice``, ``start`` or ``hands_off``, until somebody goes on."""
+
+    def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, gap: float) -> None:
+        """Show which interval is on, one before the last, call `presentation.stop` when it is over, and let a gap pass.
+
+        Parameters
+        ----------
+        trial : Trial
+            With what this interval presents as its condition; so also for `ask`, the last one.
+        progress, presentation
+            As for `ask`.
+        gap : float
+            Time from the end of the interval [s].
+
+        Raises
+        ------
+        TrialInterrupted, SessionStopped
+            As `ask` does.
+        """
+        raise NotImplementedError
 
     def ask(self, trial: Trial, progress: tuple[int, int], presentation: Presentation) -> Response:
         """Show the trial and return the answer, as soon as it is known and without confirming it on screen.

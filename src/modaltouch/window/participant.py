@@ -85,6 +85,7 @@ class ParticipantWindow(AnswerWindow):
         self._display = display
         self._answers = protocol.answers
         self._n_practice = protocol.schedule.practice_trials
+        self._n_intervals = 0 if protocol.intervals is None else protocol.intervals.number
         self._texts = texts
         self._colours, self._theme = theme, next((name for name, known in THEMES.items() if known == theme), "")
         self._zones, self._design = zones, protocol.conditions
@@ -152,6 +153,16 @@ class ParticipantWindow(AnswerWindow):
         words = str(getattr(self._texts, text))
         self._go_on(lambda: self._pictures.page(text, words))
 
+    def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, gap: float) -> None:
+        """Show the number of the interval that is on, then the beam alone until the gap is over."""
+        self._current = (trial, counted) = (trial, self._count(trial, progress))
+        self._loop.attend(Moment("feel", trial, presentation.onset, presentation.interval))
+        rest = self._pictures.ready(trial, counted)
+        self._feel(trial, rest, presentation, until=presentation.ends)
+        presentation.stop()
+        self._loop.show(rest)
+        self._await(trial, presentation, until=presentation.ends + gap)
+
     def ask(self, trial: Trial, progress: tuple[int, int], presentation: Presentation) -> Response:
         """Show the trial and return the answer as soon as it is known.
 
@@ -169,9 +180,9 @@ class ParticipantWindow(AnswerWindow):
         self._loop.attend(Moment("feel", trial, onset))
         question = self._pictures.question(trial, counted)
         if stops_first:
-            self._feel(trial, question, presentation.stop, until=presentation.ends)
+            self._feel(trial, question, presentation, until=presentation.ends)
             presentation.stop()
-        self._feel(trial, question, presentation.stop, until=due)
+        self._feel(trial, question, replace(presentation, interval=0), until=due)
         asked = self._loop.show(question, Moment("answer", trial, onset))
         self.on_question(trial, asked)
         flip_took = self._loop.flip_took
@@ -320,7 +331,8 @@ class ParticipantWindow(AnswerWindow):
     def _make_ready(self, trial: Trial) -> None:
         """Draw the trial's pictures out of sight, so that none of them is late."""
         progress, draw = Progress(1, 1), self._pictures
-        for picture in (draw.placement(trial), draw.feel(trial, progress), draw.question(trial, progress)):
+        felt = [draw.feel(trial, progress, interval) for interval in range(self._n_intervals + 1)]
+        for picture in (draw.placement(trial), *felt, draw.question(trial, progress)):
             self._loop.prepare(picture)
         for answer in draw.layout.buttons if self._answers.scale is None else ():
             self._loop.prepare(draw.question(trial, progress, chosen=answer))
@@ -380,14 +392,18 @@ class ParticipantWindow(AnswerWindow):
     def _settles(self) -> bool:
         return self._current is not None and self._answers.settles(self._current[0].condition.finger_condition)
 
-    def _feel(self, trial: Trial, question: Picture, stop: Callable[[], None], until: float) -> None:
-        """Show the beam until a time, the question drawn meanwhile; presses do not count yet."""
+    def _feel(self, trial: Trial, ahead: Picture, presentation: Presentation, until: float) -> None:
+        """Show the beam until a time, and which interval is on; what comes next is drawn meanwhile."""
         if self._current is not None and self._clock.now() < until:
-            self._loop.show(self._pictures.feel(*self._current))
-        self._loop.draw_ahead(question)
+            self._loop.show(self._pictures.feel(*self._current, presentation.interval))
+        self._loop.draw_ahead(ahead)
+        self._await(trial, presentation, until)
+
+    def _await(self, trial: Trial, presentation: Presentation, until: float) -> None:
+        """Leave what is on the screen until a time; presses do not count yet."""
         while self._clock.now() < until:
             for event in self._loop.poll():
-                self._before_question(event, trial, stop)
+                self._before_question(event, trial, presentation.stop)
 
     def _before_question(self, event: Event, trial: Trial, stop: Callable[[], None]) -> None:
         if self._reader.interrupts(event):

@@ -216,16 +216,14 @@ class Illustrator:
         number = Words(str(count), self._answers_box(), 0.13 * self.layout.type_scale, self.theme.dim)
         return Picture(f"ready_{_tag(trial)}_{count}", (self._headline(self.texts.fingers_back, 0.056), *marks, number))
 
-    def feel(self, trial: Trial, progress: Progress) -> Picture:
-        """Return the screen while the stimulus runs and the question is not yet asked."""
-        return Picture(
-            f"feel_{_tag(trial)}",
-            (
-                self._headline(self.texts.feel, 0.056, dim=True),
-                *self._beam(trial),
-                *self._progress(trial, progress),
-            ),
-        )
+    def feel(self, trial: Trial, progress: Progress, interval: int = 0) -> Picture:
+        """Return the screen while the stimulus runs and the question is not yet asked, with its interval's number."""
+        marks: tuple[Mark, ...] = (self._headline(self.texts.feel, 0.056, dim=True), *self._beam(trial))
+        marks += self._progress(trial, progress)
+        if not interval:
+            return Picture(f"feel_{_tag(trial)}", marks)
+        number = Words(str(interval), self._answers_box(), 0.2 * self.layout.type_scale, self.theme.text, bold=True)
+        return Picture(f"feel_{_tag(trial)}_{interval}", (*marks, number))
 
     def question(
         self, trial: Trial, progress: Progress, chosen: str | None = None, *, confirmed: bool = True, name: str = ""

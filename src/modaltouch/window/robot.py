@@ -60,7 +60,10 @@ class Robot(Sitter):
             self._due = shown + self._patience
         elif moment.wants == "feel" and moment.trial is not None:
             # Felt now: by the time of the question the stimulus may have stopped.
-            self._felt = self._answerer.first(moment.trial)
+            if moment.interval:
+                self._answerer.feel(moment.trial, moment.interval)
+            else:
+                self._felt = self._answerer.first(moment.trial)
         elif moment.wants == "answer":
             if moment.asked and not moment.entered:
                 asked = self._asked[moment.asked]

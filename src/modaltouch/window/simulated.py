@@ -38,6 +38,12 @@ class Observing(Protocol):
         """Return how strong peak speeds [m/s] are felt, as a share of a scale [1], and the reaction time [s]."""
         ...
 
+    def compare(
+        self, speeds: Sequence[tuple[float, ...]], rng: np.random.Generator, answers: AnswerList
+    ) -> tuple[str, float]:
+        """Return the answer to the peak speeds of each interval [m/s] and its reaction time [s]."""
+        ...
+
 
 @dataclass(frozen=True)
 class Answerer:
@@ -63,10 +69,17 @@ class Answerer:
     generator: np.random.Generator
     answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
     scale: ScaleSection | None = None
+    _intervals: list[tuple[float, ...]] = field(default_factory=list)
+
+    def feel(self, trial: Trial, interval: int) -> None:
+        """Keep what is felt in an interval of a trial, one before the last, from 1."""
+        self._intervals[interval - 1 :] = [self.felt(trial)]
 
     def answer(self, trial: Trial) -> tuple[str, float]:
-        """Return the answer to a trial and its reaction time [s]."""
+        """Return the answer to a trial and its reaction time [s]; its stimulus, or the last one, is felt now."""
         speeds, stream = self.felt(trial), self._stream(int(trial.practice), trial.index)
+        if self._intervals and any(answer.interval for answer in self.answers):
+            return self.participant.compare([*self._intervals, speeds], stream, self.answers)
         # One finger alone is like two that feel the same: what it can tell is whether there was anything.
         of = speeds[0], speeds[-1], trial.condition.finger_condition
         return self.participant.answer(*of, stream, self.answers, *speeds[1:-1])
@@ -174,6 +187,13 @@ class SimulatedParticipant(AnswerWindow):
         self._tick()
 
     welcome = place_fingers = settle = tell_stall = announce = rest = goodbye = _look
+
+    def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, gap: float) -> None:
+        """Feel an interval, and let it and the gap pass."""
+        self._answerer.feel(trial, presentation.interval)
+        self._pass_until(presentation.ends, presentation)
+        presentation.stop()
+        self._pass_until(presentation.ends + gap, presentation)
 
     def ask(self, trial: Trial, progress: tuple[int, int], presentation: Presentation) -> Response:
         """Return the observer's answer once its reaction time has passed."""

@@ -88,6 +88,17 @@ def test_an_answer_that_was_not_confirmed_moves_nothing(protocol: Protocol) -> N
     assert levels.settle(second, [event(levels.settle(first, []), "right")]).condition.velocity_mm_s != 60
 
 
+def test_a_time_out_is_no_success_but_in_a_record_of_its_day(protocol: Protocol) -> None:
+    """Who says nothing has not said that anything was felt; levels of former records follow as they did."""
+    rule = with_rule(protocol, method="staircase", success="felt")
+    first, second = Schedule.draw(rule, "p01", 1).trials[:2]
+    levels = Levels(rule)
+    late = [event(levels.settle(first, []), "time_out")]
+    assert levels.settle(second, late).condition.velocity_mm_s > 60
+    assert levels.settle(second, late, "modaltouch staircase 2").condition.velocity_mm_s > 60
+    assert levels.settle(second, late, "modaltouch staircase 1").condition.velocity_mm_s < 60
+
+
 def test_practice_and_catch_trials_and_fixed_levels_stay_as_they_are(protocol: Protocol) -> None:
     """Only what counts in a run has a level of its own."""
     drawn, levels = Schedule.draw(protocol, "p01", 1), Levels(protocol)
@@ -138,6 +149,6 @@ def test_the_schedule_says_adaptive(protocol: Protocol) -> None:
 def test_the_record_says_which_rule_decided_the_levels(protocol: Protocol) -> None:
     """A record must be read by what made it; the target is 0.5 ** (1 / 3) of three down, one up (Levitt 1971)."""
     staircase = with_rule(protocol, method="staircase", staircase=StaircaseSection(down_after=3))
-    assert staircase.adaptive.algorithm == {"algorithm": "modaltouch staircase 1", "target": 0.7937}
-    quest = {"algorithm": "modaltouch quest_plus 1", "questplus": version("questplus")}
+    assert staircase.adaptive.algorithm == {"algorithm": "modaltouch staircase 2", "target": 0.7937}
+    quest = {"algorithm": "modaltouch quest_plus 2", "questplus": version("questplus")}
     assert with_rule(protocol, method="quest_plus").adaptive.algorithm == quest

@@ -50,7 +50,7 @@ def test_a_file_that_exists_comes_before_a_name_and_a_folder_does_not(tmp_path: 
 @pytest.mark.parametrize("name", ["protocols/demo.yaml", "demo.yaml", "Demo", "demos"])
 def test_what_is_neither_is_refused_with_the_names_there_are(name: str) -> None:
     """Also a path of the repository, given elsewhere."""
-    names = "or one of demo, .*differentiated_stimulation, .*, with_catch_trials; did you mean 'demo'?"
+    names = "or one of comparison_2ifc, demo, .*differentiated_stimulation, .*, with_catch_trials; did you mean 'demo'?"
     with pytest.raises(InputError, match=f"^{name}:1:1: given a file that does not exist; .*, {names}"):
         find("protocol", name)
     with pytest.raises(InputError, match="or one of beam_100x6x2, keysight_33522b; check its name"):

@@ -123,6 +123,7 @@ def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str
     focus = responses.foci.get(stimulus, responses.focus)
     succeeds = responses.answers.is_success
     success = np.array([succeeds(str(answer), rule["success"], focus, left) for answer in part["response"]])
+    success = (part["correct"] == 1).to_numpy() if rule["success"] == "correct" else success
     level = part[scale_of(part.columns).column].to_numpy(dtype=float)
     driven = level > 0
     fitted = fit_psychometric(

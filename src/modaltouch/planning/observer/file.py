@@ -29,8 +29,8 @@ def read_observer(name: Path | str) -> Observer:
 def usual_observer(protocol: Protocol) -> str:
     """Return the name of the shipped observer that simulates a protocol if nobody says otherwise.
 
-    Adaptive runs, and levels that follow from their thresholds, are of an observer whose thresholds lie within what a
-    beam plays; `paper` tells the zones apart at any level.
+    Adaptive runs, levels that follow from their thresholds, and intervals of silence are of an observer whose
+    thresholds lie within what a beam plays; `paper` tells the zones apart at any level.
 
     Parameters
     ----------
@@ -38,7 +38,8 @@ def usual_observer(protocol: Protocol) -> str:
         The protocol.
     """
     at_thresholds = protocol.adaptive is not None or protocol.conditions.sensation_levels is not None
-    return "fingertip" if at_thresholds else "paper"
+    is_silent = protocol.intervals is not None and protocol.intervals.standard.velocity_mm_s == 0
+    return "fingertip" if at_thresholds or is_silent else "paper"
 
 
 def observer_of(file: ObserverFile) -> Observer:

@@ -172,10 +172,7 @@ class Participant:
         noise = self.noise_at(speed_left, speed_right)
         felt = expected + noise * draw
         # Deciding is hardest at the criterion, where two answers are equally near.
-        margin = abs(abs(felt) - self.criterion)
-        difficulty = math.exp(-margin / max(noise, _LEAST_FLOOR))
-        median = self.decision_time * (1 + self.hesitation * difficulty)
-        reaction_time = self.quickest + median * math.exp(self.decision_spread * pace)
+        reaction_time = self._reaction_time(abs(abs(felt) - self.criterion), noise, pace)
         if lapse < self.lapse_rate:
             return answers.ranked[int(guess * len(answers))].name, reaction_time
         threshold = self.detection_speed * math.exp(noise * doubt)
@@ -210,6 +207,48 @@ class Participant:
         strength = (max(speeds) + self.floor) / REFERENCE * math.exp(self.noise_at(max(speeds), 0.0) * draw)
         reaction_time = self.quickest + self.decision_time * math.exp(self.decision_spread * pace)
         return strength / (1 + strength), reaction_time
+
+    def compare(
+        self, speeds: Sequence[tuple[float, ...]], rng: np.random.Generator, answers: AnswerList
+    ) -> tuple[str, float]:
+        """Return an answer to several intervals and its reaction time from the question [s].
+
+        In each interval each finger feels the logarithm of the speed above v_0, with half the variance of a comparison:
+        the difference of two intervals then has the noise of a difference of two fingers. The interval is named that
+        feels strongest under any finger, of three the one farthest from the others; intervals are called the same
+        where none differs from another by the criterion under any finger.
+
+        Parameters
+        ----------
+        speeds : sequence of tuple
+            What the fingers feel in each interval, in order [m/s].
+        rng : numpy.random.Generator
+            Source of chance.
+        answers : AnswerList
+            Answers that are offered; some name intervals, or ``same`` and ``different``.
+        """
+        lapse, guess, pace = rng.random(), rng.random(), rng.standard_normal()
+        given = np.asarray(speeds, dtype=float)
+        given = np.maximum(given + self.internal_noise * rng.standard_normal(given.shape), 0.0)
+        noise = self.noise_at(float(given.max()), 0.0)
+        felt = np.log(given + self.floor) + noise / math.sqrt(2) * rng.standard_normal(given.shape)
+        apart = np.abs(felt[:, None] - felt).max(axis=2)
+        weight = felt.max(axis=1) if len(felt) == 2 else apart.sum(axis=1)
+        named = {answer.interval: answer.name for answer in answers}
+        numbers = sorted((n for n in named if isinstance(n, int)), key=lambda n: weight[n - 1])
+        difference = float(apart.max()) - self.criterion
+        said: int | str = "different" if difference > 0 else "same"
+        if numbers:
+            said, difference = numbers[-1], float(weight[numbers[-1] - 1] - weight[numbers[-2:][0] - 1])
+        reaction_time = self._reaction_time(abs(difference), noise, pace)
+        if lapse < self.lapse_rate or said not in named:
+            return answers[int(guess * len(answers))].name, reaction_time
+        return named[said], reaction_time
+
+    def _reaction_time(self, margin: float, noise: float, pace: float) -> float:
+        difficulty = math.exp(-margin / max(noise, _LEAST_FLOOR))
+        median = self.decision_time * (1 + self.hesitation * difficulty)
+        return self.quickest + median * math.exp(self.decision_spread * pace)
 
 
 def _name(answers: AnswerList, felt: float, criterion: float, guess: float) -> str:

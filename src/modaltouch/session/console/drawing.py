@@ -121,6 +121,7 @@ def describe_trial(trial: dict[str, Any] | None) -> list[tuple[str, str]]:
     number = f"practice {trial['number']}" if trial["practice"] else f"{trial['number']}, block {trial['block']}"
     which = f"{trial['stimulus']} at " if trial.get("stimulus") else ""
     level = "catch trial" if trial["velocity_mm_s"] == 0 else f"{which}{trial['velocity_mm_s']:g} mm/s"
+    level += f" in interval {trial['interval']}" if trial.get("interval") else ""
     placed = "" if trial["placement"] == "normal" else f" ({trial['placement'].replace('_', ' ')})"
     sides = [side for side in ("left", "between", "right") if f"zone_{side}" in trial]
     fingers = ", ".join(f"{trial[f'finger_{side}']} on {trial[f'zone_{side}']}" for side in sides)
@@ -147,6 +148,8 @@ def _describe_cause(facts: Facts) -> str:
         return ": the window lost the keyboard; click into it"
     if facts["state"] == "paused":
         return f" by the {facts['paused_by']}"
+    if facts["state"] == "trial" and facts["trial"].get("plays"):
+        return f": interval {facts['trial']['plays']}"
     return f": {facts['stopped_by']}" if facts["stopped_by"] else ""
 
 

@@ -256,6 +256,8 @@ class Status:
     def _on_fired(self, event: dict[str, Any]) -> None:
         firing = event["confirmed"]
         self._facts["state"] = "trial"
+        if "interval" in event:
+            self._facts["trial"] = {**(self._facts["trial"] or {}), "plays": event["interval"]}
         self._ask(on=(self._facts["trial"] or {}).get("way") == "experimenter")
         self._facts["generator"] |= {
             "outputs": "on",

@@ -1,0 +1,90 @@
+"""Trials of several intervals: where the comparison stands, and which keys do not go together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from modaltouch.protocol.intervals import STANDARD_LEVEL, IntervalsSection, Meaning
+from modaltouch.protocol.problems import Problem
+from modaltouch.protocol.reading import Reading
+from modaltouch.protocol.streams import Stream
+from modaltouch.protocol.trial import Condition
+
+
+def draw_intervals(section: IntervalsSection, conditions: Sequence[Condition], stream: Stream) -> list[int]:
+    """Return in which interval each trial has its comparison: as equally often as can be, in each condition and in all.
+
+    Parameters
+    ----------
+    section : IntervalsSection
+        Where it may stand.
+    conditions : sequence of Condition
+        Conditions of the trials, in order.
+    stream : Stream
+        Where chance comes from.
+    """
+    of_condition: dict[Condition, list[int]] = {}
+    for place, condition in enumerate(conditions):
+        of_condition.setdefault(condition, []).append(place)
+    drawn, turns, n_dealt = [0] * len(conditions), stream.shuffled(section.places), 0
+    # Dealt in turn: no condition has an interval twice more than another one, nor have all together.
+    for places in stream.shuffled(of_condition.values()):
+        dealt = [turns[(n_dealt + number) % len(turns)] for number in range(len(places))]
+        n_dealt += len(places)
+        for place, interval in zip(places, stream.shuffled(dealt), strict=True):
+            drawn[place] = interval
+    return drawn
+
+
+def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
+    """Yield the faults between the section ``intervals`` and the others, as far as its sound parts show them."""
+    path = ("intervals",)
+    if reading.keys(*path) is None:
+        given = "meanings of answers, where a trial has a single stimulus"
+        yield reading.problem(("answers", "intervals"), given, "a section intervals", "write it, or remove this")
+    if reading.keys(*path) is None or (reading.value is not None and reading.value.intervals is None):
+        return  # of several stimuli this one is not the standard's
+    standard = reading.sound(*path, "standard")
+    if standard is not None and standard.velocity_mm_s is None and standard.stimulus is None:
+        given, remedy = "neither a level nor a stimulus", "write `velocity_mm_s: 100`, or 0 for silence"
+        yield reading.problem((*path, "standard"), given, "velocity_mm_s, stimulus or both", remedy)
+    names = reading.keys("stimuli") or []
+    if standard is not None and standard.stimulus is not None and standard.stimulus not in names:
+        yield reading.unknown((*path, "standard", "stimulus"), "one of the stimuli", names)
+    if (until := reading.sound("answers", "stimulus_until")) not in (None, "question"):
+        given = f"{until}, where a trial has several intervals"
+        remedy = "write `stimulus_until: question`, and its length as presentation_s or presentation_bursts"
+        yield reading.problem(("answers", "stimulus_until"), given, "question", remedy)
+    if n_catch := reading.sound("schedule", "catch_trials"):
+        given = f"{n_catch}, where a trial has several intervals"
+        remedy = "remove it; intervals of silence are `intervals.standard.velocity_mm_s: 0`"
+        yield reading.problem(("schedule", "catch_trials"), given, "0", remedy)
+    yield from _check_numbers(reading)
+    yield from _check_asked(reading)
+
+
+def _check_numbers(reading: Reading[Any]) -> Iterator[Problem]:
+    """Yield intervals that there are not, or that are named twice."""
+    number = reading.sound("intervals", "number")
+    for path in (("intervals", "comparison_in"), ("answers", "intervals")):
+        seen: list[Meaning] = []
+        for step, meaning in reading.items(*path):
+            if isinstance(meaning, int) and number is not None and meaning > number:
+                given = f"{meaning}, where a trial has {number} intervals"
+                yield reading.problem((*path, step), given, f"1 to {number}", "correct it, or raise intervals.number")
+            elif meaning in seen:
+                yield reading.problem((*path, step), f"{meaning} again", "each once", "remove one of them")
+            seen.append(meaning)
+
+
+def _check_asked(reading: Reading[Any]) -> Iterator[Problem]:
+    """Yield a comparison of levels in which the comparison is the right answer though it may be the weaker one."""
+    levels = [level for _, level in reading.items("conditions", "peak_velocities_mm_s")]
+    standard, number = reading.sound(*STANDARD_LEVEL), reading.sound("intervals", "number")
+    named = any(isinstance(meaning, int) for _, meaning in reading.items("answers", "intervals"))
+    written = reading.find(("intervals", "asked")) is not None
+    if number == 2 and named and not written and standard and levels and min(levels) < standard < max(levels):
+        given = f"nothing, where levels lie below and above the standard of {standard:g} mm/s"
+        remedy = "write `asked: stronger` if the question is which one was stronger, else `asked: comparison`"
+        yield reading.problem(("intervals", "asked"), given, "comparison, stronger", remedy)

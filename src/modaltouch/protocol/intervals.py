@@ -1,0 +1,95 @@
+"""Trials of several stimuli in sequence: their keys, and which answer is right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from modaltouch.protocol.reading import Reading
+from modaltouch.protocol.section import NotNegative, Section, Step, Word, described
+from modaltouch.protocol.trial import Condition
+
+IntervalNumber = Annotated[int, Field(strict=True, ge=1, le=3)]
+Meaning = IntervalNumber | Literal["same", "different"]
+"""What an answer says: in which interval something was, or whether all intervals were alike."""
+
+STANDARD_LEVEL = ("intervals", "standard", "velocity_mm_s")
+"""Key of the standard's level."""
+
+
+class StandardSection(Section):
+    """The stimulus that the comparison is compared with; it lies under the same fingers."""
+
+    velocity_mm_s: NotNegative | None = described(
+        "Level of the standard [mm/s], as 100; 0 for an interval of silence; null for the level of the comparison.",
+        default=None,
+    )
+    stimulus: Word | None = described(
+        "Which of the protocol's stimuli the standard is, by its name under stimuli; null for that of the comparison.",
+        default=None,
+    )
+
+
+class IntervalsSection(Section):
+    """A trial presents several stimuli one after the other: one is its condition, the others are the standard."""
+
+    number: Annotated[int, Field(strict=True, ge=2, le=3)] = described("Intervals of each trial.", default=2)
+    gap_s: Annotated[NotNegative, Field(le=60)] = described(
+        "From the end of an interval's last burst until the next is prepared, the outputs off [s]. Its first burst "
+        "comes about a tenth of a second later; the record has the instant.",
+        default=0.5,
+    )
+    standard: StandardSection = described("What the other intervals present; a level, a stimulus, or both.")
+    comparison_in: tuple[IntervalNumber, ...] | None = described(
+        "Intervals in which the comparison, the trial's condition, may stand: it takes them equally often in each "
+        "condition. Null for all; [2] has the standard first in every trial.",
+        default=None,
+        json_schema_extra={"uniqueItems": True},
+    )
+    asked: Literal["comparison", "stronger"] = described(
+        "Which interval is the right answer: that of the comparison (which one was different, which one vibrated), or "
+        "that of the higher level (which one was stronger), which may be the standard's.",
+        default="comparison",
+    )
+
+    @property
+    def places(self) -> tuple[int, ...]:
+        """Intervals in which the comparison may stand."""
+        return self.comparison_in or tuple(range(1, self.number + 1))
+
+    def standard_of(self, comparison: Condition) -> Condition:
+        """Return the condition of the intervals that do not hold the comparison."""
+        given = self.standard
+        velocity = comparison.velocity_mm_s if given.velocity_mm_s is None else given.velocity_mm_s
+        return replace(comparison, velocity_mm_s=velocity, stimulus=given.stimulus or comparison.stimulus)
+
+    def is_correct(self, meaning: Meaning | None, comparison: Condition, interval: int) -> bool | None:
+        """Whether an answer is right; None where it says nothing of the intervals, or any may be right.
+
+        Parameters
+        ----------
+        meaning : int, str or None
+            The interval that the answer names, ``same`` or ``different``.
+        comparison : Condition
+            Condition of the trial.
+        interval : int
+            Where it stood.
+        """
+        standard = self.standard_of(comparison)
+        if meaning is None or isinstance(meaning, str):
+            return None if meaning is None else (standard == comparison) is (meaning == "same")
+        above = comparison.velocity_mm_s - standard.velocity_mm_s
+        if standard == comparison or (self.asked == "stronger" and (above == 0 or (above < 0 and self.number > 2))):
+            return None
+        return meaning == (3 - interval if self.asked == "stronger" and above < 0 else interval)
+
+
+def presented_levels(reading: Reading[Any]) -> dict[tuple[Step, ...], float]:
+    """Return the sound levels of a protocol by their keys [mm/s]; that of a standard where it is another one."""
+    section = ("conditions", "peak_velocities_mm_s")
+    levels: dict[tuple[Step, ...], float] = {(*section, index): level for index, level in reading.items(*section)}
+    if (standard := reading.sound(*STANDARD_LEVEL)) and standard not in levels.values():
+        levels[STANDARD_LEVEL] = standard
+    return levels

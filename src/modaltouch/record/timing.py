@@ -1,0 +1,118 @@
+"""Bursts and instants of a line of the log, against each other and the protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+from modaltouch.protocol import Trial
+from modaltouch.record.restored import TrialExpectation
+
+Event = dict[str, Any]
+
+INSTANT = 5e-6
+"""Instants are written to the microsecond, and sums of them are compared [s]."""
+_LATE = 0.2
+"""How late a burst may be, as far as counts go; a burst that is later than a twentieth is dropped [periods]."""
+_IN_ORDER = ("trigger", "first_burst", "question", "answer")
+_COUNTS = ("asked", "played", "whole", "dropped")
+
+
+def check_instants(event: Event, trial: Trial) -> Iterator[str]:
+    """Yield where the instants of an answer contradict each other, or its reaction time."""
+    instants, response, confirmed = event["instants"], event["response"], event["confirmed"]
+    between = {name: (span["earliest_s"], span["latest_s"]) for name, span in instants.items() if span is not None}
+    for name, (earliest, latest) in between.items():
+        if not earliest <= latest:
+            yield f"its {name.replace('_', ' ')} came between {earliest} and {latest} s"
+    if not between["answer"][0] <= event["clock"] + INSTANT:
+        yield f"its answer came at {between['answer'][0]} s, after its line was written at {event['clock']} s"
+    known = [name for name in _IN_ORDER if name in between]
+    for place, name in enumerate(known):
+        late = next((each for each in known[place + 1 :] if between[each][1] < between[name][0] - INSTANT), None)
+        if late is not None:
+            yield f"its {late.replace('_', ' ')} came before its {name.replace('_', ' ')}"
+    if trial.condition.is_catch and "first_burst" in between:
+        yield "is a catch trial with a first burst"
+    if response["answer"] == "time_out":
+        return
+    onset, around = confirmed["onset"], confirmed["onset_uncertainty"]
+    answered = between["answer"]
+    first = between.get("first_burst", (onset - around, onset + around))
+    asked = response["onset"] == "question"
+    begun = between.get("question", first) if asked else first
+    least, most = answered[0] - begun[1], answered[1] - begun[0]
+    # Without a screen nobody saw the question come: it was there after the first burst.
+    least = 0.0 if asked and "question" not in between else least
+    time = response["reaction_time"]
+    if not least - INSTANT <= time <= most + INSTANT:
+        yield f"has a reaction time of {time:.6g} s, its instants one of {least:.6g} to {most:.6g} s"
+
+
+def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
+    """Yield where the counts of a finished stimulus contradict each other, the protocol, or its instants."""
+    bursts, confirmed = event["bursts"], event["confirmed"]
+    asked, played, whole, dropped = counts = [bursts[name] for name in _COUNTS]
+    first, around = bursts["first_s"], bursts["uncertainty_s"]
+    if any(each is not None and (type(each) is not int or each < 0) for each in counts):
+        yield f"its bursts are counted as {counts}"
+        return
+    repeats = given.restored.preflight.experiment.apparatus.generator.repeats
+    if confirmed["repetition"] != repeats:
+        yield f"its bursts were repeated as {confirmed['repetition']!r}, its apparatus file says {repeats!r}"
+    sound = confirmed["confirmed"]
+    if sound and confirmed["repetition"] == "single":
+        if None in counts or (first is None) is not trial.condition.is_catch:
+            yield "is confirmed though its bursts are not all counted"
+            return
+        if whole != played or played + dropped != asked:
+            yield f"is confirmed with {asked} bursts asked, {played} played, {whole} whole and {dropped} dropped"
+        yield from _check_number(event, trial, given)
+    if not _rises(whole, played, asked) or not _rises(dropped, asked):
+        yield f"has {asked} bursts asked, {played} played, {whole} whole and {dropped} dropped"
+    if first is None:
+        return
+    said = event["instants"]["first_burst"]
+    ends = None if said is None else (said["earliest_s"], said["latest_s"])
+    if ends is None or not _near(ends[0], first - around) or not _near(ends[1], first + around):
+        yield f"its first burst came at {first} s +- {around} s, its instants say {listed(ends or ('never',))}"
+    if abs(confirmed["onset"] - first) > around + INSTANT:
+        yield f"its first burst came at {first} s, its onset is {confirmed['onset']} s"
+
+
+def _check_number(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
+    """Yield where a confirmed stimulus of single bursts has not as many as its protocol and its time give."""
+    asked, rate = event["bursts"]["asked"], given.protocol.stimulus_of(trial.condition.stimulus).repetition_rate_Hz
+    if trial.condition.is_catch:
+        if asked:
+            yield f"is a catch trial with {asked} bursts asked"
+        return
+    most = given.protocol.answers.n_bursts(rate)
+    if given.protocol.answers.stimulus_until == "question":
+        if (asked, event["bursts"]["dropped"]) != (most, 0):
+            yield f"is confirmed with {asked} of {most} bursts asked and {event['bursts']['dropped']} dropped"
+        return
+    first, around = event["bursts"]["first_s"], event["bursts"]["uncertainty_s"]
+    answer = event["instants"]["answer"]
+    due = (answer["earliest_s"] - first - around) * rate + 1
+    possible = (event["clock"] - first + around) * rate + 1
+    if not (min(due - 1 - _LATE, most) <= asked <= most and event["bursts"]["played"] <= possible + _LATE):
+        yield (
+            f"{asked} bursts were asked, at {rate:g} Hz {max(due, 1):.0f} were due by its answer and {possible:.0f} by "
+            f"its end, at most {most}"
+        )
+
+
+def _rises(*counts: int | None) -> bool:
+    """Return whether counts do not fall, those that are unknown left out."""
+    known = [count for count in counts if count is not None]
+    return known == sorted(known)
+
+
+def _near(one: float, other: float) -> bool:
+    return abs(one - other) <= INSTANT
+
+
+def listed(values: tuple[Any, ...]) -> str:
+    """Return values in words, numbers to six digits."""
+    return ", ".join(f"{each:.6g}" if isinstance(each, float) else str(each) for each in values)

@@ -1,0 +1,167 @@
+"""Trials of several intervals: where the comparison stands, which answer is right, what is refused."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from modaltouch.preflight import estimated_duration
+from modaltouch.protocol import Findings, Protocol, Schedule, Trial
+from modaltouch.protocol.interval_design import draw_intervals
+from modaltouch.protocol.intervals import IntervalsSection, StandardSection
+from modaltouch.protocol.streams import Stream
+from modaltouch.protocol.trial import Condition
+
+Edit = Callable[..., Path]
+
+FILE = "comparison_2ifc.yaml"
+
+
+def protocol_of(path: Path) -> Protocol:
+    """Return a protocol that is sound."""
+    return Findings.read(path).experiment().protocol
+
+
+@pytest.mark.parametrize(
+    ("number", "places", "repetitions"), [(2, None, 3), (3, None, 4), (3, (2, 3), 5), (2, (2,), 3)]
+)
+def test_the_comparison_stands_in_each_interval_as_often_as_can_be(
+    number: int, places: tuple[int, ...] | None, repetitions: int
+) -> None:
+    """Within each condition, and in the whole block, no interval has it twice more often than another."""
+    section = IntervalsSection(number=number, standard=StandardSection(velocity_mm_s=100), comparison_in=places)
+    conditions = [Condition("one_hand", "A", "C", level) for level in (60.0, 90.0, 140.0)] * repetitions
+    firsts = Counter[int]()
+    for participant in range(60):
+        drawn = draw_intervals(section, conditions, Stream(1, f"p{participant}", 1, "intervals"))
+        assert set(drawn) == set(section.places)
+        for taken in (drawn, *(drawn[first::3] for first in range(3))):
+            counts = [taken.count(place) for place in section.places]
+            assert max(counts) - min(counts) <= 1
+        firsts[drawn[0]] += 1
+    # Uniform: 60 participants, at least 10 for each place with all but 1e-3 of chance.
+    assert min(firsts.values()) >= 10 and len(firsts) == len(section.places)
+
+
+def test_intervals_are_drawn_by_a_purpose_of_their_own(shipped: Path) -> None:
+    """The order of conditions is the one without the section; the record names purpose and interval."""
+    protocol = protocol_of(shipped / FILE)
+    schedule = Schedule.draw(protocol, "p01", 7)
+    single = Schedule.draw(protocol.model_copy(update={"intervals": None}), "p01", 7)
+    assert [trial.condition for trial in schedule.trials] == [trial.condition for trial in single.trials]
+    assert {"intervals within one_hand", "intervals within practice"} <= schedule.seeds["purposes"].keys()
+    assert "intervals within one_hand" not in single.seeds["purposes"]
+    assert [brief[-1] for brief in schedule.as_dict()["order"]] == [trial.interval for trial in schedule.trials]
+    assert "interval" not in single.trials[0].as_dict()
+
+
+def test_the_other_intervals_hold_the_standard(shipped: Path) -> None:
+    """Of a comparison of 140 mm/s in the second of three, the first and third have 100 mm/s."""
+    protocol = protocol_of(shipped / FILE)
+    section = IntervalsSection(number=3, standard=StandardSection(velocity_mm_s=100))
+    trial = Trial(1, 1, Condition("one_hand", "A", "C", 140.0), interval=2)
+    parts = protocol.model_copy(update={"intervals": section}).presented(trial)
+    assert [part.condition.velocity_mm_s for part in parts] == [100.0, 140.0, 100.0]
+
+
+@pytest.mark.parametrize(
+    ("asked", "level", "interval", "right"),
+    [
+        ("stronger", 140.0, 2, 2),
+        ("stronger", 70.0, 2, 1),
+        ("stronger", 70.0, 1, 2),
+        ("stronger", 100.0, 1, None),
+        ("comparison", 70.0, 1, 1),
+        ("comparison", 100.0, 1, None),
+    ],
+)
+def test_the_right_answer_names_the_stronger_interval_or_that_of_the_comparison(
+    asked: str, level: float, interval: int, right: int | None
+) -> None:
+    """Where standard and comparison are alike, neither answer is right or wrong."""
+    section = IntervalsSection(asked=asked, standard=StandardSection(velocity_mm_s=100))
+    condition = Condition("one_hand", "A", "C", level)
+    found = [section.is_correct(meaning, condition, interval) for meaning in (1, 2)]
+    assert found == ([None, None] if right is None else [right == 1, right == 2])
+
+
+def test_same_is_right_where_nothing_differs() -> None:
+    """Another level or another stimulus makes them different; other answers say nothing of intervals."""
+    section = IntervalsSection(standard=StandardSection(velocity_mm_s=100, stimulus="sharp"))
+    cases = ((100.0, "sharp", "same"), (100.0, "blunt", "different"), (120.0, "sharp", "different"))
+    for level, stimulus, right in cases:
+        condition = Condition("one_hand", "A", "C", level, stimulus=stimulus)
+        for meaning in ("same", "different"):
+            assert section.is_correct(meaning, condition, 1) is (meaning == right)
+        assert section.is_correct(None, condition, 1) is None
+
+
+def test_the_duration_counts_every_interval_and_gap(edit: Edit) -> None:
+    """52 trials, each longer by a stimulus of 5 bursts at 7 Hz and a gap: 52 (5/7 + 0.5) s = 1.05 min, with 3 s 3.2."""
+    two = protocol_of(edit(FILE))
+    single = estimated_duration(two.model_copy(update={"intervals": None}))
+    assert estimated_duration(two) - single == pytest.approx(52 * (5 / 7 + 0.5) / 60, abs=0.11)
+    longer = protocol_of(edit(FILE, ("gap_s: 0.5", "gap_s: 3.0")))
+    assert estimated_duration(longer) - single == pytest.approx(52 * (5 / 7 + 3.0) / 60, abs=0.11)
+
+
+STANDARD = "standard: {velocity_mm_s: 100}"
+MEANINGS = "intervals: {first: 1, second: 2}"
+ADAPTIVE = "adaptive: {method: staircase, trials: 8, start_mm_s: 130, success: correct"
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        (
+            [(STANDARD, "standard: {}")],
+            "intervals.standard: given neither a level nor a stimulus; allowed: velocity_mm_s",
+        ),
+        ([(STANDARD, "standard: {stimulus: blunt}")], "'blunt', which is not one of the stimuli"),
+        ([("\n  number: 2\n", "\n  number: 4\n")], "given 4; allowed: a whole number of at least 2, at most 3"),
+        ([("stimulus_until: question", "stimulus_until: answer")], "given answer, where a trial has several intervals"),
+        ([("practice_trials: 4", "catch_trials: 4")], "given 4, where a trial has several intervals; allowed: 0"),
+        ([(MEANINGS, "intervals: {first: 1, second: 3}")], "given 3, where a trial has 2 intervals; allowed: 1 to 2"),
+        ([(MEANINGS, "intervals: {first: 1, second: 1}")], "answers.intervals.second: given 1 again"),
+        ([(MEANINGS, "intervals: {frist: 1, second: 2}")], "given 'frist', which has no keys"),
+        ([("asked: stronger ", "comparison_in: [2] ")], "where levels lie below and above the standard of 100 mm/s"),
+        (
+            [(STANDARD, "standard: {velocity_mm_s: 100000}")],
+            "intervals.standard.velocity_mm_s: given 100000 mm/s, beyond",
+        ),
+        (
+            [("intervals:\n  number: 2", "speech:\n  number: 2")],
+            "answers.intervals: given meanings of answers, where a",
+        ),
+        (
+            [("schedule:", ADAPTIVE + ", guess_rate: 0.1}\nschedule:")],
+            "where one of 2 intervals is named; allowed: 0.5",
+        ),
+        (
+            [("schedule:", ADAPTIVE + ", guess_rate: 0.5}\nschedule:")],
+            "a staircase that settles at 0.5, as guessing does",
+        ),
+        (
+            [("schedule:", ADAPTIVE.replace("correct", "corect") + "}\nschedule:")],
+            "'corect', which is not a rule nor an",
+        ),
+    ],
+)
+def test_what_does_not_go_together_is_refused_in_its_place(
+    edit: Edit, changes: list[tuple[str, str]], said: str
+) -> None:
+    """Each with what is given and what is allowed."""
+    found = [str(problem) for problem in Findings.read(edit(FILE, *changes)).problems]
+    assert any(said in problem for problem in found), found
+
+
+def test_a_silent_standard_needs_bursts_that_can_be_kept_back(edit: Edit) -> None:
+    """As catch trials do."""
+    file = edit(FILE, (STANDARD, "standard: {velocity_mm_s: 0}"))
+    assert Findings.read(file).problems == ()
+    edit("apparatus/beam_100x6x2.yaml", ("\ngenerator:\n", "\ngenerator:\n  repetition: continuous\n"))
+    said = [str(problem) for problem in Findings.read(file).problems]
+    assert any("intervals.standard.velocity_mm_s: given silence, where the generator's" in each for each in said), said

@@ -1,0 +1,212 @@
+"""Trials of several intervals, the whole way: presented, recorded, resumed, verified, in the table."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from modaltouch.preflight import examine
+from modaltouch.protocol import Trial
+from modaltouch.record import Session, audit_session, read_session
+from modaltouch.rig import Simulator, open_rig
+from modaltouch.session import simulate_session
+from modaltouch.session.console.status import Status
+from modaltouch.session.rewiring import resume, wire_resume
+from modaltouch.session.setup import begin
+from modaltouch.session.wiring import wire_run
+
+SHIPPED = Path(__file__).parents[2] / "protocols"
+SHORT = (("repetitions: 8", "repetitions: 1"), ("practice_trials: 4", "practice_trials: 1"))
+
+
+def write(folder: Path, *changes: tuple[str, str]) -> Path:
+    """Write the shipped comparison, short and otherwise changed."""
+    text = (SHIPPED / "comparison_2ifc.yaml").read_text(encoding="utf-8")
+    for old, new in (*SHORT, *changes):
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    for name in ("apparatus", "texts"):
+        text = text.replace(f"{name}: {name}/", f"{name}: {SHIPPED / name}/")
+    file = folder / "comparison_2ifc.yaml"
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Session:
+    """A short session of the shipped comparison."""
+    folder = tmp_path_factory.mktemp("comparison")
+    return simulate_session(write(folder), "p01", folder)
+
+
+def of(session: Session, *kinds: str) -> list[dict[str, Any]]:
+    """Return the lines of some kinds."""
+    return [event for event in session.events if event["event"] in kinds]
+
+
+def test_each_interval_is_fired_confirmed_and_recorded_by_itself(recorded: Session) -> None:
+    """Levels in the order of the trial, five whole bursts each, amplitudes as their level has them."""
+    assert recorded.complete
+    for event in of(recorded, "trial"):
+        trial, levels = Trial.from_dict(event["trial"]), [100.0, 100.0]
+        levels[trial.interval - 1] = trial.condition.velocity_mm_s
+        told = event["intervals"]
+        assert [each["planned"]["velocity_mm_s"] for each in told] == levels
+        assert [each["bursts"]["whole"] for each in told] == [5, 5]
+        assert all(each["confirmed"]["confirmed"] for each in told)
+        one, other = (each["commanded"]["amplitude_Vpp"][0] for each in told)
+        assert one / other == pytest.approx(levels[0] / levels[1], rel=2e-3)
+        # The line itself is about the comparison, so that tables of other designs read it as their own.
+        assert event["bursts"] == told[trial.interval - 1]["bursts"]
+        assert event["commanded"] == told[trial.interval - 1]["commanded"]
+    assert [event["interval"] for event in of(recorded, "fired")] == [1, 2] * 7
+
+
+def test_the_gap_passes_with_the_outputs_off(recorded: Session) -> None:
+    """From the end of the fifth burst of 50 ms at 7 Hz to the next first one at least 0.5 s, and no second more."""
+    for event in of(recorded, "trial"):
+        first, second = (each["confirmed"]["onset"] for each in event["intervals"])
+        assert 0.499 <= second - (first + 4 / 7 + 0.05) < 1.5
+        assert event["response"]["onset"] == "question"
+    sent = [each["sent"] for line in of(recorded, "rig") for each in line["exchanges"] if "sent" in each]
+    switched = ["ON" if ":OUTP1 ON" in each else "OFF" for each in sent if ":OUTP1 O" in each]
+    assert [state for state, _ in groupby(switched)] == [*["OFF", "ON"] * 14, "OFF"]
+
+
+def test_it_is_verified_and_stands_in_the_table(recorded: Session) -> None:
+    """Order, levels, amplitudes, bursts and instants of all intervals are computed again."""
+    assert audit_session(recorded).problems == ()
+    rows = [row for row in recorded.table() if not row["practice"]]
+    assert sorted(row["velocity_mm_s"] for row in rows) == [70, 80, 90, 110, 125, 140]
+    assert sorted(row["interval"] for row in rows) == [1, 1, 1, 2, 2, 2]
+    for row in rows:
+        assert row["standard_mm_s"] == 100
+        stronger = row["interval"] if row["velocity_mm_s"] > 100 else 3 - row["interval"]
+        assert row["correct"] is (row["response"] == ("first", "second")[stronger - 1])
+    (table,) = recorded.path.parent.glob("*_beh.tsv")
+    assert {"interval", "standard_mm_s", "correct"} <= set(table.read_text().splitlines()[0].split("\t"))
+
+
+@pytest.mark.parametrize("interval", [1, 2])
+def test_a_session_that_was_killed_in_an_interval_goes_on_with_that_trial(
+    recorded: Session, tmp_path: Path, interval: int
+) -> None:
+    """The whole trial comes again, in the intervals that its order has."""
+    results = recorded.path.parents[5]
+    shutil.copytree(results / "simulated", tmp_path / "simulated")
+    log = tmp_path / recorded.path.relative_to(results)
+    cut = next(e["n"] for e in of(recorded, "fired") if e["trial"]["index"] == 3 and e["interval"] == interval)
+    log.write_bytes(b"".join(log.read_bytes().splitlines(keepends=True)[:cut]))
+    for view in log.parent.glob("*_beh.*"):
+        view.unlink()
+    session = resume(wire_resume(log))
+    assert session.complete and audit_session(session).problems == ()
+    (gone,) = of(session, "trial_cut")
+    assert gone["trial"]["index"] == 3
+    assert [e["trial"] for e in of(session, "trial")] == [e["trial"] for e in of(recorded, "trial")]
+    assert [e["response"]["answer"] for e in of(session, "trial")] == [
+        e["response"]["answer"] for e in of(recorded, "trial")
+    ]
+
+
+def test_an_interval_that_is_not_confirmed_has_the_trial_asked_again(tmp_path: Path) -> None:
+    """A knob is turned in the first interval of the second trial: that is cut, and both intervals come again."""
+    preflight = examine(write(tmp_path)).require()
+    turned: list[int] = []
+    setup = wire_run(preflight, "p01", answers="simulated", results=tmp_path)
+    with Simulator(preflight.experiment.apparatus, clock=setup.clock) as simulator:
+
+        def window(tick: Callable[[], Any], log: Callable[..., None]) -> Any:
+            opened = setup.open_window(tick, log)
+            feel = opened.feel
+
+            def turn(trial: Trial, *rest: Any) -> None:
+                if trial.index == 2 and not trial.practice and not turned:
+                    turned.append(1)
+                    simulator.front_panel("SOUR1:VOLT 1.0VPP")
+                feel(trial, *rest)
+
+            opened.feel = turn  # type: ignore[method-assign]
+            return opened
+
+        def rig(log: Callable[..., None]) -> Any:
+            return open_rig(simulator.address, preflight.experiment.apparatus, log=log, **simulator.driver_options)
+
+        begin(replace(setup, open_rig=rig, open_window=window))
+    session = read_session(setup.place.log)
+    assert session.complete and audit_session(session).problems == ()
+    (cut,) = of(session, "trial_cut")
+    assert cut["interval"] == 1 and "SOUR1:VOLT" in cut["reason"]
+    (answered,) = [e for e in of(session, "trial") if e["trial"]["index"] == 2 and not e["trial"]["practice"]]
+    assert answered["presentation"] == 2
+
+
+def test_silence_is_an_interval_without_bursts(tmp_path: Path) -> None:
+    """Detection: the interval of the vibration is the right one, and at these levels the observer names it."""
+    levels = ("peak_velocities_mm_s: [70, 80, 90, 110, 125, 140]", "peak_velocities_mm_s: [90, 150]")
+    silent = ("standard: {velocity_mm_s: 100}", "standard: {velocity_mm_s: 0}")
+    file = write(tmp_path, levels, silent, ("asked: stronger", "asked: comparison"))
+    session = simulate_session(file, "p01", tmp_path)
+    assert audit_session(session).problems == ()
+    assert session.start["observer"]["name"] == "fingertip"
+    for event in of(session, "trial"):
+        asked = [each["bursts"]["asked"] for each in event["intervals"]]
+        assert asked == ([5, 0] if event["trial"]["interval"] == 1 else [0, 5])
+    assert [row["correct"] for row in session.table()] == [True] * 3
+
+
+def test_three_intervals_of_two_stimuli_name_the_odd_one(tmp_path: Path) -> None:
+    """A field that reaches the other finger among sharp ones, at one level: the odd interval is felt."""
+    stimuli = "stimuli:\n  sharp: {}\n  blunt: {field: {shape: raised_cosine, base_mm: 110}}\n\nconditions:"
+    file = write(
+        tmp_path,
+        ("\nconditions:", f"\n{stimuli}"),
+        ("peak_velocities_mm_s: [70, 80, 90, 110, 125, 140]", "peak_velocities_mm_s: [100]"),
+        ("\n  number: 2\n", "\n  number: 3\n"),
+        ("standard: {velocity_mm_s: 100}", "standard: {stimulus: sharp}"),
+        ("asked: stronger", "asked: comparison"),
+        ("keys: {first: [left, num_1], second: [right, num_2]}", "keys: {first: ['1'], second: ['2'], third: ['3']}"),
+        ("intervals: {first: 1, second: 2}", "intervals: {first: 1, second: 2, third: 3}"),
+    )
+    session = simulate_session(file, "p01", tmp_path)
+    assert audit_session(session).problems == ()
+    for row in session.table():
+        assert row["correct"] is (None if row["stimulus"] == "sharp" else True)
+        assert row["standard_mm_s"] == 100
+
+
+def test_the_console_tells_which_interval_plays(recorded: Session) -> None:
+    """From the events of the session alone."""
+    status, plays = Status(), list[int]()
+    for event in recorded.events:
+        status.take(event)
+        if event["event"] == "fired":
+            plays.append(status.facts()["trial"]["plays"])
+    assert plays == [1, 2] * 7
+
+
+@pytest.mark.parametrize("rule", ["correct", "second"])
+def test_a_run_follows_from_right_answers_or_from_one_that_is_named(tmp_path: Path, rule: str) -> None:
+    """Verification computes every level from the answers before; no success lifts it, no failure lowers it."""
+    run = f"adaptive: {{method: staircase, trials: 8, start_mm_s: 130, success: {rule}, guess_rate: 0.5, "
+    file = write(
+        tmp_path,
+        ("peak_velocities_mm_s: [70, 80, 90, 110, 125, 140]", "peak_velocities_mm_s: [100, 150]"),
+        ("schedule:\n  repetitions: 1", run + "staircase: {down_after: 2, steps_dB: [1]}}\n\nschedule:"),
+        ("asked: stronger", "asked: comparison"),
+    )
+    session = simulate_session(file, "p01", tmp_path)
+    verdict = audit_session(session)
+    assert verdict.problems == ()
+    assert "levels of 8 trials follow from the answers before them" in verdict.lines
+    rows = [row for row in session.table() if not row["practice"]]
+    succeeded = [row["correct"] is True if rule == "correct" else row["response"] == rule for row in rows]
+    for before, after, success in zip(rows, rows[1:], succeeded, strict=False):
+        change = after["velocity_mm_s"] - before["velocity_mm_s"]
+        assert change <= 0 if success else change >= 0
