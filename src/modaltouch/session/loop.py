@@ -200,7 +200,8 @@ def _settle(sitting: SessionRun, trial: Trial) -> Trial:
     """Return a trial at the level to which the answers so far lead; as it is where levels are fixed."""
     if sitting.levels is None:
         return trial
-    return sitting.levels.settle(trial, _counted(sitting), sitting.log.events[0]["adaptive"]["algorithm"])
+    algorithm = str(sitting.log.session.start.get("adaptive", {}).get("algorithm", ""))
+    return sitting.levels.settle(trial, _counted(sitting), algorithm)
 
 
 def _close_rounds(sitting: SessionRun) -> None:
