@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
+from ruamel.yaml import YAML
 
 from modaltouch.analysis import TableFormat, analyse, read_responses
 from modaltouch.analysis.zones import label_zones
@@ -49,9 +50,9 @@ def protocol_with(folder: Path, name: str, *changes: tuple[str, str]) -> Path:
     for old, new in (*shared, *changes):
         assert text.count(old) == 1, old
         text = text.replace(old, new)
-    english = (ROOT / "protocols" / "texts" / "english.yaml").read_text(encoding="utf-8")
-    labels = "answers: {felt: Felt, index: Index finger, middle: Middle finger, ring: Ring finger}\n"
-    (folder / "texts.yaml").write_text(english + labels, encoding="utf-8")
+    texts = YAML(typ="safe").load(ROOT / "protocols" / "texts" / "english.yaml")
+    labels = {name: f"{name} label" for name in ("felt", "index", "middle", "ring")}
+    YAML().dump(texts | {"answers": {**texts.get("answers", {}), **labels}}, folder / "texts.yaml")
     (folder / f"{name}.yaml").write_text(text, encoding="utf-8")
     return folder / f"{name}.yaml"
 
