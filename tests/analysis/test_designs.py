@@ -20,8 +20,10 @@ from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.measures import by_flips, by_ranks, group_test
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.ratings import friedman, power_law
+from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.responses import AnswerSource, Responses, TableFormat
 from modaltouch.protocol import AnswerList
+from modaltouch.session import simulate_session
 
 TWO = {
     "intervals": {"number": 2, "standard": {"velocity_mm_s": 80}, "asked": "stronger"},
@@ -257,6 +259,22 @@ def test_ratings_that_all_agree_still_have_an_interval() -> None:
     expected = BoundedMean([4.0] * 8, 1.0, 7.0).interval()
     assert (rating.estimate, rating.low, rating.high) == (4, expected.low, expected.high)
     assert expected.low < 4 < expected.high
+
+
+def test_recorded_answers_and_ratings_come_to_each_participant(edit, tmp_path: Path) -> None:
+    """The shipped detection with confidence, two answers a level: d' of 8 trials and 4 catch trials, ratings."""
+    few = ("repetitions: 10", "repetitions: 2"), ("catch_trials: 10", "catch_trials: 4")
+    protocol = edit("detection_with_confidence.yaml", *few)
+    simulate_session(protocol, "p1", tmp_path / "results")
+    responses = read_responses(tmp_path / "results")
+    design = analyse_design(responses, [responses.count()])
+    d_prime = [each for each in design.values if each.measure.name == "d'"]
+    assert [(each.participant, each.n) for each in d_prime] == [("p1", 8)]
+    assert [row.n_catch for row in design.catches] == [4, 4]
+    rated = [each for each in design.values if each.measure.name == "confidence"]
+    expected = responses.frame.groupby(["participant", "velocity_mm_s"], observed=True)["confidence"].mean()
+    assert [each.interval.estimate for each in rated] == pytest.approx(expected.to_numpy(dtype=float))
+    assert rated[0].measure.ends == (0, 100)
 
 
 def test_a_measure_that_nobody_has_is_told_as_such() -> None:
