@@ -80,6 +80,10 @@ def test_everything_that_was_answered_is_recorded_and_verified(recorded: Session
         assert list(further) == ["sure", "pleasant"] and further["pleasant"]["value"] in range(1, 8)
         late = further["sure"]["reaction_time"] >= 0.5
         assert further["sure"]["answer"] in (("time_out",) if late else ("no", "yes"))
+    strong = {80.0: set[float](), 200.0: set[float]()}
+    for event in trials:
+        strong[event["trial"]["condition"]["velocity_mm_s"]].add(event["response"]["further"]["pleasant"]["value"])
+    assert max(strong[80.0]) < min(strong[200.0]), "what was felt is remembered when the beam is at rest"
     rows = table(session, "demo")
     assert [float(row["value"]) for row in rows] == [event["response"]["value"] for event in trials]
     assert [row["sure"] for row in rows] == [event["response"]["further"]["sure"]["answer"] for event in trials]

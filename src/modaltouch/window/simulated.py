@@ -70,6 +70,7 @@ class Answerer:
     answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
     scale: ScaleSection | None = None
     _intervals: list[tuple[float, ...]] = field(default_factory=list)
+    _remembered: dict[Trial, tuple[float, ...]] = field(default_factory=dict, repr=False)
 
     def feel(self, trial: Trial, interval: int) -> None:
         """Keep what is felt in an interval of a trial, one before the last, from 1."""
@@ -77,7 +78,7 @@ class Answerer:
 
     def answer(self, trial: Trial) -> tuple[str, float]:
         """Return the answer to a trial and its reaction time [s]; its stimulus, or the last one, is felt now."""
-        speeds, stream = self.felt(trial), self._stream(int(trial.practice), trial.index)
+        speeds, stream = self._feel(trial), self._stream(int(trial.practice), trial.index)
         if self._intervals and any(answer.interval for answer in self.answers):
             return self.participant.compare([*self._intervals, speeds], stream, self.answers)
         # One finger alone is like two that feel the same: what it can tell is whether there was anything.
@@ -114,10 +115,17 @@ class Answerer:
             share, reaction_time = float(stream.random()), self.participant.rate((0.0,), stream)[1]
         else:
             stream = self._stream(int(trial.practice), trial.index, number)
-            share, reaction_time = self.participant.rate(self.felt(trial), stream)
+            # The beam is at rest by the time of a further question: what was felt is remembered.
+            speeds = self._remembered.get(trial) if name else None
+            share, reaction_time = self.participant.rate(speeds or self._feel(trial), stream)
         if scale is not None:
             return listed[0], scale.at(share), reaction_time
         return listed[int(share * len(listed))], None, reaction_time
+
+    def _feel(self, trial: Trial) -> tuple[float, ...]:
+        """Return what the fingers feel now, and remember it of this trial alone."""
+        self._remembered.clear()
+        return self._remembered.setdefault(trial, self.felt(trial))
 
     def _stream(self, *key: int) -> np.random.Generator:
         """Return the source of chance of one answer.
