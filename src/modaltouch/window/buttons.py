@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -51,7 +52,7 @@ class Buttons:
             marks += self._button(answer, pressed=answer == chosen, with_keys=with_keys)
             if with_keys:
                 below = Box(box.x, box.y - 0.27 * box.height, box.width * 0.9, 0.25 * box.height)
-                marks += self._key_caps(answer, below)
+                marks += key_caps(self.texts, self.theme, self.answers.keys[answer], below)
         return tuple(marks)
 
     def _low_button(self, answer: str, box: Box, *, pressed: bool, with_keys: bool) -> tuple[Mark, ...]:
@@ -66,7 +67,7 @@ class Buttons:
         return (
             *framed(box, 0.018 * unit, theme.button_edge, fill, 0.006 * unit),
             words,
-            *(self._key_caps(answer, beside) if with_keys else ()),
+            *(key_caps(self.texts, theme, self.answers.keys[answer], beside) if with_keys else ()),
         )
 
     def _button(self, answer: str, *, pressed: bool, with_keys: bool) -> tuple[Mark, ...]:
@@ -110,28 +111,26 @@ class Buttons:
         """Return the size of type, up to an intended one, at which every label fits a box."""
         return size * _common_share(typesetter_of(self.texts), tuple(labels), box, size)
 
-    def _key_caps(self, answer: str, box: Box) -> tuple[Mark, ...]:
-        """Return the keys that give an answer: arrows where there are any, else the first two."""
-        keys = self.answers.keys[answer]
-        shown = [key for key in keys if key in _ARROWS] or list(keys[:2])
-        marks: list[Mark] = []
-        labels = [None if key in _ARROWS else key_name(self.texts, key) for key in shown]
-        measure = typesetter_of(self.texts).measure
-        widths = [box.height * (1.0 if not label else max(1.0, 0.58 * measure(label) + 0.5)) for label in labels]
-        gap = 0.25 * box.height
-        x = box.x - (sum(widths) + gap * (len(widths) - 1)) / 2
-        for key, label, width in zip(shown, labels, widths, strict=True):
-            cap = Box(x + width / 2, box.y, width, box.height)
-            edge = self.theme.button_edge
-            marks.append(rounded(cap, 0.2 * box.height, edge))
-            marks.append(rounded(cap.inset(0.05 * box.height), 0.16 * box.height, self.theme.ground))
-            if label is None:
-                marks.append(triangle(key, cap.x, cap.y, 0.24 * box.height, self.theme.text))
-            else:
-                inner = cap.inset(0.08 * box.height)
-                marks.append(Words(label, inner, 0.58 * box.height, self.theme.text))
-            x += width + gap
-        return tuple(marks)
+
+def key_caps(texts: Texts, theme: Theme, keys: Sequence[str], box: Box) -> tuple[Mark, ...]:
+    """Return keys side by side as caps of a box's height: arrows where there are any, else the first two."""
+    shown = [key for key in keys if key in _ARROWS] or list(keys[:2])
+    marks: list[Mark] = []
+    labels = [None if key in _ARROWS else key_name(texts, key) for key in shown]
+    measure = typesetter_of(texts).measure
+    widths = [box.height * (1.0 if not label else max(1.0, 0.58 * measure(label) + 0.5)) for label in labels]
+    gap = 0.25 * box.height
+    x = box.x - (sum(widths) + gap * (len(widths) - 1)) / 2
+    for key, label, width in zip(shown, labels, widths, strict=True):
+        cap = Box(x + width / 2, box.y, width, box.height)
+        marks.append(rounded(cap, 0.2 * box.height, theme.button_edge))
+        marks.append(rounded(cap.inset(0.05 * box.height), 0.16 * box.height, theme.ground))
+        if label is None:
+            marks.append(triangle(key, cap.x, cap.y, 0.24 * box.height, theme.text))
+        else:
+            marks.append(Words(label, cap.inset(0.08 * box.height), 0.58 * box.height, theme.text))
+        x += width + gap
+    return tuple(marks)
 
 
 @cache

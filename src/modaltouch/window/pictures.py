@@ -377,7 +377,8 @@ class Illustrator:
         own = self.layout, self.theme, self.texts
         if self.answers.scale is None:
             return Buttons(*own, self.answers).draw(chosen, with_keys=with_keys)
-        return draw_scale(*own, self.answers.scale, chosen or "", confirmed=confirmed, keys=with_keys)
+        is_taken = confirmed and chosen is not None
+        return draw_scale(*own, self.answers.scale, chosen or "", confirmed=is_taken, keys=with_keys)
 
     def _answers_box(self) -> Box:
         """Return the middle of the row of answers."""

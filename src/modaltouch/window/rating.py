@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from modaltouch.protocol import ScaleSection, Texts
-from modaltouch.window.buttons import key_name
+from modaltouch.window.buttons import key_caps, key_name, typesetter_of
 from modaltouch.window.interface import Event
 from modaltouch.window.layout import Layout
 from modaltouch.window.shapes import Box, Mark, Words, capsule, framed, rectangle, triangle
@@ -126,7 +128,8 @@ def draw_scale(
     """
     parts = {"vas": _draw_line, "likert": _draw_points, "number": _draw_keypad}
     marks = parts[scale.kind](layout, theme, entered, [f"{point:.10g}" for point in scale.points], confirmed)
-    marks += _draw_words(layout, theme, tuple(texts.answers.get(words, words) for words in scale.words))
+    words = tuple(texts.answers.get(each, each) for each in scale.words)
+    marks += _draw_words(layout, theme, words, typesetter_of(texts).measure)
     if scale.kind == "number" and scale.high is not None and not entered:
         field = _field(layout)
         marks.append(Words(f"{scale.low:g} – {scale.high:g}", field.inset(0.008), 0.03, theme.dim))
@@ -138,6 +141,9 @@ def draw_scale(
     ink = theme.text if entered else theme.dim
     marks += framed(box, 0.016, theme.button_edge, theme.button, 0.003)
     marks.append(Words(label.rstrip(" :：(（)）"), box.inset(0.008), size, ink))
+    for action, side in (("lower", -1), ("higher", 1)) if keys and scale.points else ():
+        beside = Box(side * (box.width / 2 + 0.07 * layout.unit), box.y, 0.1, 0.042)
+        marks += key_caps(texts, theme, scale.actions[action][:1], beside)
     return tuple(marks)
 
 
@@ -187,7 +193,7 @@ def _draw_keypad(layout: Layout, theme: Theme, entered: str, names: list[str], c
     return marks
 
 
-def _draw_words(layout: Layout, theme: Theme, words: tuple[str, ...]) -> list[Mark]:
+def _draw_words(layout: Layout, theme: Theme, words: tuple[str, ...], measure: Callable[[str], float]) -> list[Mark]:
     """Return the words under the points, or under the two ends and turned towards the middle."""
     if not words:
         return []
@@ -197,7 +203,7 @@ def _draw_words(layout: Layout, theme: Theme, words: tuple[str, ...]) -> list[Ma
         places = [Box(box.x, y, box.width * 1.12, height) for box in boxes]
     else:
         left, right = min(box.left for box in boxes), max(box.right for box in boxes)
-        widths = [min(0.36 * (right - left), (len(text) + 1) * 0.62 * size) for text in words]
+        widths = [min(0.36 * (right - left), (measure(text) + 1) * size) for text in words]
         reach = [max(width / 2 - 0.02, 0.02) for width in widths]
         xs = left + reach[0], right - reach[1]
         places = [Box(x, y, width, height) for x, width in zip(xs, widths, strict=True)]
