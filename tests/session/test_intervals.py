@@ -14,7 +14,7 @@ import pytest
 from modaltouch.preflight import examine
 from modaltouch.protocol import Trial
 from modaltouch.record import Session, audit_session, read_session
-from modaltouch.rig import Simulator, open_rig
+from modaltouch.rig import Generator, Simulator
 from modaltouch.session import simulate_session
 from modaltouch.session.console.status import Status
 from modaltouch.session.rewiring import resume, wire_resume
@@ -136,7 +136,7 @@ def test_an_interval_that_is_not_confirmed_has_the_trial_asked_again(tmp_path: P
             return opened
 
         def rig(log: Callable[..., None]) -> Any:
-            return open_rig(simulator.address, preflight.experiment.apparatus, log=log, **simulator.driver_options)
+            return Generator(simulator.address, preflight.experiment.apparatus, log=log, **simulator.driver_options)
 
         begin(replace(setup, open_rig=rig, open_window=window))
     session = read_session(setup.place.log)
