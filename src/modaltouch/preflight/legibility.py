@@ -67,9 +67,9 @@ def _check_type(findings: Findings, window: tuple[int, int] | None) -> Iterator[
     if screen is None or reading is None:
         return
     size = window or (screen.width_px, screen.height_px)
+    trials = Schedule.draw(protocol, "p01", 1).trials
     placements = {
-        (trial.condition.finger_condition, trial.condition.zones, trial.condition.placement): trial
-        for trial in Schedule.draw(protocol, "p01", 1).trials
+        (each.condition.finger_condition, each.condition.zones, each.condition.placement): each for each in trials
     }
     zones = tuple(experiment.apparatus.zones)
     pixels, text = smallest_type(protocol, experiment.texts, zones, [*placements.values()], size)

@@ -49,13 +49,16 @@ class Markers:
         elif event["event"] == "answered":
             instant = event["instants"]["answer"]
             middle = (instant["earliest_s"] + instant["latest_s"]) / 2
-            self._send("answer", event["trial"], middle, event["response"]["answer"])
+            given = event["response"]
+            number = given.get("value")
+            self._send("answer", event["trial"], middle, given["answer"] if number is None else f"{number:g}")
         elif event["event"] == "trial_cut":
             self._send("cut", event["trial"], event["clock"])
 
     def _send(self, event: str, trial: dict[str, Any], instant: float, detail: str = "") -> None:
         """Send one marker, such as ``answer/5/one_hand/AC/100/left``, with its instant by the session's clock [s]."""
         condition, practice = trial["condition"], "practice" if trial["practice"] else ""
-        pair, level = condition["zone_left"] + condition["zone_right"], f"{condition['velocity_mm_s']:g}"
-        words = (event, practice, str(trial["index"]), condition["finger_condition"], pair, level, detail)
+        zones = condition["zone_left"] + condition.get("zone_between", "") + condition["zone_right"]
+        level = f"{condition['velocity_mm_s']:g}"
+        words = (event, practice, str(trial["index"]), condition["finger_condition"], zones, level, detail)
         self._outlet.push_sample(["/".join(filter(None, words))], instant + self._offset)
