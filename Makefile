@@ -199,7 +199,7 @@ docs: .venv/.docs
 .PHONY: docs-check
 docs-check: docs
 	@command -v chromium || command -v google-chrome || { packages=chromium; $(INSTALL_PACKAGES); }
-	$(PYTHON) -m pytest --timeout 1800 tests/docs/check_pages.py
+	$(PYTHON) -m pytest --timeout 1800 tests/docs/check_pages.py tests/docs/check_typesetting.py
 
 .venv/.bench: tests/benchmarks/requirements.lock .venv/.installed
 	$(UV) pip install --python $(PYTHON) --quiet --require-hashes -r tests/benchmarks/requirements.lock
