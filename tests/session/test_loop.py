@@ -532,7 +532,7 @@ class FragileNoise(Masking):
         object.__setattr__(self, "n_ensured", 0)
         object.__setattr__(self, "required", required)
 
-    def ensure(self, tick: Callable[[], object]) -> None:
+    def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
         object.__setattr__(self, "n_ensured", self.n_ensured + 1)  # type: ignore[attr-defined]
         if self.n_ensured > 3 and self.required:  # type: ignore[attr-defined]
             raise MaskingError("no sound device")

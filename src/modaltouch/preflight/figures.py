@@ -141,10 +141,11 @@ def estimated_duration(protocol: Protocol) -> float:
     n_trials = protocol.n_trials + schedule.practice_trials
     before_question = answers.question_delay_s
     if answers.stimulus_until == "question":
-        rate = protocol.stimulus.repetition_rate_Hz
-        before_question = max(before_question, answers.n_bursts(rate) / rate)
+        names = protocol.stimulus_names
+        lengths = [protocol.n_bursts(name) / protocol.stimulus_of(name).repetition_rate_Hz for name in names]
+        before_question = max(before_question, fmean(lengths))
         if (intervals := protocol.intervals) is not None:
-            before_question += (intervals.number - 1) * (answers.n_bursts(rate) / rate + intervals.gap_s)
+            before_question += (intervals.number - 1) * (fmean(lengths) + intervals.gap_s)
     pause = fmean(map(answers.pause, protocol.conditions.finger_conditions))
     # The fingers move wherever the pair differs from the one before.
     n_pairs = len(protocol.conditions.contacts)

@@ -21,6 +21,7 @@ def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
         from modaltouch.protocol.cell_table import check_cells
 
         yield from check_cells(reading)
+    yield from _check_stimuli(reading)
     own = ("sensation_levels", "multiples") if reading.sound("conditions", "sensation_levels") else None
     n_pairs, n_levels = len(contacts(reading)), len(reading.items("conditions", *(own or ("peak_velocities_mm_s",))))
     n_blocks = len(reading.items("conditions", "finger_conditions"))
@@ -62,3 +63,17 @@ def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
         given = f"{running} where every trial has the same pair"
         allowed = f"at least {n_driven}, or null for no limit"
         yield reading.problem(path, given, allowed, "add a pair of zones or lift the limit")
+
+
+def _check_stimuli(reading: Reading[Protocol]) -> Iterator[Problem]:
+    """Yield what one of several stimuli has of its own and the protocol has no use for."""
+    until = reading.sound("answers", "stimulus_until")
+    for name in reading.sound("stimuli") or ():
+        path = ("stimuli", name, "presentation_bursts")
+        if until == "answer" and (n_bursts := reading.sound(*path)) is not None:
+            given, remedy = f"{n_bursts}, where the stimulus plays until the answer", "write stimulus_until: question"
+            yield reading.problem(path, given, "only where it stops before the question (answers)", remedy)
+        path = ("stimuli", name, "masked")
+        if reading.sound(*path) is not None and reading.sound("masking") is None:
+            given = "a stimulus with or without masking, where there is no noise"
+            yield reading.problem(path, given, "only with a section masking", "write one, or leave it out")

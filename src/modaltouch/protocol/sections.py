@@ -342,6 +342,15 @@ class Protocol(Section):
             return None
         return self.intervals.is_correct(self.answers.offered.interval_of(answer), trial.condition, trial.interval)
 
+    def n_bursts(self, name: str) -> int:
+        """Return how many bursts a stimulus has, or may have until the answer; of a catch trial, what all share."""
+        own = self.stimuli[name].presentation_bursts if name in self.stimuli else None
+        return own or self.answers.n_bursts(self.stimulus_of(name).repetition_rate_Hz)
+
+    def is_masked(self, name: str) -> bool:
+        """Return whether the masking noise, where there is any, is on with a stimulus."""
+        return name not in self.stimuli or self.stimuli[name].masked is not False
+
     def with_stimulus(self, name: str) -> Protocol:
         """Return the protocol with one of its stimuli alone, in a crossed design; without the standard of another."""
         crossed = self.conditions.model_copy(update={"cells": (), "exclude": ()})

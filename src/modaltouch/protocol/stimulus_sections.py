@@ -119,10 +119,20 @@ class StimulusVariant(Section):
     release: Literal["braked", "free"] | None = described("As in the section stimulus.", default=None)
     n_samples: SampleCount | None = described("As in the section stimulus.", default=None)
     repetition_rate_Hz: Positive | None = described("As in the section stimulus.", default=None)  # noqa: N815
+    presentation_bursts: Annotated[Count, Field(le=100_000)] | None = described(
+        "Bursts of this stimulus where it stops before the question; null for as many as the section answers says.",
+        default=None,
+        exclude_if=lambda given: given is None,
+    )
+    masked: Annotated[bool, Field(strict=True)] | None = described(
+        "Whether the masking noise is on with this stimulus; null for on, where there is a section masking.",
+        default=None,
+        exclude_if=lambda given: given is None,
+    )
 
     def applied(self, base: StimulusSection) -> StimulusSection:
         """Return a stimulus with what this one has different."""
-        own = {key: getattr(self, key) for key in type(self).model_fields}
+        own = {key: getattr(self, key) for key in type(self).model_fields if key in StimulusSection.model_fields}
         return base.model_copy(update={key: value for key, value in own.items() if value is not None})
 
 

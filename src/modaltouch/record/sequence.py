@@ -110,7 +110,7 @@ def check_intervals(event: Event, trial: Trial, begun: list[Event], given: Trial
         if gap + unsure + INSTANT < section.gap_s:
             faults += [f"began {gap:.6g} s after the one before, its protocol has a gap of {section.gap_s:g} s"]
         rate = stimulus.repetition_rate_Hz
-        n_bursts = given.protocol.answers.n_bursts(rate)
+        n_bursts = given.protocol.n_bursts(part.condition.stimulus)
         over = confirmed["onset"] + (n_bursts - 1) / rate + stimulus.duration_ms * 1e-3
         yield from (f"interval {number}: {fault}" for fault in faults)
     if not sound and (event["event"] == "answered" or event["confirmed"]["confirmed"]):

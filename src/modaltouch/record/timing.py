@@ -87,7 +87,7 @@ def _check_number(event: Event, trial: Trial, given: TrialExpectation) -> Iterat
         if asked:
             yield f"is a catch trial with {asked} bursts asked"
         return
-    most = given.protocol.answers.n_bursts(rate)
+    most = given.protocol.n_bursts(trial.condition.stimulus)
     if given.protocol.answers.stimulus_until == "question":
         if (asked, event["bursts"]["dropped"]) != (most, 0):
             yield f"is confirmed with {asked} of {most} bursts asked and {event['bursts']['dropped']} dropped"

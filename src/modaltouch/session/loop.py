@@ -293,7 +293,7 @@ def present(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]
     """
     while True:
         sitting.window.settle(trial, (trial.index, sitting.total))
-        sitting.masking.ensure(sitting.tick)
+        sitting.masking.ensure(sitting.tick, on=sitting.protocol.is_masked(trial.condition.stimulus))
         try:
             return _present_once(sitting, trial)
         except TrialInterrupted:
@@ -388,8 +388,7 @@ def fire(sitting: SessionRun, trial: Trial) -> Firing:
     silent = trial.condition.is_catch
     level = min(sitting.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
     level = sitting.played(trial, level)
-    stimulus = sitting.protocol.stimulus_of(trial.condition.stimulus)
-    n_bursts = sitting.protocol.answers.n_bursts(stimulus.repetition_rate_Hz)
+    n_bursts = sitting.protocol.n_bursts(trial.condition.stimulus)
     exactly = sitting.protocol.answers.stimulus_until == "question"
     return sitting.rig.fire(level * 1e-3, n_bursts=n_bursts, exactly=exactly, silent=silent, which=sitting.which(trial))
 
@@ -397,7 +396,7 @@ def fire(sitting: SessionRun, trial: Trial) -> Firing:
 def _ends(sitting: SessionRun, trial: Trial, firing: Firing) -> float:
     """Return when the last burst of a stimulus is over [s]."""
     stimulus = sitting.protocol.stimulus_of(trial.condition.stimulus)
-    n_bursts = sitting.protocol.answers.n_bursts(stimulus.repetition_rate_Hz)
+    n_bursts = sitting.protocol.n_bursts(trial.condition.stimulus)
     return firing.onset + (n_bursts - 1) / stimulus.repetition_rate_Hz + stimulus.duration_ms * 1e-3
 
 

@@ -89,8 +89,8 @@ class Masking:
     def start(self) -> None:
         """Begin to fade in."""
 
-    def ensure(self, tick: Callable[[], object]) -> None:
-        """See before a trial that the noise is on and at its level; open the device again where it was lost.
+    def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
+        """See before a trial that the noise is at its level, or silent; open the device again where it was lost.
 
         Calls `tick` while it waits.
 
@@ -136,6 +136,7 @@ class NoiseMasking(Masking):
         self._asked = 0.0
         self._n_underflows = 0
         self._is_lost = self._given_up = False
+        self._is_wanted = True
         self._open()
 
     def describe(self) -> dict[str, Any] | None:
@@ -160,12 +161,16 @@ class NoiseMasking(Masking):
         self._playback.fade_in()
         self._log("masking", state="on")
 
-    def ensure(self, tick: Callable[[], object]) -> None:
-        """See that the noise is on and at its level; open the device again where it was lost."""
+    def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
+        """See that the noise is at its level, or silent; open the device again where it was lost."""
         self._watch()
+        if on != self._is_wanted:
+            self._is_wanted = on
+            (self._playback.fade_in if on else self._playback.fade_out)()
+            self._log("masking", state="on" if on else "silent")
         if self._is_lost and not self._given_up:
             self._reopen()
-        while not (self._is_lost or self._playback.is_full):
+        while not (self._is_lost or (self._playback.is_full if on else self._playback.is_silent)):
             tick()
             time.sleep(1e-3)
             self._watch()
@@ -174,7 +179,7 @@ class NoiseMasking(Masking):
     def is_on(self) -> bool | None:
         """Whether the noise has been on since `ensure`."""
         self._watch()
-        return not self._is_lost and self._playback.is_full
+        return self._is_wanted and not self._is_lost and self._playback.is_full
 
     def __exit__(self, *exc: object) -> None:
         """Let the device go."""

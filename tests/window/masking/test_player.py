@@ -182,6 +182,20 @@ def test_a_trial_waits_for_the_noise_to_be_at_its_level(devices: list[Any]) -> N
     assert np.array_equal(devices[0].ask(100)[:, 1], period[2400:2500].astype(np.float32))
 
 
+def test_a_stimulus_without_masking_waits_for_silence(devices: list[Any]) -> None:
+    """The noise fades out before it, and in again before the next with masking."""
+    masking, log = make(SECTION)
+    masking.start()
+    masking.ensure(lambda: devices[0].ask(2400))
+    masking.ensure(lambda: devices[0].ask(2400), on=False)
+    assert masking.is_on is False
+    assert not devices[0].ask(100).any()
+    masking.ensure(lambda: devices[0].ask(2400))
+    assert masking.is_on
+    assert devices[0].ask(100).any()
+    assert [facts["state"] for event, facts in log if event == "masking"] == ["on", "silent", "on"]
+
+
 def test_the_level_at_the_ear_follows_from_the_calibration() -> None:
     """60 dB SPL where a sine of full scale gives 100 dB SPL: -40 dB FS."""
     section = MaskingSection(noise="pink", level_dB_SPL=60.0)
