@@ -29,6 +29,7 @@ from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import CONFIDENCE, Interval
 from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.scale import LevelScale
+from modaltouch.analysis.zones import label_zones
 
 FloatArray = NDArray[np.float64]
 Cell = tuple[str, str, str, float]
@@ -331,7 +332,7 @@ def cells(frame: pd.DataFrame, scale: LevelScale, *, by_level: bool) -> Iterator
     by_level : bool
         Whether each level is a cell of its own; else all are together, at a level that is not a number.
     """
-    pair = pair_labels(frame)
+    pair = label_zones(frame)
     for name in ("stimulus", "session_kind"):
         if name in frame.columns and frame[name].nunique() > 1:
             pair = pair + " " + frame[name].astype(str)
@@ -355,15 +356,6 @@ def claim_of(family: str, claim: str) -> str:
     """Return what a family of tests of measures claims; `claim` is that of its question."""
     end = next(end for end in _CLAIMS if family.endswith(end))
     return _CLAIMS[end].format(claim=claim, family=family)
-
-
-def pair_labels(frame: pd.DataFrame) -> pd.Series:
-    """Return the zones under the fingers of each row, as in ``A-C``."""
-    zones = [frame[name].astype(str) for name in ("zone_left", "zone_between", "zone_right") if name in frame.columns]
-    pair = zones[0]
-    for zone in zones[1:]:
-        pair = pair.where(zone == "", pair + "-" + zone)
-    return pair
 
 
 def by_measure(values: Iterable[Own]) -> Iterator[tuple[Measure, list[Own]]]:

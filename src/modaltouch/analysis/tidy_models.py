@@ -6,10 +6,10 @@ from typing import Any
 
 import pandas as pd
 
-from modaltouch.analysis.measures import pair_labels
 from modaltouch.analysis.ratings import questions_of
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
+from modaltouch.analysis.zones import label_zones
 from modaltouch.report import render_page
 
 FACTORS = ("group", "session_kind", "stimulus", "finger_condition", "pair")
@@ -29,7 +29,7 @@ def tidy_files(responses: Responses) -> dict[str, Any]:
     level = frame[scale.column].astype(float)
     named = [name for name in FACTORS if name in frame.columns and (frame[name] != "").any()]
     factors = {name: frame[name].astype(str) for name in named}
-    factors["pair"] = pair_labels(frame)
+    factors["pair"] = label_zones(frame)
     table = pd.DataFrame({
         "participant": frame["participant"].astype(str), **factors, scale.column: level,
         "level": (level - (level.min() + level.max()) / 2) / scale.step,
