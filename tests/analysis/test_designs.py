@@ -22,7 +22,7 @@ from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.ratings import friedman, power_law
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.responses import AnswerSource, Responses, TableFormat
-from modaltouch.protocol import AnswerList
+from modaltouch.protocol import AnswerList, InputError
 from modaltouch.session import simulate_session
 
 TWO = {
@@ -275,6 +275,21 @@ def test_recorded_answers_and_ratings_come_to_each_participant(edit, tmp_path: P
     expected = responses.frame.groupby(["participant", "velocity_mm_s"], observed=True)["confidence"].mean()
     assert [each.interval.estimate for each in rated] == pytest.approx(expected.to_numpy(dtype=float))
     assert rated[0].measure.ends == (0, 100)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda table: table.drop(columns="interval"), "add the column interval"),
+        (lambda table: table.assign(interval="late"), r"interval: given 'late' \(in 1152 rows\)"),
+    ],
+)
+def test_a_table_of_intervals_has_to_tell_where_the_comparison_stood(compared, tmp_path: Path, change, reason) -> None:
+    """One column more than of other designs, whole numbers."""
+    path = tmp_path / "answers.csv"
+    change(compared).to_csv(path, index=False)
+    with pytest.raises(InputError, match=reason):
+        read_responses(path, table_format=TableFormat(AnswerList.of(TWO["answers"]), design=TWO))
 
 
 def test_a_measure_that_nobody_has_is_told_as_such() -> None:

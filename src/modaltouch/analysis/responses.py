@@ -92,6 +92,12 @@ class TableFormat:
     margin: float | None = None
     design: Mapping[str, Any] = field(default_factory=dict)
 
+    @property
+    def asked(self) -> tuple[str, ...]:
+        """Columns of numbers that the protocol asks for."""
+        scale = (self.design.get("answers") or {}).get("scale")
+        return (*["interval"] * bool(self.design.get("intervals")), *["value"] * bool(scale))
+
 
 @dataclass(frozen=True)
 class ExcludedSource:

@@ -82,7 +82,7 @@ class TrialTask:
             Column of the levels.
         """
         alike = (frame[level] == self.standard) | math.isnan(self.standard)
-        return alike & (frame["stimulus"] == self.stimulus) if self.stimulus else alike
+        return alike & (frame["stimulus"] == self.stimulus) if self.stimulus and "stimulus" in frame.columns else alike
 
     @property
     def detects(self) -> bool:

@@ -28,7 +28,7 @@ from modaltouch.analysis.zones import zones_of
 from modaltouch.protocol import TIME_OUT, AnswerList, InputError, Problem, suggest
 
 _SPEEDS = ("speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s")
-NUMBERS = ("trial", "block", "interval", "value", "response_time", *_SPEEDS)
+NUMBERS = ("trial", "block", "response_time", *_SPEEDS)
 """Further columns the analysis uses where they are there, named as in the record's own table."""
 
 _TRUTH = {"0": False, "false": False, "no": False, "": False, "1": True, "true": True, "yes": True}
@@ -59,7 +59,7 @@ def read_csv(
         With every fault of a field; where there is none, with every one of the balance.
     """
     table_format = table_format or TableFormat()
-    table = read_table(path, REQUIRED)
+    table = read_table(path, (*REQUIRED, *table_format.asked))
     table = choose_rows(choose_rows(table, "mode", mode), "stimulus", stimulus)
     table, left_out, notes = choose_sessions(table)
     fields, columns = table.fields, _Columns(table)
@@ -117,10 +117,12 @@ def _frame_of(
     if "repetition" in fields:
         frame["repetition"] = columns.whole_numbers("repetition", 1)
     for name in fields.columns.difference([*frame.columns, "catch", VELOCITY.column, OWN_THRESHOLD.column], sort=False):
-        is_number = name in NUMBERS
+        is_number = name in NUMBERS or (name == "value" and name in table_format.asked)
         frame[name] = (
             columns.numbers(name, "a number, or nothing", empty=True) if is_number else fields[name].astype("str")
         )
+    if "interval" in table_format.asked:
+        frame["interval"] = columns.whole_numbers("interval", 0)
     return frame, answers
 
 
