@@ -33,7 +33,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Setup:
 
 
 @pytest.fixture(scope="module")
-def received(demo: Setup, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Session, list[Any]]]:
+def received(demo: Setup, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Session, list[Any], list[str]]]:
     """The session as it was recorded, and every marker that came through with its time by the clock of LSL [s]."""
     with pytest.MonkeyPatch.context() as patch:
         config = tmp_path_factory.mktemp("lsl") / "lsl_api.cfg"
@@ -51,13 +51,19 @@ def received(demo: Setup, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
         while len(samples) < 2 * len(session.trials):
             (words,), instant = inlet.pull_sample(timeout=10)
             samples.append((words, instant))
-        yield session, samples
+        told = session.trials[1]
+        fired = {"event": "fired", "trial": told["trial"], "confirmed": told["confirmed"]}
+        for event in (fired | {"interval": 2}, fired | {"event": "trial_cut", "clock": 1.0}):
+            markers.follow(event)
+        yield session, samples, [inlet.pull_sample(timeout=10)[0][0] for _ in range(2)]
         inlet.close_stream()
 
 
-def test_every_stimulus_and_answer_comes_through_at_its_instant(received: tuple[Session, list[Any]]) -> None:
+def test_every_stimulus_and_answer_comes_through_at_its_instant(
+    received: tuple[Session, list[Any], list[str]],
+) -> None:
     """Expected: the conditions and instants of the record, moved by the offset of the clocks that it tells."""
-    session, samples = received
+    session, samples, _ = received
     offset = session.start["markers"]["lsl"]["clock_offset_s"]
     expected = []
     for event in session.trials:
@@ -72,6 +78,14 @@ def test_every_stimulus_and_answer_comes_through_at_its_instant(received: tuple[
         ]
     assert [words for words, _ in samples] == [words for words, _ in expected]
     assert [instant - offset for _, instant in samples] == pytest.approx([instant for _, instant in expected], abs=1e-5)
+
+
+def test_each_interval_has_its_number_and_a_cut_is_told(received: tuple[Session, list[Any], list[str]]) -> None:
+    """Expected: the words of the trial's own stimulus, with the interval at their end, or as a cut."""
+    _, samples, (interval, cut) = received
+    words = samples[2][0]
+    assert words.startswith("stimulus/1/")
+    assert (interval, cut) == (f"{words}/interval_2", words.replace("stimulus", "cut", 1))
 
 
 def test_a_session_in_virtual_time_sends_nothing(demo: Setup) -> None:

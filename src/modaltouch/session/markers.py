@@ -45,7 +45,8 @@ class Markers:
     def follow(self, event: dict[str, Any]) -> None:
         """Send what an event of the log tells of a stimulus or an answer."""
         if event["event"] == "fired":
-            self._send("stimulus", event["trial"], event["confirmed"]["onset"])
+            interval = f"interval_{event['interval']}" if "interval" in event else ""
+            self._send("stimulus", event["trial"], event["confirmed"]["onset"], interval)
         elif event["event"] == "answered":
             instant = event["instants"]["answer"]
             middle = (instant["earliest_s"] + instant["latest_s"]) / 2
