@@ -73,6 +73,24 @@ class TestMultinomial:
         assert test.p == pytest.approx(3.0**-9, rel=1e-12)
         assert test.p_min == test.p
 
+    def test_hundreds_of_answers_are_weighed_part_by_part(self) -> None:
+        """Closed forms for 150 of three kinds: p 3^-149 at one end, 1 in the middle; a batch has those of each."""
+        alike, even = multinomial_test([150, 0, 0]), multinomial_test([50, 50, 50])
+        assert (alike.p, even.p) == (pytest.approx(3.0**-149, rel=1e-9), pytest.approx(1.0, rel=1e-9))
+        assert alike.p_min == even.p_min == alike.p
+        batch = multinomial_test([[150, 0, 0], [60, 50, 40]])
+        assert batch.p == pytest.approx([alike.p, multinomial_test([60, 50, 40]).p], rel=1e-12)
+
+    def test_what_is_weighed_part_by_part_is_what_is_kept(self, monkeypatch) -> None:
+        """Two ways to one number, for even and uneven chances."""
+        for null in (None, [0.2, 0.3, 0.5]):
+            kept = multinomial_test([[9, 1, 4], [3, 5, 6]], null)
+            with monkeypatch.context() as patched:
+                patched.setattr("modaltouch.analysis.exact._KEPT", 0)
+                parts = multinomial_test([[9, 1, 4], [3, 5, 6]], null)
+            assert parts.p == pytest.approx(kept.p, rel=1e-12)
+            assert parts.p_min == pytest.approx(kept.p_min, rel=1e-12)
+
     def test_no_answers_give_p_one(self) -> None:
         """Nothing observed is nothing learnt."""
         assert multinomial_test([0, 0, 0]).p == 1

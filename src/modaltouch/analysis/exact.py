@@ -197,10 +197,15 @@ def multinomial_test(counts: ArrayLike, probabilities: Sequence[float] | None = 
     for n in np.unique(totals[totals > 0]).tolist():
         here, shares = totals == n, _tables(n, null)[1]
         statistic[here] = shares[np.arange(null.size), rows[here]].sum(axis=1)
-        few = math.comb(n + null.size - 1, n) <= _KEPT
-        values, tails = (_ranked_and_kept if few else _ranked_outcomes)(n, tuple(null.tolist()))
-        p[here] = _reached(values, tails, statistic[here])
-        p_min[here] = _reached(values, tails, values[-1:])
+        # The ratio is convex in the counts, so the most extreme outcome has all answers in one category.
+        extremes = np.append(statistic[here], shares[:, n].max())
+        least = extremes - 1e-9 * np.maximum(1.0, np.abs(extremes))  # rounding allowed for
+        if math.comb(n + null.size - 1, n) <= _KEPT:
+            values, tails = _ranked_outcomes(n, tuple(null.tolist()))
+            chances = tails[np.searchsorted(values, least)]
+        else:
+            chances = sum((value >= least[:, np.newaxis]) @ mass for value, mass in _weighed_outcomes(n, null))
+        p[here], p_min[here] = chances[:-1], chances[-1]
     shape = observed.shape[:-1]
     found: list[Any] = [each.reshape(shape)[()] for each in (statistic, p, p_min, totals)]
     return ExactTest(*found)
@@ -218,29 +223,25 @@ def _check_multinomial(observed: IntArray, probabilities: Sequence[float] | None
     return null
 
 
-def _reached(values: FloatArray, tails: FloatArray, statistic: FloatArray) -> FloatArray:
-    """Return the probability of outcomes at least as extreme as some statistics, rounding allowed for."""
-    return np.asarray(tails[np.searchsorted(values, statistic - 1e-9 * np.maximum(1.0, np.abs(statistic)))])
+_KEPT = 10_000
+"""Up to how many outcomes are kept for the next experiment of a study that is planned; 2,000 answers have 2e6."""
 
 
+@lru_cache(maxsize=1024)
 def _ranked_outcomes(n: int, probabilities: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
     """Return the statistic of every outcome, increasing, and the probability of that outcome and all after it."""
-    null = np.array(probabilities)
-    log_p, share = _tables(n, null)
-    values, masses = [], []
-    for head, orders, tail in _outcomes(n, null.size, alike=bool((null == null[0]).all())):
-        at_head = [(log_p[j, x], share[j, x]) for j, x in enumerate(head)]
-        masses.append(orders * np.exp(log_p[-2, tail] + log_p[-1, tail[::-1]] + sum(p for p, _ in at_head)))
-        values.append(share[-2, tail] + share[-1, tail[::-1]] + sum(value for _, value in at_head))
-    value, mass = np.concatenate(values), np.concatenate(masses)
+    value, mass = (np.concatenate(each) for each in zip(*_weighed_outcomes(n, np.array(probabilities)), strict=True))
     order = np.argsort(value)
     return value[order], np.cumsum(mass[order][::-1])[::-1]
 
 
-_KEPT = 10_000
-"""Up to how many outcomes are kept for the next experiment of a study that is planned; 2,000 answers have 2e6."""
-
-_ranked_and_kept = lru_cache(maxsize=1024)(_ranked_outcomes)
+def _weighed_outcomes(n: int, null: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield the statistic of every outcome and its probability, part by part."""
+    log_p, share = _tables(n, null)
+    for head, orders, tail in _outcomes(n, null.size, alike=bool((null == null[0]).all())):
+        at_head = [(log_p[j, x], share[j, x]) for j, x in enumerate(head)]
+        mass = orders * np.exp(log_p[-2, tail] + log_p[-1, tail[::-1]] + sum(p for p, _ in at_head))
+        yield share[-2, tail] + share[-1, tail[::-1]] + sum(value for _, value in at_head), mass
 
 
 def _tables(n: int, null: FloatArray) -> tuple[FloatArray, FloatArray]:
