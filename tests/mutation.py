@@ -176,6 +176,7 @@ class Part(SourceFileLoader):
 
     def pytest_runtestloop(self) -> bool | None:
         """Run the collected tests once for every mutant asked for, each time in a child."""
+        import_module(self.name)  # a test may be the first to import it, in the child, and then nothing were spoilt
         plain, found = functions(self.compiled("")), {}
         for name in self.asked if not self.spoilt else ():
             fresh = functions(self.compiled(name))

@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from modaltouch.analysis.contrasts import Contrast, signs_of
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.findings import holm, to_frame
 from modaltouch.analysis.shares import Shares
@@ -187,6 +188,17 @@ class TestMissingAnswers:
         shares = Shares(np.array([[1]]), np.array([[3]]), 4)
         assert shares.is_short and not Shares(np.array([[1]]), np.array([[4]]), 4).is_short
         assert (shares.least.item(), shares.most.item()) == (1 / 4, 2 / 4)
+
+    def test_pairings_and_bounds_count_what_was_answered(self) -> None:
+        """By hand: of four asked, one of three against none of four, and one of three against one of four."""
+        first = Shares(np.array([[[1], [1]]]), np.array([[[3], [3]]]), 4)
+        second = Shares(np.array([[[0], [1]]]), np.array([[[4], [4]]]), 4)
+        contrast = Contrast(["one"], ["difference"], first, second)
+        found = signs_of(contrast)
+        assert found is not None
+        assert found.test.statistic.tolist() == [4 + 1]
+        assert contrast.scores.highest.tolist() == [[2 / 4, 1 / 4]]
+        assert contrast.scores.lowest.tolist() == [[1 / 4, 0.0]]
 
     def test_every_question_is_still_answered(self, gaps, paper_frame) -> None:
         """The same rows as without a gap, every p a probability."""

@@ -99,5 +99,8 @@ def test_what_is_no_preregistration_is_refused(tmp_path: Path) -> None:
     file.write_text("# Notes", encoding="utf-8")
     with pytest.raises(InputError, match=r"notes.md: given no block of JSON .*; write one with `modaltouch prereg"):
         read_preregistration(file)
+    file.write_text("```json\n[]\n```\n", encoding="utf-8")
+    with pytest.raises(InputError, match="notes.md: given no block of JSON with the terms"):
+        read_preregistration(file)
     with pytest.raises(InputError, match="given a file that cannot be read"):
         read_preregistration(tmp_path / "absent.md")

@@ -263,6 +263,11 @@ def test_the_field_under_the_fingers_is_the_one_asked_for(design, beam, values, 
     assert left_over(stimulus, fingers, amplifier) <= 1e-12 * LEVEL
 
 
+def test_a_scaled_finger_has_its_damping_and_the_square_of_its_stiffness():
+    """As it does to a mode whose frequency is doubled at the same damping ratio; the mass stays."""
+    assert Finger(0.01, 1e-4, 0.5, 500.0).scaled(2) == Finger(0.01, 1e-4, 1.0, 2000.0)
+
+
 def test_the_field_of_the_untouched_beam_is_another_under_fingers(design, beam):
     """What the design for fingers is for: the same codes without it miss by more than a tenth of the level."""
     assert miss(design(beam), pair("AC", 0.08, 0.45, 0.8), design(beam).voltage) > 0.1 * LEVEL
