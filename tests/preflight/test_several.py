@@ -184,7 +184,7 @@ def test_a_threshold_is_fitted_to_each_stimulus(tmp_path: Path) -> None:
     analysis = analyse(tmp_path, tmp_path / "out")
     assert isinstance(analysis, ThresholdAnalysis)
     assert [(run.kind, len(run.levels)) for run in analysis.runs] == [
-        (f"one_hand {pair} {name}", 8) for pair in ("A-C", "C-E") for name in ("sharp", "slow")
+        (f"one hand {pair} {name}", 8) for pair in ("A-C", "C-E") for name in ("sharp", "slow")
     ]
     catches = [run.fitted.n_catch for run in analysis.runs]
     assert catches[0] == catches[1]
@@ -192,7 +192,7 @@ def test_a_threshold_is_fitted_to_each_stimulus(tmp_path: Path) -> None:
     assert catches[0] + catches[2] == 4
     assert {row["stimulus"] for row in over_participants(analysis.runs)} == {"sharp", "slow"}
     report = analysis.files["report.html"].read_text(encoding="utf-8")
-    assert "one_hand A-C slow" in report
+    assert "one hand A-C slow" in report
     with pytest.raises(InputError, match="'sharp' with adaptive sessions; allowed: all stimuli together"):
         analyse(tmp_path, tmp_path / "other", stimulus="sharp")
 
