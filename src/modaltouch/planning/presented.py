@@ -88,7 +88,8 @@ def refuse_answers(preflight: Preflight) -> None:
         given = f"the answers {', '.join(offered.names)}, which an observer that compares two fingers does not give"
         allowed = "an answer for each finger and one for both, with or without one for neither"
         remedy = "simulate sessions and analyse those"
-        raise InputError([preflight.findings.problem(("answers", "keys"), given, allowed, remedy)])
+        place = "keys" if preflight.experiment.protocol.answers.scale is None else "scale"
+        raise InputError([preflight.findings.problem(("answers", place), given, allowed, remedy)])
 
 
 def _design(name: str, preflight: Preflight, observer: Observer, placements: tuple[bool, ...]) -> Design:
