@@ -12,12 +12,14 @@ from typing import Any
 
 import pytest
 
+from modaltouch.planning import designs_for, read_observer
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
-from modaltouch.protocol.questions import TAKEN_COLUMNS
+from modaltouch.protocol.questions import TAKEN_COLUMNS, ScaleSection
 from modaltouch.record import Session, audit_session, read_session
 from modaltouch.record.chain import GENESIS, encode_line
 from modaltouch.session import begin, resume, simulate_session, wire_resume, wire_run
+from modaltouch.session.console.status import Status, typed_keys
 from modaltouch.window.interface import SessionStopped
 
 SHIPPED = Path(__file__).parents[2] / "protocols"
@@ -56,6 +58,11 @@ def recorded(protocol: Path, tmp_path_factory: pytest.TempPathFactory) -> Sessio
     return simulate_session(protocol, "p01", tmp_path_factory.mktemp("results"))
 
 
+def further(asked: float) -> dict[str, Any]:
+    """Return an answer that timed out to a question asked some time after the stimulus began [s]."""
+    return {"answer": "time_out", "reaction_time": 0.5, "question_after": asked}
+
+
 def lines(session: Session, kind: str) -> list[dict[str, Any]]:
     """Return the events of a kind."""
     return [event for event in session.events if event["event"] == kind]
@@ -84,6 +91,10 @@ def test_everything_that_was_answered_is_recorded_and_verified(recorded: Session
     for event in trials:
         strong[event["trial"]["condition"]["velocity_mm_s"]].add(event["response"]["further"]["pleasant"]["value"])
     assert max(strong[80.0]) < min(strong[200.0]), "what was felt is remembered when the beam is at rest"
+    status = Status()
+    for event in session.events:
+        status.take(event)
+    assert status.facts()["last"]["answer"] == f"rated {trials[-1]['response']['value']:g}"
     rows = table(session, "demo")
     assert [float(row["value"]) for row in rows] == [event["response"]["value"] for event in trials]
     assert [row["sure"] for row in rows] == [event["response"]["further"]["sure"]["answer"] for event in trials]
@@ -151,6 +162,11 @@ def test_a_form_that_is_cut_goes_on_with_its_next_question(protocol: Path, tmp_p
     [
         ("trial", {"value": 100.5}, "was answered 'rated' 100.5; allowed: 0 to 100 by 1, time_out"),
         ("trial", {"further": {}}, "answers the further questions -; asked were sure, pleasant"),
+        (
+            "trial",
+            {"further": {name: further(-0.5) for name in ("sure", "pleasant")}},
+            "sure: was asked -0.5 s after the stimulus began, before the answer at",
+        ),
         ("form", {"name": "hungry"}, "the form has no question 'hungry'"),
         ("form", {"answer": "perhaps"}, "dizzy of the form: was answered 'perhaps'; allowed: no, yes, time_out"),
     ],
@@ -210,3 +226,22 @@ def test_what_cannot_be_asked_is_refused_in_its_place(edit: Callable[..., Path],
     with pytest.raises(InputError) as refused:
         examine(edit("demo.yaml", (KEYS, section))).require()
     assert any(fault in str(problem) for problem in refused.value.problems), refused.value
+
+
+def test_the_console_takes_the_keys_of_a_further_question() -> None:
+    """While it is asked, and no more once it is answered; of a scale all keys but those of the console."""
+    status = Status()
+    status.take({"event": "question_next", "keys": {"no": ["left"], "yes": ["right"]}, "rates": False})
+    assert (status.answer_by("right"), status.answer_by("1")) == ("yes", "no")
+    keys = {name: list(keys) for name, keys in ScaleSection(kind="number").actions.items()}
+    status.take({"event": "question_next", "keys": keys, "rates": True})
+    assert [status.answer_by(key) for key in ("7", ".", "backspace", "enter")] == ["7", ".", "back", None]
+    assert "confirm" not in typed_keys(keys, None)
+    status.take({"event": "form"})
+    assert status.answer_by("7") is None
+
+
+def test_power_refuses_a_scale_in_its_place() -> None:
+    """It simulates how two fingers are compared."""
+    with pytest.raises(InputError, match="answers.scale: given the answers rated, .* simulate sessions and analyse"):
+        designs_for(examine("magnitude").require(), read_observer("paper"))

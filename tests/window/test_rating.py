@@ -144,29 +144,32 @@ def test_a_number_is_typed_at_the_console(paper_room: Callable[..., Any], trial:
 
 
 @pytest.fixture
-def sure(paper_room: Callable[..., Any], trial: Trial) -> tuple[Any, Any]:
+def sure(paper_room: Callable[..., Any], trial: Trial) -> tuple[Any, Any, float]:
     """Return a window at which a trial was answered, and the further question of it."""
     section = QuestionSection.model_validate({"question": "How sure?", "keys": {"no": ["left"], "yes": ["right"]}})
     room = paper_room(answers={"then": {"sure": section}})
     room.script = [("question_one", 0.1, press(room, "left"))]
+    onset = room.clock.now()
     room.window.confirm(rate(room, trial))
-    return room, room.window._answers.further["sure"]
+    return room, room.window._answers.further["sure"], onset
 
 
-def test_a_further_question_follows_with_a_time_of_its_own(sure: tuple[Any, Any], trial: Trial) -> None:
+def test_a_further_question_follows_with_a_time_of_its_own(sure: tuple[Any, Any, float], trial: Trial) -> None:
     """The answer before stays in sight for a moment; a press meant for it does not count."""
-    room, asked = sure
+    room, asked, onset = sure
     room.script = [("answered", 0.1, press(room, "right")), ("question_sure", 0.4, press(room, "right"))]
     response = room.window.ask_further("sure", asked, trial)
     assert (response.answer, response.onset) == ("yes", "question")
     assert response.reaction_time == pytest.approx(0.4, abs=0.01)
+    shown = next(at for name, at in room.shown if name.startswith("question_sure"))
+    assert response.question_after == pytest.approx(shown - onset)
     assert [name.split("_one")[0] for name in room.names[-2:]] == ["question_sure", "answered_sure_yes"]
     assert "How sure?" in room.display.drawn.texts
 
 
-def test_a_further_question_is_asked_again_after_a_pause(sure: tuple[Any, Any], trial: Trial) -> None:
+def test_a_further_question_is_asked_again_after_a_pause(sure: tuple[Any, Any, float], trial: Trial) -> None:
     """Nothing plays any more, so the trial need not come again; its time runs anew."""
-    room, asked = sure
+    room, asked, _ = sure
     room.script = [
         ("question_sure", 0.3, press(room, "escape")),
         ("pause_between", 5.0, press(room, "space")),
@@ -176,9 +179,9 @@ def test_a_further_question_is_asked_again_after_a_pause(sure: tuple[Any, Any], 
     assert (response.answer, response.reaction_time) == ("no", pytest.approx(0.2, abs=0.01))
 
 
-def test_the_key_for_emergencies_ends_a_further_question(sure: tuple[Any, Any], trial: Trial) -> None:
+def test_the_key_for_emergencies_ends_a_further_question(sure: tuple[Any, Any, float], trial: Trial) -> None:
     """As on every other screen."""
-    room, asked = sure
+    room, asked, _ = sure
     room.script = [("question_sure", 0.1, press(room, "f12"))]
     with pytest.raises(SessionStopped, match="emergency stop"):
         room.window.ask_further("sure", asked, trial)

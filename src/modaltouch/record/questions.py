@@ -10,6 +10,9 @@ from modaltouch.protocol import TIME_OUT, AnswersSection, Protocol
 
 Event = dict[str, Any]
 
+_INSTANT = 5e-6
+"""Instants are written to the microsecond [s]."""
+
 
 def check_answers(event: Event, asked: AnswersSection) -> Iterator[str]:
     """Yield where the answers of a line cannot have been given; further questions follow a confirmed stimulus alone."""
@@ -21,7 +24,12 @@ def check_answers(event: Event, asked: AnswersSection) -> Iterator[str]:
     if list(further) != list(wanted):
         yield f"answers the further questions {', '.join(further) or '-'}; asked were {', '.join(wanted) or '-'}"
         return
+    before = max(event["instants"]["answer"]["earliest_s"] - event["confirmed"]["onset"], 0.0) if wanted else 0.0
     for name, how in wanted.items():
+        came = further[name].get("question_after")
+        if came is not None and came < before - _INSTANT:
+            yield f"{name}: was asked {came:.6g} s after the stimulus began, before the answer at {before:.6g} s"
+        before = before if came is None else came + further[name]["reaction_time"]
         yield from (f"{name}: {fault}" for fault in _check_response(further[name], how))
 
 

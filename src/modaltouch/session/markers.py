@@ -50,9 +50,13 @@ class Markers:
         elif event["event"] == "answered":
             instant = event["instants"]["answer"]
             middle = (instant["earliest_s"] + instant["latest_s"]) / 2
-            given = event["response"]
-            number = given.get("value")
-            self._send("answer", event["trial"], middle, given["answer"] if number is None else f"{number:g}")
+            self._send("answer", event["trial"], middle, _say(event["response"]))
+        elif event["event"] == "trial":
+            for name, further in event["response"].get("further", {}).items():
+                if (after := further["question_after"]) is not None:
+                    asked = event["confirmed"]["onset"] + after
+                    self._send("question", event["trial"], asked, name)
+                    self._send("answer", event["trial"], asked + further["reaction_time"], f"{name}/{_say(further)}")
         elif event["event"] == "trial_cut":
             self._send("cut", event["trial"], event["clock"])
 
@@ -63,3 +67,8 @@ class Markers:
         level = f"{condition['velocity_mm_s']:g}"
         words = (event, practice, str(trial["index"]), condition["finger_condition"], zones, level, detail)
         self._outlet.push_sample(["/".join(filter(None, words))], instant + self._offset)
+
+
+def _say(response: dict[str, Any]) -> str:
+    """Return an answer, or its number on a scale."""
+    return f"{response['value']:g}" if "value" in response else str(response["answer"])

@@ -102,7 +102,7 @@ class ParticipantWindow(AnswerWindow):
         self._first = self._asking(protocol.answers)
         self._pictures, self._reader, self._taker = self._first.pictures, self._first.reader, self._first.taker
         self._current: tuple[Trial, Progress] | None = None
-        self._answered, self._by_hand = -math.inf, True
+        self._answered, self._by_hand, self._onset = -math.inf, True, 0.0
 
     def describe(self) -> dict[str, Any]:
         """Return size, backend and versions for the start record."""
@@ -174,7 +174,7 @@ class ParticipantWindow(AnswerWindow):
             If the session was ended.
         """
         answers, onset = self._answers, presentation.onset
-        stops_first = answers.stimulus_until == "question"
+        self._onset, stops_first = onset, answers.stimulus_until == "question"
         due = onset + answers.question_delay_s
         self._current = (trial, counted) = (trial, self._count(trial, progress))
         self._loop.attend(Moment("feel", trial, onset))
@@ -250,7 +250,10 @@ class ParticipantWindow(AnswerWindow):
             self._answered = self._clock.now() if taken is None else taken[1].time
             if (given := chosen(response)) is not None:
                 self._rest_on(draw(given, confirmed=True), self._answered + _CONFIRMATION)
-            return replace(response, onset="question", question_uncertainty=flip_took, time_uncertainty=gap)
+            after = None if trial is None else shown - self._onset
+            return replace(
+                response, onset="question", question_after=after, question_uncertainty=flip_took, time_uncertainty=gap
+            )
 
     def _is_past(self, instant: float) -> bool:
         return self._clock.now() >= instant
