@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from outside import call
 
 from modaltouch.analysis import analyse
 from modaltouch.planning import designs_for, read_observer
@@ -161,3 +162,11 @@ def test_power_refuses_a_design_that_is_not_crossed(preflight: Preflight) -> Non
     """An observer's design has every pair at every level for all."""
     with pytest.raises(InputError, match="given a design that is not crossed"):
         designs_for(preflight, read_observer("paper"))
+
+
+def test_simulate_gives_every_participant_all_kinds_of_session(preflight: Preflight, tmp_path: Path) -> None:
+    """A training alone could not be analysed."""
+    file = preflight.findings.protocol.source.path
+    done = call(f"simulate {file} -n 2 --results {tmp_path} --json")
+    folders = [Path(each).parts[-3:-1] for each in json.loads(done.stdout)["sessions"]]
+    assert folders == [(who, session) for who in ("sub-sim01", "sub-sim02") for session in ("ses-1", "ses-2")]

@@ -25,7 +25,10 @@ def simulate(
     with_marked_calibration: WITH_MARKED = False,
     json_output: JSON = False,
 ) -> None:
-    """Run a cohort of simulated participants through the same code on the simulated rig."""
+    """Run a cohort of simulated participants through the same code on the simulated rig.
+
+    One session each, or of a protocol with kinds of session all of them.
+    """
     from modaltouch.planning import read_observer, usual_observer
     from modaltouch.preflight import examine
     from modaltouch.session import simulate_session
@@ -35,12 +38,15 @@ def simulate(
         given = None if observer is None else read_observer(observer)
         preflight = examine(protocol, calibration, marked=with_marked_calibration).require()
         population = given or read_observer(usual_observer(preflight.experiment.protocol))
-        sessions = []
+        sessions, schedule = [], preflight.experiment.protocol.schedule
         with progress("participants") as on_progress:
             for number in range(1, participants + 1):
                 on_progress(number - 1, participants)
                 name = f"sim{number:0{max(2, len(str(participants)))}d}"
-                sessions.append(simulate_session(preflight, name, results, seed=seed, observer=population))
+                sessions += [
+                    simulate_session(preflight, name, results, seed=seed, observer=population, session=session)
+                    for session in range(1, len(schedule.session_kinds or (1,)) + 1)
+                ]
             on_progress(participants, participants)
         dataset = sessions[0].path.parents[3]
         if json_output:
@@ -53,5 +59,5 @@ def simulate(
 
 def analyses(protocol: Protocol, dataset: str) -> list[str]:
     """Return the commands that analyse recorded sessions: one to each stimulus, unless runs are adaptive."""
-    names = protocol.stimulus_names if protocol.adaptive is None else ("",)
+    names = protocol.stimulus_names if protocol.adaptive is None and protocol.is_crossed else ("",)
     return [f"modaltouch analyse {dataset}" + (f" --stimulus {name}" if name else "") for name in names]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 from modaltouch.protocol.problems import Problem, suggest
@@ -59,6 +60,17 @@ def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, 
             unlike = [node for node in found if first[str(node.plain())] is node]
             conditions = conditions.with_child(key, Node(unlike, cells.line, cells.column, file=cells.file))
     return root.with_child("conditions", conditions), problems
+
+
+def at_own_levels(reading: Reading[Any]) -> Reading[Any]:
+    """Return a protocol with the levels of its value alone in its tree, each at its place."""
+    root, levels = reading.root, reading.find(("conditions", "peak_velocities_mm_s"))
+    conditions = None if root is None else root.child("conditions")
+    if root is None or conditions is None or levels is None or reading.value is None:
+        return reading
+    own = [each for each in levels.children if each.content in reading.value.conditions.peak_velocities_mm_s]
+    listed = conditions.with_child("peak_velocities_mm_s", replace(levels, content=own))
+    return replace(reading, root=root.with_child("conditions", listed))
 
 
 def without_derived(reading: Reading[Any]) -> tuple[Problem, ...]:

@@ -226,11 +226,13 @@ class Findings:
         """Name of each of several stimuli, and the files as if it were the only one, with what is then wrong."""
         if self.protocol is None or self.protocol.value is None or self.apparatus is None:
             return
+        from modaltouch.protocol.cell_table import at_own_levels
+
         for name, variant in self.protocol.value.stimuli.items():
             value = self.protocol.value.with_stimulus(name)
             # The order is drawn and checked for all of them together.
             eased = value.schedule.model_copy(update={"catch_trials": 0, **dict.fromkeys(LIMITS)})
-            alone = replace(self.protocol, value=value.model_copy(update={"schedule": eased}))
+            alone = at_own_levels(replace(self.protocol, value=value.model_copy(update={"schedule": eased})))
             problems = [*check_protocol(alone), *check_fit(alone, self.apparatus)]
             if variant.field is not None and variant.field.file is not None:
                 path, remedy = ("stimuli", name, "field", "file"), "write the points themselves"
@@ -305,8 +307,8 @@ class Findings:
     @classmethod
     def recorded(cls, start: dict[str, Any]) -> Findings:
         """Findings in the texts that a session's start record keeps, on its occasion."""
-        schedule = start.get("schedule", {})
-        occasion = str(schedule.get("group", "")), str(schedule.get("session_kind", ""))
+        own = start.get("schedule", {})
+        occasion = str(own.get("group", "")), str(own.get("session_kind", ""))
         return cls.restored(Sources.from_dict(start["sources"]), occasion)
 
     @classmethod
@@ -330,12 +332,11 @@ class Findings:
             source = Source.find("protocol", path)
         except InputError as error:
             return cls(None, None, None, error.problems)
-        first, *others = (
-            cls._read(source, occasion, calibration, uncalibrated=uncalibrated, marked=marked)
-            for occasion in occasions_of(parse_tree(source)[0])
-        )
-        problems = set(first.problems).union(*(each.problems for each in others))
-        return replace(first, problems=tuple(sorted(problems)), others=tuple(others))
+        occasions = occasions_of(parse_tree(source)[0])
+        about: dict[str, Any] = {"calibration": calibration, "uncalibrated": uncalibrated, "marked": marked}
+        first, *others = (cls._read(source, occasion, **about) for occasion in occasions)
+        problems = sorted(set(first.problems).union(*(each.problems for each in others)))
+        return replace(first, problems=tuple(problems), others=tuple(others))
 
     @classmethod
     def _read(
@@ -348,12 +349,10 @@ class Findings:
         protocol = protocol if table is None else _read_protocol(source, occasion, table)
         problems += [*protocol.problems, *check_protocol(protocol), *check_settling(protocol)]
         apparatus, texts = None, None
-        named = _load_named(protocol, ("apparatus",), problems)
-        if named is not None:
+        if (named := _load_named(protocol, ("apparatus",), problems)) is not None:
             apparatus, found = examine_apparatus(named)
             problems += [*found, *check_fit(protocol, apparatus)]
-        named = _load_named(protocol, ("texts",), problems)
-        if named is not None:
+        if (named := _load_named(protocol, ("texts",), problems)) is not None:
             texts = read(named, Texts)
             problems += [*texts.problems, *check_words(protocol, texts)]
         problems += check_timing(protocol, apparatus)

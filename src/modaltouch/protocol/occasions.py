@@ -85,8 +85,13 @@ def at_occasion(root: Node, occasion: Occasion) -> Node:
 
 
 def check_groups(source: Source, root: Node) -> list[Problem]:
-    """Return the groups that have other sessions than all."""
+    """Return the groups that have other sessions than all, and what people are asked under the name of their group."""
     problems = []
+    people = root.child("people")
+    if people is not None and "group" in people.keys and _overrides(root, "groups"):
+        given = "a column group beside that of the protocol's groups"
+        where = people.keys["group"]
+        problems.append(Problem(str(source.path), *where, "people.group", given, "another name", "choose another"))
     for name, group in _overrides(root, "groups").items():
         schedule = group.child("schedule")
         if schedule is not None and "sessions" in schedule.keys:

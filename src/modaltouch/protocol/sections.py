@@ -352,8 +352,15 @@ class Protocol(Section):
         return name not in self.stimuli or self.stimuli[name].masked is not False
 
     def with_stimulus(self, name: str) -> Protocol:
-        """Return the protocol with one of its stimuli alone, in a crossed design; without the standard of another."""
-        crossed = self.conditions.model_copy(update={"cells": (), "exclude": ()})
+        """Return the protocol with one of its stimuli alone, crossed with its levels; no standard of another."""
+        levels = self.conditions.peak_velocities_mm_s
+        # A catch trial is set as one at the lowest level of all, and a standard has a level of its own.
+        if self.uncrossed_by[:1] == ("conditions",) and not (self.schedule.catch_trials or self.intervals):
+            cells = [cell for fingers in self.conditions.finger_conditions for cell in self.cells(fingers)]
+            own_levels = {level for _, level, stimulus in cells if stimulus == name}
+            levels = tuple(level for level in levels if level in own_levels)
+        update = {"cells": (), "exclude": (), "peak_velocities_mm_s": levels}
+        crossed = self.conditions.model_copy(update=update)
         fits = self.intervals is not None and self.intervals.standard.stimulus in (None, name)
         own = {"stimulus": self.stimulus_of(name), "stimuli": {}, "intervals": self.intervals if fits else None}
         return self.model_copy(update={**own, "conditions": crossed})

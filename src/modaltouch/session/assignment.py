@@ -133,26 +133,23 @@ def assign_group(place: SessionFolder, protocol: Protocol, seed: int, given: str
     return turn.group, turn.group_by
 
 
-def refuse_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datetime) -> None:
-    """Raise if a session would begin sooner after the one before than its kind allows.
-
-    Raises
-    ------
-    RecordInputError
-        With the day from which it may begin.
-    """
+def is_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datetime) -> str:
+    """Return that a session would begin sooner after the one before than its kind allows; empty where it does not."""
     kind = protocol.schedule.kind_of(drawn_as)
     logs = SessionFolder.logs_of(place.dataset / f"sub-{place.participant}")
     if kind is None or not kind.min_gap_days or not logs:
-        return
+        return ""
     ended = datetime.fromisoformat(str(read_session(logs[-1]).events[-1]["time"]))
     due = ended + timedelta(days=kind.min_gap_days)
-    if now < due:
-        raise RecordInputError(
+    return (
+        ""
+        if now >= due
+        else (
             f"{logs[-1]}: the session before ended {ended:%Y-%m-%d %H:%M} UTC, and a session of the kind {kind.name} "
             f"begins at least {kind.min_gap_days:g} days after it (schedule.sessions), from {due:%Y-%m-%d %H:%M} UTC "
             "on; wait, or begin it all the same with --any-gap, which the record then says"
         )
+    )
 
 
 def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, int]:

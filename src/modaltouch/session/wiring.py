@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from modaltouch.planning import Observer, read_observer, usual_observer
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError, Protocol, Schedule, Trial, Turn
-from modaltouch.record import Session, SessionFolder
+from modaltouch.record import RecordInputError, Session, SessionFolder
 from modaltouch.rig import Generator, Rig
 from modaltouch.session.console.experimenter import Tick
 from modaltouch.session.setup import Setup, begin
@@ -111,15 +111,17 @@ def _on_occasion(
     schedule, groups = preflight.experiment.protocol.schedule, preflight.experiment.protocol.groups
     if not (groups or schedule.session_kinds or group):
         return None, preflight, {}
-    from modaltouch.session.assignment import assign_group, refuse_early
+    from modaltouch.session.assignment import assign_group, is_early
 
     own, reason = assign_group(place, preflight.experiment.protocol, seed, group)
     kind = schedule.kind_of(drawn_as)
-    if not any_gap:
-        refuse_early(place, preflight.experiment.protocol, drawn_as, datetime.now(UTC))
+    early = is_early(place, preflight.experiment.protocol, drawn_as, datetime.now(UTC))
+    if early and not any_gap:
+        raise RecordInputError(early)
+    facts = {"any_gap": True} if early else {}
     usual = Turn.of(place.participant, seed, drawn_as, groups)
     given = None if (own, reason) == (usual.group, usual.group_by) else replace(usual, group=own, group_by=reason)
-    return given, preflight.at(own, "" if kind is None else kind.name), {"any_gap": True} if any_gap else {}
+    return given, preflight.at(own, "" if kind is None else kind.name), facts
 
 
 def _at_own_levels(
@@ -140,6 +142,7 @@ def simulate_session(
     *,
     seed: int = 1,
     observer: Observer | None = None,
+    session: int = 1,
 ) -> Session:
     """Return a session as it was recorded, answered by an observer model.
 
@@ -155,6 +158,8 @@ def simulate_session(
         Of the study.
     observer : Observer, optional
         Population from which the participant is drawn.
+    session : int
+        Number of the session; one of a kind that wants a gap begins without it.
 
     Raises
     ------
@@ -165,8 +170,9 @@ def simulate_session(
     """
     preflight = protocol if isinstance(protocol, Preflight) else examine(protocol)
     setup = wire_run(
-        preflight.require(), participant, answers="simulated", seed=seed, results=Path(results), observer=observer
-    )
+        preflight.require(), participant, session=session, answers="simulated", seed=seed, results=Path(results),
+        observer=observer, any_gap=True,
+    )  # fmt: skip
     return begin(setup)
 
 

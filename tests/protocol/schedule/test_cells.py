@@ -154,3 +154,18 @@ def test_conditions_that_contradict_themselves_are_refused(folder: Path, conditi
     """With what to do."""
     said = faults(read(folder, conditions, TABLE))
     assert any(told in each for each in said), said
+
+
+def test_a_stimulus_is_designed_for_its_own_levels_alone(folder: Path) -> None:
+    """A blunt field that no amplifier drives at the level of the sharp one is not asked to."""
+    fields = "stimuli:\n  sharp: {field: {base_mm: 56}}\n  blunt: {field: {shape: raised_cosine, base_mm: 100}}\n\n"
+    cells = "  cells:\n    - {pair: [A, C], peak_velocities_mm_s: [260], stimuli: [sharp]}\n"
+    cells += "    - {pair: [A, C], peak_velocities_mm_s: [80, 120], stimuli: [blunt]}\n"
+    read(folder, cells)
+    file = folder / "own.yaml"
+    file.write_text(file.read_text("utf-8").replace("conditions:\n", fields + "conditions:\n"), "utf-8")
+    parts = dict(Findings.read(file).each_stimulus())
+    assert [part.protocol.items("conditions", "peak_velocities_mm_s") for part in parts.values()] == [
+        [(0, 260.0)],
+        [(0, 80.0), (1, 120.0)],
+    ]
