@@ -110,7 +110,7 @@ def test_shipped_table_is_refused(tmp_path):
 
 def test_unknown_pair_is_refused(protocol, tmp_path):
     """Given, and what is allowed."""
-    with pytest.raises(ValueError, match="--pair is 'A-E'; allowed: A-C, B-D, C-E, the pairs of under_the_finger"):
+    with pytest.raises(ValueError, match="--pair is 'A-E'; allowed: A-C, B-D, C-E, the zones of under_the_finger"):
         probe_fingers(protocol, tmp_path / "fingers.yaml", pair="A-E")
 
 
