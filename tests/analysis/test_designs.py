@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.findings import Finding, correct
@@ -149,6 +149,21 @@ def test_the_interval_of_three_is_named_above_chance() -> None:
     assert findings["d' over participants", "one_hand A-C 30 mm/s"].estimate == pytest.approx(1.5, abs=0.3)
     assert not responses.by_choice().count().guesses_evenly
     assert responses.by_choice().answers.names == ("correct", "incorrect")
+
+
+def test_two_alternatives_in_space_are_the_fingers_on_the_focus() -> None:
+    """Known: d' = 1 of two alternatives, C under either finger; the same share correct whichever, so no criterion."""
+    frame = pd.concat([presented((80.0, 100.0), 16).assign(zone_left=a, zone_right=b) for a, b in ("AC", "CE")])
+    frame = frame.drop(columns="interval").reset_index(drop=True)
+    n_correct = round(16 * ndtr(1 / math.sqrt(2)))
+    on_left = np.where(frame["zone_left"] == "C", "left", "right")
+    turned = np.where(on_left == "left", "right", "left")
+    answers = frame.assign(response=np.where(frame["repetition"] <= n_correct, on_left, turned))
+    responses = take(answers, {"answers": {"keys": {"left": ["a"], "right": ["b"]}}}, focus="C")
+    findings, _ = found(responses)
+    d_prime = findings["d' over participants", "one_hand 80 mm/s"]
+    assert d_prime.estimate == pytest.approx(math.sqrt(2) * ndtri((n_correct + 0.5) / 17))
+    assert findings["criterion over participants", "one_hand 80 mm/s"].estimate == pytest.approx(0)
 
 
 def test_same_and_different_are_told_against_the_standard() -> None:

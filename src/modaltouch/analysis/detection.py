@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 
 import pandas as pd
 
@@ -24,8 +25,8 @@ FEWEST = 4
 def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
     """Yield d' and criterion of each participant, as far as the design tells them.
 
-    Of one interval the answer that nothing was felt tells them, with catch trials; of several, which one an answer
-    names, or that they are the same or differ.
+    Of one interval the answer that nothing was felt tells them, with catch trials, or which of two fingers is on the
+    focus; of several, which one an answer names, or that they are the same or differ.
 
     Parameters
     ----------
@@ -34,6 +35,13 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
     task : TrialTask
         What they mean.
     """
+    left, right = (responses.answers.naming(side) for side in ("left", "right"))
+    if left and right and len(responses.answers) == 2 and responses.focus:
+        # Two alternatives in space: the finger on the focus, in place of an interval.
+        place = sum(k * (responses.frame[f"zone_{side}"] == responses.focus) for k, side in ((1, "left"), (2, "right")))
+        frame = responses.frame.assign(interval=place, zone_left="", zone_right="")
+        responses = replace(responses, frame=frame[frame["interval"] > 0])
+        task = TrialTask(2, {left.name: 1, right.name: 2})
     frame, scale = responses.frame, scale_of(responses.frame.columns)
     per_cell = [int(part["n"].sum()) for _, part in cells(frame, scale, by_level=True)]
     by_level = min(per_cell, default=0) >= FEWEST

@@ -202,7 +202,7 @@ class Responses:
     @property
     def tells_of_each(self) -> bool:
         """Whether a participant has more than counts of answers: catch trials, a d', a threshold, ratings, a group."""
-        detects = bool(self.catches) or self.answers.naming() is not None
+        detects = bool(self.catches) or self.answers.naming() is not None or len(self.answers) == 2
         rated = "value" in self.frame.columns or bool((self.design.get("answers") or {}).get("then"))
         return detects or rated or bool(self.design.get("intervals")) or bool(self.groups)
 
