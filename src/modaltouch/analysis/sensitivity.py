@@ -70,7 +70,7 @@ def yes_no(signal: Count, noise: Count) -> SignalDetection:
     --------
     >>> found = yes_no((40, 40), (0, 38))
     >>> round(found.d_prime.estimate, 3), found.d_prime.high
-    (4.482, inf)
+    (4.483, inf)
     """
     return SignalDetection(
         _profile(lambda hit, alarm: ndtri(hit) - ndtri(alarm), signal, noise),
