@@ -52,10 +52,10 @@ class Fonts:
         Spaces, digits and punctuation are in the font of the letters before them, where it has them.
         """
         letters = [character for character in text if unicodedata.category(character)[0] == "L"]
-        last, chosen = self._first(letters[0] if letters else "-", bold), []
+        last, chosen = _first(self.named, letters[0] if letters else "-", bold), []
         for character in text:
             is_letter = unicodedata.category(character)[0] == "L"
-            font = self._first(character, bold) if is_letter or not last.has(character) else last
+            font = _first(self.named, character, bold) if is_letter or not last.has(character) else last
             last = font if is_letter else last
             chosen.append(font)
         return chosen
@@ -64,12 +64,15 @@ class Fonts:
         """Return the characters that no font has."""
         return "".join(letter for letter, font in zip(text, self.choose(text), strict=True) if not font.has(letter))
 
-    def _first(self, character: str, bold: bool) -> Font:
-        # The first word of a letter's Unicode name is its script.
-        script = unicodedata.name(character, "").partition(" ")[0].title()
-        names = (*([self.named] if self.named else []), "NotoSans", f"NotoSans{script}", *_ALSO)
-        fonts = (font for name in names if (font := find_font(name, bold=bold)) and font.has(character))
-        return next(fonts, None) or self._first("-", bold)
+
+@cache
+def _first(named: str, character: str, bold: bool) -> Font:
+    """Return the first font that has a character, else that of a hyphen."""
+    # The first word of a letter's Unicode name is its script.
+    script = unicodedata.name(character, "").partition(" ")[0].title()
+    names = (*([named] if named else []), "NotoSans", f"NotoSans{script}", *_ALSO)
+    fonts = (font for name in names if (font := find_font(name, bold=bold)) and font.has(character))
+    return next(fonts, None) or _first(named, "-", bold)
 
 
 @cache
