@@ -121,6 +121,8 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
         problems = session.problems if session.start else (*session.problems, f"{log}:1: is no start record")
     except RecordError as error:
         session, problems = Session(log, ()), (str(error),)
+    if not isinstance(session.start.get("design", {}), dict):
+        problems = (*problems, f"{log}:1: the event `start` does not say its design")
     # A last line that was cut is all that may be wrong with a session that goes on.
     is_readable = problems == session.chain.problems and not session.chain.damage
     state, why = _state(session) if is_readable else ("damaged", problems[0])
@@ -129,7 +131,7 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
     row = {
         "participant": log.parts[-4:][0].removeprefix("sub-"),
         "session": SessionFolder.number_of(log),
-        **_named(*session.occasion),
+        **(_named(*session.occasion) if isinstance(session.start.get("schedule"), dict) else {}),
         "begun": session.start.get("time"),
         "duration_min": round(sum(sittings) / 60, 1),
         "n_sittings": len(sittings),
