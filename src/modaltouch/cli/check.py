@@ -13,6 +13,7 @@ from modaltouch.cli.tables import print_table
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
     from modaltouch.preflight import Preflight
 _MOST_ROWS = 12
@@ -111,7 +112,6 @@ def show(preflight: Preflight, *, compare: bool = False, fingers: str | None = N
     """Print what a session of this protocol will be."""
     from rich.console import Console
     from rich.markup import escape
-    from rich.table import Table
 
     console = Console()
     values = preflight.as_dict(compare=compare, fingers=fingers)
@@ -147,9 +147,9 @@ def show(preflight: Preflight, *, compare: bool = False, fingers: str | None = N
             f"threshold that a session of the protocol {own['thresholds_from']} found, for thresholds of "
             f"{own['thresholds_mm_s'][0]:g} to {own['thresholds_mm_s'][1]:.4g} mm/s; below, the bounds of all levels"
         )
-    console.print(_level_table(Table, stimuli))
+    console.print(_level_table(stimuli))
     if any("touched" in each for each in stimuli):
-        console.print(_touched_table(Table, stimuli))
+        console.print(_touched_table(stimuli))
         console.print(f"[dim]{_PULL}[/]")
     elif fingers is None and (said := preflight.untouched_warning()):
         console.print(f"[yellow]{escape(said)}[/]")
@@ -269,9 +269,11 @@ def _show_contrast(console: Console, rows: list[dict[str, Any]]) -> None:
     )
 
 
-def _level_table(table_kind: Any, stimuli: list[dict[str, Any]]) -> Any:
+def _level_table(stimuli: list[dict[str, Any]]) -> Table:
+    from rich.table import Table
+
     zones = list(stimuli[0]["zone_peak_mm_s"])
-    table = table_kind(title="Largest speed at the centre of each zone, mm/s", title_justify="left")
+    table = Table(title="Largest speed at the centre of each zone, mm/s", title_justify="left")
     several = "stimulus" in stimuli[0]
     drive = "peak drive V: " + ", ".join(f"CH{channel}" for channel in stimuli[0]["peak_drive_V"])
     for heading in (*(["stimulus"] if several else []), "level mm/s", *zones, "modal error mm/s", drive):
@@ -289,9 +291,11 @@ def _level_table(table_kind: Any, stimuli: list[dict[str, Any]]) -> Any:
     return table
 
 
-def _touched_table(table_kind: Any, stimuli: list[dict[str, Any]]) -> Any:
+def _touched_table(stimuli: list[dict[str, Any]]) -> Table:
+    from rich.table import Table
+
     focus, zones = stimuli[0]["focus"], list(stimuli[0]["zone_peak_mm_s"])
-    table = table_kind(title="The same with fingers on the beam", title_justify="left")
+    table = Table(title="The same with fingers on the beam", title_justify="left")
     several = "stimulus" in stimuli[0]
     for heading in (
         *(["stimulus"] if several else []),

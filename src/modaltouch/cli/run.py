@@ -133,9 +133,10 @@ def run(
     Every answer is on the disk before the next trial. If anything ends the session early, the outputs are off
     and `modaltouch resume` goes on where it stopped.
     """
-    from modaltouch.cli.prompts import ask_participant, ask_people, ask_rig, can_ask, wait_for_start
+    from modaltouch.cli.prompts import ask_participant, ask_rig, can_ask, wait_for_start
     from modaltouch.preflight import check_legibility, examine
 
+    may_ask = can_ask() and not yes and not json_output
     with reporting(json_output=json_output):
         window_options = _window_options(fullscreen, size, theme, screen, screenshots)
         preflight = examine(protocol, calibration, marked=with_marked_calibration)
@@ -143,29 +144,32 @@ def run(
             preflight = check_legibility(preflight, None if fullscreen else window_options.size)
         preflight.require()
         from modaltouch.record import SessionFolder
-        from modaltouch.session import mode_of, wire_run
+        from modaltouch.session import begin, mode_of, wire_run
 
-        rig = rig or ask_rig(can_ask() and not yes and not json_output)
+        rig = rig or ask_rig(may_ask)
         mode = mode_of(rig, answers.value, pilot=pilot)
         dataset = SessionFolder.dataset_of(results, mode, preflight.experiment.protocol.protocol)
-        participant = ask_participant(dataset) if participant is None else participant
-        SessionFolder.check_participant(participant)
+        participant = SessionFolder.check_participant(ask_participant(dataset) if participant is None else participant)
         setup = wire_run(
             preflight, participant, session=session, rig=rig, answers=answers.value, pilot=pilot, seed=seed,
-            results=results, window_options=window_options, threshold_mm_s=threshold, group=group,
-            any_gap=any_gap,
+            results=results, window_options=window_options, threshold_mm_s=threshold, group=group, any_gap=any_gap,
         )  # fmt: skip
         setup.place.refuse_existing()
-        if fields := setup.to_ask:
-            may_ask = can_ask() and not yes and not json_output
-            given = ask_people(fields, may_ask) if people is None else preflight.experiment.protocol.read_people(people)
-            setup = setup.with_people(given)
+        setup = _with_people(setup, people, may_ask)
         _try_masking(setup)
-        if can_ask() and not yes and not json_output:
+        if may_ask:
             wait_for_start(setup, rig)
-        from modaltouch.session import begin
-
         _conduct(begin, setup, events, plain=plain, json_output=json_output)
+
+
+def _with_people(setup: Setup, people: Path | None, may_ask: bool) -> Setup:
+    """Return a session with what its protocol asks of the participant before the first one, from a file or asked."""
+    from modaltouch.cli.prompts import ask_people
+
+    if not setup.to_ask:
+        return setup
+    protocol = setup.preflight.experiment.protocol
+    return setup.with_people(ask_people(setup.to_ask, may_ask) if people is None else protocol.read_people(people))
 
 
 def _try_masking(setup: Setup) -> None:

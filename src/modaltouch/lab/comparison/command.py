@@ -243,10 +243,8 @@ def compare(
         Folder that keeps the recordings, so that an interrupted comparison continues there.
     points, averages : int
         Control points along the beam, and records at each.
-    beams : int
-        Other beams that the drives are played on.
-    seed : int
-        Of the first of them; the next ones follow.
+    beams, seed : int
+        Other beams that the drives are played on, and the seed of the first of them; the next ones follow.
     progress : MeasurementProgress, optional
         What is called meanwhile.
 
