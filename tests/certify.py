@@ -8,7 +8,7 @@ above 0.05 beyond doubt, by an exact bound that allows for all rows (Bonferroni)
 from __future__ import annotations
 
 import argparse
-import contextlib
+import hashlib
 import json
 import time
 from dataclasses import asdict, dataclass
@@ -17,7 +17,9 @@ from pathlib import Path
 
 import joblib
 import numpy as np
+import scipy
 
+import modaltouch
 from modaltouch.analysis.agreement import ac1_interval
 from modaltouch.analysis.consistency import shows_dominance
 from modaltouch.analysis.counts import AnswerCounts, Pair
@@ -280,6 +282,68 @@ def certify(number, n_experiments):
     return {"population": asdict(population), "rows": rows}
 
 
+def program() -> dict[str, str]:
+    """Return what the figures hang on: a hash of the program and of this file, and the versions of the libraries."""
+    files = [Path(__file__), *sorted(Path(modaltouch.__file__).parent.rglob("*.py"))]
+    source = hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
+    return {"source": source, "numpy": np.__version__, "scipy": scipy.__version__}
+
+
+def certify_on(address: str, n_populations: int, n_experiments: int, kept: Path) -> list[dict]:
+    """Certify populations on a Dask cluster; what is done stands in `kept`, and is not done again.
+
+    Raises
+    ------
+    SystemExit
+        If a worker's program is another one, no worker is left for a minute, or the scheduler is lost.
+    """
+    from distributed import Client
+
+    mine = program() | {"experiments": n_experiments}
+    lines = [json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()] if kept.exists() else []
+    done = {line["number"]: line["part"] for line in lines if line["program"] == mine}
+    try:
+        client = Client(address, timeout=10, set_as_default=False)
+    except OSError as error:
+        raise SystemExit(f"no scheduler at {address}: {error}; start one with `dask scheduler`") from error
+    with client, kept.open("a", encoding="utf-8") as file:
+        check_workers(client, address)
+        left = [number for number in range(n_populations) if number not in done]
+        print(f"{len(done)} of {n_populations} populations are done already", flush=True)
+        futures = {client.submit(certify, number, n_experiments): number for number in left}
+        seen = time.monotonic()
+        while futures:
+            ready = [future for future in futures if future.done()]
+            for future in ready:
+                number = futures.pop(future)
+                try:
+                    done[number] = future.result()
+                except Exception as error:
+                    raise SystemExit(f"population {number}: {error}; {kept} has {len(done)}: run again") from error
+                file.write(json.dumps({"number": number, "program": mine, "part": done[number]}) + "\n")
+                file.flush()
+            if client.status != "running":
+                raise SystemExit(f"the scheduler at {address} is lost; {kept} has {len(done)} populations: run again")
+            if client.scheduler_info()["workers"]:
+                seen = time.monotonic()
+            elif time.monotonic() - seen > 60:
+                raise SystemExit(f"no worker is left at {address}; {kept} has {len(done)} populations: run again")
+            if not ready:
+                time.sleep(0.2)
+    kept.unlink()
+    return [done[number] for number in range(n_populations)]
+
+
+def check_workers(client, address: str) -> None:
+    """Refuse a cluster without workers, and workers whose program is another one."""
+    others = client.run(program)
+    if not others:
+        raise SystemExit(f"no worker at {address}; start some with `dask worker {address}`")
+    for worker, other in others.items():
+        if unlike := [name for name, value in program().items() if other[name] != value]:
+            raise SystemExit(f"worker {worker} has another {' and '.join(unlike)}: install this very program there")
+
+
 def judge(parts):
     """Return the certificates: errors of every population, the worst rate, and how many populations fail."""
     told: dict[str, dict] = {}
@@ -325,13 +389,10 @@ def main() -> None:
     parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster that does the work")
     parser.add_argument("--out", type=Path, default=Path("results/benchmarks/certify.json"))
     asked = parser.parse_args()
-    began, cluster = time.perf_counter(), contextlib.nullcontext()
+    began = time.perf_counter()
     if asked.dask:
-        from distributed import Client
-
-        Client(asked.dask)
-        cluster = joblib.parallel_config("dask")
-    with cluster:
+        parts = certify_on(asked.dask, asked.populations, asked.experiments, asked.out.with_suffix(".parts.jsonl"))
+    else:
         work = (joblib.delayed(certify)(number, asked.experiments) for number in range(asked.populations))
         parts = joblib.Parallel(n_jobs=asked.jobs, verbose=1)(work)
     told = judge(parts)
