@@ -24,7 +24,11 @@ def check_answers(event: Event, asked: AnswersSection) -> Iterator[str]:
     if list(further) != list(wanted):
         yield f"answers the further questions {', '.join(further) or '-'}; asked were {', '.join(wanted) or '-'}"
         return
-    before = max(event["instants"]["answer"]["earliest_s"] - event["confirmed"]["onset"], 0.0) if wanted else 0.0
+    before = 0.0
+    if wanted:
+        # What was asked counts from the last interval; the line itself is about the comparison's.
+        onset = (event.get("intervals") or [event])[-1]["confirmed"]["onset"]
+        before = max(event["instants"]["answer"]["earliest_s"] - onset, before)
     for name, how in wanted.items():
         came = further[name].get("question_after")
         if came is not None and came < before - _INSTANT:
