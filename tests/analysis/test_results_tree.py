@@ -184,12 +184,12 @@ def test_a_turned_beam_is_told_by_zone(record, edit, tmp_path) -> None:
 
 
 def test_catch_trials_of_a_session_are_counted_apart(record, edit, tmp_path) -> None:
-    """One catch trial more for each finger condition: no row of the table, and counted with its participant."""
+    """One more for each finger condition: no row of the table; who was not in time raised no false alarm."""
     preflight = altered(edit, CATCHES, NONE)
-    for participant, word in (("p01", "none"), ("p02", "left")):
+    for participant, word in (("p01", "none"), ("p02", "left"), ("p03", "time_out")):
         record(participant, preflight, answer=lambda trial, word=word: word if trial.condition.is_catch else "both")
     responses = read_responses(tmp_path / "results")
-    assert len(responses.frame) == 48
+    assert len(responses.frame) == 72
     assert responses.frame["velocity_mm_s"].min() == 80
     assert responses.catches == {"p01": {"none": 2}, "p02": {"left": 2}}
 

@@ -176,7 +176,7 @@ def open_log(path: Path) -> SessionAnswers:
             name: str(own.get("focus") or design.get("stimulus", {}).get("focus", ""))
             for name, own in design.get("stimuli", {}).items()
         },
-        catches=Counter(row["response"] for row in session.table() if row["catch"]),
+        catches=Counter(row["response"] for row in session.table() if row["catch"] and row["response"] != TIME_OUT),
         kind=session.occasion,
         is_crossed=not any(design.get("conditions", {}).get(key) for key in ("cells", "exclude")),
         columns=session.question_columns,
