@@ -91,6 +91,36 @@ def test_d_prime_of_a_comparison_is_that_of_its_distance_from_the_standard(compa
     assert ("d' over participants", "one_hand A-C 80 mm/s") not in findings
 
 
+@pytest.mark.parametrize("word", ["unsure", "same"])
+def test_answers_that_name_no_interval_are_left_out(compared, word: str) -> None:
+    """Known: with some of each level left unsaid, all measures are those of the rest, and who said it is not wrong."""
+    said = {"first": 1, "second": 2, **({"same": "same"} if word == "same" else {})}
+    answers = {"keys": dict.fromkeys(("first", "second", word), ["x"]), "intervals": said}
+    unsaid = compared["repetition"] > 18
+    design = {**TWO, "answers": {**answers, "then": {"sure": {"scale": {"kind": "likert"}}}}}
+    frame = compared.astype({"sure": str})
+    whole = found(take(frame.assign(response=frame["response"].where(~unsaid, word)), design))[1]
+    rest = found(take(frame[~unsaid], {**design, "answers": {**TWO["answers"], "then": design["answers"]["then"]}}))[1]
+    for name in ("d'", "criterion", "PSE", "JND", "sure when correct less when not"):
+        assert whole[name] == rest[name]
+    responses = take(compared.assign(response=compared["response"].where(~unsaid, word)), design)
+    (limit,) = (each for each in analyse_design(responses, []).limits if "name no interval" in each)
+    assert limit.startswith("Answers that name no interval are left out of d'")
+
+
+def test_of_three_intervals_no_answer_is_right_where_two_are_the_stronger() -> None:
+    """Known: who always names the strongest, and guesses between two, has no negative d' below the standard."""
+    frame, rng = presented((60.0, 80.0, 100.0), 18, 3), np.random.default_rng(1)
+    words = np.array(["one", "two", "three"])
+    other = (frame["interval"] - 1 + rng.integers(1, 3, len(frame))) % 3
+    chosen = np.where(frame["velocity_mm_s"] > 80, frame["interval"] - 1, other)
+    section = {"number": 3, "standard": {"velocity_mm_s": 80}, "asked": "stronger"}
+    answers = {"keys": dict.fromkeys(words, ["x"]), "intervals": {"one": 1, "two": 2, "three": 3}}
+    findings, _ = found(take(frame.assign(response=words[chosen]), {"intervals": section, "answers": answers}))
+    scopes = [scope for name, scope in findings if name == "d' over participants"]
+    assert scopes == ["one_hand A-C 100 mm/s"]
+
+
 def test_answers_that_name_an_interval_are_counted_by_what_they_choose(compared) -> None:
     """Known: of comparisons at 120 mm/s about Phi(1.55) = 0.94 are chosen, whichever interval they stand in."""
     counts = take(compared, TWO).by_choice().count()

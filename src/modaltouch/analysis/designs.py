@@ -91,6 +91,8 @@ def _limits(responses: Responses, task: TrialTask, fits: Sequence[FittedCell]) -
         )
     if task.named and not fits and responses.frame[scale_of(responses.frame.columns).column].nunique() > 2:
         yield "No psychometric function is fitted: by the question asked, its answers do not rise with the level."
+    if task.named and set(responses.answers.names) - task.named.keys():
+        yield "Answers that name no interval are left out of d' and of psychometric functions."
     if task.named and (task.n_intervals > 2 or responses.frame["interval"].nunique() < 2):
         yield "d' is of somebody who prefers no interval: these answers cannot tell a preference."
     yield (

@@ -42,7 +42,8 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
         frame = responses.frame.assign(interval=place, zone_left="", zone_right="")
         responses = replace(responses, frame=frame[frame["interval"] > 0])
         task = TrialTask(2, {left.name: 1, right.name: 2})
-    frame, scale = responses.frame, scale_of(responses.frame.columns)
+    scale = scale_of(responses.frame.columns)
+    frame = task.told(responses.frame, scale.column)
     per_cell = [int(part["n"].sum()) for _, part in cells(frame, scale, by_level=True)]
     by_level = min(per_cell, default=0) >= FEWEST
     if task.different:

@@ -142,10 +142,10 @@ def correct(frame: pd.DataFrame, task: TrialTask, scale: LevelScale) -> pd.Serie
         right = frame["response"].isin(task.different) != task.is_same(frame, scale.column)
     elif task.named:
         right = frame["response"].map(task.named).astype(float) == frame["interval"].astype(float)
-        right = (right != level.map(task.turns)).where(~task.is_same(frame, scale.column))
+        right = (right != level.map(task.turns)).where(~task.is_same(frame, scale.column) & level.map(task.tells))
     else:
         return pd.Series(math.nan, frame.index)
-    return right.astype(float)
+    return right.astype(float).reindex(task.told(frame, scale.column).index).reindex(frame.index)
 
 
 def power_law(levels: pd.Series, magnitudes: pd.Series) -> Interval:

@@ -71,6 +71,24 @@ class TrialTask:
         """Return whether the right answer at a level is the standard's interval, not that of the comparison."""
         return self.asks_stronger and self.n_intervals == 2 and level < self.standard
 
+    def tells(self, level: float) -> bool:
+        """Return whether an answer at a level is right or wrong, not one of several that are both the stronger."""
+        return not self.asks_stronger or level > self.standard or self.turns(level)
+
+    def told(self, frame: pd.DataFrame, level: str) -> pd.DataFrame:
+        """Return the answers that say something of the intervals; all where none can.
+
+        Parameters
+        ----------
+        frame, level
+            As for `is_same`; of three intervals two are the stronger where the comparison is the weaker one.
+        """
+        words = self.different | self.same if self.different else self.named.keys()
+        if not words:
+            return frame
+        is_open = self.asks_stronger and self.n_intervals > 2
+        return frame[frame["response"].isin(words) & ~((frame[level] < self.standard) & is_open)]
+
     def is_same(self, frame: pd.DataFrame, level: str) -> pd.Series:
         """Return in which trials the comparison is the standard.
 

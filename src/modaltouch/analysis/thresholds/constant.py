@@ -67,7 +67,8 @@ def fit_cells(responses: Responses, task: TrialTask) -> tuple[FittedCell, ...]:
     task : TrialTask
         What they mean.
     """
-    frame, scale = responses.frame, scale_of(responses.frame.columns)
+    scale = scale_of(responses.frame.columns)
+    frame = task.told(responses.frame, scale.column)
     is_felt = task.n_intervals == 1 and responses.answers.naming() is not None and not responses.answers.compares
     if frame[scale.column].nunique() < FEWEST_LEVELS or not (task.named or is_felt):
         return ()
