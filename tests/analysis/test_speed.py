@@ -5,10 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from modaltouch import analyse, simulate_session
 from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.responses import AnswerSource, Responses
 from modaltouch.protocol import InputError
 
 pytestmark = pytest.mark.usefixtures("undrawn")
@@ -44,3 +46,12 @@ def test_a_table_without_speeds_is_refused(tmp_path: Path) -> None:
     (tmp_path / "answers.csv").write_text("\n".join([*rows, "p1,one_hand,A,C,80,right"]) + "\n", encoding="utf-8")
     with pytest.raises(InputError, match=r"do not tell the speeds predicted.*recorded sessions.*take --speed nominal"):
         analyse(tmp_path / "answers.csv", speed="predicted")
+
+
+def test_a_standard_level_is_not_compared_with_predicted_speeds() -> None:
+    """Known: 100 mm/s at the focus may be any speed under the fingers, so that below and above would be mixed up."""
+    design = {"intervals": {"number": 2, "standard": {"velocity_mm_s": 100}}}
+    frame = pd.DataFrame(columns=["velocity_mm_s"])
+    responses = Responses(frame, (), (), AnswerSource("answers", "results", ""), design=design)
+    with pytest.raises(InputError, match=r"given a standard of 100 mm/s.*take --speed nominal"):
+        responses.by_predicted_speed()

@@ -108,6 +108,7 @@ def test_the_duration_counts_every_interval_and_gap(edit: Edit) -> None:
     assert estimated_duration(longer) - single == pytest.approx(52 * (5 / 7 + 3.0) / 60, abs=0.11)
 
 
+LEVELS = "peak_velocities_mm_s: [70, 80, 90, 110, 125, 140]"
 STANDARD = "standard: {velocity_mm_s: 100}"
 MEANINGS = "intervals: {first: 1, second: 2}"
 ADAPTIVE = "adaptive: {method: staircase, trials: 8, start_mm_s: 130, success: correct"
@@ -122,6 +123,15 @@ ADAPTIVE = "adaptive: {method: staircase, trials: 8, start_mm_s: 130, success: c
         ),
         ([(STANDARD, "standard: {stimulus: blunt}")], "'blunt', which is not one of the stimuli"),
         ([("\n  number: 2\n", "\n  number: 4\n")], "given 4; allowed: a whole number of at least 2, at most 3"),
+        (
+            [
+                (
+                    LEVELS,
+                    "peak_velocities_mm_s: [10, 140]\n  sensation_levels: {thresholds_from: t, multiples: [1.5, 3]}",
+                )
+            ],
+            "given 100 mm/s, where levels are multiples of each participant's own threshold; allowed: null or 0",
+        ),
         ([("stimulus_until: question", "stimulus_until: answer")], "given answer, where a trial has several intervals"),
         ([("practice_trials: 4", "catch_trials: 4")], "given 4, where a trial has several intervals; allowed: 0"),
         ([(MEANINGS, "intervals: {first: 1, second: 3}")], "given 3, where a trial has 2 intervals; allowed: 1 to 2"),

@@ -250,6 +250,9 @@ class Responses:
         InputError
             If the answers do not tell it.
         """
+        if self.task.standard > 0:
+            given = f"a standard of {self.task.standard:g} mm/s, to which predicted speeds are not comparable"
+            raise InputError.of(self.source.path, given, "trials without a standard level", "take --speed nominal")
         column = scale_of(self.frame.columns).column
         zones = {name: f"speed_{name.split('_')[1]}_mm_s" for name in zones_of(self.frame.columns)}
         sides = [side for zone, side in zones.items() if (self.frame[zone] != "").any()]

@@ -52,6 +52,10 @@ def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
     names = reading.keys("stimuli") or []
     if standard is not None and standard.stimulus is not None and standard.stimulus not in names:
         yield reading.unknown((*path, "standard", "stimulus"), "one of the stimuli", names)
+    if (level := reading.sound(*STANDARD_LEVEL)) and reading.keys("conditions", "sensation_levels") is not None:
+        given = f"{level:g} mm/s, where levels are multiples of each participant's own threshold"
+        remedy = "let the standard be another stimulus, or silence, or remove conditions.sensation_levels"
+        yield reading.problem(STANDARD_LEVEL, given, "null or 0", remedy)
     if (until := reading.sound("answers", "stimulus_until")) not in (None, "question"):
         given = f"{until}, where a trial has several intervals"
         remedy = "write `stimulus_until: question`, and its length as presentation_s or presentation_bursts"
