@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.protocol.answers import Answer, AnswerList
+    from modaltouch.protocol.answers import AnswerList
     from modaltouch.protocol.apparatus import Apparatus
     from modaltouch.protocol.calibration import Calibration
     from modaltouch.protocol.findings import Experiment, Findings
@@ -32,7 +32,7 @@ else:
     __getattr__ = lazily(
         __name__,
         {
-            "answers": "Answer AnswerList",
+            "answers": "AnswerList",
             "apparatus": "Apparatus",
             "calibration": "Calibration",
             "findings": "Experiment Findings",
@@ -52,7 +52,6 @@ else:
     )
 
 __all__ = [
-    "Answer",
     "AnswerList",
     "AnswersSection",
     "Apparatus",

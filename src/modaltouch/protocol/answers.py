@@ -133,6 +133,10 @@ class AnswerList(tuple[Answer, ...]):
         """Return the answer that names these very fingers; without any, the one that nothing was felt."""
         return next((answer for answer in self if answer.fingers == fingers), None)
 
+    def named(self, name: str) -> Answer:
+        """Return the answer of a name; KeyError if there is none."""
+        return {answer.name: answer for answer in self}[name]
+
     def fingers_of(self, name: str) -> Fingers | None:
         """Return the fingers that the answer of a name stands for; None also for a time-out."""
         return next((answer.fingers for answer in self if answer.name == name), None)

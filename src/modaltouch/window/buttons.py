@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
-from modaltouch.protocol import Answer, AnswersSection, Texts
+from modaltouch.protocol import AnswersSection, Texts
 from modaltouch.window.layout import Layout
 from modaltouch.window.shapes import Box, Mark, Words, framed, rounded, triangle
 from modaltouch.window.theme import Theme
@@ -38,15 +38,11 @@ class Buttons:
     texts: Texts
     answers: AnswersSection
 
-    @cached_property
-    def _offered(self) -> dict[str, Answer]:
-        return {answer.name: answer for answer in self.answers.offered}
-
     def draw(self, chosen: str | None, *, with_keys: bool) -> tuple[Mark, ...]:
         """Return all buttons, the one of the `chosen` answer pressed, with the keys that give each or without."""
         marks: list[Mark] = []
         for answer, box in self.layout.buttons.items():
-            if self._offered[answer].is_below:
+            if self.answers.offered.named(answer).is_below:
                 marks += self._low_button(answer, box, pressed=answer == chosen, with_keys=with_keys)
                 continue
             marks += self._button(answer, pressed=answer == chosen, with_keys=with_keys)
@@ -60,7 +56,7 @@ class Buttons:
         theme, unit = self.theme, self.layout.unit
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
         middle = Box(box.x, box.y, box.width * 0.5, box.height * 0.9)
-        labels = [self._word(name) for name, other in self._offered.items() if other.is_below]
+        labels = [self._word(each.name) for each in self.answers.offered if each.is_below]
         size = self._common_size(labels, middle, min(self._answer_size, 0.5 * box.height))
         words = Words(self._word(answer), middle, size, ink, bold=True)
         beside = Box(box.x + 0.36 * box.width, box.y, box.width * 0.2, 0.6 * box.height)
@@ -73,7 +69,7 @@ class Buttons:
     def _button(self, answer: str, *, pressed: bool, with_keys: bool) -> tuple[Mark, ...]:
         """Return a button with its word above the keys, or in the middle where there are none."""
         theme, box, unit = self.theme, self.layout.buttons[answer], self.layout.unit
-        own = self._offered[answer]
+        own = self.answers.offered.named(answer)
         edges = {"left": theme.left, "between": theme.between, "right": theme.right}
         edge = edges.get("".join(own.fingers or ()), theme.button_edge)
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
@@ -97,12 +93,12 @@ class Buttons:
     @cached_property
     def _share(self) -> float:
         """Share of a button's width that its word may take: arrows for fingers stand on both sides of it."""
-        return 0.68 if any(answer.fingers for answer in self._offered.values()) else 0.9
+        return 0.68 if any(answer.fingers for answer in self.answers.offered) else 0.9
 
     @cached_property
     def _answer_size(self) -> float:
         """One size of type at which every answer of the row fits its button, on several lines where it is larger so."""
-        labels = [self._word(name) for name, own in self._offered.items() if not own.is_below] or ["-"]
+        labels = [self._word(each.name) for each in self.answers.offered if not each.is_below] or ["-"]
         width = self.layout.answer_width * self._share
         height = 0.52 * next(iter(self.layout.buttons.values())).height
         return self._common_size(labels, Box(0, 0, width, height), 0.062 * self.layout.type_scale)
