@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import groupby
 from pathlib import Path
@@ -17,7 +18,7 @@ from modaltouch.protocol import Trial
 from modaltouch.protocol.questions import QuestionSection
 from modaltouch.record import Session, audit_session, read_session
 from modaltouch.record.questions import check_answers
-from modaltouch.rig import Generator, Simulator
+from modaltouch.rig import Generator, RigError, Simulator
 from modaltouch.session import simulate_session
 from modaltouch.session.console.status import Status
 from modaltouch.session.rewiring import resume, wire_resume
@@ -148,6 +149,32 @@ def test_an_interval_that_is_not_confirmed_has_the_trial_asked_again(tmp_path: P
     assert cut["interval"] == 1 and "SOUR1:VOLT" in cut["reason"]
     (answered,) = [e for e in of(session, "trial") if e["trial"]["index"] == 2 and not e["trial"]["practice"]]
     assert answered["presentation"] == 2
+
+
+def test_no_gap_is_waited_for_where_the_outputs_cannot_be_switched_off(tmp_path: Path) -> None:
+    """The session ends at once, not after a gap with a beam that may still move."""
+    file = write(tmp_path, ("gap_s: 0.5", "gap_s: 30.0"))
+    setup, failed = wire_run(examine(file).require(), "p01", answers="simulated", results=tmp_path), list[float]()
+
+    @contextmanager
+    def rig(log: Callable[..., None]) -> Iterator[Any]:
+        with setup.open_rig(log) as opened:
+            stop = opened.stop
+
+            def fail(**how: bool) -> None:
+                if not failed:
+                    failed.append(setup.clock.now())
+                    raise RigError("the outputs cannot be switched off")
+                stop(**how)
+
+            opened.stop = fail  # type: ignore[method-assign]
+            yield opened
+
+    with pytest.raises(RigError, match="cannot be switched off"):
+        begin(replace(setup, open_rig=rig))
+    (cut,) = of(read_session(setup.place.log), "trial_cut")
+    assert cut["interval"] == 1
+    assert cut["clock"] - failed[0] < 5
 
 
 def test_silence_is_an_interval_without_bursts(tmp_path: Path) -> None:

@@ -170,3 +170,41 @@ def test_simulate_gives_every_participant_all_kinds_of_session(preflight: Prefli
     done = call(f"simulate {file} -n 2 --results {tmp_path} --json")
     folders = [Path(each).parts[-3:-1] for each in json.loads(done.stdout)["sessions"]]
     assert folders == [(who, session) for who in ("sub-sim01", "sub-sim02") for session in ("ses-1", "ses-2")]
+
+
+@pytest.fixture(scope="module")
+def balanced(preflight: Preflight, tmp_path_factory: pytest.TempPathFactory) -> Preflight:
+    """The same, where the records decide who is of which group."""
+    file = preflight.experiment.sources.protocol.path
+    text = (
+        Path(file).read_text("utf-8").replace("schedule:\n  sessions", "schedule:\n  balance: least_filled\n  sessions")
+    )
+    other = Path(file).with_name("balanced.yaml")
+    other.write_text(text, "utf-8")
+    return examine(other).require()
+
+
+def test_two_sessions_that_begin_at_once_are_not_of_one_group(balanced: Preflight, tmp_path: Path) -> None:
+    """Both were wired when nobody was on record: the second is told what is due, and begins again with that."""
+    first, second = (wire_run(balanced, name, answers="simulated", results=tmp_path) for name in ("p01", "p02"))
+    assert begin(first).occasion[0] == "near"
+    with pytest.raises(RecordInputError, match="the group near for participant p02, .*due is far: begin again"):
+        begin(second)
+    assert not second.place.log.exists()
+    assert sit(balanced, tmp_path, "p02").occasion[0] == "far"
+
+
+def test_who_dropped_out_leaves_the_place_in_the_group(balanced: Preflight, tmp_path: Path) -> None:
+    """As a turn is filled again: p01 of near is complete, p02 of far is left incomplete, so p03 is of far."""
+    first, second = (sit(balanced, tmp_path, name) for name in ("p01", "p02"))
+    assert (first.occasion[0], second.occasion[0]) == ("near", "far")
+    second.path.write_bytes(b"".join(second.path.read_bytes().splitlines(keepends=True)[:-12]))
+    assert sit(balanced, tmp_path, "p03").occasion[0] == "far"
+
+
+def test_a_log_that_was_cut_before_its_first_line_tells_no_gap(preflight: Preflight, tmp_path: Path) -> None:
+    """A kill as the file was made: the session after it, given by its number, begins."""
+    setup = wire_run(preflight, "p01", answers="simulated", results=tmp_path)
+    setup.place.log.parent.mkdir(parents=True)
+    setup.place.log.touch()
+    assert wire_run(preflight, "p01", session=2, answers="simulated", results=tmp_path).place.session == 2

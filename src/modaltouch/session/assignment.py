@@ -20,6 +20,9 @@ from typing import Any
 from modaltouch.protocol import Protocol, Turn
 from modaltouch.record import RecordError, RecordInputError, Session, SessionFolder, read_session
 
+LEAST_FILLED = "least filled in the records"
+"""What decides a turn or a group where the records do."""
+
 
 @dataclass(frozen=True)
 class Assignment:
@@ -88,7 +91,7 @@ def assign_turn(place: SessionFolder, protocol: Protocol, drawn_as: int, group: 
         reason = "the participant's earlier sessions"
     else:
         own = min(range(n_turns), key=lambda turn: (filled[turn], left[turn], turn))
-        reason = "least filled in the records"
+        reason = LEAST_FILLED
     return Assignment(Turn(own + drawn_as - 1, reason), n_turns, dict(filled), dict(left))
 
 
@@ -118,9 +121,10 @@ def assign_group(place: SessionFolder, protocol: Protocol, seed: int, given: str
     if not names:
         return "", ""
     filled: Counter[str] = Counter()
-    for participant, first, _ in _participants(place.dataset):
+    left: Counter[str] = Counter()
+    for participant, first, latest in _participants(place.dataset):
         own = first.occasion[0]
-        filled[own] += 1
+        (filled if Session.is_complete_or_running(latest) else left)[own] += 1
         if participant == place.participant:
             if given not in (None, own):
                 raise RecordInputError(f"given --group {given}, but participant {participant} is of the group {own}")
@@ -128,7 +132,7 @@ def assign_group(place: SessionFolder, protocol: Protocol, seed: int, given: str
     if given is not None:
         return given, "given"
     if protocol.schedule.balance == "least_filled":
-        return min(names, key=lambda name: filled[name]), "least filled in the records"
+        return min(names, key=lambda name: (filled[name], left[name])), LEAST_FILLED
     turn = Turn.of(place.participant, seed, 1, names)
     return turn.group, turn.group_by
 
@@ -137,9 +141,10 @@ def is_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datet
     """Return that a session would begin sooner after the one before than its kind allows; empty where it does not."""
     kind = protocol.schedule.kind_of(drawn_as)
     logs = SessionFolder.logs_of(place.dataset / f"sub-{place.participant}")
-    if kind is None or not kind.min_gap_days or not logs:
+    events = read_session(logs[-1]).events if kind is not None and kind.min_gap_days and logs else ()
+    if kind is None or not events:
         return ""
-    ended = datetime.fromisoformat(str(read_session(logs[-1]).events[-1]["time"]))
+    ended = datetime.fromisoformat(str(events[-1]["time"]))
     due = ended + timedelta(days=kind.min_gap_days)
     return (
         ""

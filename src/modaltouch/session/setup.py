@@ -273,9 +273,16 @@ def _with_assigned_turn(setup: Setup) -> Setup:
     """Return the setup with the schedule that the records on disk give the participant, if they do."""
     if setup.drawn_as is None:
         return setup
-    from modaltouch.session.assignment import assign_turn
+    from modaltouch.session.assignment import LEAST_FILLED, assign_group, assign_turn
 
     drawn, protocol = setup.schedule, setup.preflight.experiment.protocol
+    if drawn.group_by == LEAST_FILLED:
+        due, _ = assign_group(setup.place, protocol, drawn.seed)
+        if due != drawn.group:
+            given = (
+                f"the group {drawn.group} for participant {drawn.participant}, which another session has taken since"
+            )
+            raise RecordInputError(f"{given}; due is {due}: begin again, or keep it with --group {drawn.group}")
     assignment = assign_turn(setup.place, protocol, setup.drawn_as, drawn.group)
     turn = replace(assignment.turn, group=drawn.group, group_by=drawn.group_by)
     schedule = Schedule.draw(protocol, drawn.participant, drawn.seed, drawn.session, given=turn)
