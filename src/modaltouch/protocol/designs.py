@@ -33,9 +33,9 @@ def order_cells(protocol: Protocol, finger_condition: str, turn: int, stream: St
         return cells * protocol.scheduled_repetitions
     if order == "shuffled":
         return _shuffled(protocol, cells, stream)
-    from modaltouch.protocol.latin_orders import ORDERS
+    from modaltouch.protocol.latin_orders import order_by_square
 
-    return ORDERS[order](protocol, cells, turn, stream)
+    return order_by_square(protocol, cells, turn, stream)
 
 
 def insert_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> list[Cell]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any
 
 from modaltouch.protocol.cells import Cell
 from modaltouch.protocol.sections import Protocol
@@ -38,25 +36,33 @@ def latin_square(n_cells: int) -> list[list[int]]:
 
 def period_of_rows(protocol: Protocol) -> int:
     """Return after how many turns the rows of a Latin square repeat; 1 where the protocol uses none."""
-    if protocol.schedule.order not in _KINDS:
+    if protocol.schedule.order not in ("latin_square", *_PLACES):
         return 1
     return math.lcm(*(_period(protocol, protocol.cells(name)) for name in protocol.conditions.finger_conditions))
 
 
+def order_by_square(protocol: Protocol, cells: list[Cell], turn: int, stream: Stream) -> list[Cell]:
+    """Return the cells of a block in a participant's row of a Latin square.
+
+    Pairs or velocities come one after the other, the cells of each shuffled; or all cells, in the next row for each
+    repetition.
+    """
+    order, repetitions = protocol.schedule.order, protocol.scheduled_repetitions
+    kinds = _kinds(order, cells)
+    rows = latin_square(len(kinds))
+    if order == "latin_square":
+        turns = range(turn * repetitions, (turn + 1) * repetitions)
+        return [cells[cell] for each in turns for cell in rows[_row_of_turn(each, len(rows))]]
+    each_kind = [[cell for cell in cells if cell[_PLACES[order]] == kind] * repetitions for kind in kinds]
+    return [cell for kind in rows[_row_of_turn(turn, len(rows))] for cell in stream.shuffled(each_kind[kind])]
+
+
 def _period(protocol: Protocol, cells: list[Cell]) -> int:
-    n_rows = len(latin_square(len(_KINDS[protocol.schedule.order](cells))))
+    n_rows = len(latin_square(len(_kinds(protocol.schedule.order, cells))))
     # Each round of the rows begins one later than the last, so it takes as many rounds as rows.
     period = n_rows * n_rows
     taken = protocol.scheduled_repetitions if protocol.schedule.order == "latin_square" else 1
     return period // math.gcd(period, taken)
-
-
-def _pairs(cells: list[Cell]) -> list[tuple[str, ...]]:
-    return list(dict.fromkeys(pair for pair, *_ in cells))
-
-
-def _levels(cells: list[Cell]) -> list[float]:
-    return list(dict.fromkeys(level for _, level, _ in cells))
 
 
 def _row_of_turn(turn: int, n_rows: int) -> int:
@@ -68,40 +74,10 @@ def _row_of_turn(turn: int, n_rows: int) -> int:
     return (turn + turn // n_rows) % n_rows
 
 
-def _by_pair(protocol: Protocol, cells: list[Cell], turn: int, stream: Stream) -> list[Cell]:
-    """Take the pairs one after the other, in this participant's row of a Latin square."""
-    pairs = _pairs(cells)
-    kinds = [[cell for cell in cells if cell[0] == pair] * protocol.scheduled_repetitions for pair in pairs]
-    rows = latin_square(len(pairs))
-    return [cell for kind in rows[_row_of_turn(turn, len(rows))] for cell in stream.shuffled(kinds[kind])]
+_PLACES = {"by_pair": 0, "by_velocity": 1}
+"""Place in a cell of what comes one after the other, by the protocol's `order`."""
 
 
-def _by_velocity(protocol: Protocol, cells: list[Cell], turn: int, stream: Stream) -> list[Cell]:
-    """Take the velocities one after the other, in this participant's row of a Latin square."""
-    levels = _levels(cells)
-    kinds = [[cell for cell in cells if cell[1] == level] * protocol.scheduled_repetitions for level in levels]
-    rows = latin_square(len(levels))
-    return [cell for kind in rows[_row_of_turn(turn, len(rows))] for cell in stream.shuffled(kinds[kind])]
-
-
-def _latin_square(protocol: Protocol, cells: list[Cell], turn: int, stream: Stream) -> list[Cell]:
-    """Take all cells in this participant's row of a Latin square, the next row for each repetition."""
-    rows = latin_square(len(cells))
-    repetitions = protocol.scheduled_repetitions
-    turns = range(turn * repetitions, (turn + 1) * repetitions)
-    return [cells[cell] for each in turns for cell in rows[_row_of_turn(each, len(rows))]]
-
-
-_KINDS: dict[str, Callable[[list[Cell]], Sequence[Any]]] = {
-    "by_pair": _pairs,
-    "by_velocity": _levels,
-    "latin_square": list,
-}
-"""What the rows of a Latin square order, by the protocol's `order`."""
-
-ORDERS: dict[str, Callable[[Protocol, list[Cell], int, Stream], list[Cell]]] = {
-    "by_pair": _by_pair,
-    "by_velocity": _by_velocity,
-    "latin_square": _latin_square,
-}
-"""What takes the cells of a block in the rows of a Latin square, by the protocol's `order`."""
+def _kinds(order: str, cells: list[Cell]) -> list[object]:
+    """Return what the rows of a Latin square order; of all cells each as often as its weight."""
+    return list(cells if order == "latin_square" else dict.fromkeys(cell[_PLACES[order]] for cell in cells))
