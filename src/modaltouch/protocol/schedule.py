@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -192,11 +193,11 @@ class Schedule:
         }
 
     def _purposes(self) -> list[str]:
-        orders = [_purpose_of_order(block.finger_condition) for block in self.blocks]
+        orders = [_ORDER + block.finger_condition for block in self.blocks]
         with_catches = (block for block in self.blocks if any(trial.condition.is_catch for trial in block.trials))
-        catches = [_purpose_of_catches(block.finger_condition) for block in with_catches]
-        intervals = [_purpose_of_intervals(block.finger_condition) for block in self.blocks if block.trials[0].interval]
-        intervals += [_purpose_of_intervals("practice")] if intervals and self.practice else []
+        catches = [_CATCHES + block.finger_condition for block in with_catches]
+        intervals = [_INTERVALS + block.finger_condition for block in self.blocks if block.trials[0].interval]
+        intervals += [_INTERVALS + "practice"] if intervals and self.practice else []
         return ["order of finger conditions", "practice", *orders, *catches, *intervals]
 
     def as_dict(self) -> dict[str, Any]:
@@ -244,26 +245,22 @@ class Schedule:
         turn = decided.number
         finger_conditions, placement = decided.order(protocol)
         blocks: list[Block] = []
+        chance = partial(Stream, seed, participant, session)
         for number, finger_condition in enumerate(finger_conditions, start=1):
-            stream = Stream(seed, participant, session, _purpose_of_order(finger_condition))
-            cells = order_cells(protocol, finger_condition, turn, stream)
+            cells = order_cells(protocol, finger_condition, turn, chance(_ORDER + finger_condition))
             if protocol.schedule.catch_trials:
-                catches = Stream(seed, participant, session, _purpose_of_catches(finger_condition))
-                cells = insert_catches(protocol, cells, catches)
+                cells = insert_catches(protocol, cells, chance(_CATCHES + finger_condition))
             conditions = [_place(finger_condition, cell, placement) for cell in cells]
             first = sum(len(block.trials) for block in blocks) + 1
-            stream = Stream(seed, participant, session, _purpose_of_intervals(finger_condition))
-            trials = _number(protocol, conditions, stream, block=number, first=first)
+            trials = _number(protocol, conditions, chance(_INTERVALS + finger_condition), block=number, first=first)
             blocks.append(Block(number, finger_condition, trials))
-        stream = Stream(seed, participant, session, "practice")
-        drawn = _draw_practice(protocol, finger_conditions[0], stream)
+        drawn = _draw_practice(protocol, finger_conditions[0], chance("practice"))
         practised = [_place(finger_conditions[0], cell, placement) for cell in drawn]
-        stream = Stream(seed, participant, session, _purpose_of_intervals("practice"))
         return cls(
             participant=participant,
             session=session,
             seed=seed,
-            practice=_number(protocol, practised, stream, block=0, first=1),
+            practice=_number(protocol, practised, chance(_INTERVALS + "practice"), block=0, first=1),
             blocks=tuple(blocks),
             is_adaptive=protocol.adaptive is not None,
             finger_conditions_by=decided.reason if len(_orders_of_finger_conditions(protocol)) > 1 else "protocol",
@@ -288,6 +285,8 @@ class Schedule:
 
 
 _BY_HASH = "hash of the participant"
+_ORDER, _CATCHES, _INTERVALS = "order within ", "catch trials within ", "intervals within "
+"""What chance is for, before the name of the finger condition."""
 
 
 def _orders_of_finger_conditions(protocol: Protocol) -> list[tuple[str, ...]]:
@@ -299,18 +298,6 @@ def _place(finger_condition: str, cell: Cell, placement: Placement) -> Condition
     """Return a cell under a participant's fingers; on a beam turned end to end, left and right change places."""
     zones = cell[0][::-1] if placement.startswith("mirrored") else cell[0]
     return Condition.on(zones, finger_condition, cell[1], placement, cell[2])
-
-
-def _purpose_of_order(finger_condition: str) -> str:
-    return f"order within {finger_condition}"
-
-
-def _purpose_of_catches(finger_condition: str) -> str:
-    return f"catch trials within {finger_condition}"
-
-
-def _purpose_of_intervals(part: str) -> str:
-    return f"intervals within {part}"
 
 
 def _draw_practice(protocol: Protocol, finger_condition: str, stream: Stream) -> list[Cell]:
