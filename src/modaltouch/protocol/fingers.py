@@ -9,7 +9,6 @@ import numpy as np
 from pydantic import Discriminator, Field, Tag
 
 from modaltouch.protocol.identified import Interval
-from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.reading import read
 from modaltouch.protocol.section import NotNegative, Number, Positive, Section, Text, described
 from modaltouch.protocol.source import Source
@@ -168,7 +167,4 @@ class FingersFile(Section):
         InputError
             With every fault of the file and its place; or with the shipped names, where there is no such file.
         """
-        reading = read(Source.find("fingers", name), cls)
-        if reading.value is None:
-            raise InputError(reading.problems)
-        return reading.value
+        return read(Source.find("fingers", name), cls).require()

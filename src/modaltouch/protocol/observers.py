@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.reading import read
 from modaltouch.protocol.section import FileName, NotNegative, Section, Text, described
 from modaltouch.protocol.source import Source
@@ -101,7 +100,4 @@ class ObserverFile(Section):
         InputError
             With every fault of the file and its place; or with the shipped names, where there is no such file.
         """
-        reading = read(Source.find("observer", name), cls)
-        if reading.value is None:
-            raise InputError(reading.problems)
-        return reading.value
+        return read(Source.find("observer", name), cls).require()

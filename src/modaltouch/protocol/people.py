@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, TypeAdapter, ValidationError, create_model, model_validator
 
-from modaltouch.protocol.problems import InputError, Problem, fault
+from modaltouch.protocol.problems import Problem, fault
 from modaltouch.protocol.reading import Reading, read
 from modaltouch.protocol.section import Number, Section, Text, describe, described
 from modaltouch.protocol.source import Source
@@ -136,10 +136,7 @@ def read_people(fields: Mapping[str, PersonField], path: Path) -> dict[str, floa
     InputError
         With every fault of the file and its place.
     """
-    reading = read(Source.load(path), _model(fields))
-    if reading.value is None:
-        raise InputError(reading.problems)
-    return reading.value.model_dump()
+    return read(Source.load(path), _model(fields)).require().model_dump()
 
 
 def _model(fields: Mapping[str, PersonField]) -> type[Section]:

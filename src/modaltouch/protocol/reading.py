@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from modaltouch.protocol.problems import Problem, format_path, suggest
+from modaltouch.protocol.problems import InputError, Problem, format_path, suggest
 from modaltouch.protocol.section import LARGEST, SMALLEST, Step, adapter, annotation_at, describe, keys_of, number_meant
 from modaltouch.protocol.source import Source
 from modaltouch.protocol.tree import Node, parse_tree
@@ -95,6 +95,12 @@ class Reading(Generic[Model]):
         steps = list(node.content) if isinstance(node.content, dict) else list(range(len(node.content)))
         values = [(step, self.sound(*path, step)) for step in steps]
         return [(step, value) for step, value in values if value is not None]
+
+    def require(self) -> Model:
+        """Return what the text holds; raise `InputError` with every fault where there is any."""
+        if self.value is None:
+            raise InputError(self.problems)
+        return self.value
 
     def find(self, path: Iterable[Step]) -> Node | None:
         """Return the node at a path, or None."""
