@@ -53,7 +53,7 @@ class Question:
         if places or not asked.get("scale"):
             return cls(name, column, places=places, ends=(1.0, len(places)) if places else None)
         scale = ScaleSection.model_validate(asked["scale"])
-        ends = None if scale.high is None else (scale.low, scale.high)
+        ends = None if math.isinf(scale.high) else (scale.low, scale.high)
         return cls(name, column, scale.kind == "number", ends=ends)
 
     @property

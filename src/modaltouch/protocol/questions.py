@@ -77,13 +77,13 @@ class ScaleSection(Section):
     def _fits(self) -> Self:
         low, high, step = self.low, self.high, self.step or 1.0
         is_typed = self.kind == "number"
-        if high is not None and low >= high:
+        if low >= high:
             raise fault(f"a scale from {low:g} to {high:g}", "lowest below highest", "change one of them")
         if is_typed:
             if self.step is not None or self.words:
                 raise fault("a step or words of a number that is typed", "neither", "leave them out")
             return self
-        n_steps = (self.highest_place - low) / step
+        n_steps = (high - low) / step
         most = _MOST_POINTS - 1 if self.kind == "likert" else _MOST_STEPS
         if abs(n_steps - round(n_steps)) > 1e-6 or not 1 <= round(n_steps) <= most:
             given = f"{n_steps:.6g} steps of {step:g} from {low:g} to {high:g}"
@@ -100,19 +100,14 @@ class ScaleSection(Section):
         return _BOUNDS.get(self.kind, (0.0, 0.0))[0] if self.lowest is None else self.lowest
 
     @property
-    def high(self) -> float | None:
-        """Number of the right end; None of an open scale."""
-        return _BOUNDS[self.kind][1] if self.highest is None and self.kind in _BOUNDS else self.highest
-
-    @property
-    def highest_place(self) -> float:
+    def high(self) -> float:
         """Number of the right end; infinite of an open scale."""
-        return math.inf if self.high is None else self.high
+        return _BOUNDS.get(self.kind, (0.0, math.inf))[1] if self.highest is None else self.highest
 
     @property
     def points(self) -> tuple[float, ...]:
         """Numbers of the points, or places of the mark; none where a number is typed."""
-        if self.kind == "number" or self.high is None:
+        if self.kind == "number":
             return ()
         step = self.step or 1.0
         return tuple(round(self.low + place * step, 9) for place in range(round((self.high - self.low) / step) + 1))
@@ -136,14 +131,14 @@ class ScaleSection(Section):
         if self.points:
             return f"{self.low:g} to {self.high:g} by {self.step or 1.0:g}"
         least = "a number above 0" if self.lowest is None else f"a number of at least {self.lowest:g}"
-        return least if self.high is None else f"{least}, at most {self.high:g}"
+        return least if math.isinf(self.high) else f"{least}, at most {self.high:g}"
 
     def takes(self, value: float) -> bool:
         """Return whether a number can be answered on the scale."""
         if self.points:
             return any(math.isclose(value, point, abs_tol=1e-9) for point in self.points)
         is_above = value > 0 if self.lowest is None else value >= self.lowest
-        return is_above and value <= self.highest_place and math.isfinite(value)
+        return is_above and value <= self.high and math.isfinite(value)
 
     def at(self, share: float) -> float:
         """Number at a share of the scale, as a simulated participant answers it.
@@ -157,9 +152,9 @@ class ScaleSection(Section):
         """
         if self.points:
             return self.points[min(int(share * len(self.points)), len(self.points) - 1)]
-        reach = share / (1 - share) * _MODULUS if self.high is None else share * (self.high - self.low)
+        reach = share / (1 - share) * _MODULUS if math.isinf(self.high) else share * (self.high - self.low)
         number = float(f"{max(self.low + reach, 1e-3):.3g}")
-        return min(max(number, self.low), self.highest_place)
+        return min(max(number, self.low), self.high)
 
 
 class AskedSection(Section):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from modaltouch.protocol import ScaleSection, Texts
@@ -130,7 +131,7 @@ def draw_scale(
     marks = parts[scale.kind](layout, theme, entered, [f"{point:.10g}" for point in scale.points], confirmed)
     words = tuple(texts.answers.get(each, each) for each in scale.words)
     marks += _draw_words(layout, theme, words, typesetter_of(texts).measure)
-    if scale.kind == "number" and scale.high is not None and not entered:
+    if scale.kind == "number" and math.isfinite(scale.high) and not entered:
         field = _field(layout)
         marks.append(Words(f"{scale.low:g} – {scale.high:g}", field.inset(0.008), 0.03, theme.dim))
     if confirmed:
