@@ -130,21 +130,17 @@ def _doubled(reading: Reading[Protocol], path: tuple[str, ...], noun: str) -> It
 
 
 def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
-    names = reading.keys("answers", "keys")
-    yield from _check_answers(reading, names)
-    taken: dict[str, str] = {}
+    yield from _check_answers(reading, reading.keys("answers", "keys"))
     places: dict[str, tuple[str | int, ...]] = {}
     for path in [("answers", "keys", name) for name in offered_answers(reading).names]:
         for index, name in reading.items(*path):
             yield from check_key(reading, (*path, index), name)
-            if name in taken:
-                given = f"'{name}', which answers {taken[name]} already"
+            if name in places:
+                given = f"'{name}', which answers {places[name][-2]} already"
                 yield reading.problem((*path, index), given, "each key for one answer", "remove one of them")
-            taken.setdefault(name, path[-1])
             places.setdefault(name, (*path, index))
     for index, name in reading.items("answers", "continue_keys"):
         yield from check_key(reading, ("answers", "continue_keys", index), name)
-        taken.setdefault(name, "to go on")
         places.setdefault(name, ("answers", "continue_keys", index))
     is_written = reading.find(("answers", "emergency_keys")) is not None
     for index, name in reading.items("answers", "emergency_keys"):
@@ -155,7 +151,7 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
             given = f"'{name}', which switches the outputs off in an emergency where `emergency_keys` names no other"
             remedy = "choose another, or name another key under `answers.emergency_keys`"
             yield reading.problem(places[name], given, "a key with no other meaning", remedy)
-        elif name in taken or name == END_KEY:
+        elif name in places or name == END_KEY:
             given = f"'{name}', which is needed otherwise"
             yield reading.problem(path, given, "a key with no other meaning, such as f12", "choose another")
 
