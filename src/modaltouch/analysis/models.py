@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
@@ -54,7 +55,16 @@ def terms_of_model(answers: AnswerCounts) -> list[str]:
 
 def model_files(answers: AnswerCounts, frame: pd.DataFrame) -> dict[str, Any]:
     """Return the tidy table and the R script of the models, by file name."""
-    table, terms = model_table(answers, frame), " + ".join(terms_of_model(answers)) or "1"
+    return zone_files(model_table(answers, frame), terms_of_model(answers), answers)
+
+
+def zone_files(table: pd.DataFrame, terms: Sequence[str], answers: AnswerCounts) -> dict[str, Any]:
+    """Return a table of chosen zones and the R script of its models, by file name."""
     orders = [zone for zone in ("other", "both", "dominant") if zone != "both" or answers.both_place is not None]
-    script = render_page("modaltouch.analysis", "models.R.j2", terms=terms, zones=orders, scale=answers.scale)
+    return script_files(table, "models.R.j2", terms, zones=orders, scale=answers.scale)
+
+
+def script_files(table: pd.DataFrame, template: str, terms: Sequence[str], **given: Any) -> dict[str, Any]:
+    """Return a tidy table and the R script that fits models of these terms to it, by file name."""
+    script = render_page("modaltouch.analysis", template, terms=" + ".join(terms) or "1", **given)
     return {"answers.csv": table.to_csv(index=False, lineterminator="\n"), "models.R": script}

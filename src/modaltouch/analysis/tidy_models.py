@@ -6,11 +6,11 @@ from typing import Any
 
 import pandas as pd
 
+from modaltouch.analysis.models import script_files
 from modaltouch.analysis.ratings import questions_of
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.zones import label_zones
-from modaltouch.report import render_page
 
 FACTORS = ("group", "session_kind", "stimulus", "finger_condition", "pair")
 
@@ -43,8 +43,4 @@ def tidy_files(responses: Responses) -> dict[str, Any]:
     if len(names) > 1:
         table["chosen"] = (table["response"] == effect).astype(int)
     terms = [name for name in (*factors, "level") if table[name].nunique() > 1]
-    script = render_page(
-        "modaltouch.analysis", "tidy_models.R.j2", terms=" + ".join(terms) or "1", effect=effect, names=names,
-        asked=asked, scale=scale,
-    )  # fmt: skip
-    return {"answers.csv": table.to_csv(index=False, lineterminator="\n"), "models.R": script}
+    return script_files(table, "tidy_models.R.j2", terms, effect=effect, names=names, asked=asked, scale=scale)

@@ -12,14 +12,14 @@ import pandas as pd
 
 from modaltouch.analysis.counts import AnswerCounts, count_answers
 from modaltouch.analysis.findings import ALPHA, Finding, correct, to_frame
-from modaltouch.analysis.models import model_table
+from modaltouch.analysis.models import model_table, zone_files
 from modaltouch.analysis.outcome import plain_row
 from modaltouch.analysis.responses import Responses, cell_of
 from modaltouch.analysis.statistics import uncorrected
 from modaltouch.analysis.tables import tabulate, zone_table
 from modaltouch.analysis.words import say_interval
 from modaltouch.protocol import InputError
-from modaltouch.report import ReportFigure, page_files, render_page, say_number
+from modaltouch.report import ReportFigure, page_files, say_number
 
 if TYPE_CHECKING:
     from modaltouch.analysis.designs import DesignAnalysis
@@ -287,7 +287,4 @@ def _models(analysis: PartsAnalysis) -> dict[str, Any]:
     middle = (table[first.scale.column].max() + table[first.scale.column].min()) / 2
     table = table.assign(level=(table[first.scale.column] - middle) / first.scale.step)
     columns = [name for name in (*FACTORS, "finger_condition", "pair", "level") if name in table]
-    terms = " + ".join(name for name in columns if table[name].nunique() > 1) or "1"
-    orders = [zone for zone in ("other", "both", "dominant") if zone != "both" or first.both_place is not None]
-    script = render_page("modaltouch.analysis", "models.R.j2", terms=terms, zones=orders, scale=first.scale)
-    return {"answers.csv": table.to_csv(index=False, lineterminator="\n"), "models.R": script}
+    return zone_files(table, [name for name in columns if table[name].nunique() > 1], first)
