@@ -346,8 +346,7 @@ def count_answers(
     zones = [tuple(touched[place] for place in each) for each in places.tolist()]
     scale = scale_of(frame.columns)
     levels, level = np.unique(frame[scale.column].to_numpy(dtype=float), return_inverse=True)
-    focus = focus or find_focus(zones)
-    offered = _offered(frame["response"], offered)
+    offered, focus = _offered(frame["response"], offered), focus or find_focus(zones)
     cells = (
         _codes(frame["participant"], participants),
         _codes(frame["finger_condition"], conditions),

@@ -71,30 +71,38 @@ def analyse(
     RecordError
         If a file would be overwritten that this command did not write, or cannot be written.
     """
-    asked = _figures(figures)
+    asked: dict[str, Any] = {"--figures": _figures(figures), "--prereg": prereg, "--model": model}
     responses = read_responses(path, mode=mode, stimulus=stimulus, table_format=table_format)
     responses = responses.by_predicted_speed() if speed == "predicted" else responses
     folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
     source = responses.source
     about = {"version": version(), "source": source.path, "sha256": source.sha256, "mode": source.mode}
+    found, files = _results(responses, path, asked)
+    return replace(found, files=write_files(folder, files, about))
+
+
+def _results(
+    responses: Responses, path: Path | str, asked: dict[str, Any]
+) -> tuple[Analysis | ThresholdAnalysis | PartsAnalysis, dict[str, Any]]:
+    """Return what the answers of a design tell, and the contents of its files; refuse options it has no use for."""
+    options = [option for option, value in asked.items() if value]
     if responses.is_adaptive:
         from modaltouch.analysis.thresholds import analyse_runs, render_runs
 
-        for option, value in {"--figures": asked, "--prereg": prereg, "--model": model}.items():
-            if value:
-                raise InputError.of(option, "adaptive sessions", "sessions at fixed levels", f"leave {option} out")
+        for option in options:
+            raise InputError.of(option, "adaptive sessions", "sessions at fixed levels", f"leave {option} out")
         runs = analyse_runs(responses)
-        return replace(runs, files=write_files(folder, render_runs(runs), about))
+        return runs, render_runs(runs)
     if responses.scheduled is not None:
         from modaltouch.analysis.parts import analyse_parts, render_parts
 
-        if prereg is not None or model or asked:
+        if options:
             given = "--prereg, --model or --figures with a design that is not crossed"
             raise InputError.of(path, given, "tables, tests of its crossed parts, models.R", "leave these options out")
-        found = analyse_parts(responses)
-        return replace(found, files=write_files(folder, render_parts(found), about))
-    analysis = _hold_against(prereg, _find(responses, model=model))
-    return replace(analysis, files=write_files(folder, render_files(analysis, asked), about))
+        parts = analyse_parts(responses)
+        return parts, render_parts(parts)
+    analysis = _hold_against(asked["--prereg"], _find(responses, model=asked["--model"]))
+    return analysis, render_files(analysis, asked["--figures"])
 
 
 def _find(responses: Responses, *, model: bool) -> Analysis:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import pandas as pd
@@ -94,11 +94,8 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
 def design_limits(analysis: Analysis) -> list[str]:
     """Return what the design of these answers cannot tell, in words."""
     answers, n = analysis.answers, analysis.answers.n_participants
-    pairs = {(pair.left, pair.right) for pair in answers.pairs}
-    tied = [pair for pair in answers.pairs if not pair.focused and (pair.right, pair.left) not in pairs]
-    both, nothing = (answers.answers.naming(*fingers) for fingers in (("left", "right"), ()))
-    sizes = Counter(row.family for row in analysis.findings if row.family in ("a2", "c", "d"))
-    m = min(sizes.values(), default=1)
+    both, nothing = answers.answers.naming("left", "right"), answers.answers.naming()
+    m = min(Counter(row.family for row in analysis.findings if row.family in ("a2", "c", "d")).values(), default=1)
     fewest = 1 + math.ceil(math.log2(m / ALPHA))
     known = [
         (
@@ -116,7 +113,7 @@ def design_limits(analysis: Analysis) -> list[str]:
             "there is no net dominance (a2), no prevalence of it, no side bias, no drift of it and no fit to the ratio "
             "of speeds. Cells are tested against an even split, and each answer by itself.",
         ),
-        *((answers.compares and not answers.mirrored, _alias(pair)) for pair in tied),
+        *((answers.compares and not answers.mirrored, words) for words in _aliases(answers.pairs)),
         (
             answers.scale == OWN_THRESHOLD,
             "Levels are multiples of each participant's own threshold as a session before found it. How uncertain "
@@ -156,12 +153,16 @@ def design_limits(analysis: Analysis) -> list[str]:
     return [limit for holds, limit in known if holds]
 
 
-def _alias(pair: Pair) -> str:
-    return (
-        f"In ({pair.left}, {pair.right}) zone, side and finger go together: {pair.left} lies on the left under one and "
-        f"the same finger, so a preference for {pair.left} cannot be separated from one for that side or finger. "
-        "Mirrored placement, or swapped hands in half the participants, would separate them."
-    )
+def _aliases(pairs: Sequence[Pair]) -> Iterator[str]:
+    """Yield the pairs of zones that never change sides, in words."""
+    sides = {(pair.left, pair.right) for pair in pairs}
+    for left, right in ((pair.left, pair.right) for pair in pairs if not pair.focused):
+        if (right, left) not in sides:
+            yield (
+                f"In ({left}, {right}) zone, side and finger go together: {left} lies on the left under one and the "
+                f"same finger, so a preference for {left} cannot be separated from one for that side or finger. "
+                "Mirrored placement, or swapped hands in half the participants, would separate them."
+            )
 
 
 def _title(analysis: Analysis) -> str:

@@ -143,6 +143,8 @@ COLUMNS = (
 """Columns of the tidy table of recorded answers; of levels calibrated by participant the multiple is told instead."""
 
 _STIMULUS = COLUMNS.index("stimulus")
+_ONE = "give the folder of one of them"
+_ONE_NAMED = f"{_ONE}; name the other protocol anew"
 _OF_INTERVALS = ("interval", "standard_mm_s", "correct")
 """Columns of trials with several intervals alone."""
 
@@ -207,34 +209,30 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
     """
     if mode is not None and mode not in MODES:
         raise InputError.of(place, f"mode {mode!r}", ", ".join(MODES), "choose one of them")
-    with _no_search_for_cycles():
-        found = [open_log(path) for path in SessionFolder.logs_under(place)]
-    if not found:
-        remedy = f"give the folder that `modaltouch run` wrote to; it holds files named {SessionFolder.LOG_NAME}"
-        raise InputError.of(place, "a folder without a recorded session", "a results folder", remedy)
-    one = "give the folder of one of them"
+    found = _open_logs(place)
     modes = [item.mode for item in found if item.mode]
-    is_real = "real" in modes or not modes
-    chosen = mode or ("real" if is_real else _only(place, "modes", modes, f"choose with --mode, or {one}"))
+    usual = "real" if "real" in modes or not modes else ""
+    chosen = mode or usual or _only(place, "modes", modes, f"choose with --mode, or {_ONE}")
     left_out: list[ExcludedSource] = []
     of_mode = _sort(found, left_out, lambda item: _other_mode(item, chosen))
-    _only(place, "protocols", [f"of {item.protocol!r}" for item in of_mode if item.mode], one)
+    _only(place, "protocols", [f"of {item.protocol!r}" for item in of_mode if item.mode], _ONE)
     taken = _sort(of_mode, left_out, lambda item: item.reason)
-    levels = _only(place, "kinds of levels", [item.levels for item in taken], f"{one}; name the other protocol anew")
-    if levels != "adaptive":
+    levels = _only(place, "kinds of levels", [item.levels for item in taken], _ONE_NAMED)
+    if not (is_crossed := levels == "adaptive"):
         held, seen = Counter((item.participant, item.kind) for item in taken), Counter[object]()
         fewest = {kind: min(n for (_, own), n in held.items() if own == kind) for _, kind in held}
         taken = _sort(taken, left_out, lambda item: _surplus(item, fewest[item.kind], seen))
+        is_crossed = all(item.is_crossed for item in taken) and len({item.kind for item in taken}) == 1
     _refuse_nothing(place, taken, left_out)
     answers = _one_list(place, taken)
-    is_crossed = all(item.is_crossed for item in taken) and len({item.kind for item in taken}) == 1
-    frame = _join(place, taken, levels, answers, stimulus, is_crossed=is_crossed or levels == "adaptive")
+    frame = _join(place, taken, levels, answers, stimulus, is_crossed=is_crossed)
     asked = int(answers_per_cell(frame).to_numpy().max()) if levels != "adaptive" else None
-    scheduled = None if is_crossed or levels == "adaptive" else frame
+    scheduled = None if is_crossed else frame
     frame = frame[frame["response"] != TIME_OUT].reset_index(drop=True)
     frame["response"] = pd.Categorical(frame["response"], categories=list(answers.ranked.names))
     digest = hashlib.sha256("".join(item.digest for item in taken).encode()).hexdigest()
     foci, start = taken[0].foci, read_session(taken[0].path).start
+    design = start.get("design", {})
     return Responses(
         frame,
         tuple(item.facts for item in taken if item.facts is not None),
@@ -246,11 +244,20 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
         stimulus or "",
         foci,
         answers,
-        start.get("design", {}).get("analysis", {}).get("equivalence_margin"),
+        design.get("analysis", {}).get("equivalence_margin"),
         asked,
         scheduled=scheduled,
-        design=start.get("design", {}),
+        design=design,
     )
+
+
+def _open_logs(place: Path) -> list[SessionAnswers]:
+    with _no_search_for_cycles():
+        found = [open_log(path) for path in SessionFolder.logs_under(place)]
+    if not found:
+        remedy = f"give the folder that `modaltouch run` wrote to; it holds files named {SessionFolder.LOG_NAME}"
+        raise InputError.of(place, "a folder without a recorded session", "a results folder", remedy)
+    return found
 
 
 def _refuse_nothing(place: Path, taken: Sequence[SessionAnswers], left_out: Sequence[ExcludedSource]) -> None:
@@ -319,12 +326,10 @@ def _one_list(place: Path, taken: Sequence[SessionAnswers]) -> AnswerList:
     for item in taken:
         if item.columns != taken[0].columns:
             given = f"sessions that ask {', '.join(taken[0].columns) or 'nothing more'}, and {', '.join(item.columns)}"
-            remedy = "give the folder of one of them; name the other protocol anew"
-            raise InputError.of(place, given, "the same questions under the name of one protocol", remedy)
+            raise InputError.of(place, given, "the same questions under the name of one protocol", _ONE_NAMED)
         if not set(item.answers) <= set(longest):
             given = f"sessions with the answers {', '.join(longest.names)}, and with {', '.join(item.answers.names)}"
-            remedy = "give the folder of one of them; name the other protocol anew"
-            raise InputError.of(place, given, "the same answers under the name of one protocol", remedy)
+            raise InputError.of(place, given, "the same answers under the name of one protocol", _ONE_NAMED)
     return longest
 
 
