@@ -24,8 +24,8 @@ from modaltouch.session.events import boot_id
 from modaltouch.session.resumption import begin_anew, examine_interruption, go_on, refuse_failed, refuse_old
 from modaltouch.session.sensation_level import recorded_levels
 from modaltouch.session.setup import Setup, sit
-from modaltouch.session.wiring import AnswersBy, SessionParts, mode_of
-from modaltouch.window import WindowOptions
+from modaltouch.session.wiring import SessionParts, mode_of
+from modaltouch.window import AnswersBy, WindowOptions
 
 
 def wire_resume(
@@ -67,11 +67,10 @@ def wire_resume(
     protocol = preflight.experiment.protocol
     schedule = Schedule.draw(protocol, place.participant, start["seed"], session.drawn_as, given=given)
     observer = Observer.from_dict(start["observer"]) if "observer" in start else Observer()
-    at = preflight.experiment.protocol.schedule.resume.at
+    at = protocol.schedule.resume.at
     begins_anew = (restart and not session.complete) or (at == "restart" and session.lacks_trials)
+    begins_anew = begins_anew or session.begun_anew_as is not None
     anew = _place_anew(place, session) if begins_anew else None
-    if anew is None and session.begun_anew_as is not None:
-        anew = _place_anew(place, session)
     wires = SessionParts(
         preflight,
         anew or place,
@@ -82,11 +81,9 @@ def wire_resume(
         observer=observer,
         after=float(session.events[-1]["clock"]),
     )
-    setup = wires.setup(schedule)
-    if anew is None:
-        return setup
-    calibrated = {name: start[name] for name in ("sensation_levels", "people") if name in start}
-    return replace(setup, replaces=place, facts=setup.facts | calibrated)
+    kept = ("sensation_levels", "people") if anew else ()
+    setup = wires.setup(schedule, {name: start[name] for name in kept if name in start})
+    return replace(setup, replaces=place if anew else None)
 
 
 def resume(setup: Setup) -> Session:

@@ -190,19 +190,13 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
         Its parts; what opens the log at a place with the first line's facts; that line, ``start`` or ``resume``.
     """
     buffer = EventBuffer()
-    levels = _levels(setup.preflight.experiment.protocol)
     seconds = estimated_duration(setup.preflight.experiment.protocol) * 60 / max(len(setup.schedule.trials), 1)
     experimenter = Experimenter(setup.console, buffer.event, seconds_per_trial=seconds)
     buffer.listener = experimenter.tell
     markers = setup.open_markers()
     with Interruption() as interruption, ExitStack() as stack:
         rig = stack.enter_context(setup.open_rig(buffer.exchange))
-        _refuse_other_generator(setup.preflight, rig)
-        instrument = instrument_of(setup.preflight.experiment.apparatus)
-        if instrument.is_simulated(rig.identity) and setup.place.mode != "simulated":
-            # An address may lead to a simulator; its data never land among real ones.
-            setup = replace(setup, place=replace(setup.place, mode="simulated"))
-            setup.place.refuse_existing()
+        setup = _of_generator(setup, rig)
         prober = None if setup.open_prober is None else stack.enter_context(setup.open_prober(rig))
         if prober is None:
             rig.load(*setup.preflight.bursts)
@@ -227,7 +221,7 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
         try:
             setup.place.list_participants(log.events[0])
             masking.start()
-            sitting = _sitting(setup, rig, window, log, buffer, tick, levels)
+            sitting = _sitting(setup, rig, window, log, buffer, tick)
             if prober is not None:
                 sitting = _measuring(sitting, setup, prober, window)
             conduct(replace(sitting, experimenter=experimenter, masking=masking))
@@ -289,11 +283,16 @@ def _with_assigned_turn(setup: Setup) -> Setup:
     return replace(setup, schedule=schedule, facts={**setup.facts, "balance": assignment.as_dict()})
 
 
-def _refuse_other_generator(preflight: Preflight, rig: Rig) -> None:
-    """Refuse a generator that the calibration was not made with: its amplitudes are its own."""
-    problem = preflight.findings.generator_problem(rig.identity)
-    if problem is not None:
+def _of_generator(setup: Setup, rig: Rig) -> Setup:
+    """Return the setup for a generator; refuse one without the calibration, as its amplitudes are its own."""
+    if problem := setup.preflight.findings.generator_problem(rig.identity):
         raise InputError([problem])
+    instrument = instrument_of(setup.preflight.experiment.apparatus)
+    if instrument.is_simulated(rig.identity) and setup.place.mode != "simulated":
+        # An address may lead to a simulator; its data never land among real ones.
+        setup = replace(setup, place=replace(setup.place, mode="simulated"))
+        setup.place.refuse_existing()
+    return setup
 
 
 def _sitting(
@@ -303,7 +302,6 @@ def _sitting(
     log: SessionLog,
     buffer: EventBuffer,
     tick: Tick,
-    levels: Levels | None,
 ) -> SessionRun:
     done = log.session.answered
     schedule = setup.schedule
@@ -322,7 +320,7 @@ def _sitting(
         protocol=setup.preflight.experiment.protocol,
         trials=tuple(remaining),
         total=total,
-        levels=levels,
+        levels=_levels(setup.preflight.experiment.protocol),
         speeds=setup.preflight.speeds,
         which=lambda trial: designs.index(setup.preflight.design_of(trial.condition)),
         rig=rig,

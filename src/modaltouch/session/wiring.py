@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -18,16 +18,13 @@ from modaltouch.rig import Generator, Rig
 from modaltouch.session.console.experimenter import Tick
 from modaltouch.session.setup import Setup, begin
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
-from modaltouch.window import Answerer, AnswerWindow, Masking, WindowOptions, open_window
+from modaltouch.window import Answerer, AnswersBy, AnswerWindow, Masking, WindowOptions, open_window
 
 if TYPE_CHECKING:
     from modaltouch.lab import Prober
     from modaltouch.planning import FeltSpeeds
     from modaltouch.rig import Simulator
     from modaltouch.session.markers import Markers
-
-AnswersBy = Literal["window", "simulated", "robot"]
-"""A person at the window; an observer model without a window; an observer model typing into the real window."""
 
 SETTLING_TIME = 0.5
 """From the first sine of a probe until a real beam repeats itself [s]."""
@@ -56,10 +53,8 @@ def wire_run(
 
     Parameters
     ----------
-    preflight : Preflight
-        The checked experiment.
-    participant : str
-        Participant id.
+    preflight, participant
+        The checked experiment, and the participant's id.
     session : int or None
         Number of the session; None for the participant's next.
     rig, answers, pilot, seed, results, window_options, observer
@@ -86,15 +81,11 @@ def wire_run(
         from modaltouch.session.assignment import next_session
 
         place, drawn_as = next_session(place, protocol.schedule.n_sessions)
-    given, preflight, facts = _on_occasion(preflight, place, drawn_as, seed, group, any_gap=any_gap)
+    given, preflight, gap = _on_occasion(preflight, place, drawn_as, seed, group, any_gap=any_gap)
     preflight, calibrated = _at_own_levels(preflight, place, threshold_mm_s)
     schedule = Schedule.draw(preflight.experiment.protocol, participant, seed, drawn_as, given=given)
-    wires = SessionParts(
-        preflight, place, seed=seed, rig=rig, answers=answers, window_options=window_options,
-        observer=observer or _usual(protocol, answers),
-    )  # fmt: skip
-    setup = wires.setup(schedule)
-    setup = replace(setup, facts=setup.facts | calibrated | facts)
+    parts = SessionParts(preflight, place, seed, rig, answers, window_options, observer or _usual(protocol, answers))
+    setup = parts.setup(schedule, calibrated | gap)
     if answers != "window" and (fields := setup.to_ask):
         rng = Schedule.random_generator(seed, participant, place.session, "people")
         setup = setup.with_people({name: each.draw(rng) for name, each in fields.items()})
@@ -197,11 +188,12 @@ class SessionParts:
         is_virtual = self.rig == SIMULATED and self.answers == "simulated"
         return VirtualClock(max(SYSTEM_CLOCK.now(), self.after)) if is_virtual else SYSTEM_CLOCK
 
-    def setup(self, schedule: Schedule) -> Setup:
-        """Return what the sitting is made of, with the participant's trials."""
+    def setup(self, schedule: Schedule, further: Mapping[str, Any]) -> Setup:
+        """Return what the sitting is made of, with the participant's trials and further facts for the record."""
         facts: dict[str, Any] = {"seed": self.seed, "rig_choice": self.rig, "answers_choice": self.answers}
         if self.answers != "window":
             facts["observer"] = self.observer.as_dict()
+        facts |= further
         opened = self.open_rig, self.open_window, self.open_masking
         prober = self.open_prober if self.preflight.findings.measured else None
         return Setup(

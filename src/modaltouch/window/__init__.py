@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from modaltouch.window.legibility import smallest_type
     from modaltouch.window.machine import examine_surroundings, measure_timing
     from modaltouch.window.masking import Masking
-    from modaltouch.window.opening import WindowOptions, open_window
+    from modaltouch.window.opening import AnswersBy, WindowOptions, open_window
     from modaltouch.window.simulated import Answerer
 else:
     __getattr__ = lazily(
@@ -34,7 +34,7 @@ else:
             "legibility": "smallest_type",
             "machine": "examine_surroundings measure_timing",
             "masking": "Masking",
-            "opening": "WindowOptions open_window",
+            "opening": "AnswersBy WindowOptions open_window",
             "simulated": "Answerer",
         },
     )
@@ -42,6 +42,7 @@ else:
 __all__ = [
     "AnswerWindow",
     "Answerer",
+    "AnswersBy",
     "Event",
     "Fonts",
     "Masking",

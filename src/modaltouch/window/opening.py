@@ -107,9 +107,11 @@ def open_window(
     WindowError, ValueError
         If the window cannot be opened, or an observer is missing.
     """
-    if answers != "window" and answerer is None:
+    if answers == "window":
+        answerer = None
+    elif answerer is None:
         raise ValueError(f"given answers by {answers!r} and no observer; give `answerer`, or answers by 'window'")
-    if answers == "simulated" and answerer is not None:
+    elif answers == "simulated":
         return _simulated(answerer, protocol, tick, log, clock)
     from modaltouch.window.buttons import typesetter_of
     from modaltouch.window.participant import ParticipantWindow
@@ -119,29 +121,16 @@ def open_window(
 
     options = options or WindowOptions()
     theme = THEMES[options.theme]
-    robot = Robot(answerer, protocol) if answers == "robot" and answerer is not None else None
+    robot = None if answerer is None else Robot(answerer, protocol)
     display = Screen(
-        size=options.size,
-        fullscreen=options.fullscreen,
-        monitor=options.screen,
-        ground=theme.ground,
-        title=protocol.title,
-        typesetter=typesetter_of(texts),
-        clock=clock,
-    )
+        size=options.size, fullscreen=options.fullscreen, monitor=options.screen, ground=theme.ground,
+        title=protocol.title, typesetter=typesetter_of(texts), clock=clock,
+    )  # fmt: skip
     try:
         return ParticipantWindow(
-            display,
-            protocol,
-            texts,
-            zones=zones,
-            theme=theme,
-            tick=tick,
-            log=log,
-            screenshots=options.screenshots,
-            robot=robot,
-            clock=clock,
-        )
+            display, protocol, texts, zones=zones, theme=theme, tick=tick, log=log, screenshots=options.screenshots,
+            robot=robot, clock=clock,
+        )  # fmt: skip
     except BaseException:
         display.close()
         raise
