@@ -347,6 +347,11 @@ class Protocol(Section):
         own = self.stimuli[name].presentation_bursts if name in self.stimuli else None
         return own or self.answers.n_bursts(self.stimulus_of(name).repetition_rate_Hz)
 
+    def longest_s(self, name: str) -> float:
+        """Return the time from the start of a stimulus to the end of its last burst [s]."""
+        stimulus = self.stimulus_of(name)
+        return (self.n_bursts(name) - 1) / stimulus.repetition_rate_Hz + stimulus.duration_ms * 1e-3
+
     def is_masked(self, name: str) -> bool:
         """Return whether the masking noise, where there is any, is on with a stimulus."""
         return name not in self.stimuli or self.stimuli[name].masked is not False

@@ -92,7 +92,7 @@ def check_intervals(event: Event, trial: Trial, begun: list[Event], given: Trial
         return
     over, sound = -math.inf, True
     for number, (part, said, first) in enumerate(zip(parts, told, begun, strict=True), 1):
-        confirmed, stimulus = said["confirmed"], given.protocol.stimulus_of(part.condition.stimulus)
+        confirmed = said["confirmed"]
         line = {**event, **said, "instants": {**event["instants"], "first_burst": said["first_burst"]}}
         faults = [*check_amplitudes(line, part, given), *_check_planned(said["planned"], part, given)]
         if event["event"] == "trial" or number < len(parts):
@@ -103,15 +103,10 @@ def check_intervals(event: Event, trial: Trial, begun: list[Event], given: Trial
         own = (event, said) if number == trial.interval else (said, said)
         if any(own[0][name] != own[1][name] for name in ("commanded", "bursts")):
             faults += ["is another than its trial has"]
-        gap, unsure = (
-            confirmed["onset"] - over,
-            confirmed["onset_uncertainty"] + first["confirmed"]["onset_uncertainty"],
-        )
-        if gap + unsure + INSTANT < section.gap_s:
+        gap, unsure = confirmed["onset"] - over, (each["onset_uncertainty"] for each in (confirmed, first["confirmed"]))
+        if gap + sum(unsure) + INSTANT < section.gap_s:
             faults += [f"began {gap:.6g} s after the one before, its protocol has a gap of {section.gap_s:g} s"]
-        rate = stimulus.repetition_rate_Hz
-        n_bursts = given.protocol.n_bursts(part.condition.stimulus)
-        over = confirmed["onset"] + (n_bursts - 1) / rate + stimulus.duration_ms * 1e-3
+        over = confirmed["onset"] + given.protocol.longest_s(part.condition.stimulus)
         yield from (f"interval {number}: {fault}" for fault in faults)
     if not sound and (event["event"] == "answered" or event["confirmed"]["confirmed"]):
         yield "counts though one of its intervals is not confirmed"

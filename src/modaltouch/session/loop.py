@@ -318,7 +318,8 @@ def _present_once(sitting: SessionRun, trial: Trial) -> tuple[Response | None, F
             except RigError as error:
                 faults.append(error)
 
-        presentation = Presentation(firing.onset, _ends(sitting, part, firing), sitting.rig.end, stop, interval)
+        ends = firing.onset + sitting.protocol.longest_s(part.condition.stimulus)
+        presentation = Presentation(firing.onset, ends, sitting.rig.end, stop, interval)
         try:
             # Whatever ends the session now, the record knows that this stimulus had begun.
             sitting.log.append("fired", **facts, confirmed=firing.as_dict())
@@ -349,10 +350,7 @@ def _present_once(sitting: SessionRun, trial: Trial) -> tuple[Response | None, F
         over.append(firing := sitting.rig.firing or firing)
         if response is not None:
             if firing.confirmed and not faults and response.answer != TIME_OUT:
-                # A trial that is cut here is asked again as a whole: each line `trial` has all its answers.
-                asked = sitting.protocol.answers.further
-                further = {name: _ask_further(sitting, name, how, trial).as_dict() for name, how in asked.items()}
-                response = replace(response, further=further)
+                response = _with_further(sitting, trial, response)
             _write_down(sitting, "trial", trial, response, over, answered=line)
             sitting.save_view()
         elif not firing.confirmed:
@@ -362,6 +360,13 @@ def _present_once(sitting: SessionRun, trial: Trial) -> tuple[Response | None, F
         if not firing.confirmed:
             break
     return response, firing
+
+
+def _with_further(sitting: SessionRun, trial: Trial, response: Response) -> Response:
+    """Return an answer with those to the further questions; a trial that is cut here is asked again as a whole."""
+    asked = sitting.protocol.answers.further
+    further = {name: _ask_further(sitting, name, how, trial).as_dict() for name, how in asked.items()}
+    return replace(response, further=further)
 
 
 def _ask_further(sitting: SessionRun, name: str, asked: AnswersSection, trial: Trial | None = None) -> Response:
@@ -391,13 +396,6 @@ def fire(sitting: SessionRun, trial: Trial) -> Firing:
     n_bursts = sitting.protocol.n_bursts(trial.condition.stimulus)
     exactly = sitting.protocol.answers.stimulus_until == "question"
     return sitting.rig.fire(level * 1e-3, n_bursts=n_bursts, exactly=exactly, silent=silent, which=sitting.which(trial))
-
-
-def _ends(sitting: SessionRun, trial: Trial, firing: Firing) -> float:
-    """Return when the last burst of a stimulus is over [s]."""
-    stimulus = sitting.protocol.stimulus_of(trial.condition.stimulus)
-    n_bursts = sitting.protocol.n_bursts(trial.condition.stimulus)
-    return firing.onset + (n_bursts - 1) / stimulus.repetition_rate_Hz + stimulus.duration_ms * 1e-3
 
 
 def _write_down(
