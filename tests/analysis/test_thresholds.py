@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from pathlib import Path
@@ -240,3 +241,16 @@ def test_runs_that_tell_no_threshold_are_in_the_legend() -> None:
     assert fitted.threshold is None
     figure = draw_thresholds([Run("p01", 1, "one_hand", "A-C", "", levels, successes, fitted)], (2.0, 200.0))
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["one hand A-C"]
+
+
+def test_kinds_of_runs_are_told_apart_by_colour_and_mark() -> None:
+    """Two finger conditions, two pairs and two stimuli are eight kinds; no two share both."""
+    from modaltouch.analysis.thresholds.figures import draw_thresholds
+    from modaltouch.analysis.thresholds.runs import Run
+
+    fitted = fit_psychometric([to_dB(60)] * 8, [True] * 8, guess_rate=0.5, most_lapse=0.0)
+    levels, successes = np.full(8, 60.0), np.ones(8, dtype=bool)
+    kinds = itertools.product(("one_hand", "two_hands"), ("A-C", "C-E"), ("sharp", "blunt"))
+    figure = draw_thresholds([Run("p01", 1, *kind, levels, successes, fitted) for kind in kinds], (2.0, 200.0))
+    drawn = {(line.get_color(), line.get_marker()) for line in figure.axes[0].lines}
+    assert len(drawn) == 8

@@ -104,7 +104,7 @@ def _band(
 
 
 def draw_thresholds(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
-    """Return the thresholds of all runs with their intervals; those that tell none stand at the edge as crosses.
+    """Return the thresholds of all runs with their intervals; those that tell none stand at the edge as open marks.
 
     Parameters
     ----------
@@ -135,14 +135,16 @@ def draw_thresholds(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
 
 
 def _draw_kind(axes: Axes, runs: Sequence[Run], heights: np.ndarray, k: int, bounds: tuple[float, float]) -> None:
-    colour, marker = CONDITION_COLOURS[k % 4], "os^D"[k % 4]
+    # 32 kinds differ: where colours begin anew, markers have moved on by one.
+    colour, marker = CONDITION_COLOURS[k % 4], "os^DvPX*"[(k + k // 4) % 8]
     # Of its own, so that a kind whose runs give no threshold is in the legend, too.
     axes.plot([], [], marker=marker, color=colour, ms=5, linestyle="", label=runs[0].kind)
     for run, height in zip(runs, heights, strict=True):
         threshold = run.fitted.threshold
         if threshold is None:
             succeeded = run.fitted.n_successes == run.fitted.n_trials
-            axes.plot(bounds[0] / 1.2 if succeeded else bounds[1] * 1.2, height, marker="x", color=colour, ms=5)
+            edge = bounds[0] / 1.2 if succeeded else bounds[1] * 1.2
+            axes.plot(edge, height, marker=marker, color=colour, markerfacecolor="white", ms=5)
             continue
         low, value, high = _in_mm_s(threshold, bounds)
         axes.plot([low, high], [height, height], color=colour, linewidth=1.2, alpha=0.8)
