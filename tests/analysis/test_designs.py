@@ -196,6 +196,14 @@ def test_two_alternatives_in_space_are_the_fingers_on_the_focus() -> None:
     assert findings["criterion over participants", "one_hand 80 mm/s"].estimate == pytest.approx(0)
 
 
+def test_a_comparison_of_conditions_is_named_without_the_zones_that_go_together() -> None:
+    """Two alternatives in space have one d' for all pairs: their scope ends with the finger conditions."""
+    frame = presented((80.0,), 8).drop(columns="interval").assign(response="right")
+    both = pd.concat([frame, frame.assign(finger_condition="two_hands")], ignore_index=True)
+    findings, _ = found(take(both, {"answers": {"keys": {"left": ["a"], "right": ["b"]}}}, focus="C"))
+    assert ("d' compared", "one_hand - two_hands") in findings
+
+
 def test_same_and_different_are_told_against_the_standard() -> None:
     """Known: percepts 1 and 3 from the standard's, "different" beyond 1.5; 80 against 80 mm/s are the same."""
     frame, rng = presented((80.0, 90.0, 110.0), 40, 2), np.random.default_rng(4)

@@ -97,3 +97,8 @@ def test_answers_that_set_no_bound_have_an_infinite_one() -> None:
     assert m_intervals((0, 20), 3).d_prime.low == -math.inf
     nothing = yes_no((0, 0), (0, 0)).d_prime
     assert (nothing.estimate, nothing.low, nothing.high) == (0.0, -math.inf, math.inf)
+
+
+def test_answers_at_chance_have_a_d_prime_of_zero() -> None:
+    """Half of two alternatives: exactly 0, not what halving leaves of it."""
+    assert m_intervals((5, 10), 2).d_prime.estimate == 0

@@ -101,7 +101,9 @@ def finding_of(
     if test is not None and test.p_min > ALPHA:
         whose = f"only {int(test.n_informative)} could move the statistic" if test.n_informative else "nothing varies"
         words.insert(0, f"no information: {whose}, and whichever way, p could not fall below {test.p_min:.2g}")
-    estimate, low, high = (float(each) for each in (interval.estimate, interval.low, interval.high))
+    values = (interval.estimate, interval.low, interval.high)
+    # What rounding leaves of zero is none.
+    estimate, low, high = (0.0 if abs(each) < 1e-12 else float(each) for each in values)
     row = Finding(question, name, scope, quantity, estimate, low, high, n, family=family, note="; ".join(words))
     if test is None:
         return row

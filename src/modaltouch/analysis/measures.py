@@ -294,7 +294,7 @@ def contrast_findings(values: Sequence[Own], scale: LevelScale) -> Iterator[Find
                     gaps.setdefault(who, []).append(gap)
             numbers = np.array([np.mean(gaps[who]) for who in sorted(gaps)])
             test, interval = (by_ranks if measure.is_ranked else by_flips)(numbers)
-            scope = f"{a[0]} - {b[0]} {a[1]}" if a[1] == b[1] else f"{a[0]} {a[1]} - {b[1]}"
+            scope = f"{a[0]} - {b[0]} {a[1]}".strip() if a[1] == b[1] else f"{a[0]} {a[1]} - {b[1]}"
             yield finding_of(
                 measure.question, f"{measure.name} compared, {_RANKS if measure.is_ranked else _FLIPS}", scope, test,
                 f"{_difference(measure)} of {measure.quantity}", _told(measure, interval), numbers.size,

@@ -177,7 +177,8 @@ def _inverted(
         middle = (low + high) / 2
         is_low = rising(middle) < wanted
         low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
-    found = np.where((wanted >= 1) | (high == top), np.inf, low)
+    # What halving leaves of zero is none.
+    found = np.where((wanted >= 1) | (high == top), np.inf, np.where(np.abs(low) < 1e-12, 0.0, low))
     return np.where((low == bottom) & (bottom < 0), -np.inf, found)
 
 
