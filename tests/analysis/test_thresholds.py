@@ -8,6 +8,7 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.optimize import minimize
 from scipy.special import ndtr
@@ -15,12 +16,14 @@ from scipy.stats import binom
 
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses
-from modaltouch.analysis.thresholds import ThresholdAnalysis
+from modaltouch.analysis.responses import AnswerSource, Responses
+from modaltouch.analysis.thresholds import ThresholdAnalysis, analyse_runs, render_runs
 from modaltouch.analysis.thresholds.psychometric import Psychometric, fit_psychometric
 from modaltouch.planning.fitting import fit_answers
 from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
+from modaltouch.protocol import AnswerList
 from modaltouch.protocol.levels import follow, to_dB
 from modaltouch.protocol.problems import InputError
 from modaltouch.session.setup import begin
@@ -254,3 +257,42 @@ def test_kinds_of_runs_are_told_apart_by_colour_and_mark() -> None:
     figure = draw_thresholds([Run("p01", 1, *kind, levels, successes, fitted) for kind in kinds], (2.0, 200.0))
     drawn = {(line.get_color(), line.get_marker()) for line in figure.axes[0].lines}
     assert len(drawn) == 8
+
+
+@pytest.mark.parametrize(
+    ("design", "words"),
+    [
+        ({"intervals": {"number": 2, "standard": {"velocity_mm_s": 90}, "asked": "stronger"},
+          "answers": {"keys": {"first": ["left"], "second": ["right"]}, "intervals": {"first": 1, "second": 2}},
+          "adaptive": {"success": "correct"}},
+         "standard, of 90 mm/s.</li> <li>Success is a correct answer: the interval of the higher level. The threshold "
+         "is thus the level from which the comparison is told from the standard."),
+        ({"intervals": {"number": 3, "standard": {"velocity_mm_s": 0}},
+          "answers": {"keys": {"one": ["a"], "two": ["b"], "three": ["c"]},
+                      "intervals": {"one": 1, "two": 2, "three": 3}},
+          "adaptive": {"success": "correct"}},
+         "the others the standard: nothing was driven.</li> <li>Success is a correct answer: the interval of the "
+         "comparison."),
+        ({"answers": {"keys": {"rough": ["left"], "smooth": ["right"]}}, "adaptive": {"success": "rough"}},
+         "<ul> <li>Success is the answer “rough”; any other answer is a failure. The threshold is thus the level from "
+         "which that is answered."),
+    ],
+)  # fmt: skip
+def test_the_report_says_what_was_a_success_and_what_the_standard(design: dict, words: str) -> None:
+    """The right interval, or an answer of the protocol: nothing of the finger on the focus, which nobody asked for."""
+    design = {
+        "conditions": {"peak_velocities_mm_s": [2, 200]},
+        **design,
+        "adaptive": {"trials": 8, "method": "staircase", "guess_rate": 0.5, "lapse_rate": 0.02, **design["adaptive"]},
+    }
+    answers = AnswerList.of(design["answers"])
+    frame = pd.DataFrame({
+        "participant": "p01", "session": 1, "trial": range(8), "finger_condition": "one_hand", "zone_left": "A",
+        "zone_right": "C", "stimulus": "", "velocity_mm_s": 60.0, "response": answers.names[0], "correct": 1,
+    })  # fmt: skip
+    source = AnswerSource("somewhere", "results", "", "real")
+    responses = Responses(frame, (), (), source, "C", {"design": design, "adaptive": {"algorithm": "a rule"}},
+                          answers=answers, design=design)  # fmt: skip
+    page = " ".join(render_runs(analyse_runs(responses))["report.html"].split())
+    assert words in page
+    assert "which is in focus" not in page

@@ -114,6 +114,8 @@ def _report_files(
         adaptive=design["adaptive"],
         both="" if both is None else both.name,
         nothing="" if nothing is None else nothing.name,
+        named=() if nothing and design["adaptive"]["success"] == "felt" else responses.answers.names,
+        task=responses.task,
         rule=responses.start.get("adaptive", {}),
         scale=scale_of(responses.frame.columns),
         focus=" or ".join(sorted(set(responses.foci.values()) or {responses.focus})),
