@@ -319,7 +319,9 @@ def _present_once(sitting: SessionRun, trial: Trial) -> tuple[Response | None, F
                 faults.append(error)
 
         ends = firing.onset + sitting.protocol.longest_s(part.condition.stimulus)
-        presentation = Presentation(firing.onset, ends, sitting.rig.end, stop, interval)
+        # What cannot be switched off ends the session before a gap; only an answer is worth waiting for.
+        ceases = stop if number == len(parts) else sitting.rig.stop
+        presentation = Presentation(firing.onset, ends, sitting.rig.end, ceases, interval)
         try:
             # Whatever ends the session now, the record knows that this stimulus had begun.
             sitting.log.append("fired", **facts, confirmed=firing.as_dict())
