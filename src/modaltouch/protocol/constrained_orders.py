@@ -16,6 +16,9 @@ from modaltouch.protocol.streams import Stream
 WORK_LIMIT = 300_000
 """Most trials placed in rejected orders before a design is given up: a few seconds."""
 
+DRAWN_LIMIT = 6_000_000
+"""Most words of chance drawn for them: where the hardest limit itself is kept by rejection, some ten seconds."""
+
 
 @dataclass(frozen=True)
 class Limit:
@@ -108,8 +111,8 @@ def draw_constrained(cells: Sequence[Cell], limits: Sequence[Limit], stream: Str
     kinds: dict[object, list[Cell]] = {}
     for cell in cells:
         kinds.setdefault(hardest.kind_of(cell) if exact else None, []).append(cell)
-    own, broken = list(kinds.values()), Counter[str]()
-    while broken.total() * len(cells) < WORK_LIMIT:
+    own, broken, begun = list(kinds.values()), Counter[str](), stream.n_drawn
+    while broken.total() * len(cells) < WORK_LIMIT and stream.n_drawn - begun < DRAWN_LIMIT:
         order = draw_order(list(map(len, own)), hardest.running if exact else None, stream, hardest.key)
         waiting = [stream.shuffled(each) for each in own]
         drawn = [waiting[kind].pop() for kind in order]

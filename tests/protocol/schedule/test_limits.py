@@ -13,6 +13,7 @@ from modaltouch.preflight import examine
 from modaltouch.protocol import Findings, Protocol, Schedule, constrained_orders
 from modaltouch.protocol.constrained_orders import Limit, draw_constrained, limits_of
 from modaltouch.protocol.limited_orders import longest_run
+from modaltouch.protocol.order_limits import NoOrderError
 from modaltouch.protocol.streams import Stream
 
 SHIPPED = Path(__file__).parents[3] / "protocols"
@@ -85,6 +86,16 @@ def test_limits_that_cannot_be_kept_are_refused_with_the_reason(
     problems = examine(edit("demo.yaml", *words)).problems
     assert [told in each.given for each in problems] == [True]
     assert problems[0].path in ("schedule.min_same_cell_distance", "schedule.max_same_stimulus_running")
+
+
+def test_orders_that_take_long_to_draw_are_given_up_by_what_was_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Known: 16 trials of each of two pairs take 30 words or more to shuffle, so 100 are passed after four orders."""
+    monkeypatch.setattr(constrained_orders, "DRAWN_LIMIT", 100)
+    cells = [((zone, "C"), 80.0, "") for zone in "AB"] * 16
+    never = Limit("max_same_side_running", lambda cell: None if cell[0][0] == "A" else 1, 1)
+    own = Limit("max_same_pair_running", lambda cell: cell[0], 2)
+    with pytest.raises(NoOrderError, match="none of [1-4] orders drawn kept"):
+        draw_constrained(cells, [own, never], Stream(1, "p01", 1, "order"))
 
 
 def test_a_limit_with_an_order_that_is_not_drawn_is_refused(edit: Any) -> None:
