@@ -265,6 +265,14 @@ def test_signed_ranks_are_those_of_the_book() -> None:
     assert (interval.estimate, interval.low, interval.high) == pytest.approx((0.46, 0.010, 0.786))
 
 
+def test_equal_means_share_their_rank() -> None:
+    """By hand: 0.1 + 0.2 is 0.3 but for the last bit, so their difference is no rank, and two who tie them agree."""
+    none = 0.1 + 0.2 - 0.3
+    assert none != 0 and by_ranks(np.array([none, 1.0, 2.0]))[0].p == by_ranks(np.array([0.0, 1.0, 2.0]))[0].p == 0.5
+    rows = np.array([[0.1 + 0.2, 0.3, 0.5], [0.3, 0.1 + 0.2, 0.5]])
+    assert friedman(rows)[1] == pytest.approx(1)
+
+
 def test_the_bounds_of_a_group_difference_are_the_shifts_that_its_test_keeps() -> None:
     """By hand: three far above three have p = 2 / 20, of all orders; a shift by a bound is kept, one past it not."""
     low, high = np.array([1.0, 2.0, 4.0, 5.0]), np.array([9.0, 11.0, 12.0, 16.0])

@@ -204,7 +204,7 @@ def friedman(rows: np.ndarray) -> tuple[ExactTest, float]:
     rows : (n_participants, n_levels) array
         Mean ratings.
     """
-    ranks = pd.DataFrame(rows).rank(axis=1).to_numpy()
+    ranks = pd.DataFrame(rows).round(9).rank(axis=1).to_numpy()
     n, k = ranks.shape
     ties = sum(((counts := np.unique(row, return_counts=True)[1]) ** 3 - counts).sum() for row in ranks)
     most = n**2 * (k**3 - k) / 12 - n * ties / 12
