@@ -18,9 +18,16 @@ HASTY = 0.1
 
 def read_signs(trials: Sequence[dict[str, Any]], nothing: str | None = None) -> list[str]:
     """Return what is worth a look, in words; empty where nothing is."""
-    missed = _count_missed(trials, nothing) if nothing is not None else ""
-    signs = [_count_hasty(trials), missed, _count_doubles(trials)]
-    return [sign for sign in signs if sign]
+    hasty = [event["trial"]["index"] for event in trials if is_hasty(event)]
+    caught = [event for event in trials if nothing is not None and is_catch(event)]
+    missed = [event["trial"]["index"] for event in caught if event["response"]["answer"] != nothing]
+    doubles = [event["trial"]["index"] for event in trials if event["response"].get("double")]
+    said = (
+        (hasty, f"{_times(len(hasty))} answered within {HASTY * 1e3:.0f} ms of the question, last in trial"),
+        (missed, f"{len(missed)} of {len(caught)} catch trials felt as real, last trial"),
+        (doubles, f"{_times(len(doubles))} two answers at once, last in trial"),
+    )
+    return [f"{words} {which[-1]}" for which, words in said if which]
 
 
 def is_hasty(event: dict[str, Any]) -> bool:
@@ -35,26 +42,6 @@ def is_hasty(event: dict[str, Any]) -> bool:
 def is_catch(event: dict[str, Any]) -> bool:
     """Return whether nothing was presented in a trial."""
     return bool(event["trial"]["condition"]["velocity_mm_s"] == 0)
-
-
-def _count_hasty(trials: Sequence[dict[str, Any]]) -> str:
-    hasty = [event["trial"]["index"] for event in trials if is_hasty(event)]
-    if not hasty:
-        return ""
-    return f"{_times(len(hasty))} answered within {HASTY * 1e3:.0f} ms of the question, last in trial {hasty[-1]}"
-
-
-def _count_missed(trials: Sequence[dict[str, Any]], nothing: str) -> str:
-    caught = [event for event in trials if is_catch(event)]
-    missed = [event["trial"]["index"] for event in caught if event["response"]["answer"] != nothing]
-    if not missed:
-        return ""
-    return f"{len(missed)} of {len(caught)} catch trials felt as real, last trial {missed[-1]}"
-
-
-def _count_doubles(trials: Sequence[dict[str, Any]]) -> str:
-    doubles = [event["trial"]["index"] for event in trials if event["response"].get("double")]
-    return f"{_times(len(doubles))} two answers at once, last in trial {doubles[-1]}" if doubles else ""
 
 
 def _times(count: int) -> str:
