@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -270,54 +271,52 @@ def _show_contrast(console: Console, rows: list[dict[str, Any]]) -> None:
 
 
 def _level_table(stimuli: list[dict[str, Any]]) -> Table:
-    from rich.table import Table
-
     zones = list(stimuli[0]["zone_peak_mm_s"])
-    table = Table(title="Largest speed at the centre of each zone, mm/s", title_justify="left")
-    several = "stimulus" in stimuli[0]
     drive = "peak drive V: " + ", ".join(f"CH{channel}" for channel in stimuli[0]["peak_drive_V"])
-    for heading in (*(["stimulus"] if several else []), "level mm/s", *zones, "modal error mm/s", drive):
-        # A narrow terminal may break words, but no number: without its exponent it would be another.
-        width = {"modal error mm/s": 7, drive: 7}.get(heading)
-        table.add_column(heading, justify="left" if heading == "stimulus" else "right", min_width=width)
-    for stimulus in stimuli:
-        table.add_row(
-            *([stimulus["stimulus"]] if several else []),
-            f"{stimulus['velocity_mm_s']:g}",
+    rows = [
+        (
+            stimulus,
             *(_in_two_digits(stimulus["zone_peak_mm_s"][zone]) for zone in zones),
             f"{stimulus['worst_modal_error_mm_s']:.1e}",
             ", ".join(map(_in_two_digits, stimulus["peak_drive_V"].values())),
         )
-    return table
+        for stimulus in stimuli
+    ]
+    title = "Largest speed at the centre of each zone, mm/s"
+    return _speed_table(title, (*zones, "modal error mm/s", drive), rows, wide=("modal error mm/s", drive))
 
 
 def _touched_table(stimuli: list[dict[str, Any]]) -> Table:
+    focus, zones = stimuli[0]["focus"], list(stimuli[0]["zone_peak_mm_s"])
+    rows = [
+        (
+            stimulus,
+            place,
+            *(_in_two_digits(found["zone_peak_mm_s"][zone]) for zone in zones),
+            _in_two_digits(found["zone_at_focus_mm_s"][focus]),
+            _in_two_digits(found["attainable_mm_s"]),
+            f"{found['pull_N']:.2f}",
+        )
+        for stimulus in stimuli
+        for place, found in stimulus["touched"].items()
+    ]
+    headings = ("pair", *zones, f"{focus} at focus mm/s", f"{focus} at most mm/s", "pull N")
+    return _speed_table("The same with fingers on the beam", headings, rows)
+
+
+def _speed_table(
+    title: str, headings: Sequence[str], rows: Sequence[tuple[Any, ...]], wide: Sequence[str] = ()
+) -> Table:
+    """Return a table of stimuli, each row begun by its own; of several stimuli each is named."""
     from rich.table import Table
 
-    focus, zones = stimuli[0]["focus"], list(stimuli[0]["zone_peak_mm_s"])
-    table = Table(title="The same with fingers on the beam", title_justify="left")
-    several = "stimulus" in stimuli[0]
-    for heading in (
-        *(["stimulus"] if several else []),
-        "level mm/s",
-        "pair",
-        *zones,
-        f"{focus} at focus mm/s",
-        f"{focus} at most mm/s",
-        "pull N",
-    ):
-        table.add_column(heading, justify="left" if heading in ("stimulus", "pair") else "right")
-    for stimulus in stimuli:
-        for place, found in stimulus["touched"].items():
-            table.add_row(
-                *([stimulus["stimulus"]] if several else []),
-                f"{stimulus['velocity_mm_s']:g}",
-                place,
-                *(_in_two_digits(found["zone_peak_mm_s"][zone]) for zone in zones),
-                _in_two_digits(found["zone_at_focus_mm_s"][focus]),
-                _in_two_digits(found["attainable_mm_s"]),
-                f"{found['pull_N']:.2f}",
-            )
+    table, named = Table(title=title, title_justify="left"), ["stimulus"] * ("stimulus" in rows[0][0])
+    for heading in (*named, "level mm/s", *headings):
+        # A narrow terminal may break words, but no number: without its exponent it would be another.
+        width = 7 if heading in wide else None
+        table.add_column(heading, justify="left" if heading in ("stimulus", "pair") else "right", min_width=width)
+    for stimulus, *cells in rows:
+        table.add_row(*(stimulus[name] for name in named), f"{stimulus['velocity_mm_s']:g}", *cells)
     return table
 
 
