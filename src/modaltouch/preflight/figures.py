@@ -44,21 +44,21 @@ def stimulus_figures(inputs: DesignInputs, stimulus: Stimulus, level: float) -> 
         "law": stimulus.law,
         "release": stimulus.release,
         "selected_modes": [int(label) for label in stimulus.selected],
-        "target_mm_s": _by(labels, stimulus.target * velocity / stimulus.target_field.velocity * 1e3),
-        "achieved_mm_s": _by(labels, reached * 1e3),
-        "achieved_displacement_mm_s": _by(labels, displacement * 1e3),
+        "target_mm_s": by_name(labels, stimulus.target * velocity / stimulus.target_field.velocity * 1e3),
+        "achieved_mm_s": by_name(labels, reached * 1e3),
+        "achieved_displacement_mm_s": by_name(labels, displacement * 1e3),
         "worst_modal_error_mm_s": finite(stimulus.worst_modal_error(velocity) * 1e3),
         "worst_modal_error_steady_mm_s": finite(stimulus.worst_modal_error(velocity, steady=True) * 1e3),
-        "peak_drive_V": _by(channels, stimulus.peak_drive(velocity)),
-        "amplitude_Vpp": _by(channels, stimulus.amplitude_for(velocity)),
+        "peak_drive_V": by_name(channels, stimulus.peak_drive(velocity)),
+        "amplitude_Vpp": by_name(channels, stimulus.amplitude_for(velocity)),
         "n_samples": inputs.section.n_samples,
         "sampling_rate_Hz": finite(stimulus.timing.sampling_rate),
         "fwhm_mm": finite(stimulus.projection.fwhm * 1e3),
         "width_80_mm": finite(stimulus.projection.width_80 * 1e3),
         "reconstruction_error": finite(stimulus.projection.reconstruction_error),
         "condition_number": finite(stimulus.drive.condition_number),
-        "zone_at_focus_mm_s": _by(inputs.apparatus.ordered_zones, at_focus * 1e3),
-        "zone_peak_mm_s": _by(inputs.apparatus.ordered_zones, peaks * 1e3),
+        "zone_at_focus_mm_s": by_name(inputs.apparatus.ordered_zones, at_focus * 1e3),
+        "zone_peak_mm_s": by_name(inputs.apparatus.ordered_zones, peaks * 1e3),
     }
 
 
@@ -166,7 +166,8 @@ def finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def _by(names: Any, values: Any) -> dict[str, float | None]:
+def by_name(names: Any, values: Any) -> dict[str, float | None]:
+    """Return numbers by name for JSON; None where one is not finite."""
     return {name: finite(float(value)) for name, value in zip(names, values, strict=True)}
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.preflight.design_inputs import DesignInputs
-from modaltouch.preflight.figures import finite, zone_centres
+from modaltouch.preflight.figures import by_name, finite, zone_centres
 from modaltouch.protocol import Findings
 from modaltouch.stimulus import Stimulus
 
@@ -61,16 +61,12 @@ def _figures(inputs: DesignInputs, stimulus: Stimulus, beam: Any, velocity: floa
     at_focus, peak = beam.velocity_at_focus(centres, unit) * 1e3, beam.peak_velocity(centres, unit) * 1e3
     attainable = at_focus[zones.index(inputs.section.focus)] * stimulus.amplifier.limit
     return {
-        "zone_at_focus_mm_s": _by_zone(zones, at_focus),
-        "zone_peak_mm_s": _by_zone(zones, peak),
+        "zone_at_focus_mm_s": by_name(zones, at_focus),
+        "zone_peak_mm_s": by_name(zones, peak),
         "attainable_mm_s": finite(float(attainable / stimulus.peak_drive(velocity).max())),
         "below_1_kHz_mm_s": finite(beam.peak_below(1e3, inputs.centre_mm * 1e-3, unit) * 1e3),
         "pull_N": finite(float(beam.pull(unit).max())),
     }
-
-
-def _by_zone(zones: list[str], speeds: FloatArray) -> dict[str, float | None]:
-    return {zone: finite(float(speed)) for zone, speed in zip(zones, speeds, strict=True)}
 
 
 def untouched_warning(findings: Findings, inputs: DesignInputs, stimulus: Stimulus) -> str:

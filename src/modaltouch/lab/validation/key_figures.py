@@ -165,17 +165,17 @@ def summary(figures: Sequence[Figures]) -> list[dict[str, Any]]:
         ("time above 90 % of the peak: measured, predicted", "µs", lambda f: _joined(f["time_above_90_us"])),
     ]
     table = [{"quantity": name, "unit": unit, "cells": [cell(f) for f in figures]} for name, unit, cell in rows]
-    for zone in figures[0]["zone_peak_mm_s"]:
-        cells = [_joined(f["zone_peak_mm_s"][zone], 0) for f in figures]
-        table.append({"quantity": f"peak speed at {zone}: measured, predicted", "unit": "mm/s", "cells": cells})
-    for i, pair in enumerate(figures[0]["contrasts"]):
-        name = f"contrast of ({pair['zone_left']}, {pair['zone_right']}): measured, predicted"
-        cells = [_joined({key: f["contrasts"][i][key] for key in ("measured", "predicted")}, 2) for f in figures]
-        table.append({"quantity": name, "unit": "1", "cells": cells})
-    for output in figures[0]["peak_drive_V"]:
-        cells = [_joined(f["peak_drive_V"][output], 0) for f in figures]
-        table.append({"quantity": f"peak drive of output {output}: measured, predicted", "unit": "V", "cells": cells})
-    return table
+    first, both = figures[0], ("measured", "predicted")
+    further = [
+        *((f"peak speed at {zone}", "mm/s", [_joined(f["zone_peak_mm_s"][zone], 0) for f in figures])
+          for zone in first["zone_peak_mm_s"]),
+        *((f"contrast of ({pair['zone_left']}, {pair['zone_right']})", "1",
+           [_joined({key: f["contrasts"][i][key] for key in both}, 2) for f in figures])
+          for i, pair in enumerate(first["contrasts"])),
+        *((f"peak drive of output {output}", "V", [_joined(f["peak_drive_V"][output], 0) for f in figures])
+          for output in first["peak_drive_V"]),
+    ]  # fmt: skip
+    return table + [{"quantity": f"{name}: measured, predicted", "unit": unit, "cells": c} for name, unit, c in further]
 
 
 def findings(figures: Sequence[Figures]) -> list[str]:
