@@ -318,20 +318,19 @@ def _present_once(sitting: SessionRun, trial: Trial) -> tuple[Response | None, F
             except RigError as error:
                 faults.append(error)
 
-        ends = firing.onset + sitting.protocol.longest_s(part.condition.stimulus)
+        ends, is_last = firing.onset + sitting.protocol.longest_s(part.condition.stimulus), number == len(parts)
         # What cannot be switched off ends the session before a gap; only an answer is worth waiting for.
-        ceases = stop if number == len(parts) else sitting.rig.stop
+        ceases = stop if is_last else sitting.rig.stop
         presentation = Presentation(firing.onset, ends, sitting.rig.end, ceases, interval)
         try:
             # Whatever ends the session now, the record knows that this stimulus had begun.
             sitting.log.append("fired", **facts, confirmed=firing.as_dict())
-            if number == len(parts):
+            if is_last:
                 response = sitting.window.ask(part, (trial.index, sitting.total), presentation)
                 line = _write_down(sitting, "answered", trial, response, [*over, firing.pending(NOT_OVER)])
                 sitting.window.confirm(response)
-            elif sitting.protocol.intervals is not None:
-                gap = sitting.protocol.intervals.gap_s
-                sitting.window.feel(part, (trial.index, sitting.total), presentation, gap)
+            elif (section := sitting.protocol.intervals) is not None:
+                sitting.window.feel(part, (trial.index, sitting.total), presentation, section.gap_s)
         except (TrialInterrupted, StimulusLost) as cut:
             stop()
             firing = sitting.rig.firing or firing
