@@ -72,10 +72,8 @@ def check_settling(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
     section = ("stimulus",)
-    duration = reading.sound(*section, "duration_ms")
-    instant = reading.sound(*section, "focusing_instant_ms")
-    rate = reading.sound(*section, "repetition_rate_Hz")
-    n_samples = reading.sound(*section, "n_samples")
+    keys = ("duration_ms", "focusing_instant_ms", "repetition_rate_Hz", "n_samples")
+    duration, instant, rate, n_samples = (reading.sound(*section, key) for key in keys)
     if duration is not None and rate is not None and duration * rate > 1e3:
         given = f"{duration:g} ms at {rate:g} bursts per second"
         allowed = f"at most {1e3 / rate:g} ms, the time from one burst to the next"
@@ -113,10 +111,13 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def _check_doubles(reading: Reading[Protocol]) -> Iterator[Problem]:
-    yield from _doubled(reading, ("conditions", "finger_conditions"), "finger condition")
-    yield from _doubled(reading, ("conditions", "peak_velocities_mm_s"), "peak velocity")
-    yield from _doubled(reading, ("conditions", "placements"), "placement")
-    yield from _doubled(reading, ("answers", "below"), "answer")
+    for path, noun in (
+        (("conditions", "finger_conditions"), "finger condition"),
+        (("conditions", "peak_velocities_mm_s"), "peak velocity"),
+        (("conditions", "placements"), "placement"),
+        (("answers", "below"), "answer"),
+    ):
+        yield from _doubled(reading, path, noun)
 
 
 def _doubled(reading: Reading[Protocol], path: tuple[str, ...], noun: str) -> Iterator[Problem]:

@@ -46,9 +46,6 @@ def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
     if reading.keys(*path) is None or (reading.value is not None and reading.value.intervals is None):
         return  # of several stimuli this one is not the standard's
     standard = reading.sound(*path, "standard")
-    if standard is not None and standard.velocity_mm_s is None and standard.stimulus is None:
-        given, remedy = "neither a level nor a stimulus", "write `velocity_mm_s: 100`, or 0 for silence"
-        yield reading.problem((*path, "standard"), given, "velocity_mm_s, stimulus or both", remedy)
     names = reading.keys("stimuli") or []
     if standard is not None and standard.stimulus is not None and standard.stimulus not in names:
         yield reading.unknown((*path, "standard", "stimulus"), "one of the stimuli", names)
@@ -56,14 +53,31 @@ def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
         given = f"{level:g} mm/s, where levels are multiples of each participant's own threshold"
         remedy = "let the standard be another stimulus, or silence, or remove conditions.sensation_levels"
         yield reading.problem(STANDARD_LEVEL, given, "null or 0", remedy)
-    if (until := reading.sound("answers", "stimulus_until")) not in (None, "question"):
-        given = f"{until}, where a trial has several intervals"
-        remedy = "write `stimulus_until: question`, and its length as presentation_s or presentation_bursts"
-        yield reading.problem(("answers", "stimulus_until"), given, "question", remedy)
-    if n_catch := reading.sound("schedule", "catch_trials"):
-        given = f"{n_catch}, where a trial has several intervals"
-        remedy = "remove it; intervals of silence are `intervals.standard.velocity_mm_s: 0`"
-        yield reading.problem(("schedule", "catch_trials"), given, "0", remedy)
+    until, n_catch = reading.sound("answers", "stimulus_until"), reading.sound("schedule", "catch_trials")
+    known = (
+        (
+            standard is not None and standard.velocity_mm_s is None and standard.stimulus is None,
+            (*path, "standard"),
+            "neither a level nor a stimulus",
+            "velocity_mm_s, stimulus or both",
+            "write `velocity_mm_s: 100`, or 0 for silence",
+        ),
+        (
+            until not in (None, "question"),
+            ("answers", "stimulus_until"),
+            f"{until}, where a trial has several intervals",
+            "question",
+            "write `stimulus_until: question`, and its length as presentation_s or presentation_bursts",
+        ),
+        (
+            n_catch,
+            ("schedule", "catch_trials"),
+            f"{n_catch}, where a trial has several intervals",
+            "0",
+            "remove it; intervals of silence are `intervals.standard.velocity_mm_s: 0`",
+        ),
+    )
+    yield from (reading.problem(at, given, allowed, remedy) for holds, at, given, allowed, remedy in known if holds)
     yield from _check_numbers(reading)
     yield from _check_asked(reading)
 

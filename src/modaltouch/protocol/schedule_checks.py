@@ -26,43 +26,54 @@ def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
     n_pairs, n_levels = len(contacts(reading)), len(reading.items("conditions", *(own or ("peak_velocities_mm_s",))))
     n_blocks = len(reading.items("conditions", "finger_conditions"))
     repetitions = reading.sound("schedule", "repetitions")
-    path = ("schedule", "max_same_pair_running")
-    running = reading.sound(*path)
-    if repetitions is None or not n_pairs or not n_levels:
+    n_in_run = reading.sound("adaptive", "trials") if is_adaptive(reading) else n_levels * (repetitions or 0)
+    if repetitions is None or n_in_run is None or not n_pairs or not n_levels:
         return
-    n_in_run = reading.sound("adaptive", "trials") if is_adaptive(reading) else None
-    n_stimuli = len(reading.sound("stimuli") or ()) or 1
-    n_each = n_in_run if is_adaptive(reading) else n_levels * repetitions
-    if n_each is None:
-        return
-    n_driven, n_all = n_pairs * n_each * n_stimuli, n_pairs * n_each * n_stimuli * max(n_blocks, 1)
+    n_driven = n_pairs * n_in_run * (len(reading.sound("stimuli") or ()) or 1)
+    n_all = n_driven * max(n_blocks, 1)
     if reading.value is not None and not reading.value.is_crossed:
         conditions = reading.value.conditions.finger_conditions
         each = [len(reading.value.cells(name)) * repetitions for name in conditions]
         n_driven, n_all = min(each), sum(each)
     n_catch = reading.sound("schedule", "catch_trials") or 0
-    if n_catch > n_driven:
-        given = f"{n_catch} where {n_driven} trials of a finger condition have a stimulus"
-        remedy = "take fewer: each follows a trial with a stimulus"
-        yield reading.problem(("schedule", "catch_trials"), given, f"at most {n_driven}", remedy)
     n_trials = n_all + n_catch * max(n_blocks, 1)
-    if n_trials > TRIAL_LIMIT:
-        given = f"{repetitions}, which makes {n_trials} trials"
-        yield reading.problem(("schedule", "repetitions"), given, f"at most {TRIAL_LIMIT} trials", "repeat less often")
     order = reading.sound("schedule", "order")
-    limits = {key: reading.sound("schedule", key) for key in LIMITS}
-    for key, limit in limits.items() if order not in ("shuffled", None) else ():
-        if limit is not None:
-            given = f"{limit} with the order {order}"
-            yield reading.problem(
-                ("schedule", key), given, "null, or the order shuffled", "remove the limit or shuffle"
-            )
-            return
+    limits = {key: limit for key in LIMITS if (limit := reading.sound("schedule", key)) is not None}
+    idle = "" if order in ("shuffled", None) else next(iter(limits), "")
     faulty = any(problem.path.startswith("conditions.zone") for problem in reading.problems)
-    if running is not None and n_pairs == 1 and not faulty and n_driven > running:
-        given = f"{running} where every trial has the same pair"
-        allowed = f"at least {n_driven}, or null for no limit"
-        yield reading.problem(path, given, allowed, "add a pair of zones or lift the limit")
+    known = (
+        (
+            n_catch > n_driven,
+            "catch_trials",
+            f"{n_catch} where {n_driven} trials of a finger condition have a stimulus",
+            f"at most {n_driven}",
+            "take fewer: each follows a trial with a stimulus",
+        ),
+        (
+            n_trials > TRIAL_LIMIT,
+            "repetitions",
+            f"{repetitions}, which makes {n_trials} trials",
+            f"at most {TRIAL_LIMIT} trials",
+            "repeat less often",
+        ),
+        (
+            idle,
+            idle,
+            f"{limits.get(idle)} with the order {order}",
+            "null, or the order shuffled",
+            "remove the limit or shuffle",
+        ),
+        (
+            not idle and not faulty and n_pairs == 1 and n_driven > limits.get(LIMITS[0], n_driven),
+            LIMITS[0],
+            f"{limits.get(LIMITS[0])} where every trial has the same pair",
+            f"at least {n_driven}, or null for no limit",
+            "add a pair of zones or lift the limit",
+        ),
+    )
+    for holds, key, given, allowed, remedy in known:
+        if holds:
+            yield reading.problem(("schedule", key), given, allowed, remedy)
 
 
 def _check_stimuli(reading: Reading[Protocol]) -> Iterator[Problem]:
