@@ -13,7 +13,7 @@ from modaltouch.analysis import AnswerCounts, Responses, TableFormat, read_respo
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.observer.fit import Fit, fit_observer
 from modaltouch.planning.observer.likelihood import RecordedAnswers
-from modaltouch.planning.presented import felt_speeds, refuse_answers, refuse_uncrossed
+from modaltouch.planning.presented import felt_speeds, refuse_unlike
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError
 
@@ -79,8 +79,7 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
         If the protocol or the answers cannot be used, or the answers name a zone that the beam has not.
     """
     _refuse_adaptive(path, is_adaptive=preflight.experiment.protocol.adaptive is not None)
-    refuse_uncrossed(preflight)
-    refuse_answers(preflight)
+    refuse_unlike(preflight)
     _refuse_unnamed(path, tuple(preflight.variants))
     if preflight.findings.measured:
         given, remedy = "measured, so that everybody felt other speeds", "see `modaltouch analyse --speed predicted`"

@@ -15,6 +15,7 @@ from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError, Protocol, Schedule
 
 _KNOWN = ("one_hand", "two_hands")
+_SIMULATE = "simulate sessions and analyse those"
 
 
 def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
@@ -35,61 +36,75 @@ def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
     InputError
         If anything is wrong with the protocol, or its levels follow from answers or differ between participants.
     """
-    findings = preflight.findings
-    if preflight.experiment.protocol.adaptive is not None:
-        given, remedy = "adaptive runs, which have no fixed conditions", "plan with a protocol of fixed levels"
-        raise InputError([findings.problem(("adaptive",), given, "fixed levels", remedy)])
-    if preflight.experiment.protocol.conditions.sensation_levels is not None:
-        given = "levels calibrated by participant, which depend on thresholds not yet known"
-        remedy = "plan with peak velocities as you expect them"
-        raise InputError([findings.problem(("conditions", "sensation_levels"), given, "fixed levels", remedy)])
-    refuse_uncrossed(preflight)
-    refuse_answers(preflight)
-    placements = _placements(preflight.experiment.protocol)
+    protocol = preflight.experiment.protocol
+    adaptive, levels = "adaptive runs, which have no fixed conditions", "levels calibrated by participant"
+    _refuse(
+        preflight,
+        (protocol.adaptive, ("adaptive",), adaptive, "fixed levels", "plan with a protocol of fixed levels"),
+        (
+            protocol.conditions.sensation_levels,
+            ("conditions", "sensation_levels"),
+            f"{levels}, which depend on thresholds not yet known",
+            "fixed levels",
+            "plan with peak velocities as you expect them",
+        ),
+    )
+    refuse_unlike(preflight)
+    placements = _placements(protocol)
     return {name: _design(name, part, observer, placements) for name, part in preflight.parts.items()}
 
 
-def refuse_uncrossed(preflight: Preflight) -> None:
-    """Refuse a protocol whose cells are not crossed, which an observer's design is.
+def refuse_unlike(preflight: Preflight) -> None:
+    """Refuse a protocol whose cells or answers are not those of an observer's design, which compares two fingers.
 
     Raises
     ------
     InputError
-        If cells are listed or left out.
+        If cells are listed or left out, each finger cannot be named alone, or both together, or a trial has several
+        intervals.
     """
     protocol = preflight.experiment.protocol
-    if not protocol.is_crossed:
-        given = "a design that is not crossed"
-        allowed = "every pair at every level, equally often, in every finger condition, for all participants"
-        remedy = "simulate sessions and analyse those, or plan with a protocol of a part of the design"
-        raise InputError([preflight.findings.problem(protocol.uncrossed_by, given, allowed, remedy)])
+    offered, n_intervals = protocol.answers.offered, 1 if protocol.intervals is None else protocol.intervals.number
+    unknown = next((name for name in protocol.conditions.finger_conditions if name not in _KNOWN), "")
+    odd = any(answer.fingers is None for answer in offered)
+    _refuse(
+        preflight,
+        (
+            protocol.uncrossed_by,
+            protocol.uncrossed_by,
+            "a design that is not crossed",
+            "every pair at every level, equally often, in every finger condition, for all participants",
+            f"{_SIMULATE}, or plan with a protocol of a part of the design",
+        ),
+        (
+            n_intervals > 1,
+            ("intervals",),
+            f"trials of {n_intervals} intervals, while this compares two fingers in one",
+            "null",
+            _SIMULATE,
+        ),
+        (
+            unknown,
+            ("conditions", "finger_conditions"),
+            f"{unknown}, of which no observer knows how its fingers suppress each other",
+            ", ".join(_KNOWN),
+            _SIMULATE,
+        ),
+        (
+            odd or not offered.compares or offered.naming("left", "right") is None,
+            ("answers", "keys" if protocol.answers.scale is None else "scale"),
+            f"the answers {', '.join(offered.names)}, which an observer that compares two fingers does not give",
+            "an answer for each finger and one for both, with or without one for neither",
+            _SIMULATE,
+        ),
+    )
 
 
-def refuse_answers(preflight: Preflight) -> None:
-    """Refuse a protocol whose answers the observer's comparison of two fingers does not give.
-
-    Raises
-    ------
-    InputError
-        If each finger cannot be named alone, or both together, or a trial has several intervals.
-    """
-    if (intervals := preflight.experiment.protocol.intervals) is not None:
-        given = f"trials of {intervals.number} intervals, while this compares two fingers in one"
-        raise InputError(
-            [preflight.findings.problem(("intervals",), given, "null", "simulate sessions and analyse those")]
-        )
-    offered = preflight.experiment.protocol.answers.offered
-    odd = [answer.name for answer in offered if answer.fingers is None]
-    if named := [name for name in preflight.experiment.protocol.conditions.finger_conditions if name not in _KNOWN]:
-        given = f"{named[0]}, of which no observer knows how its fingers suppress each other"
-        path, remedy = ("conditions", "finger_conditions"), "simulate sessions and analyse those"
-        raise InputError([preflight.findings.problem(path, given, ", ".join(_KNOWN), remedy)])
-    if odd or not offered.compares or offered.naming("left", "right") is None:
-        given = f"the answers {', '.join(offered.names)}, which an observer that compares two fingers does not give"
-        allowed = "an answer for each finger and one for both, with or without one for neither"
-        remedy = "simulate sessions and analyse those"
-        place = "keys" if preflight.experiment.protocol.answers.scale is None else "scale"
-        raise InputError([preflight.findings.problem(("answers", place), given, allowed, remedy)])
+def _refuse(preflight: Preflight, *known: tuple[object, tuple[str, ...], str, str, str]) -> None:
+    """Refuse a protocol for the first of what holds, told at a path: what is given, what is allowed, what to do."""
+    for holds, path, given, allowed, remedy in known:
+        if holds:
+            raise InputError([preflight.findings.problem(path, given, allowed, remedy)])
 
 
 def _design(name: str, preflight: Preflight, observer: Observer, placements: tuple[bool, ...]) -> Design:
