@@ -283,10 +283,9 @@ class ParticipantWindow(AnswerWindow):
     def confirm(self, response: Response) -> None:
         """Show which answer was taken; it is on the disk."""
         self._by_hand = response.answer != TIME_OUT
-        if self._current is not None and response.answer == TIME_OUT:
-            self._loop.show(self._pictures.ready(*self._current), Moment())
-        elif self._current is not None and response.answer != TIME_OUT:
-            self._loop.show(self._pictures.question(*self._current, chosen=chosen(response)), Moment())
+        if self._current is not None:
+            draw = partial(self._pictures.question, chosen=chosen(response)) if self._by_hand else self._pictures.ready
+            self._loop.show(draw(*self._current), Moment())
         self._loop.write_notes()
 
     def give_feedback(self, response: Response, expected: str) -> None:
