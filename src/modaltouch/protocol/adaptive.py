@@ -195,14 +195,22 @@ def _check_levels(reading: Reading[Any]) -> Iterator[Problem]:
 
 def _check_order(reading: Reading[Any]) -> Iterator[Problem]:
     repetitions, order = reading.sound("schedule", "repetitions"), reading.sound("schedule", "order")
-    if repetitions is not None and repetitions != 1:
-        given = f"{repetitions} where runs are adaptive"
-        remedy = "remove it; adaptive.trials says how long a run is"
-        yield reading.problem(("schedule", "repetitions"), given, "1", remedy)
-    if order in ("by_velocity", "latin_square"):
-        remedy = "shuffle the runs into each other, or take one after the other"
-        given = f"{order}, where the levels are not known beforehand"
-        yield reading.problem(("schedule", "order"), given, "shuffled or by_pair", remedy)
+    yield from reading.faults(
+        (
+            repetitions not in (None, 1),
+            ("schedule", "repetitions"),
+            f"{repetitions} where runs are adaptive",
+            "1",
+            "remove it; adaptive.trials says how long a run is",
+        ),
+        (
+            order in ("by_velocity", "latin_square"),
+            ("schedule", "order"),
+            f"{order}, where the levels are not known beforehand",
+            "shuffled or by_pair",
+            "shuffle the runs into each other, or take one after the other",
+        ),
+    )
 
 
 def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
@@ -219,13 +227,22 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
         yield from _check_correct(reading, offered)
     elif success not in ("focus_named", "felt", *offered.names):
         yield reading.unknown(at, "a rule nor an answer", ["focus_named", "felt", "correct", *offered.names])
-    if success == "felt" and "felt" not in offered.names and offered.naming() is None:
-        given = "felt, where no answer says that nothing was felt"
-        yield reading.problem(at, given, "focus_named, or keys for `none`", "give the keys")
-    if success == "focus_named" and not offered.compares:
-        given = "focus_named, where no answer names each finger alone"
-        allowed = "keys for `left` and `right`, or other answers for these fingers under answers.fingers"
-        yield reading.problem(at, given, allowed, "give them, or count `felt` or one of the answers as success")
+    yield from reading.faults(
+        (
+            success == "felt" and "felt" not in offered.names and offered.naming() is None,
+            at,
+            "felt, where no answer says that nothing was felt",
+            "focus_named, or keys for `none`",
+            "give the keys",
+        ),
+        (
+            success == "focus_named" and not offered.compares,
+            at,
+            "focus_named, where no answer names each finger alone",
+            "keys for `left` and `right`, or other answers for these fingers under answers.fingers",
+            "give them, or count `felt` or one of the answers as success",
+        ),
+    )
 
 
 def _check_correct(reading: Reading[Any], offered: AnswerList) -> Iterator[Problem]:

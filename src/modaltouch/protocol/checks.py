@@ -84,18 +84,16 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
     if None not in (duration, instant, n_samples) and instant < duration / n_samples:
         given, allowed = f"{instant:g} ms, before the second sample", f"at least {duration / n_samples:g} ms"
         yield reading.problem((*section, "focusing_instant_ms"), given, allowed, "move it later")
-    design = reading.sound(*section, "design")
-    if reading.sound(*section, "law") == "paper" and design not in (None, "least_energy"):
-        given = f"{design}, which the paper's law does not know"
-        yield reading.problem((*section, "design"), given, "least_energy, or the law exact", "leave it out")
+    is_paper = reading.sound(*section, "law") == "paper"
+    for key, value in (("design", "least_energy"), ("fingers", "none")) if is_paper else ():
+        if (other := reading.sound(*section, key)) not in (None, value):
+            given = f"{other}, which the paper's law does not know"
+            yield reading.problem((*section, key), given, f"{value}, or the law exact", "leave it out")
     usual = {"law": "exact", "design": "least_energy"}
     for key, value in usual.items() if reading.sound(*section, "priority") == "level" else ():
         if (other := reading.sound(*section, key)) not in (None, value):
             given, allowed = f"level, with the {key} {other}", "field, or the law exact of least energy"
             yield reading.problem((*section, "priority"), given, allowed, "leave one of them out")
-    if reading.sound(*section, "law") == "paper" and reading.sound(*section, "fingers") not in (None, "none"):
-        given = f"{reading.sound(*section, 'fingers')}, which the paper's law does not know"
-        yield reading.problem((*section, "fingers"), given, "none, or the law exact", "leave it out")
     yield from _doubled(reading, (*section, "selected_modes"), "mode")
     n_decomposed = reading.sound(*section, "decomposed_modes")
     for index, label in reading.items(*section, "selected_modes"):

@@ -54,7 +54,7 @@ def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
         remedy = "let the standard be another stimulus, or silence, or remove conditions.sensation_levels"
         yield reading.problem(STANDARD_LEVEL, given, "null or 0", remedy)
     until, n_catch = reading.sound("answers", "stimulus_until"), reading.sound("schedule", "catch_trials")
-    known = (
+    yield from reading.faults(
         (
             standard is not None and standard.velocity_mm_s is None and standard.stimulus is None,
             (*path, "standard"),
@@ -77,7 +77,6 @@ def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
             "remove it; intervals of silence are `intervals.standard.velocity_mm_s: 0`",
         ),
     )
-    yield from (reading.problem(at, given, allowed, remedy) for holds, at, given, allowed, remedy in known if holds)
     yield from _check_numbers(reading)
     yield from _check_asked(reading)
 

@@ -135,6 +135,12 @@ class Reading(Generic[Model]):
         file, line, column = self._place(steps, at_key=at_key)
         return Problem(file or str(self.source.path), line, column, format_path(steps), given, allowed, remedy)
 
+    def faults(self, *known: tuple[object, Iterable[Step], str, str, str]) -> Iterator[Problem]:
+        """Yield a problem of each of what holds: whether it does, then path, given, allowed and remedy."""
+        for holds, path, given, allowed, remedy in known:
+            if holds:
+                yield self.problem(path, given, allowed, remedy)
+
     def defaults(self) -> list[dict[str, Any]]:
         """Keys that the file leaves out and the values taken for them, in the schema's order."""
         return [] if self.root is None else list(_absent(self.model, self.root, ""))

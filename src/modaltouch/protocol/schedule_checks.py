@@ -41,39 +41,36 @@ def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
     limits = {key: limit for key in LIMITS if (limit := reading.sound("schedule", key)) is not None}
     idle = "" if order in ("shuffled", None) else next(iter(limits), "")
     faulty = any(problem.path.startswith("conditions.zone") for problem in reading.problems)
-    known = (
+    yield from reading.faults(
         (
             n_catch > n_driven,
-            "catch_trials",
+            ("schedule", "catch_trials"),
             f"{n_catch} where {n_driven} trials of a finger condition have a stimulus",
             f"at most {n_driven}",
             "take fewer: each follows a trial with a stimulus",
         ),
         (
             n_trials > TRIAL_LIMIT,
-            "repetitions",
+            ("schedule", "repetitions"),
             f"{repetitions}, which makes {n_trials} trials",
             f"at most {TRIAL_LIMIT} trials",
             "repeat less often",
         ),
         (
             idle,
-            idle,
+            ("schedule", idle),
             f"{limits.get(idle)} with the order {order}",
             "null, or the order shuffled",
             "remove the limit or shuffle",
         ),
         (
             not idle and not faulty and n_pairs == 1 and n_driven > limits.get(LIMITS[0], n_driven),
-            LIMITS[0],
+            ("schedule", LIMITS[0]),
             f"{limits.get(LIMITS[0])} where every trial has the same pair",
             f"at least {n_driven}, or null for no limit",
             "add a pair of zones or lift the limit",
         ),
     )
-    for holds, key, given, allowed, remedy in known:
-        if holds:
-            yield reading.problem(("schedule", key), given, allowed, remedy)
 
 
 def _check_stimuli(reading: Reading[Protocol]) -> Iterator[Problem]:
