@@ -49,12 +49,16 @@ def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
     names = reading.keys("stimuli") or []
     if standard is not None and standard.stimulus is not None and standard.stimulus not in names:
         yield reading.unknown((*path, "standard", "stimulus"), "one of the stimuli", names)
-    if (level := reading.sound(*STANDARD_LEVEL)) and reading.keys("conditions", "sensation_levels") is not None:
-        given = f"{level:g} mm/s, where levels are multiples of each participant's own threshold"
-        remedy = "let the standard be another stimulus, or silence, or remove conditions.sensation_levels"
-        yield reading.problem(STANDARD_LEVEL, given, "null or 0", remedy)
     until, n_catch = reading.sound("answers", "stimulus_until"), reading.sound("schedule", "catch_trials")
+    level = reading.sound(*STANDARD_LEVEL) or 0.0
     yield from reading.faults(
+        (
+            level and reading.keys("conditions", "sensation_levels") is not None,
+            STANDARD_LEVEL,
+            f"{level:g} mm/s, where levels are multiples of each participant's own threshold",
+            "null or 0",
+            "let the standard be another stimulus, or silence, or remove conditions.sensation_levels",
+        ),
         (
             standard is not None and standard.velocity_mm_s is None and standard.stimulus is None,
             (*path, "standard"),

@@ -333,8 +333,7 @@ def _present_once(sitting: SessionRun, trial: Trial) -> tuple[Response | None, F
                 sitting.window.feel(part, (trial.index, sitting.total), presentation, section.gap_s)
         except (TrialInterrupted, StimulusLost) as cut:
             stop()
-            firing = sitting.rig.firing or firing
-            reason = cut.reason if isinstance(cut, TrialInterrupted) else str(cut)
+            firing, reason = sitting.rig.firing or firing, cut.reason if isinstance(cut, TrialInterrupted) else str(cut)
             _write_cut(sitting, facts, reason, firing)
             if faults:
                 raise faults[0] from cut
