@@ -96,8 +96,15 @@ def limits_of(protocol: Protocol) -> list[Limit]:
     return [*limits, *([Limit("min_same_cell_distance", lambda cell: cell, 1, distance)] if distance else [])]
 
 
-def draw_constrained(cells: Sequence[Cell], limits: Sequence[Limit], stream: Stream) -> list[Cell]:
+def draw_constrained(cells: Sequence[Cell], limits: Sequence[Limit], stream: Stream, effort: float = 1.0) -> list[Cell]:
     """Return the first order that keeps all limits, of many drawn uniformly among those that keep the hardest one.
+
+    Parameters
+    ----------
+    cells, limits, stream
+        What is ordered, what is to be kept, and where chance comes from.
+    effort : float
+        Share of the usual work after which a design is given up [1].
 
     Raises
     ------
@@ -112,7 +119,7 @@ def draw_constrained(cells: Sequence[Cell], limits: Sequence[Limit], stream: Str
     for cell in cells:
         kinds.setdefault(hardest.kind_of(cell) if exact else None, []).append(cell)
     own, broken, begun = list(kinds.values()), Counter[str](), stream.n_drawn
-    while broken.total() * len(cells) < WORK_LIMIT and stream.n_drawn - begun < DRAWN_LIMIT:
+    while broken.total() * len(cells) < WORK_LIMIT * effort and stream.n_drawn - begun < DRAWN_LIMIT * effort:
         order = draw_order(list(map(len, own)), hardest.running if exact else None, stream, hardest.key)
         waiting = [stream.shuffled(each) for each in own]
         drawn = [waiting[kind].pop() for kind in order]

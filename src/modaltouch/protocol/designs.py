@@ -9,7 +9,9 @@ from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import Stream
 
 
-def order_cells(protocol: Protocol, finger_condition: str, turn: int, stream: Stream) -> list[Cell]:
+def order_cells(
+    protocol: Protocol, finger_condition: str, turn: int, stream: Stream, effort: float = 1.0
+) -> list[Cell]:
     """Return the pairs and velocities of one block in order, as the protocol's `order` says.
 
     Parameters
@@ -22,6 +24,8 @@ def order_cells(protocol: Protocol, finger_condition: str, turn: int, stream: St
         Which of several balanced orders is this participant's.
     stream : Stream
         Where chance comes from.
+    effort : float
+        Share of the usual work after which limits are given up [1].
 
     Raises
     ------
@@ -32,7 +36,7 @@ def order_cells(protocol: Protocol, finger_condition: str, turn: int, stream: St
     if order == "as_listed":
         return cells * protocol.scheduled_repetitions
     if order == "shuffled":
-        return _shuffled(protocol, cells, stream)
+        return _shuffled(protocol, cells, stream, effort)
     from modaltouch.protocol.latin_orders import order_by_square
 
     return order_by_square(protocol, cells, turn, stream)
@@ -66,12 +70,12 @@ def insert_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> lis
     return merged
 
 
-def _shuffled(protocol: Protocol, cells: list[Cell], stream: Stream) -> list[Cell]:
+def _shuffled(protocol: Protocol, cells: list[Cell], stream: Stream, effort: float) -> list[Cell]:
     """Draw the order of pairs first, then spread each pair's velocities over its places."""
     if any(getattr(protocol.schedule, key) for key in LIMITS[1:]):
         from modaltouch.protocol.constrained_orders import draw_constrained, limits_of
 
-        return draw_constrained(cells * protocol.scheduled_repetitions, limits_of(protocol), stream)
+        return draw_constrained(cells * protocol.scheduled_repetitions, limits_of(protocol), stream, effort)
     pairs = dict.fromkeys(pair for pair, *_ in cells)
     kinds = [[cell for cell in cells if cell[0] == pair] * protocol.scheduled_repetitions for pair in pairs]
     order = draw_order(list(map(len, kinds)), protocol.schedule.max_same_pair_running, stream)

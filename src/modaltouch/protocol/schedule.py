@@ -218,7 +218,14 @@ class Schedule:
 
     @classmethod
     def draw(
-        cls, protocol: Protocol, participant: str, seed: int, session: int = 1, *, given: Turn | None = None
+        cls,
+        protocol: Protocol,
+        participant: str,
+        seed: int,
+        session: int = 1,
+        *,
+        given: Turn | None = None,
+        effort: float = 1.0,
     ) -> Schedule:
         """A participant's schedule; the same arguments give the same schedule.
 
@@ -234,6 +241,8 @@ class Schedule:
             Number of the session, from 1; every session has an order of its own.
         given : Turn, optional
             The participant's turn, where records decide it and not the participant's number.
+        effort : float
+            Share of the usual work after which limits on orders are given up [1].
 
         Raises
         ------
@@ -247,7 +256,7 @@ class Schedule:
         blocks: list[Block] = []
         chance = partial(Stream, seed, participant, session)
         for number, finger_condition in enumerate(finger_conditions, start=1):
-            cells = order_cells(protocol, finger_condition, turn, chance(_ORDER + finger_condition))
+            cells = order_cells(protocol, finger_condition, turn, chance(_ORDER + finger_condition), effort)
             if protocol.schedule.catch_trials:
                 cells = insert_catches(protocol, cells, chance(_CATCHES + finger_condition))
             conditions = [_place(finger_condition, cell, placement) for cell in cells]

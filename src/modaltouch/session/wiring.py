@@ -83,13 +83,23 @@ def wire_run(
         place, drawn_as = next_session(place, protocol.schedule.n_sessions)
     given, preflight, gap = _on_occasion(preflight, place, drawn_as, seed, group, any_gap=any_gap)
     preflight, calibrated = _at_own_levels(preflight, place, threshold_mm_s)
-    schedule = Schedule.draw(preflight.experiment.protocol, participant, seed, drawn_as, given=given)
+    schedule = _drawn(preflight, participant, seed, drawn_as, given)
     parts = SessionParts(preflight, place, seed, rig, answers, window_options, observer or _usual(protocol, answers))
     setup = parts.setup(schedule, calibrated | gap)
     if answers != "window" and (fields := setup.to_ask):
         rng = Schedule.random_generator(seed, participant, place.session, "people")
         setup = setup.with_people({name: each.draw(rng) for name, each in fields.items()})
     return replace(setup, drawn_as=drawn_as) if protocol.schedule.balance == "least_filled" else setup
+
+
+def _drawn(preflight: Preflight, participant: str, seed: int, drawn_as: int, given: Turn | None) -> Schedule:
+    """Return a participant's schedule; refuse limits that no order drawn for this one keeps, with their place."""
+    try:
+        return Schedule.draw(preflight.experiment.protocol, participant, seed, drawn_as, given=given)
+    except ValueError as error:
+        path = ("schedule", getattr(error, "key", "max_same_pair_running"))
+        said, remedy = f"limits that no order drawn for {participant} keeps, {error}", "or give another --seed"
+        raise InputError([preflight.findings.problem(path, said, "", remedy)]) from error
 
 
 def _on_occasion(

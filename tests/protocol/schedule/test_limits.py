@@ -10,11 +10,12 @@ from typing import Any
 import pytest
 
 from modaltouch.preflight import examine
-from modaltouch.protocol import Findings, Protocol, Schedule, constrained_orders
+from modaltouch.protocol import Findings, InputError, Protocol, Schedule, constrained_orders
 from modaltouch.protocol.constrained_orders import Limit, draw_constrained, limits_of
 from modaltouch.protocol.limited_orders import longest_run
 from modaltouch.protocol.order_limits import NoOrderError
 from modaltouch.protocol.streams import Stream
+from modaltouch.session import wire_run
 
 SHIPPED = Path(__file__).parents[3] / "protocols"
 TWO = Findings.read(SHIPPED / "two_fields.yaml").experiment().protocol
@@ -86,6 +87,19 @@ def test_limits_that_cannot_be_kept_are_refused_with_the_reason(
     problems = examine(edit("demo.yaml", *words)).problems
     assert [told in each.given for each in problems] == [True]
     assert problems[0].path in ("schedule.min_same_cell_distance", "schedule.max_same_stimulus_running")
+
+
+def test_a_participant_without_an_order_is_told_and_is_rare(
+    edit: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A check gives up after a tenth of the work; who has no order all the same gets words, no traceback."""
+    words = ("  max_same_pair_running: 2", "  max_same_level_running: 1\n  min_same_cell_distance: 3")
+    preflight = examine(edit("demo.yaml", words, ("repetitions: 1", "repetitions: 4"))).require()
+    monkeypatch.setattr(constrained_orders, "WORK_LIMIT", 24 * 10)
+    with pytest.raises(InputError, match="limits that no order drawn for p01 keeps, none of 10 orders .* another --se"):
+        wire_run(preflight, "p01", answers="simulated", results=tmp_path)
+    (problem,) = examine(preflight.experiment.sources.protocol.path).problems
+    assert "none of 1 orders drawn kept" in problem.given
 
 
 def test_orders_that_take_long_to_draw_are_given_up_by_what_was_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
