@@ -85,7 +85,7 @@ def at_occasion(root: Node, occasion: Occasion) -> Node:
 
 
 def check_groups(source: Source, root: Node) -> list[Problem]:
-    """Return the groups that have other sessions than all, and what people are asked under the name of their group."""
+    """Return groups and kinds with sessions of their own, kinds of one name, and people asked for their group."""
     problems = []
     people = root.child("people")
     if people is not None and "group" in people.keys and _overrides(root, "groups"):
@@ -98,6 +98,18 @@ def check_groups(source: Source, root: Node) -> list[Problem]:
             path, place = f"groups.{name}.schedule.sessions", schedule.keys["sessions"]
             allowed, remedy = "the same sessions for all groups", "write them under schedule.sessions"
             problems.append(Problem(str(source.path), *place, path, "sessions of one group", allowed, remedy))
+    section = root.child("schedule")
+    listed, seen = None if section is None else section.child("sessions"), list[str]()
+    for index, kind in enumerate(() if listed is None else listed.children):
+        called, schedule, path = kind.child("name"), kind.child("schedule"), f"schedule.sessions[{index}]"
+        if called is not None and called.text in seen:
+            given, place, remedy = f"{called.text!r} again", (called.line, called.column), "choose another, or `times`"
+            problems.append(Problem(str(source.path), *place, f"{path}.name", given, "each name once", remedy))
+        seen += [] if called is None else [called.text]
+        if schedule is not None and "sessions" in schedule.keys:
+            place, allowed, remedy = schedule.keys["sessions"], "none", "write `times`, or another kind"
+            path = f"{path}.schedule.sessions"
+            problems.append(Problem(str(source.path), *place, path, "sessions of one kind", allowed, remedy))
     return problems
 
 

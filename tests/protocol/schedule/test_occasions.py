@@ -72,6 +72,8 @@ def test_levels_that_one_group_lacks_are_missing(read: Callable[..., Findings]) 
         (("high: {cond", "high: {schedule: {sessions: 3}, cond"), "given sessions of one group; allowed: the same"),
         (("times: 2", "times: 0"), "given 0; allowed: a whole number of at least 1"),
         (("name: test", "nam: test"), "did you mean 'name'?"),
+        (("name: test", "name: training"), "given 'training' again; allowed: each name once; choose another, or"),
+        (("name: test", "name: test, conditions: {}, schedule: {sessions: 2}"), "given sessions of one kind; allowed"),
     ],
 )
 def test_a_fault_of_one_group_or_kind_is_told_where_it_is_written(
