@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -132,6 +133,34 @@ def test_guessing_observers_are_seldom_given_a_threshold() -> None:
         fit_psychometric(levels, (rng.random(40) < 0.5).tolist(), guess_rate=0.0, most_lapse=0.06) for _ in range(100)
     ]
     assert sum(fit.threshold is not None for fit in fits) <= 8
+
+
+def forced_choice(chance_of: Callable[[float], float], seed: int) -> Psychometric:
+    """Return the fit of a simulated run of 30 trials of two alternatives, down after two successes."""
+    from modaltouch.protocol.adaptive import StaircaseSection
+
+    rng, rule = np.random.default_rng(seed), StaircaseSection(steps_dB=(8.0, 4.0, 2.0), down_after=2)
+    levels, successes = [], list[bool]()
+    for _ in range(30):
+        levels.append(follow(rule, to_dB(40), BOUNDS, successes))
+        successes.append(bool(rng.random() < chance_of(levels[-1])))
+    return fit_psychometric(levels, successes, guess_rate=0.5, most_lapse=0.04, flat_rate=0.5)
+
+
+def test_runs_of_a_forced_choice_that_settle_are_not_lost() -> None:
+    """Known: 28 dB, a spread of 8 dB. A constant chance explains one run in three as well; they have wide intervals.
+
+    Without them the mean would be of the others alone. Somebody who guesses at every level is seldom told one.
+    """
+    fits = [forced_choice(lambda level: chance(level, 28, 8, 0.5, 0.02), seed) for seed in range(40)]
+    unsure = [fit.threshold for fit in fits if fit.is_uncertain and fit.threshold is not None]
+    told = [fit.threshold.value for fit in fits if fit.threshold is not None]
+    assert len(unsure) >= 8 and len(told) >= 38
+    assert np.mean(told) == pytest.approx(28, abs=2)
+    inside = [(each.low or -math.inf) <= 28 <= (each.high or math.inf) for each in unsure]
+    widths = [(each.high or math.inf) - (each.low or -math.inf) for each in unsure]
+    assert np.mean(inside) >= 0.9 and np.median(widths) > 20
+    assert sum(forced_choice(lambda level: 0.5, seed).threshold is not None for seed in range(40)) <= 8
 
 
 def test_catch_trials_decide_the_guess_rate() -> None:

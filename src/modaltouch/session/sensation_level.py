@@ -82,13 +82,14 @@ def _find(preflight: Preflight, place: SessionFolder, thresholds_from: str) -> d
         _refuse(preflight, f"{thresholds_from!r}, whose session {log.parent} is not adaptive",
                 "an adaptive protocol", "name the one that finds thresholds")  # fmt: skip
     runs = [run.as_dict() for run in analyse_runs(responses).runs]
-    silent = [run for run in runs if run["threshold_mm_s"] is None]
+    silent = [run for run in runs if run["threshold_mm_s"] is None or run["is_uncertain"]]
     if silent:
         first = silent[0]
+        why = first["why_not"] or "it is uncertain, as a constant chance explains the answers as well"
         _refuse(
             preflight,
             f"{thresholds_from!r}, where {len(silent)} of {len(runs)} runs of {who} give no threshold "
-            f"({first['finger_condition']} {first['pair']}: {first['why_not']})",
+            f"({first['finger_condition']} {first['pair']}: {why})",
             "a threshold from every run",
             anew,
         )

@@ -9,7 +9,7 @@ from typing import Any
 
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
-from modaltouch.analysis.thresholds.runs import Run, find_runs, in_words, over_participants
+from modaltouch.analysis.thresholds.runs import Run, find_runs, in_words, is_forced, over_participants
 from modaltouch.report import ReportFigure, page_files
 
 MOST_FIGURES = 60
@@ -116,6 +116,7 @@ def _report_files(
         nothing="" if nothing is None else nothing.name,
         named=() if nothing and design["adaptive"]["success"] == "felt" else responses.answers.names,
         task=responses.task,
+        is_forced=is_forced(responses),
         rule=responses.start.get("adaptive", {}),
         scale=scale_of(responses.frame.columns),
         focus=" or ".join(sorted(set(responses.foci.values()) or {responses.focus})),

@@ -135,6 +135,8 @@ class Psychometric:
         The likeliest asymptotes [1].
     why_not : str
         Why no threshold can be told; empty where it can.
+    is_uncertain : bool
+        Whether a constant chance explains the answers as well as the function does.
     """
 
     n_trials: int
@@ -146,6 +148,7 @@ class Psychometric:
     guess_rate: float
     lapse_rate: float
     why_not: str = ""
+    is_uncertain: bool = False
 
     @property
     def slope(self) -> float | None:
@@ -172,8 +175,13 @@ def fit_psychometric(
     most_lapse: float,
     catches: Sequence[bool] = (),
     unit: str = "mm/s",
+    flat_rate: float | None = None,
 ) -> Psychometric:
     """Return the psychometric function of a run.
+
+    Whoever ignores the level has a constant share of successes. Answers that it explains as well give no threshold,
+    unless that share is known: adaptive runs of a forced choice gather where the function is flat against its chance,
+    so that one run in four of an observer with a wide spread would be lost.
 
     Parameters
     ----------
@@ -189,6 +197,8 @@ def fit_psychometric(
         Whether each catch trial was a success.
     unit : str
         Unit of the levels, in words.
+    flat_rate : float, optional
+        Share of successes where the level is ignored, as far as it is known [1].
 
     Raises
     ------
@@ -206,8 +216,11 @@ def fit_psychometric(
     best = np.unravel_index(int(likelihood.argmax()), likelihood.shape)
     threshold = _estimate(grid.thresholds, likelihood.max(axis=(1, 2, 3)))
     spread = _estimate(grid.spreads, likelihood.max(axis=(0, 2, 3)))
-    flat = _log_binomial(hits.sum(), tries.sum()) + _log_binomial(n_false, len(catches))
-    why = _why_not(x, hits, tries, float(likelihood.max()) - flat, threshold.value, unit)
+    constant = _log_binomial(hits.sum(), tries.sum()) + _log_binomial(n_false, len(catches))
+    gain, known = float(likelihood.max()) - constant, 0.0
+    if flat_rate is not None:
+        known = constant - hits.sum() * math.log(flat_rate) - (tries - hits).sum() * math.log1p(-flat_rate)
+    why = _why_not(x, hits, tries, gain + known, threshold.value, unit)
     return Psychometric(
         n_trials=int(tries.sum()),
         n_successes=int(hits.sum()),
@@ -218,6 +231,7 @@ def fit_psychometric(
         guess_rate=float(grid.guesses[best[3]]),
         lapse_rate=float(grid.lapses[best[2]]),
         why_not=why,
+        is_uncertain=bool(not why and gain < DROP),
     )
 
 

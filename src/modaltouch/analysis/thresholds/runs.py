@@ -95,6 +95,7 @@ class Run:
             "slope_per_dB": fitted.slope,
             "guess_rate": fitted.guess_rate if threshold else None,
             "lapse_rate": fitted.lapse_rate if threshold else None,
+            "is_uncertain": fitted.is_uncertain,
             "why_not": fitted.why_not or None,
         }
 
@@ -118,6 +119,12 @@ def find_runs(responses: Responses) -> tuple[Run, ...]:
     return tuple(runs)
 
 
+def is_forced(responses: Responses) -> bool:
+    """Whether the guess rate is that of guessing among the answers, and no catch trials tell another one."""
+    silent = responses.frame[scale_of(responses.frame.columns).column] == 0
+    return bool(responses.start["design"]["adaptive"]["guess_rate"] >= 1 / len(responses.answers) and not silent.any())
+
+
 def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str, Any], responses: Responses) -> Run:
     participant, session, finger_condition, left, *_ = key
     focus = responses.foci.get(stimulus, responses.focus)
@@ -132,6 +139,7 @@ def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str
         guess_rate=rule["guess_rate"],
         most_lapse=rule["lapse_rate"],
         catches=success[~driven].tolist(),
+        flat_rate=rule["guess_rate"] if is_forced(responses) else None,
     )
     names = str(finger_condition), label_zones(part).iloc[0], stimulus
     return Run(str(participant), int(session), *names, level[driven], success[driven], fitted)
@@ -159,6 +167,7 @@ def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
                 **({"stimulus": own[0].stimulus} if own[0].stimulus else {}),
                 "n_runs": len(own),
                 "n_without_threshold": sum(run.fitted.threshold is None for run in own),
+                "n_uncertain": sum(run.fitted.is_uncertain for run in own),
                 "n_participants": len(means),
                 "threshold_mm_s": _velocity(float(means.mean()) if len(means) else None),
                 "threshold_low_mm_s": _velocity(interval.low if interval else None),
