@@ -104,6 +104,24 @@ def test_faults_name_the_stimulus(tmp_path: Path, changes: list[tuple[str, str]]
     assert any(f" {place}: " in problem and words in problem for problem in problems), problems
 
 
+def test_one_finger_beside_two_in_listed_cells_is_no_fault(tmp_path: Path) -> None:
+    """Cells say which finger condition they are for, whichever stimulus; typical fingers lie only on those zones."""
+    cells = (
+        "cells:\n    - {pair: [A, C], peak_velocities_mm_s: [80], finger_conditions: [one_hand]}\n"
+        "    - {pair: [C], peak_velocities_mm_s: [80], finger_conditions: [tip]}"
+    )
+    text = SHIPPED.read_text(encoding="utf-8")
+    section = text[text.index("conditions:") : text.index("\n\n", text.index("conditions:"))]
+    keys = text[text.index("  keys:") :].split("\n\n")[0]
+    own = f"conditions:\n  finger_conditions: [one_hand, tip]\n  fingers: {{tip: [left index]}}\n  {cells}"
+    file = write(
+        tmp_path, (section, own), ("  max_same_pair_running: 2\n", ""), (keys, "  keys: {felt: [y], not_felt: [n]}")
+    )
+    found = examine(file)
+    assert found.problems == ()
+    assert found.untouched_warning() is not None
+
+
 def test_a_session_changes_between_them_without_an_upload(preflight: Preflight, tmp_path: Path) -> None:
     """Four records are sent before the first trial and none after it; verify draws and computes all of it again."""
     session = begin(wire_run(preflight, "p01", answers="simulated", results=tmp_path))

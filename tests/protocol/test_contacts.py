@@ -90,8 +90,13 @@ def faults(file: Path) -> list[str]:
             "answers.keys.left: given 'left', with the one of tip; allowed: answers that name no finger",
         ),
         (
+            [ONE, (PAIRS, "zones: [[C]]"), (KEYS, "    felt: [y]\n    no: [n]\n  fingers: {felt: [left]}\n")],
+            "answers.fingers.felt: given 'felt', with the one of tip; allowed: answers that name no finger, such as "
+            "`yes` and `none`; one finger is not told from another; remove its entry under fingers",
+        ),
+        (
             [(KEYS, f"{KEYS}    middle: [m]\n  fingers: {{middle: [between]}}\n")],
-            "answers.keys.middle: given 'middle', with the two of one_hand; allowed: left, right or both of them",
+            "answers.fingers.middle: given 'middle', with the two of one_hand; allowed: left, right or both of them",
         ),
         (
             [THREE, (PAIRS, "zones: [[A, C, E]]")],

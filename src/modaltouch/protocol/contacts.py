@@ -81,13 +81,13 @@ def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
 
 def _check_number(reading: Reading[Protocol], name: str, number: int) -> Iterator[Problem]:
     """Yield zones of a finger condition that are not as many as its fingers."""
-    cells = reading.items("conditions", "cells")
     own = [
         (("conditions", "cells", index, "pair"), each.pair)
-        for index, each in cells
+        for index, each in reading.items("conditions", "cells")
         if name in (each.finger_conditions or (name,))
     ]
-    for path, zones in own if cells else contacts(reading):
+    # Of several stimuli each is looked at crossed, while the cells stay in the file.
+    for path, zones in own if reading.find(("conditions", "cells")) else contacts(reading):
         if len(zones) != number:
             given = f"[{', '.join(zones)}], {_SAID[len(zones)]} for the {_SAID[number]} of {name}"
             allowed = "as many zones as fingers"
@@ -109,7 +109,9 @@ def _check_answers(reading: Reading[Protocol], name: str, number: int) -> Iterat
             odd = next(answer.name for answer in offered if answer.fingers)
             allowed, remedy = "an answer for each of the three", "name left, between and right under answers.fingers"
     if odd is not None:
-        at = ("answers", "keys", odd)
+        is_own = reading.find(("answers", "fingers", odd)) is not None
+        at = ("answers", "fingers" if is_own else "keys", odd)
+        remedy += f"; remove its entry under {at[1]}" if number == 1 else ""
         yield reading.problem(at, f"'{odd}', with the {_SAID[number]} of {name}", allowed, remedy, at_key=True)
     if number == 3 and offered.names_between and reading.sound("schedule", "practice_feedback"):
         given = "true, where an answer names one of three fingers"

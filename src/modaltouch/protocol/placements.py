@@ -93,7 +93,8 @@ class Placements:
 
     def _laid(self, condition: Condition) -> list[tuple[str, str]]:
         """Return zones and fingers on them, from the left end of the beam."""
-        laid = zip(condition.zones, self.protocol.conditions.fingers_of(condition), strict=True)
+        # The first finger condition, which names are compared with, may have another number of fingers.
+        laid = zip(condition.zones, self.protocol.conditions.fingers_of(condition), strict=False)
         return sorted(laid, key=lambda each: self.apparatus.zones[each[0]].centre_mm)
 
 
