@@ -24,6 +24,14 @@ def test_the_papers_answers_stand_on_the_side_of_their_fingers() -> None:
     assert AnswerList.of({}).names == ("left", "both", "right")
 
 
+def test_of_two_answers_neither_stands_back():
+    """A button set apart would draw answers to the other: only where it is wished, or there are others."""
+    two = AnswerList.of({"keys": ["felt", "none"]})
+    assert [(each.name, each.is_below) for each in two] == [("felt", False), ("none", False)]
+    assert [each.is_below for each in AnswerList.of({"keys": ["felt", "none"], "below": ["none"]})] == [False, True]
+    assert [each.is_below for each in AnswerList.of({"keys": ["left", "right", "none"]})] == [False, False, True]
+
+
 def test_other_answers_stand_as_in_the_file() -> None:
     """Unless all of a row name fingers; those told to lie below do."""
     grades = AnswerList.of({"keys": ["stronger", "unsure", "weaker"], "below": ["unsure"]})

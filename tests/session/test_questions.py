@@ -208,6 +208,10 @@ def test_what_cannot_have_been_answered_is_found(
             KEYS + "  then: {trial: {scale: {kind: vas}}}\n",
             "then.trial: given trial, a column that the table of answers",
         ),
+        (
+            KEYS + "  then: {level: {scale: {kind: vas}}}\n",
+            "then.level: given level, a column that the table of answers",
+        ),
         (KEYS + "  then: {sure: {scale: {kind: vas}}}\n", "given 'sure', which has no words in english.yaml"),
         (
             KEYS + "  then: {confidence: {keys: {felt: [a]}}}\n",

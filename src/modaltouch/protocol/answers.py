@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from modaltouch.protocol.questions import RATED
@@ -100,6 +100,9 @@ class AnswerList(tuple[Answer, ...]):
             (below if answer.is_below else row).append(answer)
         if all(answer.fingers for answer in row):
             row.sort(key=lambda answer: answer.side)
+        if len(row) == len(below) == 1 and not placed:
+            # Of two answers neither stands back: that would lean on who is in doubt.
+            below = [replace(below[0], is_below=False)]
         return cls((*row, *below))
 
     @classmethod

@@ -108,7 +108,7 @@ class AnswersSection(AskedSection):
         exclude_if=lambda given: not given,
     )
     below: tuple[Word, ...] = described(
-        "Answers whose buttons stand below the others; felt nowhere always does.",
+        "Answers whose buttons stand below the others; felt nowhere does beside more than one other answer.",
         default=(),
         exclude_if=lambda given: not given,
     )

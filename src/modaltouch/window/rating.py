@@ -202,6 +202,7 @@ def _draw_words(layout: Layout, theme: Theme, words: tuple[str, ...], measure: C
     y, height, size = min(box.bottom for box in boxes) - 0.028, 0.05, 0.03 * layout.type_scale
     if len(words) == len(boxes):
         places = [Box(box.x, y, box.width * 1.12, height) for box in boxes]
+        size = min(size, *(place.width / max(measure(text), 1) for text, place in zip(words, places, strict=True)))
     else:
         left, right = min(box.left for box in boxes), max(box.right for box in boxes)
         widths = [min(0.36 * (right - left), (measure(text) + 1) * size) for text in words]
