@@ -74,7 +74,6 @@ def test_a_table_without_none_keeps_its_three_answers(tmp_path: Path) -> None:
 def test_false_alarms_misses_and_detection_are_as_counted_by_hand(table: Path) -> None:
     """Expected: 2 of 12 and 3 of 12; of each participant d' = z((k + .5) / 4) less the same of the false alarms."""
     responses = read_responses(table)
-    answers = count_answers(responses.frame)
     *rows, total = catch_rows(responses)
     assert [(row.participant, row.false_alarms, row.n_missed) for row in rows] == [
         ("p1", "0 of 3", 0),
@@ -87,7 +86,7 @@ def test_false_alarms_misses_and_detection_are_as_counted_by_hand(table: Path) -
     assert alarms.estimate == pytest.approx(2 / 12)
     assert misses.estimate == pytest.approx(3 / 12)
     assert alarms.low < 2 / 12 < alarms.high
-    z, own = NormalDist().inv_cdf, analyse_design(responses, [answers]).values
+    z, own = NormalDist().inv_cdf, analyse_design(responses).values
     d_prime = {each.participant: each.interval.estimate for each in own if each.measure.name == "d'"}
     assert d_prime["p1"] == pytest.approx(z(3.5 / 4) - z(0.5 / 4))
     assert d_prime["p2"] == pytest.approx(z(2.5 / 4) - z(2.5 / 4))

@@ -49,7 +49,7 @@ def take(frame: pd.DataFrame, design: dict, **others: object) -> Responses:
 
 def found(responses: Responses) -> tuple[dict[tuple[str, str], Finding], dict[str, dict[str, float]]]:
     """Return the findings by name and scope, and the values of each participant by measure, the last level's."""
-    design = analyse_design(responses, [responses.by_choice().count()])
+    design = analyse_design(responses)
     values: dict[str, dict[str, float]] = {}
     for each in design.values:
         values.setdefault(each.measure.name, {})[each.participant] = each.interval.estimate
@@ -104,7 +104,7 @@ def test_answers_that_name_no_interval_are_left_out(compared, word: str) -> None
     for name in ("d'", "criterion", "PSE", "JND", "sure when correct less when not"):
         assert whole[name] == rest[name]
     responses = take(compared.assign(response=compared["response"].where(~unsaid, word)), design)
-    (limit,) = (each for each in analyse_design(responses, []).limits if "name no interval" in each)
+    (limit,) = (each for each in analyse_design(responses).limits if "name no interval" in each)
     assert limit.startswith("Answers that name no interval are left out of d'")
 
 
@@ -328,7 +328,7 @@ def test_recorded_answers_and_ratings_come_to_each_participant(edit, tmp_path: P
     protocol = edit("detection_with_confidence.yaml", *few)
     simulate_session(protocol, "p1", tmp_path / "results")
     responses = read_responses(tmp_path / "results")
-    design = analyse_design(responses, [responses.count()])
+    design = analyse_design(responses)
     d_prime = [each for each in design.values if each.measure.name == "d'"]
     assert [(each.participant, each.n) for each in d_prime] == [("p1", 8)]
     assert [row.n_catch for row in design.catches] == [4, 4]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from io import StringIO
 from itertools import product
 
 import numpy as np
@@ -125,6 +126,26 @@ def test_groups_are_compared_by_one_number_of_each_participant() -> None:
     assert dominant["p_holm"] == pytest.approx(holm([2 / 70, 1.0])[0])
     page = render_parts(found)["report.html"]
     assert "Over all parts" in page and "groups are compared by one number of each participant" in page
+
+
+def test_stimuli_are_parts_and_compared_within_participants() -> None:
+    """By hand: all answer right to one stimulus and left to the other, so that of 2^10 sign flips two are as far."""
+    both = [
+        row | {"response": word}
+        for stimulus, word in (("slow", "left"), ("usual", "right"))
+        for row in rows(stimulus=stimulus)
+        if row["zone_left"] == "A"
+    ]
+    found = analyse_parts(responses(both))
+    assert [part.name for part in found.parts] == [f"{name} one_hand A-C at 80, 150 mm/s" for name in ("slow", "usual")]
+    dominant = found.tests[found.tests["quantity"] == "difference of P(C)"].set_index("scope")
+    (row,) = dominant.loc[dominant["part"] == "all"].to_dict("records")
+    assert list(dominant.index[dominant["part"] == "all"]) == ["one_hand A-C slow - A-C usual"]
+    assert (row["estimate"], row["p"], row["family"], row["n"]) == (-1.0, 2 / 2**10, "shares compared", 10)
+    files = render_parts(found)
+    answers = pd.read_csv(StringIO(files["answers.csv"]))
+    assert answers["stimulus"].value_counts().to_dict() == {"slow": 20, "usual": 20}
+    assert "stimulus" in files["models.R"] and "The answers are to the stimuli slow, usual." in files["report.html"]
 
 
 def test_participants_of_a_group_who_met_other_cells_are_refused() -> None:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 from modaltouch.analysis.catches import CatchRow, catch_findings, catch_rows
-from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.counts import Pair
 from modaltouch.analysis.detection import sensitivities
 from modaltouch.analysis.findings import Finding
 from modaltouch.analysis.intervals import Interval
-from modaltouch.analysis.measures import Measure, Own, contrast_findings, group_findings, mean_findings
+from modaltouch.analysis.measures import Measure, Own, cells, contrast_findings, group_findings, mean_findings
 from modaltouch.analysis.ratings import level_findings, questions_of, ratings
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import LevelScale, scale_of
@@ -57,25 +56,23 @@ class DesignAnalysis:
         return [each.as_dict(self.scale, self.groups) for each in self.values]
 
 
-def analyse_design(responses: Responses, counts: Sequence[AnswerCounts]) -> DesignAnalysis:
+def analyse_design(responses: Responses) -> DesignAnalysis:
     """Return what a design asks of each participant, beside counts.
 
     Parameters
     ----------
     responses : Responses
         The answers, as they were given.
-    counts : sequence of AnswerCounts
-        Their counts, of each crossed part of the design.
     """
     task, scale, groups = responses.task, scale_of(responses.frame.columns), responses.groups
     catches, fits = catch_rows(responses), fit_cells(responses, task)
     rated = tuple(ratings(responses, task, questions_of(responses.design, responses.frame)))
     values = (*sensitivities(responses, task), *measures_of_fits(fits, task, scale), *rated)
-    shares = [share for part in counts for share in _shares(part)] if groups else []
+    shares = tuple(_shares(responses)) if groups or responses.stimuli else ()
     findings = (
         *catch_findings(responses),
         *mean_findings(values, scale),
-        *contrast_findings(values, scale),
+        *contrast_findings((*values, *shares) if responses.stimuli else values),
         *level_findings(rated),
         *group_findings((*values, *shares), groups),
     )
@@ -101,12 +98,15 @@ def _limits(responses: Responses, task: TrialTask, fits: Sequence[FittedCell]) -
     )
 
 
-def _shares(counts: AnswerCounts) -> Iterator[Own]:
-    """Yield the share of each effect of each participant, in each pair under each finger condition."""
-    for place, chosen in enumerate(counts.of_effects):
-        shares = counts.shares(chosen).mean
-        for f, q, _ in counts.pair_cells:
-            pair, words = counts.pairs[q], f"P({counts.effects(counts.pairs[q])[place][0]})"
-            for who, share in zip(counts.participants, shares[f, q], strict=True):
-                cell, known = (who, counts.finger_conditions[f], pair.label, math.nan), Interval.point(float(share), 1)
-                yield Own(Measure(words, words, "group"), *cell, known, counts.n_answers)
+def _shares(responses: Responses) -> Iterator[Own]:
+    """Yield the share of each effect of each participant in each cell."""
+    chosen = responses.by_choice()
+    counts = chosen.count()
+    for cell, part in cells(chosen.frame, counts.scale, by_level=True):
+        first = part.iloc[0]
+        left, right, between = (str(first.get(f"zone_{side}", "")) for side in ("left", "right", "between"))
+        pair = Pair.of(left, right, str(first.get("focus", counts.focus)), between)
+        n = int(part["n"].sum())
+        for word, place in counts.effects(pair):
+            given = int(part["n"][part["response"] == counts.answers.names[place]].sum())
+            yield Own(Measure(f"P({word})", f"P({word})", "shares"), *cell, Interval.point(given / n, n), n)

@@ -38,7 +38,8 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
     left, right = (responses.answers.naming(side) for side in ("left", "right"))
     if left and right and len(responses.answers) == 2 and responses.focus:
         # Two alternatives in space: the finger on the focus, in place of an interval.
-        place = sum(k * (responses.frame[f"zone_{side}"] == responses.focus) for k, side in ((1, "left"), (2, "right")))
+        focus = responses.frame.get("focus", responses.focus)
+        place = sum(k * (responses.frame[f"zone_{side}"] == focus) for k, side in ((1, "left"), (2, "right")))
         frame = responses.frame.assign(interval=place, zone_left="", zone_right="")
         responses = replace(responses, frame=frame[frame["interval"] > 0])
         task = TrialTask(2, {left.name: 1, right.name: 2})

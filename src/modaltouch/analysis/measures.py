@@ -276,8 +276,8 @@ def mean_findings(values: Sequence[Own], scale: LevelScale) -> Iterator[Finding]
         )  # fmt: skip
 
 
-def contrast_findings(values: Sequence[Own], scale: LevelScale) -> Iterator[Finding]:
-    """Yield each measure under one finger condition against another, and for one pair of zones against another.
+def contrast_findings(values: Sequence[Own]) -> Iterator[Finding]:
+    """Yield each measure under one finger condition, for one pair of zones or to one stimulus against another.
 
     A participant's difference is the mean over the levels at which both have a value.
     """
@@ -286,7 +286,8 @@ def contrast_findings(values: Sequence[Own], scale: LevelScale) -> Iterator[Find
         for each in own:
             tables.setdefault((each.finger_condition, each.pair), {})[each.participant, str(each.level)] = _linear(each)
         for (a, first), (b, second) in combinations(tables.items(), 2):
-            if (a[0] == b[0]) == (a[1] == b[1]):
+            differ = [x != y for x, y in zip(_factors(*a), _factors(*b), strict=True)]
+            if sum(differ) != 1 or (measure.question == "shares" and any(differ[:2])):
                 continue
             gaps: dict[str, list[float]] = {}
             for who, level in first.keys() & second.keys():
@@ -301,6 +302,11 @@ def contrast_findings(values: Sequence[Own], scale: LevelScale) -> Iterator[Find
                 f"{_difference(measure)} of {measure.quantity}", _told(measure, interval), numbers.size,
                 family=f"{measure.question} compared",
             )  # fmt: skip
+
+
+def _factors(finger_condition: str, place: str) -> tuple[str, ...]:
+    """Return what two values are compared in, one at a time: fingers, zones, and what `label_places` tells beside."""
+    return finger_condition, *place.split(" ")
 
 
 def group_findings(values: Sequence[Own], groups: Mapping[str, str]) -> Iterator[Finding]:
@@ -321,6 +327,16 @@ def group_findings(values: Sequence[Own], groups: Mapping[str, str]) -> Iterator
             )  # fmt: skip
 
 
+def label_places(frame: pd.DataFrame) -> pd.Series:
+    """Return pair, stimulus and kind of session of each row in words, where there are several, in the given order."""
+    zones = label = label_zones(frame)
+    named = [name for name in ("stimulus", "session_kind") if name in frame.columns and frame[name].nunique() > 1]
+    for name in named:
+        label = label + " " + frame[name].astype(str)
+    order = frame[named].assign(zones=zones, label=label).drop_duplicates("label").sort_values(["zones", *named])
+    return label.astype(pd.CategoricalDtype(order["label"]))
+
+
 def cells(frame: pd.DataFrame, scale: LevelScale, *, by_level: bool) -> Iterator[tuple[Cell, pd.DataFrame]]:
     """Yield participant, finger condition, pair of zones and level of each cell, with its answers.
 
@@ -333,12 +349,9 @@ def cells(frame: pd.DataFrame, scale: LevelScale, *, by_level: bool) -> Iterator
     by_level : bool
         Whether each level is a cell of its own; else all are together, at a level that is not a number.
     """
-    pair = label_zones(frame)
-    for name in ("stimulus", "session_kind"):
-        if name in frame.columns and frame[name].nunique() > 1:
-            pair = pair + " " + frame[name].astype(str)
-    keys = [frame["participant"].astype(str), frame["finger_condition"].astype(str), pair]
-    for key, part in frame.groupby([*keys, *([frame[scale.column]] if by_level else [])], sort=True):
+    keys = [frame["participant"].astype(str), frame["finger_condition"].astype(str), label_places(frame)]
+    levels = [frame[scale.column]] if by_level else []
+    for key, part in frame.groupby([*keys, *levels], sort=True, observed=True):
         who, finger_condition, label, *level = cast(tuple[Any, ...], key)
         yield (str(who), str(finger_condition), str(label), float(level[0]) if level else math.nan), part
 

@@ -46,7 +46,7 @@ def analyse(
     mode : {"real", "pilot", "simulated"}, optional
         Which sessions of a tree to take.
     stimulus : str, optional
-        Whose trials to take, of sessions with several stimuli and fixed levels.
+        Whose trials to take, of sessions with several stimuli and fixed levels; by default those of all.
     table_format : TableFormat, optional
         What could be answered, how it is written and the margin of equivalence, for a CSV; sessions tell it themselves.
     figures : collection of str
@@ -77,6 +77,7 @@ def analyse(
     folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
     source = responses.source
     about = {"version": version(), "source": source.path, "sha256": source.sha256, "mode": source.mode}
+    asked |= {"--speed": speed == "predicted"} if responses.scheduled is not None else {}
     found, files = _results(responses, path, asked)
     return replace(found, files=write_files(folder, files, about))
 
@@ -97,8 +98,11 @@ def _results(
         from modaltouch.analysis.parts import analyse_parts, render_parts
 
         if options:
-            given = "--prereg, --model or --figures with a design that is not crossed"
-            raise InputError.of(path, given, "tables, tests of its crossed parts, models.R", "leave these options out")
+            given = "--prereg, --model, --figures or --speed with a design that is not crossed"
+            remedy = "leave these options out"
+            if responses.stimuli:
+                given, remedy = f"{given}, of several stimuli", f"{remedy}, or take one stimulus with --stimulus"
+            raise InputError.of(path, given, "tables, tests of its crossed parts, models.R", remedy)
         parts = analyse_parts(responses)
         return parts, render_parts(parts)
     analysis = _hold_against(asked["--prereg"], _find(responses, model=asked["--model"]))
@@ -116,7 +120,7 @@ def _find(responses: Responses, *, model: bool) -> Analysis:
     if responses.tells_of_each:
         from modaltouch.analysis.designs import analyse_design
 
-        design = analyse_design(responses, [counts])
+        design = analyse_design(responses)
     findings = tuple(find(counts, chosen.frame, design.findings if design else ()))
     if model:
         from modaltouch.analysis.mixed_logistic import model_findings

@@ -24,7 +24,7 @@ def read_responses(
         Which sessions of a tree to take. By default the real ones; where there are none, whichever single kind
         there is. Of a CSV with a column ``mode``, which rows.
     stimulus : str, optional
-        Whose trials to take, of sessions with several stimuli.
+        Whose trials to take, of several stimuli; by default those of all, of a CSV there must be one.
     table_format : TableFormat, optional
         What could be answered, how answers are written and the margin of equivalence, for a CSV. Sessions tell it
         themselves.

@@ -213,6 +213,12 @@ class Responses:
             return {}
         return dict(zip(self.frame["participant"].astype(str), self.frame["group"].astype(str), strict=True))
 
+    @property
+    def stimuli(self) -> tuple[str, ...]:
+        """Which of several stimuli the answers are to, where they are to several."""
+        names = tuple(map(str, self.frame["stimulus"].sort_values().unique())) if self.scheduled is not None else ()
+        return names if len(names) > 1 else ()
+
     def by_choice(self) -> Responses:
         """Return the answers by what they choose, where they name an interval; else as they are."""
         if not self.design.get("intervals") or not set(self.task.named) & set(self.answers.names):

@@ -10,7 +10,7 @@ import gc
 import hashlib
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -69,6 +69,8 @@ class SessionAnswers:
         Whether its protocol has every pair at every level, equally often.
     columns : tuple of str
         Columns of numbers on a scale, and of further questions.
+    names : tuple of str
+        Stimuli, groups and kinds of session in the order of the protocol.
     """
 
     path: Path
@@ -87,6 +89,7 @@ class SessionAnswers:
     kind: tuple[str, str] = ("", "")
     is_crossed: bool = True
     columns: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
 
 
 def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
@@ -182,7 +185,15 @@ def open_log(path: Path) -> SessionAnswers:
         kind=session.occasion,
         is_crossed=not any(design.get("conditions", {}).get(key) for key in ("cells", "exclude")),
         columns=session.question_columns,
+        names=tuple(_names(design)),
     )
+
+
+def _names(design: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the names of a protocol's stimuli, groups and kinds of session, in its order."""
+    kinds = design.get("schedule", {}).get("sessions")
+    yield from (*design.get("stimuli", ()), *(design.get("groups") or ()))
+    yield from (kind["name"] for kind in kinds) if isinstance(kinds, list) else ()
 
 
 def _unfit(session: Session) -> str:
@@ -200,7 +211,7 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
     mode : {"real", "pilot", "simulated"}, optional
         Which sessions to take; by default the real ones, and where there are none the only kind there is.
     stimulus : str, optional
-        Whose trials to take, of sessions with several stimuli and fixed levels.
+        Whose trials to take, of sessions with several stimuli and fixed levels; by default those of all.
 
     Raises
     ------
@@ -223,6 +234,8 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
         fewest = {kind: min(n for (_, own), n in held.items() if own == kind) for _, kind in held}
         taken = _sort(taken, left_out, lambda item: _surplus(item, fewest[item.kind], seen))
         is_crossed = all(item.is_crossed for item in taken) and len({item.kind for item in taken}) == 1
+        presented = {row[_STIMULUS] for item in taken for row in item.rows}
+        is_crossed &= stimulus is not None or len(presented) < 2
     _refuse_nothing(place, taken, left_out)
     answers = _one_list(place, taken)
     frame = _join(place, taken, levels, answers, stimulus, is_crossed=is_crossed)
@@ -278,11 +291,14 @@ def _join(
     *,
     is_crossed: bool,
 ) -> pd.DataFrame:
-    """Return the tidy table of the sessions' answers, to one stimulus where their levels are fixed and crossed."""
+    """Return the tidy table of the sessions' answers; of several stimuli, to the one that is chosen."""
     frame = pd.DataFrame([row for item in taken for row in item.rows], columns=[*COLUMNS, *taken[0].columns])
     numbers = [len(item.rows) for item in taken]
     for place_of, column in enumerate(("group", "session_kind")):
         frame[column] = np.repeat([item.kind[place_of] for item in taken], numbers)
+    for column in ("group", "session_kind", "stimulus"):
+        names = sorted(frame[column].unique(), key=lambda name: (*taken[0].names, name).index(name))
+        frame[column] = pd.Categorical(frame[column], names)
     foci = [item.foci.get(row[_STIMULUS], item.focus) for item in taken for row in item.rows]
     frame["focus"] = foci
     frame = unmirror(frame.astype(dict.fromkeys(_NUMBERS, float)), answers)
@@ -292,7 +308,7 @@ def _join(
         frame = frame.drop(columns=list(_OF_INTERVALS))
     if levels == "calibrated":
         frame = frame.rename(columns={VELOCITY.column: OWN_THRESHOLD.column})
-    if levels != "adaptive" and (is_crossed or stimulus is not None):
+    if levels != "adaptive" and stimulus is not None:
         frame = _choose_stimulus(place, frame, stimulus)
     if levels != "adaptive" and is_crossed:
         _refuse_designs(place, frame)
@@ -366,18 +382,13 @@ def _surplus(item: SessionAnswers, fewest: int, seen: Counter[object]) -> str:
     return f"session beyond the first {fewest}: not every participant has as many" if beyond else ""
 
 
-def _choose_stimulus(place: Path, frame: pd.DataFrame, stimulus: str | None) -> pd.DataFrame:
-    """Return the trials of one stimulus, as the statistics know no other factor than fingers, pair and level."""
+def _choose_stimulus(place: Path, frame: pd.DataFrame, stimulus: str) -> pd.DataFrame:
+    """Return the trials of one stimulus."""
     names = [name for name in frame["stimulus"].unique().tolist() if name]
-    listed = ", ".join(names) or "sessions have one alone"
-    if stimulus is None and len(names) > 1:
-        remedy = "`modaltouch analyse` takes one with --stimulus, `modaltouch fit` all of them, with their protocol"
-        raise InputError.of(place, f"sessions with several stimuli ({listed})", "one stimulus", remedy)
-    if stimulus is not None and stimulus not in names:
+    if stimulus not in names:
         remedy = "choose one of them, or leave the option out; a fit needs the protocol that was answered"
-        raise InputError.of(place, f"stimulus {stimulus!r}", listed, remedy)
-    if stimulus is None:
-        return frame
+        allowed = ", ".join(names) or "sessions have one alone"
+        raise InputError.of(place, f"stimulus {stimulus!r}", allowed, remedy)
     return frame[frame["stimulus"] == stimulus].reset_index(drop=True)
 
 

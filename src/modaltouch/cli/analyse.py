@@ -44,7 +44,7 @@ def analyse(
     out: _OUT = None,
     mode: MODE = None,
     stimulus: Annotated[
-        str | None, typer.Option(help="Whose trials to take, of sessions with several stimuli.")
+        str | None, typer.Option(help="Whose trials to take, of sessions with several stimuli.", show_default="all")
     ] = None,
     protocol: Annotated[
         str | None,

@@ -93,7 +93,6 @@ def _contents(template: str) -> dict[str, str]:
 
 def _readme(protocols: list[Protocol]) -> Iterator[str]:
     """Yield the lines of the study's README: the commands of its protocol, and of one that is needed before it."""
-    from modaltouch.cli.simulate import analyses
     from modaltouch.system import version
 
     protocol, name = protocols[0], protocols[0].protocol
@@ -104,13 +103,11 @@ def _readme(protocols: list[Protocol]) -> Iterator[str]:
     for file in files:
         yield f"| `modaltouch check {file}` | after each change: faults with their place, speeds, duration |"
         yield f"| `modaltouch simulate {file} -n 10` | simulated participants, to see what the data will be |"
-    for command in analyses(protocol, f"results/simulated/{name}"):
-        yield f"| `{command}` | their tables, figures, statistics and report |"
+    yield f"| `modaltouch analyse results/simulated/{name}` | their tables, figures, statistics and report |"
     for file in files:
         yield f"| `modaltouch run {file} -p p01 --fullscreen` | a session; asks for the generator's address |"
     yield f"| `modaltouch verify results/{name}/sub-p01/ses-1` | its record, recomputed |"
-    for command in analyses(protocol, f"results/{name}"):
-        yield f"| `{command}` | the same of the participants |"
+    yield f"| `modaltouch analyse results/{name}` | the same of the participants |"
     yield f"\nYour beam goes into `protocols/{protocol.apparatus}`, your words into `protocols/{protocol.texts}`."
 
 

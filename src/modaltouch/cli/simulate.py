@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from modaltouch.cli.exit_status import print_json, reporting
 from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, RESULTS, SEED, USUAL_OBSERVER, WITH_MARKED
 from modaltouch.cli.tables import progress
-
-if TYPE_CHECKING:
-    from modaltouch.protocol import Protocol
 
 
 def simulate(
@@ -53,11 +50,4 @@ def simulate(
             print_json({"sessions": [str(session.path.parent) for session in sessions], "dataset": str(dataset)})
         else:
             print(f"{len(sessions)} sessions in {dataset}")
-            for command in analyses(preflight.experiment.protocol, str(dataset)):
-                print(f"Next: {command}")
-
-
-def analyses(protocol: Protocol, dataset: str) -> list[str]:
-    """Return the commands that analyse recorded sessions: one to each stimulus, unless runs are adaptive."""
-    names = protocol.stimulus_names if protocol.adaptive is None and protocol.is_crossed else ("",)
-    return [f"modaltouch analyse {dataset}" + (f" --stimulus {name}" if name else "") for name in names]
+            print(f"Next: modaltouch analyse {dataset}")

@@ -122,7 +122,7 @@ class PartsAnalysis:
             "n_responses": len(self.responses.frame),
             "n_missing": sum(each["n"] for each in missing),
             "missing": missing,
-            "notes": [f"the design is not crossed: {len(self.parts)} crossed parts of it are analysed each by itself"],
+            "notes": [f"{len(self.parts)} crossed parts of the design are analysed each by itself"],
             "mode": self.responses.source.mode or None,
             "source": self.responses.source.path,
             "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
@@ -148,10 +148,10 @@ def analyse_parts(responses: Responses) -> PartsAnalysis:
         found += [(part, finding) for finding in uncorrected(part.counts, part.frame)]
     corrected = correct(finding for _, finding in found)
     design = None
-    if given.tells_of_each:
+    if given.tells_of_each or given.stimuli:
         from modaltouch.analysis.designs import analyse_design
 
-        design = analyse_design(given, [part.counts for part in parts])
+        design = analyse_design(given)
     of_parts = tuple(zip((part for part, _ in found), corrected, strict=True))
     return PartsAnalysis(responses, parts, of_parts, {}, design)
 
@@ -254,7 +254,8 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         most_pictures=MOST_FIGURES,
         values=values,
         limits=analysis.design.limits if analysis.design else (),
-        groups=sorted({*responses.groups.values()}),
+        groups=responses.groups,
+        stimuli=responses.stimuli,
         whole=[_line(finding) for finding in analysis.whole],
         alpha=ALPHA,
         left_out=responses.left_out,
