@@ -249,10 +249,8 @@ def _check_correct(reading: Reading[Any], offered: AnswerList) -> Iterator[Probl
     """Yield why runs cannot follow from which answers are right: guessing is right as often, or none ever is."""
     said = [answer.interval for answer in offered if answer.interval is not None]
     if reading.keys("intervals") is None or not said:
-        given, allowed = (
-            "correct, where no answer says anything of intervals",
-            "a section intervals, and answers.intervals",
-        )
+        given = "correct, where no answer says anything of intervals"
+        allowed = "a section intervals, and answers.intervals"
         yield reading.problem(("adaptive", "success"), given, allowed, "write them, or name another success")
         return
     guess_rate, rule = (reading.sound("adaptive", name) for name in ("guess_rate", "staircase"))

@@ -109,13 +109,10 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def _check_doubles(reading: Reading[Protocol]) -> Iterator[Problem]:
-    for path, noun in (
-        (("conditions", "finger_conditions"), "finger condition"),
-        (("conditions", "peak_velocities_mm_s"), "peak velocity"),
-        (("conditions", "placements"), "placement"),
-        (("answers", "below"), "answer"),
-    ):
-        yield from _doubled(reading, path, noun)
+    each = {"finger_conditions": "finger condition", "peak_velocities_mm_s": "peak velocity", "placements": "placement"}
+    for key, noun in each.items():
+        yield from _doubled(reading, ("conditions", key), noun)
+    yield from _doubled(reading, ("answers", "below"), "answer")
 
 
 def _doubled(reading: Reading[Protocol], path: tuple[str, ...], noun: str) -> Iterator[Problem]:

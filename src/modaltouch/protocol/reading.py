@@ -137,9 +137,7 @@ class Reading(Generic[Model]):
 
     def faults(self, *known: tuple[object, Iterable[Step], str, str, str]) -> Iterator[Problem]:
         """Yield a problem of each of what holds: whether it does, then path, given, allowed and remedy."""
-        for holds, path, given, allowed, remedy in known:
-            if holds:
-                yield self.problem(path, given, allowed, remedy)
+        yield from (self.problem(at, given, allowed, remedy) for holds, at, given, allowed, remedy in known if holds)
 
     def defaults(self) -> list[dict[str, Any]]:
         """Keys that the file leaves out and the values taken for them, in the schema's order."""

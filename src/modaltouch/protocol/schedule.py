@@ -251,12 +251,11 @@ class Schedule:
         """
         decided = given or Turn.of(participant, seed, session, protocol.groups)
         kind = protocol.schedule.kind_of(session)
-        turn = decided.number
         finger_conditions, placement = decided.order(protocol)
         blocks: list[Block] = []
         chance = partial(Stream, seed, participant, session)
         for number, finger_condition in enumerate(finger_conditions, start=1):
-            cells = order_cells(protocol, finger_condition, turn, chance(_ORDER + finger_condition), effort)
+            cells = order_cells(protocol, finger_condition, decided.number, chance(_ORDER + finger_condition), effort)
             if protocol.schedule.catch_trials:
                 cells = insert_catches(protocol, cells, chance(_CATCHES + finger_condition))
             conditions = [_place(finger_condition, cell, placement) for cell in cells]
