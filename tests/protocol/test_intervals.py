@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from modaltouch.preflight import estimated_duration
+from modaltouch.preflight.advice import interval_warnings
 from modaltouch.protocol import Findings, Protocol, Schedule, Trial
 from modaltouch.protocol.interval_design import draw_intervals
 from modaltouch.protocol.intervals import IntervalsSection, StandardSection
@@ -121,7 +122,14 @@ ADAPTIVE = "adaptive: {method: staircase, trials: 8, start_mm_s: 130, success: c
             [(STANDARD, "standard: {}")],
             "intervals.standard: given neither a level nor a stimulus; allowed: velocity_mm_s",
         ),
-        ([(STANDARD, "standard: {stimulus: blunt}")], "'blunt', which is not one of the stimuli"),
+        (
+            [(STANDARD, "standard: {stimulus: blunt}")],
+            "'blunt', where there is no section stimuli; allowed: null",
+        ),
+        (
+            [("practice_trials: 4", "practice_trials: 4\n  practice_feedback: true")],
+            "allowed: answers that name fingers; remove it: practice is judged by the speeds under the fingers",
+        ),
         ([("\n  number: 2\n", "\n  number: 4\n")], "given 4; allowed: a whole number of at least 2, at most 3"),
         (
             [
@@ -166,6 +174,25 @@ def test_what_does_not_go_together_is_refused_in_its_place(
     """Each with what is given and what is allowed."""
     found = [str(problem) for problem in Findings.read(edit(FILE, *changes)).problems]
     assert any(said in problem for problem in found), found
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ([], None),
+        ([(MEANINGS, "pause_s: 1")], "no answer says anything of the intervals: none is right"),
+        ([(LEVELS, LEVELS.replace("90", "100"))], None),
+        (
+            [(LEVELS, LEVELS.replace("90", "100")), ("asked: stronger ", "asked: comparison ")],
+            "in 1 of 6 cells: all intervals",
+        ),
+        ([(MEANINGS, "intervals: {first: same, second: different}")], "0 of 6 cells: `same` is right in no trial"),
+    ],
+)
+def test_trials_without_a_right_answer_are_told(edit: Edit, changes: list[tuple[str, str]], said: str | None) -> None:
+    """Three intervals that are alike hold no odd one; of two levels that are alike none is the stronger, as usual."""
+    found = interval_warnings(protocol_of(edit(FILE, *changes)))
+    assert [said] == [said for each in found if said and said in each] if said else found == []
 
 
 def test_a_silent_standard_needs_bursts_that_can_be_kept_back(edit: Edit) -> None:

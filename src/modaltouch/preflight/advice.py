@@ -174,6 +174,31 @@ def answer_warnings(protocol: Protocol) -> list[str]:
     return warnings
 
 
+def interval_warnings(protocol: Protocol) -> list[str]:
+    """Return which trials of several intervals have no right answer, and which answer is right in none."""
+    section, answers = protocol.intervals, protocol.answers
+    if section is None or answers.scale is not None or protocol.adaptive is not None:
+        return []
+    meanings = {answer.interval for answer in answers.offered}
+    if meanings == {None}:
+        return ["no answer says anything of the intervals: none is right; write answers.intervals, as {first: 1}"]
+    cells = [cell for name in protocol.conditions.finger_conditions for cell in protocol.cells(name)]
+    given = section.standard
+    alike = sum(given.velocity_mm_s in (None, level) and given.stimulus in (None, own) for _, level, own in cells)
+    if alike and "same" not in meanings and section.asked == "comparison":
+        return [
+            f"the comparison is the standard in {alike} of {len(cells)} cells: all intervals are alike there and "
+            "no answer is right; leave these out (conditions.exclude), or offer `same` (answers.intervals)"
+        ]
+    if "same" in meanings and alike in (0, len(cells)):
+        never = "different" if alike else "same"
+        return [
+            f"the comparison is the standard in {alike} of {len(cells)} cells: `{never}` is right in no trial, "
+            "and there is no d'; let the standard's level or stimulus be one of several of the conditions"
+        ]
+    return []
+
+
 def default_warnings(taken: list[dict[str, Any]]) -> list[str]:
     """Return one line on the defaults of what is presented; those that leave a feature off are not worth a line.
 

@@ -349,6 +349,7 @@ class Preflight:
                 *self._stimulus_warnings(),
                 *advice.design_warnings(protocol),
                 *advice.answer_warnings(protocol),
+                *advice.interval_warnings(protocol),
                 *advice.repetition_warnings(self.experiment.apparatus),
                 *advice.sound_warnings(protocol, self.experiment.apparatus),
                 *advice.default_warnings(values["defaults"]),

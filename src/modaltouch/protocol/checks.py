@@ -210,7 +210,7 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
     for key in ("practice_feedback", "practice_criterion"):
         if value := reading.sound("schedule", key):
             given = f"{str(value).lower()}, where no answer names a finger"
-            remedy = "remove it: nothing tells which answer is right"
+            remedy = "remove it: practice is judged by the speeds under the fingers, and by nothing else"
             yield reading.problem(("schedule", key), given, "answers that name fingers", remedy)
 
 

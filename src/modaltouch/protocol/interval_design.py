@@ -48,7 +48,9 @@ def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
     standard = reading.sound(*path, "standard")
     names = reading.keys("stimuli") or []
     if standard is not None and standard.stimulus is not None and standard.stimulus not in names:
-        yield reading.unknown((*path, "standard", "stimulus"), "one of the stimuli", names)
+        at, given = (*path, "standard", "stimulus"), f"{standard.stimulus!r}, where there is no section stimuli"
+        problem = reading.unknown(at, "one of the stimuli", names)
+        yield problem if names else reading.problem(at, given, "null", "remove it, or write the section")
     until, n_catch = reading.sound("answers", "stimulus_until"), reading.sound("schedule", "catch_trials")
     level = reading.sound(*STANDARD_LEVEL) or 0.0
     yield from reading.faults(
