@@ -151,6 +151,38 @@ def test_groups_are_compared_by_participants_and_never_by_trials(compared) -> No
     assert "high: 4, low: 4 participants" in once[name].note
 
 
+RATED = {"answers": {"scale": {"kind": "likert", "lowest": 1, "highest": 9}}}
+
+
+def rated(**levels: tuple[float, ...]) -> Responses:
+    """Return ratings of one for each 40 mm/s, one more of the participants 4 to 7, by groups with their own levels."""
+    frame = presented((40, 80, 160), 2)
+    frame["group"] = pd.Categorical(np.where(frame["participant"] < "p4", *levels), list(levels))
+    frame = frame[[level in levels[group] for level, group in zip(frame["velocity_mm_s"], frame["group"], strict=True)]]
+    value = frame["velocity_mm_s"] / 40 + (frame["participant"] >= "p4")
+    return take(frame.assign(value=value, response="rated"), {"answers": RATED["answers"]})
+
+
+def test_groups_are_compared_over_the_cells_that_both_met() -> None:
+    """By hand: at 80 mm/s, which alone both met, the groups are one apart; over all that each met it would be three."""
+    findings, _ = found(rated(low=(40, 80), high=(80, 160)))
+    between = findings["rating between groups", "low - high"]
+    assert (between.estimate, between.p, between.n) == (-1.0, pytest.approx(2 / 70), 8)
+    assert between.note.endswith("over the cells that both groups met")
+    notes = [findings["rating over participants", f"one_hand A-C {level} mm/s"].note for level in (40, 80, 160)]
+    assert ["met by low only" in notes[0], "met by" in notes[1], "met by high only" in notes[2]] == [True, False, True]
+    (shared,) = {each.level for each in analyse_design(rated(low=(40, 80), high=(80, 160))).shared}
+    assert shared == 80
+
+
+def test_groups_without_a_common_cell_are_described_and_not_tested() -> None:
+    """There is no number in which they could be compared, and no p in a family."""
+    findings, _ = found(rated(low=(40,), high=(80, 160)))
+    between = findings["rating between groups", "low - high"]
+    assert math.isnan(between.p) and math.isnan(between.estimate) and between.family == ""
+    assert "no value of both groups in cells that both met" in between.note
+
+
 def test_felt_or_not_gives_a_threshold_and_d_prime_by_level() -> None:
     """Known: half felt at 12 mm/s, a spread of 4 dB, no false alarm in 12 catch trials of each."""
     frame, rng = presented((5, 10, 20, 40), 12), np.random.default_rng(2)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from typing import Any
 
 from modaltouch.analysis.catches import CatchRow, catch_findings, catch_rows
@@ -40,6 +41,8 @@ class DesignAnalysis:
         Group of each participant; empty where there is one alone.
     limits : tuple of str
         What the design cannot tell, in words.
+    shared : tuple of Own
+        The values of the cells that all groups met.
     """
 
     values: tuple[Own, ...]
@@ -49,6 +52,7 @@ class DesignAnalysis:
     scale: LevelScale
     groups: Mapping[str, str]
     limits: tuple[str, ...] = ()
+    shared: tuple[Own, ...] = ()
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
@@ -65,18 +69,36 @@ def analyse_design(responses: Responses) -> DesignAnalysis:
         The answers, as they were given.
     """
     task, scale, groups = responses.task, scale_of(responses.frame.columns), responses.groups
-    catches, fits = catch_rows(responses), fit_cells(responses, task)
-    rated = tuple(ratings(responses, task, questions_of(responses.design, responses.frame)))
-    values = (*sensitivities(responses, task), *measures_of_fits(fits, task, scale), *rated)
+    fits, names = fit_cells(responses, task), tuple(dict.fromkeys(groups.values()))
+    values = tuple(_measures(responses, fits))
     shares = tuple(_shares(responses)) if groups or responses.stimuli else ()
+    every = (*values, *shares)
+    shared = {some: _shared(responses, some, every) for some in (*combinations(names, 2), names) if some}
     findings = (
         *catch_findings(responses),
-        *mean_findings(values, scale),
-        *contrast_findings((*values, *shares) if responses.stimuli else values),
-        *level_findings(rated),
-        *group_findings((*values, *shares), groups),
+        *mean_findings(values, scale, groups),
+        *contrast_findings(every if responses.stimuli else values),
+        *level_findings(values),
+        *(row for two in combinations(names, 2) for row in group_findings(every, shared[two], groups, two)),
     )
-    return DesignAnalysis(values, fits, findings, catches, scale, groups, tuple(_limits(responses, task, fits)))
+    limits, catches = tuple(_limits(responses, task, fits)), catch_rows(responses)
+    return DesignAnalysis(values, fits, findings, catches, scale, groups, limits, shared.get(names, ()))
+
+
+def _measures(responses: Responses, fits: tuple[FittedCell, ...]) -> Iterator[Own]:
+    """Yield every participant's own values."""
+    task, frame = responses.task, responses.frame
+    yield from sensitivities(responses, task)
+    yield from measures_of_fits(fits, task, scale_of(frame.columns))
+    yield from ratings(responses, task, questions_of(responses.design, frame))
+
+
+def _shared(responses: Responses, groups: Sequence[str], values: tuple[Own, ...]) -> tuple[Own, ...]:
+    """Return the values of some groups, of all answers, as those of the cells that each of these groups met."""
+    met = responses.met_by(groups)
+    if len(met.frame) == responses.frame["group"].isin(groups).sum():
+        return values
+    return () if met.frame.empty else (*_measures(met, fit_cells(met, met.task)), *_shares(met))
 
 
 def _limits(responses: Responses, task: TrialTask, fits: Sequence[FittedCell]) -> Iterator[str]:

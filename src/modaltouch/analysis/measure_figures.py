@@ -41,14 +41,16 @@ def draw_design(design: DesignAnalysis) -> Iterator[ReportFigure]:
         if measure != CRITERION and any(math.isfinite(each.interval.estimate) for each in own):
             name = "".join(letter if letter.isalnum() else "_" for letter in measure.name.replace("'", "_prime"))
             caption = f"{measure.quantity[:1].upper()}{measure.quantity[1:]}. {_THIN}."
-            yield ReportFigure(f"measure_{name}", draw_measure(own, scale), caption, "each")
-    if groups:
-        caption = f"Groups of participants. {_THIN.replace('Thin', 'Dots')}."
-        yield ReportFigure("groups", draw_groups(design.values, groups), caption, "each")
+            yield ReportFigure(f"measure_{name}", draw_measure(own, scale, groups), caption, "each")
+    if design.shared:
+        caption = f"Groups of participants, over the cells that all of them met. {_THIN.replace('Thin', 'Dots')}."
+        yield ReportFigure("groups", draw_groups(design.shared, groups), caption, "each")
 
 
-def draw_measure(values: Sequence[Own], scale: LevelScale) -> Figure:
+def draw_measure(values: Sequence[Own], scale: LevelScale, groups: Mapping[str, str]) -> Figure:
     """Return a measure against the level, or the finger condition; a panel for each pair of zones.
+
+    Groups that met other cells than each other have a line each.
 
     Parameters
     ----------
@@ -56,11 +58,19 @@ def draw_measure(values: Sequence[Own], scale: LevelScale) -> Figure:
         Its values.
     scale : LevelScale
         What the levels are.
+    groups : mapping of str to str
+        Group of each participant.
     """
     panels: dict[str, dict[str, list[Own]]] = {}
+    met: dict[str, set[tuple[str, str, str]]] = {}
     for each in values:
+        met.setdefault(groups.get(each.participant, ""), set()).add((each.finger_condition, each.pair, str(each.level)))
+    is_uneven = len({*map(frozenset, met.values())}) > 1
+    places = [*groups] if is_uneven else []
+    for each in sorted(values, key=lambda each: places.index(each.participant)) if is_uneven else values:
         title = f"({each.pair.replace('-', ', ')})" if each.pair else ""
-        panels.setdefault(title, {}).setdefault(say_condition(each.finger_condition), []).append(each)
+        label = [say_condition(each.finger_condition), *([groups[each.participant]] if is_uneven else [])]
+        panels.setdefault(title, {}).setdefault(" ".join(label), []).append(each)
     return _draw(panels, values[0].measure.quantity, scale)
 
 
@@ -76,7 +86,7 @@ def draw_groups(values: Sequence[Own], groups: Mapping[str, str]) -> Figure:
     """
     panels: dict[str, dict[str, list[Own]]] = {}
     for measure, own in by_measure(values):
-        for each in sorted(of_participants(own), key=lambda each: groups.get(each.participant, "")):
+        for each in sorted(of_participants(own), key=lambda each: [*groups].index(each.participant)):
             panels.setdefault(measure.quantity, {}).setdefault(groups.get(each.participant, ""), []).append(each)
     return _draw(panels)
 
@@ -102,7 +112,7 @@ def _draw(panels: Mapping[str, Mapping[str, list[Own]]], quantity: str = "", sca
                 axes.axhline(measure.null, color=FAINT, linewidth=0.8, linestyle=(0, (4, 2)), zorder=0)
             axes.set_title(textwrap.fill(title, 30), fontsize=9)
             quiet_grid(axes)
-            if levels and len(series) > 1 and axes is places[0]:
+            if levels and (len(series) > 1 and axes is places[0] or list(series) != list(next(iter(panels.values())))):
                 axes.legend(frameon=False)
         places[0].set_ylabel(quantity)
     return figure
@@ -129,8 +139,8 @@ def _draw_people(axes: Axes, label: str, own: Sequence[Own], k: int) -> None:
     open_low = ~np.isfinite(low) | (own[0].measure.is_ratio & (low == 0))
     ends = np.where(open_low, estimate, low), np.where(np.isfinite(high), high, estimate)
     axes.errorbar(
-        list(places), estimate, np.abs(np.stack(ends) - estimate), color=colour, marker=_MARKERS[k % 4], ms=5,
-        linewidth=1.6 if has_levels else 0, elinewidth=1.4, capsize=2, zorder=3, label=label,
+        list(places), estimate, np.abs(np.stack(ends) - estimate), color=colour, marker=_MARKERS[(k + k // 4) % 4],
+        ms=5, linewidth=1.6 if has_levels else 0, elinewidth=1.4, capsize=2, zorder=3, label=label,
     )  # fmt: skip
 
 

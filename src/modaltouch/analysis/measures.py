@@ -255,8 +255,9 @@ def over_participants(measure: Measure, own: Sequence[Own]) -> Located:
     return test, _told(measure, interval)
 
 
-def mean_findings(values: Sequence[Own], scale: LevelScale) -> Iterator[Finding]:
+def mean_findings(values: Sequence[Own], scale: LevelScale, groups: Mapping[str, str]) -> Iterator[Finding]:
     """Yield the mean of each measure over participants, tested where there is a value that means no effect."""
+    names = dict.fromkeys(groups.values())
     for measure, scope, own in _by_scope(values, scale):
         test, interval = over_participants(measure, own)
         n = int(interval.n_effective)
@@ -264,7 +265,9 @@ def mean_findings(values: Sequence[Own], scale: LevelScale) -> Iterator[Finding]
         n_open = sum(math.isinf(each.interval.low) or math.isinf(each.interval.high) for each in own)
         tested = measure.null is not None and n > 0
         way = _FLIPS if own[0].tested is None else f"{_FLIPS}, p by those of the rates"
+        met = {groups.get(each.participant) for each in own}
         notes = [
+            f"met by {', '.join(name for name in names if name in met)} only" if len(met) < len(names) else "",
             f"{left_out} participants left out, who have none" if left_out else "",
             f"without a bound of one's own on one side: {n_open}" if n_open else "",
             "" if tested else "described, not tested",
@@ -289,6 +292,8 @@ def contrast_findings(values: Sequence[Own]) -> Iterator[Finding]:
             differ = [x != y for x, y in zip(_factors(*a), _factors(*b), strict=True)]
             if sum(differ) != 1 or (measure.question == "shares" and any(differ[:2])):
                 continue
+            if first.keys().isdisjoint(second):
+                continue  # other participants, as of groups
             gaps: dict[str, list[float]] = {}
             for who, level in first.keys() & second.keys():
                 gap = first[who, level] - second[who, level]
@@ -309,30 +314,50 @@ def _factors(finger_condition: str, place: str) -> tuple[str, ...]:
     return finger_condition, *place.split(" ")
 
 
-def group_findings(values: Sequence[Own], groups: Mapping[str, str]) -> Iterator[Finding]:
-    """Yield each measure in one group of participants against another; a participant counts once, by the mean."""
-    names = sorted({group for group in groups.values() if group})
-    for measure, own in by_measure(values):
-        numbers = _known(own)
-        for a, b in combinations(names, 2):
-            first, second = (np.array([n for who, n in numbers.items() if groups.get(who) == name]) for name in (a, b))
-            if min(len(first), len(second)) < 1:
-                continue
-            test, interval = group_test(first, second)
-            yield finding_of(
-                "group", f"{measure.name} between groups, permutation test of participants", f"{a} - {b}", test,
-                f"{_difference(measure)} of {measure.quantity}", _told(measure, interval), len(first) + len(second),
-                family="groups",
-                notes=[f"{a}: {len(first)}, {b}: {len(second)} participants; interval of a shift"],
-            )  # fmt: skip
+def group_findings(
+    values: Sequence[Own], shared: Sequence[Own], groups: Mapping[str, str], names: tuple[str, str]
+) -> Iterator[Finding]:
+    """Yield each measure in one group of participants against another; a participant counts once, by the mean.
+
+    Parameters
+    ----------
+    values, shared : sequence of Own
+        All values; and those of the cells that both groups met, which alone are compared.
+    groups : mapping of str to str
+        Group of each participant.
+    names : (str, str)
+        The two groups.
+    """
+    compared, (a, b) = dict(by_measure(shared)), names
+    for measure, _ in by_measure(each for each in values if groups.get(each.participant) in names):
+        numbers = _known(compared.get(measure, ()))
+        first, second = (np.array([n for who, n in numbers.items() if groups.get(who) == name]) for name in names)
+        scope, quantity = f"{a} - {b}", f"{_difference(measure)} of {measure.quantity}"
+        if not (first.size and second.size):
+            why = "described, not tested: no value of both groups in cells that both met"
+            name = f"{measure.name} between groups"
+            yield finding_of("group", name, scope, None, quantity, Interval.point(math.nan, 0), 0, notes=[why])
+            continue
+        test, interval = group_test(first, second)
+        yield finding_of(
+            "group", f"{measure.name} between groups, permutation test of participants", scope, test, quantity,
+            _told(measure, interval), first.size + second.size, family="groups",
+            notes=[
+                f"{a}: {first.size}, {b}: {second.size} participants; interval of a shift",
+                "over the cells that both groups met" if shared is not values else "",
+            ],
+        )  # fmt: skip
 
 
 def label_places(frame: pd.DataFrame) -> pd.Series:
-    """Return pair, stimulus and kind of session of each row in words, where there are several, in the given order."""
+    """Return pair, stimulus, kind of session and focus of each row in words, where there are several, in order."""
     zones = label = label_zones(frame)
     named = [name for name in ("stimulus", "session_kind") if name in frame.columns and frame[name].nunique() > 1]
     for name in named:
         label = label + " " + frame[name].astype(str)
+    is_told = {"focus", "stimulus"} <= set(frame.columns)
+    if is_told and frame.groupby("stimulus", observed=True)["focus"].nunique().max() > 1:
+        label, named = label + " focus " + frame["focus"], [*named, "focus"]
     order = frame[named].assign(zones=zones, label=label).drop_duplicates("label").sort_values(["zones", *named])
     return label.astype(pd.CategoricalDtype(order["label"]))
 

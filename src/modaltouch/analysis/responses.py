@@ -10,7 +10,7 @@ Of sessions with levels calibrated by participant it has ``multiple_of_threshold
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Collection, Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -208,10 +208,18 @@ class Responses:
 
     @property
     def groups(self) -> dict[str, str]:
-        """Group of each participant, where they are of several."""
+        """Group of each participant, where they are of several, in the order of the protocol."""
         if "group" not in self.frame.columns or self.frame["group"].nunique() < 2:
             return {}
-        return dict(zip(self.frame["participant"].astype(str), self.frame["group"].astype(str), strict=True))
+        told = self.frame[["participant", "group"]].drop_duplicates().sort_values("group", kind="stable")
+        return dict(zip(told["participant"].astype(str), told["group"].astype(str), strict=True))
+
+    def met_by(self, groups: Collection[str]) -> Responses:
+        """Return the answers of some groups in the cells that all of them met."""
+        own = self.frame[self.frame["group"].isin(groups)]
+        told = [name for name in (*cell_of(own), "stimulus", "session_kind", "focus") if name in own.columns]
+        n_met = own.groupby(told, observed=True)["group"].transform("nunique")
+        return replace(self, frame=own[n_met == len(groups)])
 
     @property
     def stimuli(self) -> tuple[str, ...]:
