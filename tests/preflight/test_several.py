@@ -104,6 +104,15 @@ def test_faults_name_the_stimulus(tmp_path: Path, changes: list[tuple[str, str]]
     assert any(f" {place}: " in problem and words in problem for problem in problems), problems
 
 
+def test_check_says_in_what_stimuli_of_one_field_differ(tmp_path: Path) -> None:
+    """Their speeds are the same; rate and bursts are not: 2 s at 7 and at 3.5 a second."""
+    own = ("blunt: {field: {shape: raised_cosine, base_mm: 100}}", "blunt: {repetition_rate_Hz: 3.5}")
+    file = write(tmp_path, own, ("presentation_s: 1.0", "presentation_s: 2.0"))
+    done = CliRunner().invoke(app, ["check", str(file)], env={"COLUMNS": "200"})
+    assert "14 bursts at 7 Hz" in done.output
+    assert "7 bursts at 3.5 Hz" in done.output
+
+
 def test_one_finger_beside_two_in_listed_cells_is_no_fault(tmp_path: Path) -> None:
     """Cells say which finger condition they are for, whichever stimulus; typical fingers lie only on those zones."""
     cells = (

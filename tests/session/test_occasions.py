@@ -13,6 +13,7 @@ import pytest
 from outside import call
 
 from modaltouch.analysis import analyse
+from modaltouch.cli.check import show
 from modaltouch.planning import designs_for, read_observer
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError
@@ -49,6 +50,17 @@ def sit(preflight: Preflight, results: Path, participant: str, **more: Any) -> S
     """Return a participant's next session, as it was recorded."""
     more = {"session": None} | more
     return begin(wire_run(preflight, participant, answers="simulated", results=results, **more))
+
+
+def test_check_shows_the_levels_of_each_group_and_says_whose(
+    preflight: Preflight, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One table for those that are alike: both kinds of session of a group."""
+    monkeypatch.setenv("COLUMNS", "120")
+    show(preflight, fingers="none")
+    titles = [line.strip() for line in capsys.readouterr().out.splitlines() if line.startswith("Largest speed")]
+    told = "Largest speed at the centre of each zone, mm/s"
+    assert titles == [f"{told} (near training, near test)", f"{told} (far training, far test)"]
 
 
 @pytest.fixture(scope="module")

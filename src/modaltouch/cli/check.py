@@ -125,11 +125,14 @@ def show(preflight: Preflight, *, compare: bool = False, fingers: str | None = N
     firsts: dict[str, dict[str, Any]] = {}
     for each in stimuli:
         firsts.setdefault(each.get("stimulus", ""), each)
+    protocol = preflight.experiment.protocol
     for name, each in firsts.items():
+        rate, mask = protocol.stimulus_of(name).repetition_rate_Hz, "" if protocol.is_masked(name) else ", not masked"
         console.print(
             f"{f'{name}: focus' if name else 'Focus'} {each['focus']}, law {each['law']}, modes "
             f"{', '.join(map(str, each['selected_modes']))}, {each['n_samples']} samples at "
             f"{each['sampling_rate_Hz'] / 1e6:g} MHz, spot {each['fwhm_mm']:.1f} mm wide"
+            + (f"; {protocol.n_bursts(name)} bursts at {rate:g} Hz{mask}" if name else "")
         )
     for each in values.get("occasions", ()):
         levels = ", ".join(format(level, "g") for level in each["peak_velocities_mm_s"])
@@ -148,9 +151,11 @@ def show(preflight: Preflight, *, compare: bool = False, fingers: str | None = N
             f"threshold that a session of the protocol {own['thresholds_from']} found, for thresholds of "
             f"{own['thresholds_mm_s'][0]:g} to {own['thresholds_mm_s'][1]:.4g} mm/s; below, the bounds of all levels"
         )
-    console.print(_level_table(stimuli))
+    for whose, rows in _by_occasion(preflight, stimuli, fingers).items():
+        console.print(_level_table(rows, whose))
+        if any("touched" in each for each in rows):
+            console.print(_touched_table(rows, whose))
     if any("touched" in each for each in stimuli):
-        console.print(_touched_table(stimuli))
         console.print(f"[dim]{_PULL}[/]")
     elif fingers is None and (said := preflight.untouched_warning()):
         console.print(f"[yellow]{escape(said)}[/]")
@@ -270,7 +275,21 @@ def _show_contrast(console: Console, rows: list[dict[str, Any]]) -> None:
     )
 
 
-def _level_table(stimuli: list[dict[str, Any]]) -> Table:
+def _by_occasion(
+    preflight: Preflight, stimuli: list[dict[str, Any]], fingers: str | None
+) -> dict[str, list[dict[str, Any]]]:
+    """Return the rows of the tables by the groups and kinds of session that have them; without a name if all do."""
+    found: list[tuple[list[str], list[dict[str, Any]]]] = []
+    for each in (preflight, *preflight.others):
+        rows = stimuli if each is preflight else each.as_dict(fingers=fingers)["stimuli"]
+        alike = next((names for names, known in found if known == rows), None)
+        if alike is None:
+            found.append((alike := [], rows))
+        alike.append(" ".join(filter(None, each.findings.occasion)))
+    return {f" ({', '.join(names)})" if len(found) > 1 else "": rows for names, rows in found}
+
+
+def _level_table(stimuli: list[dict[str, Any]], whose: str) -> Table:
     zones = list(stimuli[0]["zone_peak_mm_s"])
     drive = "peak drive V: " + ", ".join(f"CH{channel}" for channel in stimuli[0]["peak_drive_V"])
     rows = [
@@ -282,11 +301,11 @@ def _level_table(stimuli: list[dict[str, Any]]) -> Table:
         )
         for stimulus in stimuli
     ]
-    title = "Largest speed at the centre of each zone, mm/s"
+    title = f"Largest speed at the centre of each zone, mm/s{whose}"
     return _speed_table(title, (*zones, "modal error mm/s", drive), rows, wide=("modal error mm/s", drive))
 
 
-def _touched_table(stimuli: list[dict[str, Any]]) -> Table:
+def _touched_table(stimuli: list[dict[str, Any]], whose: str) -> Table:
     focus, zones = stimuli[0]["focus"], list(stimuli[0]["zone_peak_mm_s"])
     rows = [
         (
@@ -301,7 +320,7 @@ def _touched_table(stimuli: list[dict[str, Any]]) -> Table:
         for place, found in stimulus["touched"].items()
     ]
     headings = ("pair", *zones, f"{focus} at focus mm/s", f"{focus} at most mm/s", "pull N")
-    return _speed_table("The same with fingers on the beam", headings, rows)
+    return _speed_table(f"The same with fingers on the beam{whose}", headings, rows)
 
 
 def _speed_table(
