@@ -80,3 +80,11 @@ def test_a_session_longer_than_an_hour_is_told(edit: Edit) -> None:
     assert not any(" min" in each for each in design_warnings(read(edit)))
     (said,) = [each for each in design_warnings(read(edit, ("repetitions: 1", "repetitions: 20"))) if " min" in each]
     assert said.endswith("longer than an hour: repeat less, or in several sessions")
+
+
+def test_a_single_group_and_sessions_that_nobody_analyses_are_told(edit: Edit) -> None:
+    """Each passes, as each can be run; neither can answer what it is for."""
+    kinds = "groups: {low: {}}\nschedule:\n  sessions: [{name: training, analysed: false}]\n"
+    said = design_warnings(read(edit, ("schedule:\n", kinds)))
+    assert any("no kind of session is analysed" in each for each in said)
+    assert any("there is one group alone" in each for each in said)

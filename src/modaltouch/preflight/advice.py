@@ -131,6 +131,11 @@ def design_warnings(protocol: Protocol) -> list[str]:
             said.append(
                 f"{f'stimulus {name}: ' if name else ''}no finger touches the focus {', '.join(foci)} on {where}"
             )
+    kinds = protocol.schedule.session_kinds
+    if kinds and not any(each.analysed for each in kinds):
+        said.append("no kind of session is analysed (schedule.sessions): there will be nothing for `analyse`")
+    if len(protocol.groups) == 1:
+        said.append("there is one group alone: nothing can be compared between groups; add another, or leave it out")
     n_pairs, n_fingers = len(conditions.contacts), len(conditions.finger_conditions)
     if not protocol.is_crossed:
         said.append(
