@@ -226,6 +226,15 @@ def test_all_faults_are_reported_at_once_with_their_place(tmp_path):
     assert {"file", "line", "column", "path", "given", "allowed", "message"} <= set(problems[0])
 
 
+def test_what_a_person_said_is_not_given_to_a_simulated_participant(tmp_path):
+    """A file of answers was neither read nor recorded, and a refused consent went on: it is refused before."""
+    given = ("--people", tmp_path / "people.yaml", "--results", tmp_path)
+    done = run("run", PROTOCOL, "-p", "p01", "--rig", "simulated", "--answers", "simulated", "--yes", *given)
+    assert done.returncode == 2
+    assert "whose answers are drawn" in " ".join(done.stderr.replace("\N{BOX DRAWINGS LIGHT VERTICAL}", " ").split())
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_window_without_a_display_says_what_to_do(tmp_path, monkeypatch):
     """Exit status 3 before anything is recorded: the session can be begun again."""
     monkeypatch.delenv("DISPLAY", raising=False)

@@ -138,6 +138,9 @@ def run(
 
     may_ask = can_ask() and not yes and not json_output
     with reporting(json_output=json_output):
+        if people is not None and answers is not AnswersChoice.window:
+            given = f"given --people {people} with --answers {answers.value}"
+            raise typer.BadParameter(f"{given}, whose answers are drawn; leave it out, or have a person answer")
         window_options = _window_options(fullscreen, size, theme, screen, screenshots)
         preflight = examine(protocol, calibration, marked=with_marked_calibration)
         if answers is not AnswersChoice.simulated:
