@@ -22,9 +22,11 @@ from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.ratings import friedman, power_law
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.responses import AnswerSource, Responses, TableFormat
+from modaltouch.analysis.sensitivity import same_different
 from modaltouch.protocol import AnswerList, InputError
 from modaltouch.session import simulate_session
 
+ROOT = Path(__file__).parents[2]
 TWO = {
     "intervals": {"number": 2, "standard": {"velocity_mm_s": 80}, "asked": "stronger"},
     "answers": {"keys": {"first": ["f1"], "second": ["f2"]}, "intervals": {"first": 1, "second": 2}},
@@ -250,6 +252,67 @@ def test_same_and_different_are_told_against_the_standard() -> None:
     findings, _ = found(take(frame.assign(response=np.where(apart.abs() > 1.5, "different", "same")), design))
     assert findings["d' over participants", "one_hand A-C 90 mm/s"].estimate == pytest.approx(1, abs=0.5)
     assert findings["d' over participants", "one_hand A-C 110 mm/s"].estimate == pytest.approx(3, abs=0.5)
+
+
+SAME_OR_NOT = {
+    "intervals": {"number": 2, "standard": {"stimulus": "sharp"}},
+    "answers": {"keys": {"same": ["x"], "different": ["y"]}, "intervals": {"same": "same", "different": "different"}},
+}
+
+
+def test_other_stimuli_are_told_from_the_standard_that_is_one() -> None:
+    """By hand, differencing model: sharp called different in 4 of 20, blunt in 16, wide in 12; level by level."""
+    often = {"sharp": 4, "blunt": 16, "wide": 12}
+    frame = pd.concat([presented((80.0, 90.0), 20).assign(stimulus=name) for name in often], ignore_index=True)
+    is_called = frame["repetition"] <= frame["stimulus"].map(often) + (frame["velocity_mm_s"] == 90)
+    responses = take(frame.assign(response=np.where(is_called, "different", "same")), SAME_OR_NOT)
+    own = [each for each in analyse_design(responses).values if each.measure.name == "d'"][:4]
+    assert [each.interval.estimate for each in own] == [
+        same_different((k + extra, 20), (4 + extra, 20)).d_prime.estimate for k in (16, 12) for extra in (0, 1)
+    ]
+    assert {(each.pair, each.note) for each in own} == {
+        ("A-C blunt", "differencing (same or different) model"),
+        ("A-C wide", "differencing (same or different) model"),
+    }
+
+
+def test_the_odd_one_of_three_has_its_own_model_and_others_none() -> None:
+    """The protocol says which: the odd one, the one above silence, or none of three where no model fits."""
+    frame, words = presented((60.0, 100.0), 9, 3), ("one", "two", "three")
+    frame = frame.assign(response=np.where(frame["repetition"] % 2, np.array(words)[frame["interval"] - 1], "two"))
+    answers = {"keys": dict.fromkeys(words, ["x"]), "intervals": {"one": 1, "two": 2, "three": 3}}
+
+    def notes(standard: dict, **others: object) -> set[str]:
+        section = {"number": 3, "standard": standard, **others}
+        responses = take(frame, {"intervals": section, "answers": answers})
+        return {each.note for each in analyse_design(responses).values if each.measure.name == "d'"}
+
+    assert notes({"velocity_mm_s": 80}) == {"triangular (odd one of three) model"}
+    assert notes({"velocity_mm_s": 0}) == {"3AFC model"}
+    assert notes({"velocity_mm_s": 80}, asked="stronger") == {"3AFC model"}
+    (some,) = notes({"velocity_mm_s": 80}, comparison_in=[2, 3])
+    assert "stands in some of three intervals alone" in some
+    three = {**SAME_OR_NOT, "intervals": {"number": 3, "standard": {"velocity_mm_s": 60}}}
+    told = analyse_design(take(frame.assign(response="same"), three)).values
+    assert {each.note for each in told} == {
+        "no d' from whether three intervals are the same: the differencing model is of two"
+    }
+
+
+def test_recorded_trials_of_same_and_different_are_analysed_together(tmp_path: Path) -> None:
+    """The example of sharp and blunt, of two intervals: d' of either participant from all 20 answers; no --stimulus."""
+    example = ROOT / "docs" / "examples" / "protocol_same_different.yaml"
+    text = example.read_text(encoding="utf-8").replace("../../", f"{ROOT}/")
+    protocol = tmp_path / "two.yaml"
+    text = text.replace("number: 3", "number: 2").replace("comparison_in: [2, 3]", "comparison_in: [1, 2]")
+    protocol.write_text(text, encoding="utf-8")
+    for who in ("p1", "p2"):
+        simulate_session(protocol, who, tmp_path / "results")
+    done = analyse(tmp_path / "results", tmp_path / "out")
+    rows = [row for row in done.as_dict()["measures"] if row["measure"] == "d'"]
+    assert [(row["participant"], row["n"]) for row in rows] == [("p1", 10), ("p2", 10)]
+    assert all(row["estimate"] is not None for row in rows)
+    assert "differencing (same or different) model" in done.files["report.html"].read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ from scipy.special import ndtr
 from modaltouch.analysis.sensitivity import (
     DROP,
     m_intervals,
+    odd_of_three,
     same_different,
     share_correct,
     two_intervals,
@@ -102,3 +103,22 @@ def test_answers_that_set_no_bound_have_an_infinite_one() -> None:
 def test_answers_at_chance_have_a_d_prime_of_zero() -> None:
     """Half of two alternatives: exactly 0, not what halving leaves of it."""
     assert m_intervals((5, 10), 2).d_prime.estimate == 0
+
+
+@pytest.mark.parametrize(("d_prime", "share"), [(1.0, 0.4180), (2.0, 0.6048), (3.0, 0.7814)])
+def test_the_odd_one_of_three_is_the_triangular_model(d_prime, share) -> None:
+    """Frijters (1979), and his integral by mpmath; the same share of a known direction would be a smaller d'."""
+    root = mpmath.sqrt(3)
+
+    def density(z):
+        shift = d_prime * mpmath.sqrt(2) / root
+        return 2 * mpmath.npdf(z) * (mpmath.ncdf(-z * root + shift) + mpmath.ncdf(-z * root - shift))
+
+    expected = float(mpmath.quad(density, [0, 2, 10]))
+    assert expected == pytest.approx(share, abs=5e-5)
+    n = 10**8
+    found = odd_of_three((round(expected * n), n))
+    assert found.d_prime.estimate == pytest.approx(d_prime, abs=1e-3)
+    assert m_intervals((round(expected * n), n), 3).d_prime.estimate < d_prime - 0.5
+    below = odd_of_three((2, 9)).d_prime
+    assert (below.estimate, below.low) == (0, 0)

@@ -9,11 +9,21 @@ from dataclasses import replace
 
 import pandas as pd
 
+from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.measures import Cell, Measure, Own, cells
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
-from modaltouch.analysis.sensitivity import Count, SignalDetection, m_intervals, same_different, two_intervals, yes_no
+from modaltouch.analysis.sensitivity import (
+    Count,
+    SignalDetection,
+    m_intervals,
+    odd_of_three,
+    same_different,
+    two_intervals,
+    yes_no,
+)
 from modaltouch.analysis.task import TrialTask
+from modaltouch.analysis.zones import zones_of
 
 D_PRIME = Measure("d'", "sensitivity d'", "sensitivity", null=0.0)
 CRITERION = Measure("criterion", "criterion c", "sensitivity")
@@ -52,7 +62,8 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
     elif task.named:
         for cell, part in cells(frame, scale, by_level=by_level or not task.detects):
             if not task.is_same(part, scale.column).all():
-                yield from _told(cell, _of_intervals(part, task, cell[-1]), part)
+                why = task.why_no_d_prime
+                yield from _untold(cell, why, part) if why else _told(cell, _of_intervals(part, task, cell[-1]), part)
     elif responses.answers.naming() is not None:
         nothing = [each.name for each in responses.answers if each.says_nothing_felt]
         if responses.answers.compares:  # which finger it was is asked, so that all felt is one thing
@@ -69,6 +80,8 @@ def _of_intervals(part: pd.DataFrame, task: TrialTask, level: float) -> SignalDe
     place, named = part["interval"].astype(int), part["response"].map(task.named).astype(int)
     if task.turns(level):
         place = 3 - place
+    if task.seeks_odd:
+        return odd_of_three(_share(part, named == place))
     if task.n_intervals != 2 or place.nunique() < 2:
         return m_intervals(_share(part, named == place), task.n_intervals)
     first, second = (_share(part[place == each], named[place == each] == 1) for each in (1, 2))
@@ -79,22 +92,28 @@ def _of_differences(frame: pd.DataFrame, task: TrialTask) -> Iterator[Own]:
     """Yield what same and different tell, level by level; trials whose comparison is the standard are the same."""
     scale = scale_of(frame.columns)
     is_same = task.is_same(frame, scale.column)
-    alike = {
-        cell[:3]: _share(part, part["response"].isin(task.different))
-        for cell, part in cells(frame[is_same], scale, by_level=False)
-    }
+    alike = frame[is_same]
+    # The same fingers on the same zones; where the standard takes it over from the comparison, the level or stimulus.
+    keys = ["participant", "finger_condition", *zones_of(frame.columns), "session_kind"]
+    keys += [scale.column] * math.isnan(task.standard) + ["stimulus"] * (not task.stimulus)
+    keys = [name for name in keys if name in frame.columns]
     for cell, part in cells(frame[~is_same], scale, by_level=True):
-        if cell[:3] in alike:
-            called = _share(part, part["response"].isin(task.different))
-            yield from _told(cell, same_different(called, alike[cell[:3]]), part)
+        own = alike[(alike[keys].astype(str) == part[keys].iloc[0].astype(str)).all(axis=1)]
+        why = task.why_no_d_prime or ("" if len(own) else "no trial whose stimuli are the same")
+        called = (_share(each, each["response"].isin(task.different)) for each in (part, own))
+        yield from _untold(cell, why, part) if why else _told(cell, same_different(*called), part)
 
 
 def _share(part: pd.DataFrame, chosen: pd.Series) -> Count:
     return int(part["n"][chosen].sum()), int(part["n"].sum())
 
 
+def _untold(cell: Cell, why: str, part: pd.DataFrame) -> Iterator[Own]:
+    yield Own(D_PRIME, *cell, Interval.point(math.nan, 0), int(part["n"].sum()), f"no d' from {why}")
+
+
 def _told(cell: Cell, found: SignalDetection, part: pd.DataFrame) -> Iterator[Own]:
     n = int(part["n"].sum())
-    yield Own(D_PRIME, *cell, found.d_prime, n, tested=found.contrast)
+    yield Own(D_PRIME, *cell, found.d_prime, n, f"{found.model} model", found.contrast)
     if found.criterion is not None and math.isfinite(found.criterion.estimate):
         yield Own(CRITERION, *cell, found.criterion, n)

@@ -268,6 +268,7 @@ def mean_findings(values: Sequence[Own], scale: LevelScale, groups: Mapping[str,
         met = {groups.get(each.participant) for each in own}
         notes = [
             f"met by {', '.join(name for name in names if name in met)} only" if len(met) < len(names) else "",
+            *({each.note for each in own} if len({each.note for each in own}) == 1 else ()),
             f"{left_out} participants left out, who have none" if left_out else "",
             f"without a bound of one's own on one side: {n_open}" if n_open else "",
             "" if tested else "described, not tested",

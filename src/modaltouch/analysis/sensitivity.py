@@ -9,6 +9,7 @@ References
 Macmillan and Creelman, "Detection Theory: A User's Guide", 2nd ed. (2005), chapters 1, 7 and 9.
 Hautus, Behavior Research Methods 27 (1995) 46-51 (log-linear correction).
 Hacker and Ratcliff, Perception & Psychophysics 26 (1979) 168-170 (m alternatives).
+Frijters, British Journal of Mathematical and Statistical Psychology 32 (1979) 229-241 (the odd one of three).
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr, ndtri, xlog1py, xlogy
+from scipy.special import ncfdtr, ndtr, ndtri, xlog1py, xlogy
 
 from modaltouch.analysis.intervals import Interval, clopper_pearson
 
@@ -51,11 +52,14 @@ class SignalDetection:
     criterion : Interval or None
         Criterion; 0 where no answer is preferred, above 0 the fewer answers of the first kind. None where all answers
         count together.
+    model : str
+        Model of the decision that it rests on.
     """
 
     d_prime: Interval
     contrast: float
     criterion: Interval | None = None
+    model: str = "yes-no"
 
 
 def yes_no(signal: Count, noise: Count) -> SignalDetection:
@@ -88,7 +92,7 @@ def two_intervals(first: Count, second: Count) -> SignalDetection:
         "First" among the trials with the signal in the first interval, and among those with it in the second.
     """
     found = yes_no(first, second)
-    return replace(found, d_prime=found.d_prime.changed(lambda d_prime: d_prime / math.sqrt(2)))
+    return replace(found, d_prime=found.d_prime.changed(lambda d_prime: d_prime / math.sqrt(2)), model="2AFC")
 
 
 def m_intervals(correct: Count, m: int) -> SignalDetection:
@@ -101,11 +105,32 @@ def m_intervals(correct: Count, m: int) -> SignalDetection:
     m : int
         Alternatives, two or more.
     """
+    found = _of_share(correct, lambda d: share_correct(d, m), -_FARTHEST)
+    return SignalDetection(found, _rate(correct) - 1 / m, model=f"{m}AFC")
+
+
+def odd_of_three(correct: Count) -> SignalDetection:
+    """Return d' of the triangular model: whichever percept is farthest from the other two is called the odd one.
+
+    Their distances are those of F with one and one degrees of freedom: it is the odd one that lies more than
+    sqrt 3 times as far from the mean of the others, in its standard deviations, as they lie apart. No d' is below 0.
+
+    Parameters
+    ----------
+    correct : (int, int)
+        Correct answers.
+    """
+    found = _of_share(correct, lambda d: 1 - ncfdtr(1, 1, 2 * d**2 / 3, 3), 0.0)
+    return SignalDetection(found, _rate(correct) - 1 / 3, model="triangular (odd one of three)")
+
+
+def _of_share(correct: Count, rising: Callable[[FloatArray], FloatArray], lowest: float) -> Interval:
+    """Return the d', from the lowest on, at which a share of correct answers is the given one, exact bounds with it."""
     share = clopper_pearson(*correct)
     rates = np.array([_corrected(*correct), share.low, share.high])
-    ends = np.full(rates.shape, -_FARTHEST), np.full(rates.shape, _FARTHEST)
-    estimate, low, high = _inverted(lambda d: share_correct(d, m), rates, *ends).tolist()
-    return SignalDetection(Interval(estimate, low, high, correct[1]), _rate(correct) - 1 / m)
+    ends = np.full(rates.shape, lowest), np.full(rates.shape, _FARTHEST)
+    estimate, low, high = _inverted(rising, rates, *ends).tolist()
+    return Interval(estimate, low, high, correct[1])
 
 
 def share_correct(d_prime: ArrayLike, m: int) -> FloatArray:
@@ -147,6 +172,7 @@ def same_different(differing: Count, alike: Count) -> SignalDetection:
         _profile(_signed, differing, alike),
         _rate(differing) - _rate(alike),
         _profile(lambda hit, alarm: _criterion(alarm), differing, alike),
+        "differencing (same or different)",
     )
 
 
@@ -178,7 +204,7 @@ def _inverted(
         is_low = rising(middle) < wanted
         low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
     # What halving leaves of zero is none.
-    found = np.where((wanted >= 1) | (high == top), np.inf, np.where(np.abs(low) < 1e-12, 0.0, low))
+    found = np.where((wanted >= 1) | (high == top), np.inf, np.where(np.abs(low) < 1e-6, 0.0, low))
     return np.where((low == bottom) & (bottom < 0), -np.inf, found)
 
 

@@ -34,6 +34,8 @@ class TrialTask:
         Which of several stimuli it is; empty where it is that of the comparison.
     asks_stronger : bool
         Whether the interval of the higher level is the right answer; else that of the comparison.
+    places : tuple of int
+        Intervals in which the comparison may stand; empty for all.
     """
 
     n_intervals: int = 1
@@ -43,6 +45,7 @@ class TrialTask:
     standard: float = 0.0
     stimulus: str = ""
     asks_stronger: bool = False
+    places: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, design: Mapping[str, Any]) -> TrialTask:
@@ -65,6 +68,7 @@ class TrialTask:
             math.nan if level is None else float(level),
             str(standard.get("stimulus") or ""),
             section.get("asked") == "stronger",
+            tuple(section.get("comparison_in") or ()),
         )
 
     def turns(self, level: float) -> bool:
@@ -88,6 +92,20 @@ class TrialTask:
             return frame
         is_open = self.asks_stronger and self.n_intervals > 2
         return frame[frame["response"].isin(words) & ~((frame[level] < self.standard) & is_open)]
+
+    @property
+    def why_no_d_prime(self) -> str:
+        """Why no model tells a d' of which interval was named, or of same and different; else empty."""
+        if self.n_intervals == 3 and self.different:
+            return "whether three intervals are the same: the differencing model is of two"
+        if self.n_intervals == 3 and len(self.places or self.named) < 3:
+            return "a comparison that stands in some of three intervals alone: the models are of all three"
+        return ""
+
+    @property
+    def seeks_odd(self) -> bool:
+        """Whether the odd one of three is asked for, whichever way it differs."""
+        return self.n_intervals == 3 and not self.asks_stronger and not self.detects
 
     def is_same(self, frame: pd.DataFrame, level: str) -> pd.Series:
         """Return in which trials the comparison is the standard.

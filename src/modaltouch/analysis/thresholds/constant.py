@@ -72,6 +72,8 @@ def fit_cells(responses: Responses, task: TrialTask) -> tuple[FittedCell, ...]:
     is_felt = task.n_intervals == 1 and responses.answers.naming() is not None and not responses.answers.compares
     if frame[scale.column].nunique() < FEWEST_LEVELS or not (task.named or is_felt):
         return ()
+    if task.why_no_d_prime:  # nor is the chance of guessing known
+        return ()
     is_below = bool(task.named) and bool((frame[scale.column] < task.standard).any())
     is_choice = is_below and task.turns(-math.inf)
     if is_below and not is_choice:
