@@ -74,7 +74,8 @@ class Limit:
         counts = Counter(self.kind_of(cell) for cell in cells)
         if None in counts:
             return 0.0
-        return sum(n * (n / len(cells)) ** self.running for n in counts.values())
+        # Runs that are too long, each counted where it begins.
+        return sum(n * (n / len(cells)) ** self.running * (1 - n / len(cells)) for n in counts.values())
 
 
 def limits_of(protocol: Protocol) -> list[Limit]:

@@ -45,6 +45,20 @@ def test_every_limit_holds_in_every_block(participant: str) -> None:
         assert min(b - a for a, b in places.values()) >= 3
 
 
+def test_the_hardest_limit_is_kept_by_drawing() -> None:
+    """Of two levels at most two running as of four stimuli never one twice, the second is the rarer by chance.
+
+    By hand, runs that are too long among 32 trials: 32 / 4 * 3 / 4 = 6 of stimuli, 32 / 4 / 2 = 4 of levels.
+    """
+    cells = [(pair, level, name) for pair in (("A", "C"), ("C", "E")) for level in (80.0, 150.0) for name in "abcd"] * 2
+    level, stimulus = Limit("level", lambda cell: cell[1], 2), Limit("stimulus", lambda cell: cell[2], 1)
+    assert (level.frequency(cells), stimulus.frequency(cells)) == (4.0, 6.0)
+    for n in range(20):
+        order = draw_constrained(cells, [level, stimulus], Stream(1, f"p{n}", 1, "a test"), 0.1)
+        assert level.holds(order)
+        assert stimulus.holds(order)
+
+
 def test_all_orders_that_keep_the_limits_are_equally_likely() -> None:
     """Chi-squared over every order there is, found by going through all permutations; 1 in 1000 above the bound."""
     cells = [(("A", "C"), 80.0, ""), (("A", "C"), 150.0, ""), (("C", "E"), 80.0, "")] * 2
