@@ -179,9 +179,8 @@ def fit_psychometric(
 ) -> Psychometric:
     """Return the psychometric function of a run.
 
-    Whoever ignores the level has a constant share of successes. Answers that it explains as well give no threshold,
-    unless that share is known: adaptive runs of a forced choice gather where the function is flat against its chance,
-    so that one run in four of an observer with a wide spread would be lost.
+    Answers that a constant share of successes explains as well give no threshold, unless that share is known: adaptive
+    runs of a forced choice gather where the function is flat, and one in four of a wide spread would be lost.
 
     Parameters
     ----------
@@ -205,11 +204,7 @@ def fit_psychometric(
     ValueError
         If there is no trial, or levels and successes differ in number.
     """
-    if not levels or len(levels) != len(successes):
-        raise ValueError(f"given {len(levels)} levels and {len(successes)} answers; give one answer to each level")
-    x, places = np.unique(np.round(levels, 6), return_inverse=True)
-    hits: FloatArray = np.bincount(places, weights=np.asarray(successes, dtype=float)).astype(np.float64)
-    tries = np.bincount(places).astype(np.float64)
+    x, hits, tries = _counted(levels, successes)
     grid = Grid.around(x, guess_rate, most_lapse, fits_guesses=bool(len(catches)))
     n_false = sum(catches)
     likelihood = grid.log_likelihood(x, hits, tries) + grid.log_guesses(n_false, len(catches))
@@ -233,6 +228,15 @@ def fit_psychometric(
         why_not=why,
         is_uncertain=bool(not why and gain < DROP),
     )
+
+
+def _counted(levels: Sequence[float], successes: Sequence[bool]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the levels that there were, and the successes and trials at each."""
+    if not levels or len(levels) != len(successes):
+        raise ValueError(f"given {len(levels)} levels and {len(successes)} answers; give one answer to each level")
+    x, places = np.unique(np.round(levels, 6), return_inverse=True)
+    hits = np.bincount(places, weights=np.asarray(successes, dtype=float))
+    return x, hits.astype(np.float64), np.bincount(places).astype(np.float64)
 
 
 def _why_not(x: FloatArray, hits: FloatArray, tries: FloatArray, gain: float, threshold: float, unit: str) -> str:
