@@ -233,9 +233,8 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
         held, seen = Counter((item.participant, item.kind) for item in taken), Counter[object]()
         fewest = {kind: min(n for (_, own), n in held.items() if own == kind) for _, kind in held}
         taken = _sort(taken, left_out, lambda item: _surplus(item, fewest[item.kind], seen))
-        is_crossed = all(item.is_crossed for item in taken) and len({item.kind for item in taken}) == 1
-        presented = {row[_STIMULUS] for item in taken for row in item.rows}
-        is_crossed &= stimulus is not None or len(presented) < 2
+        is_one = stimulus is not None or len({row[_STIMULUS] for item in taken for row in item.rows}) < 2
+        is_crossed = is_one and all(item.is_crossed for item in taken) and len({item.kind for item in taken}) == 1
     _refuse_nothing(place, taken, left_out)
     answers = _one_list(place, taken)
     frame = _join(place, taken, levels, answers, stimulus, is_crossed=is_crossed)

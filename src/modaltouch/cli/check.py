@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -122,18 +122,8 @@ def show(preflight: Preflight, *, compare: bool = False, fingers: str | None = N
         f"{values['n_practice_trials']} for practice, about {values['estimated_duration_min']:.0f} min"
     )
     stimuli = values["stimuli"]
-    firsts: dict[str, dict[str, Any]] = {}
-    for each in stimuli:
-        firsts.setdefault(each.get("stimulus", ""), each)
-    protocol = preflight.experiment.protocol
-    for name, each in firsts.items():
-        rate, mask = protocol.stimulus_of(name).repetition_rate_Hz, "" if protocol.is_masked(name) else ", not masked"
-        console.print(
-            f"{f'{name}: focus' if name else 'Focus'} {each['focus']}, law {each['law']}, modes "
-            f"{', '.join(map(str, each['selected_modes']))}, {each['n_samples']} samples at "
-            f"{each['sampling_rate_Hz'] / 1e6:g} MHz, spot {each['fwhm_mm']:.1f} mm wide"
-            + (f"; {protocol.n_bursts(name)} bursts at {rate:g} Hz{mask}" if name else "")
-        )
+    for line in _stimulus_lines(preflight, stimuli):
+        console.print(line)
     for each in values.get("occasions", ()):
         levels = ", ".join(format(level, "g") for level in each["peak_velocities_mm_s"])
         console.print(
@@ -174,6 +164,21 @@ def show(preflight: Preflight, *, compare: bool = False, fingers: str | None = N
         console.print(f"[dim]{escape(fallback['warning'])}[/]")
     for warning in values["warnings"]:
         console.print(f"[yellow]{escape(warning)}[/]")
+
+
+def _stimulus_lines(preflight: Preflight, stimuli: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield what each of the stimuli is, a line each."""
+    protocol, firsts = preflight.experiment.protocol, dict[str, dict[str, Any]]()
+    for each in stimuli:
+        firsts.setdefault(each.get("stimulus", ""), each)
+    for name, each in firsts.items():
+        rate, mask = protocol.stimulus_of(name).repetition_rate_Hz, "" if protocol.is_masked(name) else ", not masked"
+        yield (
+            f"{f'{name}: focus' if name else 'Focus'} {each['focus']}, law {each['law']}, modes "
+            f"{', '.join(map(str, each['selected_modes']))}, {each['n_samples']} samples at "
+            f"{each['sampling_rate_Hz'] / 1e6:g} MHz, spot {each['fwhm_mm']:.1f} mm wide"
+            + (f"; {protocol.n_bursts(name)} bursts at {rate:g} Hz{mask}" if name else "")
+        )
 
 
 def _explore(

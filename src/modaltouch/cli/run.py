@@ -138,9 +138,7 @@ def run(
 
     may_ask = can_ask() and not yes and not json_output
     with reporting(json_output=json_output):
-        if people is not None and answers is not AnswersChoice.window:
-            given = f"given --people {people} with --answers {answers.value}"
-            raise typer.BadParameter(f"{given}, whose answers are drawn; leave it out, or have a person answer")
+        _refuse_people(people, answers)
         window_options = _window_options(fullscreen, size, theme, screen, screenshots)
         preflight = examine(protocol, calibration, marked=with_marked_calibration)
         if answers is not AnswersChoice.simulated:
@@ -149,8 +147,7 @@ def run(
         from modaltouch.record import SessionFolder
         from modaltouch.session import begin, mode_of, wire_run
 
-        rig = rig or ask_rig(may_ask)
-        mode = mode_of(rig, answers.value, pilot=pilot)
+        mode = mode_of(rig := rig or ask_rig(may_ask), answers.value, pilot=pilot)
         dataset = SessionFolder.dataset_of(results, mode, preflight.experiment.protocol.protocol)
         participant = SessionFolder.check_participant(ask_participant(dataset) if participant is None else participant)
         setup = wire_run(
@@ -163,6 +160,12 @@ def run(
         if may_ask:
             wait_for_start(setup, rig)
         _conduct(begin, setup, events, plain=plain, json_output=json_output)
+
+
+def _refuse_people(people: Path | None, answers: AnswersChoice) -> None:
+    if people is not None and answers is not AnswersChoice.window:
+        given = f"given --people {people} with --answers {answers.value}"
+        raise typer.BadParameter(f"{given}, whose answers are drawn; leave it out, or have a person answer")
 
 
 def _with_people(setup: Setup, people: Path | None, may_ask: bool) -> Setup:

@@ -205,8 +205,7 @@ def fit_psychometric(
         If there is no trial, or levels and successes differ in number.
     """
     x, hits, tries = _counted(levels, successes)
-    grid = Grid.around(x, guess_rate, most_lapse, fits_guesses=bool(len(catches)))
-    n_false = sum(catches)
+    grid, n_false = Grid.around(x, guess_rate, most_lapse, fits_guesses=bool(len(catches))), sum(catches)
     likelihood = grid.log_likelihood(x, hits, tries) + grid.log_guesses(n_false, len(catches))
     best = np.unravel_index(int(likelihood.argmax()), likelihood.shape)
     threshold = _estimate(grid.thresholds, likelihood.max(axis=(1, 2, 3)))
