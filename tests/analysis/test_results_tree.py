@@ -134,7 +134,7 @@ def test_a_chosen_mode_leaves_the_others_out(record, tmp_path) -> None:
         ([{"mode": "pilot"}, {"mode": "simulated"}], None, r"several modes \(1 pilot, 1 simulated\).*--mode"),
         ([{}, {"change": NAMED}], None, r"several protocols \(1 of 'differentiated_stimulation', 1 of 'two'\)"),
         ([{}, {"change": FEWER}], None, "answered different conditions"),
-        ([{"n_answered": 3}], None, r"no session that can be analysed \(1 incomplete: 3 of 24"),
+        ([{"n_answered": 3}], None, r"no session that can be analysed \(1 session: incomplete: 3 of 24"),
         ([{}], "virtual", r"mode 'virtual'; allowed: real, pilot, simulated"),
         ([], None, "a folder without a recorded session"),
     ],

@@ -154,6 +154,10 @@ def test_a_session_sooner_than_its_kind_allows_is_refused(preflight: Preflight, 
         sit(preflight, tmp_path, "p01")
     begun = read_session(next(results.rglob("sub-p01/ses-2/beh/session.jsonl"))).start
     assert begun["any_gap"] is True
+    with pytest.raises(
+        RecordInputError, match="given session 2, of the kind test, but .* p03 has had 0; allowed: session 1"
+    ):
+        sit(preflight, tmp_path, "p03", session=2)
 
 
 def test_a_group_that_is_given_stays_that_of_the_participant(preflight: Preflight, tmp_path: Path) -> None:

@@ -275,8 +275,9 @@ def _open_logs(place: Path) -> list[SessionAnswers]:
 def _refuse_nothing(place: Path, taken: Sequence[SessionAnswers], left_out: Sequence[ExcludedSource]) -> None:
     if not taken:
         counted = Counter(item.reason for item in left_out)
-        listed = "; ".join(f"{n} {reason}" for reason, n in counted.most_common(5))
-        remedy = "finish one with `modaltouch resume`, or choose another mode or folder"
+        listed = "; ".join(f"{n} session{'s' * (n != 1)}: {reason}" for reason, n in counted.most_common(5))
+        finish = "finish one with `modaltouch resume`, or " * any("incomplete" in reason for reason in counted)
+        remedy = f"{finish}choose another mode or folder"
         given = f"no session that can be analysed ({listed})"
         raise InputError.of(place, given, "at least one complete session", remedy)
 

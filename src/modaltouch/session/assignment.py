@@ -138,9 +138,15 @@ def assign_group(place: SessionFolder, protocol: Protocol, seed: int, given: str
 
 
 def is_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datetime) -> str:
-    """Return that a session would begin sooner after the one before than its kind allows; empty where it does not."""
+    """Return that a session would begin sooner than its kind allows, or before those due first; else empty."""
     kind = protocol.schedule.kind_of(drawn_as)
     logs = SessionFolder.logs_of(place.dataset / f"sub-{place.participant}")
+    if kind is not None and len(logs) < drawn_as - 1:
+        return (
+            f"given session {drawn_as}, of the kind {kind.name}, but participant {place.participant} has had "
+            f"{len(logs)}; allowed: session {len(logs) + 1}; leave --session out, or begin it all the same with "
+            "--any-gap, which the record then says"
+        )
     events = read_session(logs[-1]).events if kind is not None and kind.min_gap_days and logs else ()
     if kind is None or not events:
         return ""
