@@ -75,12 +75,15 @@ class BlockRecursion:
         total = np.matmul(groups, power[:, SHORT - 1 :: -1, None])[:, :, 0]
         starts, state = self.follow(total, state, level + 1)
         begin = np.empty((n_states, n_blocks), dtype=complex)
-        within = begin[:, : n_groups * SHORT].reshape(n_states, n_groups, SHORT)
-        np.matmul(groups, self.triangle[level], out=within)
-        within += starts[:, :, None] * power[:, None, :SHORT]
+        self.within(groups, starts, begin[:, : n_groups * SHORT].reshape(n_states, n_groups, SHORT), level)
         if rest:
             begin[:, n_groups * SHORT :], state = self.follow(pushed[:, n_groups * SHORT :], state, level)
         return begin, state
+
+    def within(self, pushed: ComplexArray, starts: ComplexArray, out: ComplexArray, level: int = 0) -> None:
+        """Write the states before each block of each group, (n_states, n_groups, SHORT) array, from those before it."""
+        np.matmul(pushed, self.triangle[level], out=out)
+        out += starts[:, :, None] * self.power[:, level, None, :SHORT]
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,24 +226,25 @@ class BlockKernel:
             begin, state = self.states(blocks, state)
             self.respond(blocks, begin, out[:, start:stop])
 
-    def peaks(self, inputs: FloatArray, n_samples: int) -> FloatArray:
-        """Return the largest magnitude of each output from rest, (n_outputs,) array, zeros following the inputs.
+    def peaks(self, inputs: FloatArray, starts: ComplexArray) -> FloatArray:
+        """Return the largest magnitude of each output, (n_outputs,) array.
 
         Parameters
         ----------
         inputs : (n_inputs, n) array
-            Their samples.
-        n_samples : int
-            How many samples are looked at, n at least.
+            Their samples; zeros follow up to the end of the last group.
+        starts : (n_states, n_groups) complex array
+            States at the start of each group of SHORT blocks.
         """
-        state, peak = np.zeros(self.exponent.size, dtype=complex), np.zeros(len(self.output))
-        some = np.empty((len(self.output), _CHUNK))
-        for start in range(0, n_samples, _CHUNK):
-            part = inputs[:, start : start + _CHUNK]
-            n = min(_CHUNK, n_samples - start)
+        peak, some = np.zeros(len(self.output)), np.empty((len(self.output), _CHUNK))
+        for start in range(0, starts.shape[1] * SHORT**2, _CHUNK):
+            part, first = inputs[:, start : start + _CHUNK], starts[:, start // SHORT**2 :][:, : _CHUNK // SHORT**2]
+            n = first.shape[1] * SHORT**2
             blocks = self.blocks(np.pad(part, ((0, 0), (0, n - part.shape[1]))) if part.shape[1] < n else part)
-            begin, state = self.states(blocks, state)
-            self.respond(blocks, begin, some[:, :n])
+            groups = self.pushed(blocks).reshape(*first.shape, SHORT)
+            begin = np.empty_like(groups)
+            self.scan.within(groups, first, begin)
+            self.respond(blocks, begin.reshape(len(first), -1), some[:, :n])
             peak = np.maximum(peak, np.maximum(some[:, :n].max(axis=1), -some[:, :n].min(axis=1)))
         return peak
 

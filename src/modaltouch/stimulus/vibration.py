@@ -91,7 +91,7 @@ class BlockStates:
         bound = self._bounds(some)
         which = np.flatnonzero((bound > peak[:, None]).any(axis=0))
         if which.size > _DENSE * bound.shape[1]:
-            peak = np.maximum(peak, kernel.peaks(self.inputs, BLOCK * bound.shape[1]))
+            peak = np.maximum(peak, kernel.peaks(self.inputs, self.begin[:, :-1]))
         else:
             self._look_into(which, kernel, peak)
         period = int(self.timing.sampling_rate / self.timing.repetition_rate)
