@@ -5,7 +5,6 @@ bytecode caches warm; of several runs the best counts. Processor time is hardly 
 and its ratio to an import is about the same on another one. Where a bar is in seconds, it is processor time too.
 """
 
-import argparse
 import math
 import re
 import resource
@@ -22,6 +21,12 @@ PROTOCOLS = ROOT / "protocols"
 PAPER = "differentiated_stimulation.yaml"
 HEAVY = ("psychopy", "pyvisa", "pandas", "matplotlib", "scipy", "statsmodels")
 ROUNDS = 7
+ON_THE_TWIN = (
+    ("identify", [], "identify"),
+    ("validate", [str(PROTOCOLS / PAPER)], "validate"),
+    ("calibrate", [str(PROTOCOLS / PAPER)], "calibration.yaml"),
+    ("compare", [str(PROTOCOLS / PAPER)], "compare"),
+)
 LATE = """
 import statistics, sys, time
 from modaltouch.record import log
@@ -63,9 +68,6 @@ def with_repetitions(folder: Path, n_repetitions: int) -> str:
 
 def main() -> int:
     """Run the benchmark and write its figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rig", action="store_true", help="identify, validate, calibrate and compare on the twin, too")
-    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder, paper = Path(scratch), str(PROTOCOLS / PAPER)
         write_table(folder / "ten.csv", 10, 1)
@@ -92,15 +94,8 @@ def main() -> int:
         best["session_of_24_trials"] = min(run([*session, str(folder / f"one{i}")])[0] for i in range(3))
         long = ["simulate", with_repetitions(folder, 42), "-n", "1", "--results", str(folder / "long")]
         late = float(re.findall(r"late (\S+)", run(["-c", LATE, *long])[1].stdout)[0])
-        if options.rig:
-            for name in ("identify", "validate", "calibrate", "compare"):
-                out = (
-                    ["--out", str(folder / name)]
-                    if name != "calibrate"
-                    else ["--out", str(folder / "calibration.yaml")]
-                )
-                subject = [] if name == "identify" else [paper]
-                best[name] = run([*program, name, *subject, *out])[0]
+        for name, subject, out in ON_THE_TWIN:
+            best[name] = run([*program, name, *subject, "--out", str(folder / out)])[0]
     times = {name: value / best["import_numpy"] for name, value in best.items()}
     bars = [
         at_most("modaltouch --help: times import numpy", times["help"], 1.5),
@@ -115,8 +110,7 @@ def main() -> int:
         at_most("imports of psychopy in check", float("psychopy" in heavy), 0, ""),
     ]
     for name, most in (("identify", 20), ("validate", 15), ("calibrate", 5), ("compare", 25)):
-        if name in best:
-            bars.append(at_most(f"{name} on the twin, processor time", best[name], most, "s"))
+        bars.append(at_most(f"{name} on the twin, processor time", best[name], most, "s"))
     own = best["session_of_24_trials"] - best["check"]
     bars.append(at_most("a simulated session of 24 trials, preflight apart, processor time", own, 0.5, "s"))
     results = {"processor_time_s": best, "times_import_numpy": times, "heavy_imports_of_check": heavy}
