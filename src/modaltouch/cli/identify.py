@@ -71,7 +71,7 @@ def identify(
     rig: MEASURED_RIG = "simulated",
     out: OUT = Path("identification"),
     points: POINTS = 41,
-    averages: AVERAGES = 10,
+    averages: AVERAGES = 4,
     drive_V: DRIVE = 50.0,
     excitation: EXCITATION = "multisine",
     highest_kHz: HIGHEST = None,

@@ -95,7 +95,7 @@ class IdentifyOptions:
     rig: str = SIMULATED
     out: Path = Path("identification")
     points: int = 41
-    averages: int = 10
+    averages: int = 4
     voltage: float = 50.0
     excitation: Excitation = "multisine"
     lowest: float | None = None
