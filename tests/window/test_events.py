@@ -11,9 +11,9 @@ import pytest
 
 from modaltouch.protocol import AnswerList
 from modaltouch.protocol.keys import KEY_NAMES
+from modaltouch.window.answering import Reader
 from modaltouch.window.events import EventTap, canonical_key
 from modaltouch.window.layout import lay_out
-from modaltouch.window.meanings import Reader
 
 pytestmark = pytest.mark.window
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.window.fonts import Fonts, find_font
     from modaltouch.window.interface import (
         AnswerWindow,
         Event,
@@ -25,11 +24,12 @@ if TYPE_CHECKING:
     from modaltouch.window.masking import Masking
     from modaltouch.window.opening import AnswersBy, WindowOptions, open_window
     from modaltouch.window.simulated import Answerer
+    from modaltouch.window.typesetting import Fonts, find_font
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "fonts": "Fonts find_font",
+            "typesetting": "Fonts find_font",
             "interface": "AnswerWindow Event Presentation SessionStopped TrialInterrupted WindowError",
             "legibility": "smallest_type",
             "machine": "examine_surroundings measure_timing",

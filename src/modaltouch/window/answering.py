@@ -1,15 +1,104 @@
-"""Takes an answer from what a person does: the first one counts, unless the protocol has it confirmed."""
+"""Takes an answer from what a person does: what each event means, and which one answers the question.
+
+The question is answered by one of a list, where the first answer counts unless the protocol has it confirmed, or by a
+number on a scale.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NoReturn
+from dataclasses import dataclass, replace
+from typing import Any, NoReturn, Self
 
-from modaltouch.protocol import Trial
+from modaltouch.protocol import TIME_OUT, AnswersSection, Response, Trial
 from modaltouch.window.display_loop import DisplayLoop, Moment
+from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import Event, Progress, SessionStopped
-from modaltouch.window.meanings import Reader, describe_press, is_press
+from modaltouch.window.layout import Layout
 from modaltouch.window.pictures import Illustrator
+from modaltouch.window.rating import Entry
+from modaltouch.window.shapes import Picture
+
+DEVICES = {"key": "key", "click": "mouse", "answer": "console", "continue": "console"}
+"""Where an answer comes from, by the kind of its event."""
+
+
+@dataclass(frozen=True)
+class Reader:
+    """Reads events by one protocol's keys and one window's layout.
+
+    Attributes
+    ----------
+    layout : Layout
+        Where the answer buttons are.
+    keys : dict of str to str
+        Answer by key.
+    continue_keys : frozenset of str
+        Keys that go on from one screen to the next.
+    needs_focus : bool
+        Whether answers come from the window alone; the experimenter has the console, too.
+    rates : bool
+        Whether a number is entered on a scale, so that releases count, and going on at the console confirms it.
+    """
+
+    layout: Layout
+    keys: dict[str, str]
+    continue_keys: frozenset[str]
+    needs_focus: bool = True
+    rates: bool = False
+
+    @classmethod
+    def of(cls, answers: AnswersSection, layout: Layout) -> Self:
+        """Return the reader for a protocol's keys."""
+        keys = {canonical_key(key): answer for answer, given in answers.actions.items() for key in given}
+        goes_on = frozenset(map(canonical_key, answers.continue_keys))
+        return cls(layout, keys, goes_on, answers.given_by == "participant", answers.scale is not None)
+
+    def answer(self, event: Event) -> str | None:
+        """Return the answer that somebody gives, or what is done on a scale; None for anything else."""
+        if event.kind == "key":
+            return self.keys.get(event.key) or self.keys.get(event.digit)
+        if event.kind == "click":
+            return self.layout.answer_at(event.x, event.y)
+        if self.rates and event.kind in ("release", "continue"):
+            return "release" if event.kind == "release" else "confirm"
+        return event.answer
+
+    def goes_on(self, event: Event) -> bool:
+        """Return whether the event is a key to go on, or the experimenter's request to."""
+        named = {event.key, event.digit}
+        return event.kind == "continue" or (event.kind == "key" and not named.isdisjoint(self.continue_keys))
+
+    def name(self, event: Event) -> str:
+        """Return the name by which the protocol knows the key that was pressed."""
+        return event.digit if event.digit and event.key not in self.keys else event.key
+
+    def pauses(self, event: Event) -> bool:
+        """Return whether the event asks for a pause, or for the end."""
+        return event.kind in ("close", "pause") or (event.kind == "key" and event.key == AnswersSection.PAUSE_KEY)
+
+    def interrupts(self, event: Event) -> bool:
+        """Return whether the event cuts a trial: a pause, or keys that now go to another window."""
+        return (event.kind == "blur" and self.needs_focus) or self.pauses(event)
+
+    def ends(self, event: Event) -> bool:
+        """Return whether the event ends the session from the pause screen."""
+        return event.kind == "key" and event.key == AnswersSection.END_KEY
+
+
+def is_press(event: Event) -> bool:
+    """Return whether the event is a key press or a click, or a key typed at the console."""
+    return event.kind in ("key", "click", "answer")
+
+
+def describe_press(event: Event) -> dict[str, Any]:
+    """Return a press as the record names it."""
+    if event.kind == "answer":
+        return {"key": event.key, "device": DEVICES["answer"]}
+    if event.kind == "key":
+        return {"key": event.key}
+    return {"click": [round(event.x, 3), round(event.y, 3)]}
+
 
 SETTLE = 0.25
 """A press this soon after a screen appeared was meant for the one before [s]."""
@@ -159,3 +248,83 @@ class AnswerTaker:
                 self._loop.put_back(rest)
                 return is_double
             self._loop.clock.sleep(0.002)
+
+
+Taken = tuple[str, Event] | None
+"""An answer with its event; None where time was up."""
+
+
+@dataclass(frozen=True)
+class AskedQuestion:
+    """What shows one question and takes its answer.
+
+    Attributes
+    ----------
+    answers : AnswersSection
+        How it is answered.
+    loop, pictures, reader, taker
+        Where it is shown, what is shown, what events mean, and who waits for one.
+    """
+
+    answers: AnswersSection
+    loop: DisplayLoop
+    pictures: Illustrator
+    reader: Reader
+    taker: AnswerTaker
+
+    @classmethod
+    def prepare(cls, loop: DisplayLoop, pictures: Illustrator) -> AskedQuestion:
+        """Return the question that the pictures show."""
+        reader = Reader.of(pictures.answers, pictures.layout)
+        return cls(pictures.answers, loop, pictures, reader, AnswerTaker(loop, pictures, reader))
+
+    def take(
+        self,
+        moment: Moment,
+        draw: Callable[[str | None], Picture],
+        interrupt: Callable[[Event], NoReturn],
+        times_out: Callable[[], bool],
+    ) -> tuple[Taken, float | None]:
+        """Return the answer, and the number where it is one on a scale.
+
+        Parameters
+        ----------
+        moment : Moment
+            What the participant faces.
+        draw : callable
+            The question with what stands on the scale.
+        interrupt, times_out
+            As for `AnswerTaker.await_answer`.
+        """
+        trial, scale, since = moment.trial, self.answers.scale, self.loop.shown
+        if scale is None:
+            return self.taker.await_answer(trial, interrupt, times_out), None
+        entry = Entry(scale, self.pictures.layout.buttons.get("line"))
+
+        def show() -> None:
+            self.loop.show(draw(entry.text or None), replace(moment, entered=entry.text))
+
+        def creeps_or_times_out() -> bool:
+            if entry.creeps(self.loop.clock.now()):
+                show()
+            return times_out()
+
+        while (done := self.taker.await_answer(trial, interrupt, creeps_or_times_out, since)) is not None:
+            if entry.take(*done):
+                return (self.answers.offered[0].name, done[1]), entry.value
+            show()
+        return None, None
+
+    def respond(self, taken: Taken, value: float | None, since: float, answered_by: str) -> Response:
+        """Return what was answered, or that time was up, counted from `since` [s]."""
+        if taken is None:
+            return Response(TIME_OUT, self.loop.clock.now() - since, answered_by=answered_by, device="none")
+        answer, event = taken
+        device, key = DEVICES[event.kind], self.reader.name(event) or answer
+        return Response(answer, event.time - since, answered_by=answered_by, device=device, key=key, value=value)
+
+
+def chosen(response: Response) -> str | None:
+    """Return what the screen shows as chosen; None where time was up."""
+    given = response.answer if response.value is None else f"{response.value:.10g}"
+    return None if response.answer == TIME_OUT else given

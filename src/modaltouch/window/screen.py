@@ -13,11 +13,10 @@ from typing import Any
 import numpy as np
 
 from modaltouch.system import SYSTEM_CLOCK, Clock
-from modaltouch.window.coverage import cover
 from modaltouch.window.environment import explain, few_imports, fit, missing_libraries, prepare_environment
 from modaltouch.window.events import EventTap
 from modaltouch.window.interface import Event, WindowError
-from modaltouch.window.shapes import Mark, Picture, Shape
+from modaltouch.window.shapes import Mark, Picture, Shape, cover
 from modaltouch.window.typesetting import Typesetter
 
 _HANDLERS: list[Any] = []
