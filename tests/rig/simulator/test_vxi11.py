@@ -1,4 +1,4 @@
-"""The VXI-11 server: links, locks, clears, timeouts, and a client other than PyVISA."""
+"""The VXI-11 server: links, clears, timeouts, and a client other than PyVISA."""
 
 from __future__ import annotations
 
@@ -202,16 +202,11 @@ def test_status_byte_tells_of_messages_and_errors(raw: RawClient) -> None:
     assert struct.unpack(">iI", raw.generic(13, link))[1] == 4
 
 
-def test_lock_keeps_other_links_out(raw: RawClient, simulator: Simulator) -> None:
-    """VXI-11 error 11 for another link while one holds the lock; its end frees it."""
-    other = RawClient(simulator.address)
-    mine, theirs = raw.link(), other.link()
-    assert struct.unpack(">i", raw.call(18, struct.pack(">iiI", mine, 0, 0))) == (0,)
-    assert other.write(theirs, b"*IDN?")[0] == 11
-    assert struct.unpack(">i", other.call(19, struct.pack(">i", theirs))) == (12,)
-    assert struct.unpack(">i", raw.call(23, struct.pack(">i", mine))) == (0,)
-    assert other.write(theirs, b"*IDN?")[0] == 0
-    other.close()
+def test_locks_are_declined(raw: RawClient) -> None:
+    """VXI-11 error 8: the twin has no locks, with a link or by themselves (B.6.1, B.6.11)."""
+    name = struct.pack(">iIII", 1, 1, 0, 5) + b"inst0" + bytes(3)
+    assert struct.unpack(">i", raw.call(10, name)[:4]) == (8,)
+    assert struct.unpack(">i", raw.call(18, struct.pack(">iiI", raw.link(), 0, 0))) == (8,)
 
 
 def test_trigger_is_taken(raw: RawClient, simulator: Simulator) -> None:

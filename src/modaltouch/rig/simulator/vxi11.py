@@ -83,19 +83,19 @@ LARGEST_MESSAGE = 1 << 20
 """Bytes accepted in one write, announced to the client, and in one program message."""
 
 LONGEST_WAIT = 30.0
-"""How long a reply or a lock is waited for at most, whatever a client asks [s]."""
+"""How long a reply is waited for at most, whatever a client asks [s]."""
 
 INSTRUMENT, PANEL = "inst0", "panel0"
-"""Names of devices: the instrument, and its front panel, which is past locks, faults and the limit of sessions."""
+"""Names of devices: the instrument, and its front panel, which is past faults and the limit of sessions."""
 
 PEOPLE_AT_THE_PANEL = 16
 """Links to the front panel at a time."""
 
 _CREATE_LINK, _WRITE, _READ, _READ_STATUS, _TRIGGER, _CLEAR = 10, 11, 12, 13, 14, 15
-_REMOTE, _LOCAL, _LOCK, _UNLOCK, _ENABLE_SERVICE, _DESTROY_LINK = 16, 17, 18, 19, 20, 23
+_REMOTE, _LOCAL, _ENABLE_SERVICE, _DESTROY_LINK = 16, 17, 20, 23
 _NO_ERROR, _NOT_ACCESSIBLE, _INVALID_LINK, _NOT_SUPPORTED, _OUT_OF_RESOURCES = 0, 3, 4, 8, 9
-_LOCKED, _NO_LOCK, _TIMEOUT = 11, 12, 15
-_FLAG_WAIT, _FLAG_END, _FLAG_TERMINATOR = 1, 8, 128
+_TIMEOUT = 15
+_FLAG_END, _FLAG_TERMINATOR = 8, 128
 _REASON_COUNT, _REASON_TERMINATOR, _REASON_END = 1, 2, 4
 
 
@@ -113,7 +113,7 @@ class _Refused(Exception):  # noqa: N818
 
 
 class Links:
-    """The links of all connections, and the lock that one of them may hold.
+    """The links of all connections; none can be locked, since no driver locks one.
 
     Parameters
     ----------
@@ -127,7 +127,6 @@ class Links:
         self._device = device
         self._closing = closing
         self._links: dict[int, _Link] = {}
-        self._lock_holder: int | None = None
         self._numbers = itertools.count(1)
         self._guard = threading.RLock()
         # Each with the bytes that follow the error code, zeros where it is refused.
@@ -141,8 +140,6 @@ class Links:
             _REMOTE: (self._accept_silently, 0),
             _LOCAL: (self._accept_silently, 0),
             _ENABLE_SERVICE: (self._accept_silently, 0),
-            _LOCK: (self._take_lock, 0),
-            _UNLOCK: (self._release_lock, 0),
             _DESTROY_LINK: (self._destroy_link, 0),
         }
 
@@ -160,12 +157,10 @@ class Links:
             return struct.pack(">i", *refused.args) + bytes(size)
 
     def forget(self, numbers: typing.Iterable[int]) -> None:
-        """Take links away, and the lock with them."""
+        """Take links away."""
         with self._guard:
             for number in numbers:
                 self._links.pop(number, None)
-                if self._lock_holder == number:
-                    self._lock_holder = None
 
     def _of(self, number: int, own: set[int]) -> _Link:
         """Return a link of the connection that calls; those of others are not to be had."""
@@ -174,10 +169,12 @@ class Links:
         return self._links[number]
 
     def _create_link(self, parameters: bytes, own: set[int]) -> bytes:
-        _, lock, lock_timeout, length = struct.unpack_from(">iIII", parameters)
+        _, lock, _, length = struct.unpack_from(">iIII", parameters)
         name = parameters[16 : 16 + length].decode("latin1")
         if name not in (INSTRUMENT, PANEL):
             raise _Refused(_NOT_ACCESSIBLE)
+        if lock:
+            raise _Refused(_NOT_SUPPORTED)
         with self._guard:
             n_links = sum(link.panel == (name == PANEL) for link in self._links.values())
             if n_links >= (PEOPLE_AT_THE_PANEL if name == PANEL else self._device.afg.behaviour.max_sessions):
@@ -185,12 +182,6 @@ class Links:
             link = _Link(next(self._numbers), panel=name == PANEL)
             self._links[link.number] = link
             own.add(link.number)
-        if lock:
-            try:
-                self._take(link, _FLAG_WAIT, lock_timeout)
-            except _Refused:
-                self.forget([link.number])
-                raise
         return struct.pack(">iII", link.number, 0, LARGEST_MESSAGE)
 
     def _destroy_link(self, parameters: bytes, own: set[int]) -> bytes:
@@ -200,9 +191,8 @@ class Links:
         return b""
 
     def _write(self, parameters: bytes, own: set[int]) -> bytes:
-        number, _, lock_timeout, flags, length = struct.unpack_from(">iIIiI", parameters)
+        number, _, _, flags, length = struct.unpack_from(">iIIiI", parameters)
         link = self._of(number, own)
-        self._await_access(link, flags, lock_timeout)
         data = parameters[20 : 20 + length]
         link.arriving += data
         if len(link.arriving) > LARGEST_MESSAGE:
@@ -223,9 +213,8 @@ class Links:
         link.leaving, link.ready_at = reply.data, time.monotonic() + reply.delay
 
     def _read(self, parameters: bytes, own: set[int]) -> bytes:
-        number, size, io_timeout, lock_timeout, flags, terminator = struct.unpack_from(">iIIIii", parameters)
+        number, size, io_timeout, _, flags, terminator = struct.unpack_from(">iIIIii", parameters)
         link = self._of(number, own)
-        self._await_access(link, flags, lock_timeout)
         if not link.leaving:
             self._device.afg.fail(ScpiError(-420))
             link.ready_at = float("inf")
@@ -247,54 +236,19 @@ class Links:
         link = self._of(struct.unpack_from(">i", parameters)[0], own)
         return struct.pack(">I", self._device.afg.status_byte | (16 if link.leaving else 0))
 
-    def _with_access(self, parameters: bytes, own: set[int]) -> _Link:
-        """Return the link of a call that has a link, flags and a timeout alone, once it may use the instrument."""
-        number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
-        link = self._of(number, own)
-        self._await_access(link, flags, lock_timeout)
-        return link
-
     def _trigger(self, parameters: bytes, own: set[int]) -> bytes:
-        link = self._with_access(parameters, own)
+        link = self._of(struct.unpack_from(">i", parameters)[0], own)
         self._device.trigger(0 if link.panel else link.number)
         return b""
 
     def _clear(self, parameters: bytes, own: set[int]) -> bytes:
-        link = self._with_access(parameters, own)
+        link = self._of(struct.unpack_from(">i", parameters)[0], own)
         link.arriving, link.leaving = bytearray(), b""
         return b""
 
     def _accept_silently(self, parameters: bytes, own: set[int]) -> bytes:
         self._of(struct.unpack_from(">i", parameters)[0], own)
         return b""
-
-    def _take_lock(self, parameters: bytes, own: set[int]) -> bytes:
-        number, flags, lock_timeout = struct.unpack_from(">iiI", parameters)
-        self._take(self._of(number, own), flags, lock_timeout)
-        return b""
-
-    def _take(self, link: _Link, flags: int, lock_timeout: int) -> None:
-        while self._lock_holder != link.number:
-            self._await_access(link, flags, lock_timeout)
-            with self._guard:
-                # Another may have come first.
-                if self._lock_holder is None:
-                    self._lock_holder = link.number
-
-    def _release_lock(self, parameters: bytes, own: set[int]) -> bytes:
-        (number,) = struct.unpack_from(">i", parameters)
-        if self._lock_holder != number or number not in own:
-            raise _Refused(_NO_LOCK)
-        self._lock_holder = None
-        return b""
-
-    def _await_access(self, link: _Link, flags: int, lock_timeout: int) -> None:
-        """Refuse a link while another holds the lock, after waiting for it if asked to."""
-        deadline = time.monotonic() + (min(lock_timeout / 1000, LONGEST_WAIT) if flags & _FLAG_WAIT else 0.0)
-        while not link.panel and self._lock_holder not in (None, link.number):
-            if time.monotonic() >= deadline:
-                raise _Refused(_LOCKED)
-            self._closing.wait(0.01)
 
 
 CORE_PROGRAM = 0x0607AF
