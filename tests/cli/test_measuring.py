@@ -8,7 +8,7 @@ import signal
 import pytest
 import typer
 
-from modaltouch.cli.measurement import bars
+from modaltouch.cli.lab import bars
 
 
 def test_person_is_asked_for_each_position(monkeypatch, capsys):

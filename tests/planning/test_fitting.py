@@ -10,8 +10,7 @@ import pytest
 from modaltouch.planning.experiments import Job, simulate
 from modaltouch.planning.fitting import fit_answers
 from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.observer.fit import fit_observer
-from modaltouch.planning.observer.likelihood import RecordedAnswers, _grid
+from modaltouch.planning.observer.fit import RecordedAnswers, _grid, fit_observer
 from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.problems import InputError

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from modaltouch.cli.exit_status import BAD_INPUT, leave, reporting
-from modaltouch.cli.measurement import bars, give
+from modaltouch.cli.lab import bars, give
 from modaltouch.cli.options import APPARATUS, JSON, MEASURED_RIG, SHIPPED_APPARATUS
 
 Quantity = Literal["velocity", "displacement", "acceleration"]

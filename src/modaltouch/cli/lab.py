@@ -1,21 +1,24 @@
-"""What the commands that measure a beam share: progress bars, who moves the vibrometer, and how a report is given."""
+"""Commands of the laboratory: ``calibrate``, ``compare``, ``validate`` and ``fingers``; progress bars, and who aims."""
 
 from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Protocol
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 import typer
 
-from modaltouch.cli.exit_status import print_json
-from modaltouch.cli.tables import make_bars
+from modaltouch.cli.exit_status import BAD_INPUT, leave, print_json, reporting
+from modaltouch.cli.options import CALIBRATION, JSON, MEASURED_RIG, PROTOCOL, RECORD, SEED_OF_TWIN
+from modaltouch.cli.tables import make_bars, print_table
 
 if TYPE_CHECKING:
     from rich.progress import Progress, TaskID
 
     from modaltouch.lab import MeasurementProgress
+    from modaltouch.protocol import Calibration
 
 
 class LabReport(Protocol):
@@ -84,3 +87,300 @@ def ask_for(words: str) -> None:
             "nobody is there to aim the vibrometer or to lay fingers on (standard input is closed); allowed: a "
             "terminal; start the command from one"
         ) from None
+
+
+def calibrate(
+    protocol: PROTOCOL,
+    out: Annotated[Path, typer.Option(help="File for the calibration; never overwritten.", show_default=False)],
+    rig: MEASURED_RIG = "simulated",
+    person: Annotated[str, typer.Option(help="Who calibrates, for the file.", show_default="nobody named")] = "",
+    accept: Annotated[
+        bool, typer.Option("--accept", help="Write a calibration that misses its limits too, with a mark.")
+    ] = False,
+    record: RECORD = None,
+    json_output: JSON = False,
+) -> None:
+    """Measure what each stimulus really does at the focusing instant, and correct its targets until both agree.
+
+    Amplifier, clock, modes and vibrometer are identified first. Then velocity and displacement of every modelled mode
+    are read off the free decay after the focus, and the targets of the exact law corrected, until nothing is left that
+    noise does not explain. Last, every velocity level is verified at the focus; where adaptive runs
+    or participants have levels of their own, the bounds and three levels between them at equal ratios (2, 6.325, 20,
+    63.25 and 200 of 2 to 200 mm/s). Of a protocol with
+    several stimuli all are calibrated, into one file. Nothing is written before the end, and nothing that misses the
+    protocol's `calibration.limits`, unless --accept is given: `run` then takes it with --with-marked-calibration alone.
+    """
+    from modaltouch.lab import calibrate as measure
+
+    with reporting(json_output=json_output):
+        with bars() as progress:
+            report = measure(protocol, out, rig=rig, person=person, accept=accept, record=record, progress=progress)
+        give(report, lambda _: _show_calibration(report.calibration, out, protocol), json_output=json_output)
+
+
+def _show_calibration(calibration: Calibration, out: Path, protocol: Path) -> None:
+    """Print what was reached."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    console = Console()
+    for name, own in calibration.by_stimulus.items():
+        _show_stimulus(name, own)
+    noise = max(mode.uncertainty_mm_s for own in calibration.by_stimulus.values() for mode in own.modes)
+    amplifier = calibration.amplifier
+    corner = "not known" if amplifier.bandwidth_kHz is None else f"{amplifier.bandwidth_kHz:.0f} kHz"
+    console.print(
+        f"Amplifier: delay {amplifier.delay_us:.2f} us, corner {corner}; errors are known to {noise:.2f} mm/s (95 %)"
+    )
+    if calibration.mark:
+        console.print(f"[yellow]Marked: {escape(calibration.mark)}[/]")
+    console.print(f"Written: {out}", markup=False)
+    marked = " --with-marked-calibration" if calibration.mark else ""
+    console.print(f"Next: modaltouch run {protocol} --calibration {out}{marked}", markup=False)
+
+
+def _show_stimulus(name: str, own: Any) -> None:
+    """Print what was reached with one stimulus."""
+    whose = f"Stimulus {name}: " if name else ""
+    turns = [
+        (
+            str(each.iteration) if each.iteration else "before",
+            f"{each.worst_velocity_error_mm_s:.3f}",
+            f"{each.worst_displacement_error_mm_s:.3f}",
+            f"{each.peak_voltage_V:.0f}",
+        )
+        for each in own.iterations
+    ]
+    headings = ("iteration", "worst velocity error mm/s", "worst w eta error mm/s", "peak voltage V")
+    print_table(f"{whose}Errors at the focusing instant, as measured", headings, turns)
+    levels = [
+        (
+            f"{level.velocity_mm_s:g}",
+            f"{level.at_focus_mm_s:.1f} ± {level.uncertainty_mm_s:.1f}",
+            f"{level.highest_mm_s:.1f}",
+            " ".join(f"{volts:.4g}" for volts in level.amplitude_Vpp),
+        )
+        for level in own.levels
+    ]
+    headings = ("level", "at the focusing instant", "highest over the burst", "amplitude Vpp")
+    print_table(f"{whose}Levels at the centre of the focus zone, mm/s", headings, levels)
+
+
+COLUMNS = {
+    "at_focus_mm_s": "at focus mm/s",
+    "rms_error_mm_s": "field error mm/s",
+    "highest_mm_s": "highest mm/s",
+    "peak_voltage_V": "peak V",
+    "energy_V2_s": "energy V² s",
+    "changed_drift_mm_s": "other beams mm/s",
+}
+"""What the terminal shows, with its heading; the page shows everything."""
+
+
+def compare(
+    protocol: PROTOCOL,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for page, figures and tables.", show_default="comparison/<protocol>")
+    ] = None,
+    scan: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder that keeps the recordings, so that an interrupted comparison continues there.",
+            show_default="recordings are not kept",
+        ),
+    ] = None,
+    points: Annotated[int, typer.Option(min=3, max=1001, help="Control points along the beam.")] = 41,
+    averages: Annotated[int, typer.Option(min=2, max=1000, help="Records at each point.")] = 2,
+    beams: Annotated[
+        int,
+        typer.Option(
+            min=0, max=10_000, help="Other beams, drawn around the learned one, on which the drives are played."
+        ),
+    ] = 20,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first other beam.")] = 1,
+    json_output: JSON = False,
+) -> None:
+    """Compare the drive laws with time reversal and inverse filtering: one beam, one voltage limit, one page.
+
+    Everything runs on the twin, whose true beam is the reference. All methods learn from the same recordings.
+    """
+    from modaltouch.lab import compare as measure
+
+    with reporting(json_output=json_output):
+        with bars() as progress:
+            report = measure(
+                protocol,
+                out=out,
+                scan=scan,
+                points=points,
+                averages=averages,
+                beams=beams,
+                seed=seed,
+                progress=progress,
+            )
+        give(report, lambda values: _show_comparison(report.table, report.paragraphs, values), json_output=json_output)
+
+
+def _show_comparison(lines: list[dict[str, Any]], paragraphs: list[str], values: dict[str, Any]) -> None:
+    """Print the methods side by side, what the numbers say, and where the page is."""
+    from rich.console import Console
+
+    methods = values["methods"]
+    title = f"Target: {values['velocity_mm_s']:g} mm/s at the focus; the best of each column bold"
+    shown = [line for line in lines if line["key"] in COLUMNS and methods[0].get(line["key"]) is not None]
+    rows = []
+    for number, method in enumerate(methods):
+        cells = [line["cells"][number] for line in shown]
+        rows.append((method["name"], *(f"[bold]{cell['text']}[/]" if cell["best"] else cell["text"] for cell in cells)))
+    print_table(title, ("method", *(COLUMNS[line["key"]] for line in shown)), rows)
+    for words in paragraphs:
+        Console().print(words, highlight=False)
+    print(values["files"]["comparison.html"])
+
+
+def validate(
+    protocol: PROTOCOL,
+    calibration: CALIBRATION = None,
+    rig: MEASURED_RIG = "simulated",
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for page, figures and tables.", show_default="validation/<protocol>")
+    ] = None,
+    scan: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder that keeps the recordings: an interrupted scan continues there, a complete one is read "
+            "without a rig.",
+            show_default="recordings are not kept",
+        ),
+    ] = None,
+    points: Annotated[int, typer.Option(min=3, max=1001, help="Points along the beam, from end to end.")] = 41,
+    averages: Annotated[int, typer.Option(min=1, max=1000, help="Records at each point.")] = 10,
+    record: RECORD = None,
+    json_output: JSON = False,
+) -> None:
+    """Play the drive by both laws, scan the beam, and show the paper's Fig. 2 and 5 to 8 on one page.
+
+    The highest level of the protocol is played. The measured field is compared with the desired one, errors in mm/s.
+    """
+    from modaltouch.lab import validate as measure
+
+    with reporting(json_output=json_output):
+        with bars() as progress:
+            report = measure(
+                protocol,
+                calibration=calibration,
+                rig=rig,
+                out=out,
+                scan=scan,
+                points=points,
+                averages=averages,
+                record=record,
+                progress=progress,
+            )
+        give(report, lambda values: _show_validation(report.table, values), json_output=json_output)
+
+
+def _show_validation(lines: list[dict[str, Any]], values: dict[str, Any]) -> None:
+    """Print the laws side by side, and where the page is."""
+    headings = ("quantity [unit]", *(f"law {law['law']}" for law in values["laws"]))
+    names = [f"{line['quantity']} \\[{line['unit']}]" if line["unit"] != "1" else line["quantity"] for line in lines]
+    rows = [(name, *line["cells"]) for name, line in zip(names, lines, strict=True)]
+    print_table(f"Measured at {values['laws'][0]['velocity_mm_s']:g} mm/s", headings, rows)
+    print(values["files"]["validation.html"])
+
+
+fingers = typer.Typer(
+    name="fingers",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    help="Measure the fingers that lie on the beam.",
+)
+
+
+@fingers.callback()
+def group() -> None:
+    """Keep the name of its one command."""
+
+
+@fingers.command("probe")
+def probe(
+    protocol: PROTOCOL,
+    out: Annotated[Path, typer.Option(help="File for the fingers; never overwritten.")] = Path("fingers.yaml"),
+    rig: MEASURED_RIG = "simulated",
+    pair: Annotated[
+        str, typer.Option(help="Zones that the fingers lie on, such as A-C.", show_default="the first pair")
+    ] = "",
+    hand: Annotated[
+        Literal["left", "right"] | None, typer.Option(help="Hand used in one_hand.", show_default="the protocol's")
+    ] = None,
+    laser_mm: Annotated[
+        float | None,
+        typer.Option(
+            "--laser-mm", help="Where the vibrometer aims, from mid-beam.", show_default="1 mm from the freer end"
+        ),
+    ] = None,
+    speed_mm_s: Annotated[
+        float, typer.Option("--speed-mm-s", min=0.1, max=50, help="Highest under fingers and laser; 15 is felt.")
+    ] = 15.0,
+    seed: SEED_OF_TWIN = None,
+    json_output: JSON = False,
+) -> None:
+    """Probe the beam with hands off and on, and write what each finger adds to it.
+
+    Sines of at most 15 mm/s, unless told otherwise, are played for half a second each time. What comes of it is a file
+    that `stimulus.fingers` and `modaltouch check --fingers` take, with the level that a design for these fingers
+    reaches under them, and its 95 % interval. The table must have all modes of the beam, even ones too; `modaltouch
+    identify --modes all` finds them.
+    """
+    from modaltouch.lab import probe_fingers
+
+    with reporting(json_output=json_output):
+        laser = None if laser_mm is None else laser_mm * 1e-3
+        try:
+            with bars() as progress:
+                report = probe_fingers(
+                    protocol,
+                    out,
+                    rig=rig,
+                    pair=pair,
+                    hand=hand,
+                    laser=laser,
+                    speed=speed_mm_s * 1e-3,
+                    seed=seed,
+                    progress=progress,
+                    lay=ask_for,
+                )
+        except ValueError as error:
+            leave(BAD_INPUT, str(error), json_output=json_output)
+        give(report, _show_fingers, json_output=json_output)
+
+
+def _show_fingers(result: dict[str, Any]) -> None:
+    """Print the fingers, the level that a design for them reaches, and where the file is."""
+    rows = [
+        (
+            f"{hand} {name}",
+            *(f"{each.get(key, 0.0):.3g}" for key in ("mass_g", "damping_N_s_per_m", "stiffness_N_per_mm")),
+            f"{each.get('offset_mm', 0.0):+.2f}",
+        )
+        for hand, of_hand in result["fingers"].items()
+        for name, each in of_hand.items()
+    ]
+    print_table("Fingers", ("finger", "mass g", "damping N s/m", "stiffness N/mm", "off its zone's centre mm"), rows)
+    levels = [
+        (
+            each["placement"],
+            f"{each['misfit']:.1f}",
+            f"{each['asked_mm_s']:g}",
+            f"{each['level_mm_s']:.1f} ({each['interval_mm_s'][0]:.1f} to {each['interval_mm_s'][1]:.1f})",
+            f"{each['attainable_mm_s']:.0f}",
+        )
+        for each in result["placements"]
+    ]
+    headings = ("placement", "misfit", "asked", "level (95 %)", "attainable")
+    print_table("Designed for these fingers, mm/s at the focus", headings, levels)
+    print(f"Written: {result['file']}")
+    print(
+        f"Next: name it in the protocol, `stimulus: {{fingers: {result['file']}}}`, and run `modaltouch check` on that"
+    )

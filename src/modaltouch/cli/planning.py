@@ -1,4 +1,4 @@
-"""``modaltouch power``: how many participants, before the first one comes."""
+"""``modaltouch power``, ``prereg`` and ``fit``: how many participants, what is tested, and by which observer."""
 
 from __future__ import annotations
 
@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from modaltouch.cli.analyse import participants
 from modaltouch.cli.exit_status import INTERRUPTED, print_json, reporting
-from modaltouch.cli.options import JSON, OBSERVER, PROTOCOL
+from modaltouch.cli.options import JSON, MODE, OBSERVER, PROTOCOL
 from modaltouch.cli.tables import print_table, progress
 
 if TYPE_CHECKING:
     from modaltouch.planning import Power
+
 
 _FAMILIES_BESIDE = 4
 """Families of tests in a table, so that it fits into a terminal of 80 columns."""
@@ -257,3 +259,94 @@ def _cell(row: dict[str, Any]) -> str:
     if not row["reachable"]:
         return "never"
     return f"{100 * row['power']:.0f} ({100 * row['low']:.0f}-{100 * row['high']:.0f})"
+
+
+def prereg(
+    protocol: PROTOCOL,
+    participants: Annotated[int, typer.Option("--participants", "-n", min=1, max=1000, help="How many are planned.")],
+    observer: OBSERVER = "paper",
+    experiments: Annotated[int, typer.Option(min=1, max=1_000_000, help="Experiments simulated for the power.")] = 1000,
+    seed: Annotated[int, typer.Option(min=0, help="Seed; the same seed gives the same figures.")] = 1,
+    out: Annotated[
+        Path | None, typer.Option(help="File to write.", show_default="PROTOCOL.prereg.md, where analyse finds it")
+    ] = None,
+    json_output: JSON = False,
+) -> None:
+    """Write design, hypotheses, tests, margins, exclusion rules and sample size as one page of Markdown.
+
+    The power is that of the protocol itself, simulated. A page that is there already is never overwritten.
+    `modaltouch analyse` says what departs from it.
+    """
+    from modaltouch.planning import preregister, read_observer
+    from modaltouch.preflight import examine
+    from modaltouch.record import RecordError
+
+    with reporting(json_output=json_output):
+        preflight = examine(protocol, uncalibrated=True).require()
+        source = preflight.experiment.sources.protocol.path
+        file = out or (source if protocol.is_file() else Path(source.name)).with_suffix(".prereg.md")
+        if file.exists():
+            raise RecordError(f"{file}: is there already; move it away, or give another file with --out")
+        with progress("experiments") as on_progress:
+            text = preregister(
+                preflight, read_observer(observer), participants, n_experiments=experiments, seed=seed,
+                on_progress=on_progress,
+            )  # fmt: skip
+        try:
+            with file.open("x", encoding="utf-8", newline="\n") as opened:
+                opened.write(text)
+        except OSError as error:
+            raise RecordError(f"{file}: cannot be written ({error.strerror}); give another file with --out") from error
+        print_json({"file": str(file)}) if json_output else print(
+            f"{file}\nPut it where nobody can change it, such as OSF."
+        )
+
+
+def fit(
+    protocol: PROTOCOL,
+    answers: Annotated[
+        Path, typer.Argument(help="A results folder or a tidy CSV, as for `analyse`.", show_default=False)
+    ],
+    observer: OBSERVER = "paper",
+    out: Annotated[
+        Path | None, typer.Option(help="YAML file for the fitted observer.", show_default="nothing is written")
+    ] = None,
+    mode: MODE = None,
+    json_output: JSON = False,
+) -> None:
+    """Fit a simulated observer to recorded answers, such as a pilot's, to plan the next study with.
+
+    The observer that is given is the centre of the priors, and its front end is kept. Where the protocol has several
+    stimuli, one observer is fitted to the answers to all of them.
+    """
+    from modaltouch.planning import fit_answers, read_observer, write_observer
+    from modaltouch.preflight import examine
+    from modaltouch.record import prepare_file, replace_file
+
+    with reporting(json_output=json_output):
+        prior = read_observer(observer)
+        preflight = examine(protocol, uncalibrated=True).require()
+        if out is not None:
+            prepare_file(out)
+        fitted = fit_answers(preflight, answers, prior, mode=mode)
+        if out is not None:
+            words = (
+                f"Fitted to {fitted.fit.n_answers} answers of {participants(fitted.n_participants)} in {answers.name}"
+            )
+            text = write_observer(fitted.fit.observer, "fitted", words)
+            replace_file(out, text.encode(), "give another file with --out")
+        if json_output:
+            print_json({**fitted.as_dict(), "file": None if out is None else str(out)})
+            return
+        print(f"{fitted.fit.n_answers} answers of {participants(fitted.n_participants)}")
+        for estimate in (*fitted.fit.identified, *fitted.fit.parameters):
+            tied = ", scale by the prior" if estimate.tied_to_scale else ""
+            print(
+                f"{estimate.name:44} {estimate.value:8.4g}  95 % interval {estimate.low:.4g} to {estimate.high:.4g}, "
+                f"learned {estimate.learned:.0%}{tied}"
+            )
+        print(fitted.not_identifiable)
+        if not fitted.fit.converged:
+            typer.secho("the search did not end at a maximum; do not plan with this", err=True, fg=typer.colors.YELLOW)
+        if out is not None:
+            print(f"Next: modaltouch power {protocol} --observer {out}")

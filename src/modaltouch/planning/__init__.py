@@ -16,9 +16,8 @@ if TYPE_CHECKING:
     from modaltouch.planning.files import write_power
     from modaltouch.planning.fitting import fit_answers
     from modaltouch.planning.observer.felt import FeltSpeeds
-    from modaltouch.planning.observer.file import read_observer, usual_observer
+    from modaltouch.planning.observer.file import read_observer, usual_observer, write_observer
     from modaltouch.planning.observer.population import Observer
-    from modaltouch.planning.observer.writing import write_observer
     from modaltouch.planning.power import Power, plan
     from modaltouch.planning.preregistration import preregister
     from modaltouch.planning.presented import designs_for
@@ -30,8 +29,7 @@ else:
             "files": "write_power",
             "fitting": "fit_answers",
             "observer.felt": "FeltSpeeds",
-            "observer.file": "read_observer usual_observer",
-            "observer.writing": "write_observer",
+            "observer.file": "read_observer usual_observer write_observer",
             "observer.population": "Observer",
             "power": "Power plan",
             "preregistration": "preregister",

@@ -11,8 +11,7 @@ import numpy as np
 
 from modaltouch.analysis import AnswerCounts, Responses, TableFormat, read_responses
 from modaltouch.planning.observer import Observer
-from modaltouch.planning.observer.fit import Fit, fit_observer
-from modaltouch.planning.observer.likelihood import RecordedAnswers
+from modaltouch.planning.observer.fit import Fit, RecordedAnswers, fit_observer
 from modaltouch.planning.presented import felt_speeds, refuse_unlike
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError

@@ -15,7 +15,7 @@ from modaltouch.record.restored import UNTOLD, RestoredExperiment, TrialExpectat
 from modaltouch.record.sequence import SPEED, EventSequence
 from modaltouch.record.session import Session
 from modaltouch.record.shape import check_shape
-from modaltouch.record.view_check import check_view
+from modaltouch.record.view import check_view
 
 Checked = Iterator[tuple[bool, str]]
 """Whether something holds, and which words say so; empty words where there is nothing to say."""

@@ -119,7 +119,7 @@ class SessionLog:
             If the log is damaged, in use by another process, or cannot be written.
         """
         session = read_session(place.log)
-        from modaltouch.record.view_check import check_view
+        from modaltouch.record.view import check_view
 
         if check_view(session).is_current and not session.chain.problems:
             return session

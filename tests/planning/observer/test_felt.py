@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from modaltouch.planning.observer.felt import FeltSpeeds
-from modaltouch.planning.observer.front_end import sense
+from modaltouch.planning.observer.felt import FeltSpeeds, sense
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.stimulus.vibration import velocity_history

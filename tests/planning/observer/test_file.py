@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.observer.file import read_observer, usual_observer
-from modaltouch.planning.observer.writing import write_observer
+from modaltouch.planning.observer.file import read_observer, usual_observer, write_observer
 from modaltouch.preflight import examine
 from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.source import Source

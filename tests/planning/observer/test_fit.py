@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.observer.fit import Fit, fit_observer
-from modaltouch.planning.observer.likelihood import RecordedAnswers, log_likelihood
+from modaltouch.planning.observer.fit import Fit, RecordedAnswers, fit_observer, log_likelihood
 
 TRUTH = Observer(
     Participant(

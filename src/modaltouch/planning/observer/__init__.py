@@ -2,11 +2,9 @@
 
 ``participant``  one person: comparison, criterion, lapses, reaction time; chances of the answers in closed form
 ``population``   Observer: a typical participant, the spread between participants, and the front end
-``front_end``    what a finger makes of the velocity under it: one number
-``felt``         that number at the zones, from a designed stimulus, once for all levels
+``felt``         what a finger makes of the velocity under it, one number; at the zones, once for all levels
 ``file``         observers as YAML files, shipped and one's own
-``likelihood``   how likely recorded answers are for an observer
-``fit``          an observer fitted to recorded answers, and what such a fit cannot know
+``fit``          an observer fitted to recorded answers by their likelihood, and what such a fit cannot know
 """
 
 from modaltouch.planning.observer.participant import Participant

@@ -1,4 +1,4 @@
-"""What fingers feel at the zones of a designed stimulus, by a front end, once for all levels."""
+"""Front ends: what a finger makes of the velocity under it; at the zones of a stimulus, once for all levels."""
 
 from __future__ import annotations
 
@@ -6,10 +6,55 @@ from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.planning.observer.front_end import sense
 from modaltouch.planning.observer.population import FrontEnd
 from modaltouch.stimulus import Stimulus
+
+FloatArray = NDArray[np.float64]
+
+CUT_OFF = 1000.0
+"""Highest frequency that the skin follows [Hz]."""
+
+ORDER = 4
+"""Order of the Butterworth response at `CUT_OFF`, applied without a shift in time."""
+
+
+def sense(front_end: FrontEnd, history: ArrayLike, sampling_rate: float) -> FloatArray:
+    """Return what fingers feel of the velocity under them, (n_places,) array [m/s].
+
+    Parameters
+    ----------
+    front_end : {"rms", "below_1_khz", "envelope"}
+        Those that need the whole history.
+    history : (n_places, n_samples) array
+        Velocity over one repetition of the burst [m/s].
+    sampling_rate : float
+        Samples per second [Hz].
+    """
+    velocity = np.atleast_2d(np.asarray(history, dtype=float))
+    if front_end == "rms":
+        return np.asarray(np.sqrt((velocity**2).mean(axis=1)))
+    low = front_end == "below_1_khz"
+    felt = np.abs(smooth(velocity, sampling_rate)) if low else smooth(np.abs(velocity), sampling_rate)
+    return np.asarray(felt.max(axis=1))
+
+
+def smooth(velocity: FloatArray, sampling_rate: float) -> FloatArray:
+    """Return what lies below `CUT_OFF`, without a shift in time, (n_places, n_samples) array [m/s].
+
+    Parameters
+    ----------
+    velocity : (n_places, n_samples) array
+        Histories that are at rest at both ends [m/s].
+    sampling_rate : float
+        Samples per second [Hz].
+    """
+    n_samples = velocity.shape[1]
+    # Twice as long and filled up with rest, so that the end does not run into the beginning.
+    length = 1 << (2 * n_samples - 1).bit_length()
+    gain = 1 / np.sqrt(1 + (np.fft.rfftfreq(length, 1 / sampling_rate) / CUT_OFF) ** (2 * ORDER))
+    return np.asarray(np.fft.irfft(np.fft.rfft(velocity, length) * gain, length)[:, :n_samples])
 
 
 class FeltSpeeds:
