@@ -43,8 +43,8 @@ def odd(apparatus: Apparatus) -> list[Row]:
 
 
 def test_every_question_is_met(usual: list[Row]) -> None:
-    """Question 0 and the twelve of the notes' section 6, each with something a person can do."""
-    assert [row.number for row in usual] == list(range(14))
+    """Those that the value of the instrument names, each with something a person can do."""
+    assert [row.number for row in usual] == [0, 1, 2, 3, 6, 7, 8, 10, 12, 13]
     assert all(row.question and row.answer and row.advice for row in usual)
     assert [row.number for row in usual if row.state == "person"] == [1, 6, 10, 13]
     json.dumps([vars(row) for row in usual])
@@ -56,18 +56,16 @@ def test_every_question_is_met(usual: list[Row]) -> None:
         (0, "TEKTRONIX,AFG3022B", "TEKTRONIX,AFG3022B"),
         (2, "142.857143 ms kept", r"142.9 ms kept"),
         (3, r"\d+\.\d ms for 125000 points", r"\d{3,}\.\d ms for 1000 points"),
-        (4, "no: it does not answer to EMEM2", "no: it does not answer"),
         (7, "refused with -222.*reads 0.1 Vpp", "cut without an error; the level reads 2 Vpp"),
         (8, "first -113.*last -350.*; 32 entries", r"last -350.*; 5 entries"),
-        (9, r"b'\\n' after a block of 2006 bytes", r"b'xx\\n' after"),
-        (11, "yes: a second session is answered", "no: it admits no further session"),
         (12, "still on", "still on"),
     ],
 )
 def test_answer_follows_the_instrument(usual: list[Row], odd: list[Row], number: int, usually: str, oddly: str) -> None:
     """Each question that software can answer tells two instruments apart."""
-    assert re.search(usually, usual[number].answer)
-    assert re.search(oddly, odd[number].answer)
+    for rows, said in ((usual, usually), (odd, oddly)):
+        (row,) = (row for row in rows if row.number == number)
+        assert re.search(said, row.answer)
 
 
 def test_fault_in_a_question_leaves_the_others(apparatus: Apparatus) -> None:
@@ -75,7 +73,7 @@ def test_fault_in_a_question_leaves_the_others(apparatus: Apparatus) -> None:
     with Simulator(apparatus) as simulator:
         simulator.faults.inject("lost_reply", when=r"TRIG:TIM\?")
         rows = check_rig(simulator.address, apparatus, patience=PATIENCE)
-    assert [row.number for row in rows if row.state == "unanswered"] == [2, 5]
+    assert [row.number for row in rows if row.state == "unanswered"] == [2]
 
 
 def test_scope_measures_the_latency_of_a_trigger(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:

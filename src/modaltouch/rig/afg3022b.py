@@ -165,5 +165,5 @@ AFG3022B = Instrument(
         armed=Setting("TRIG:SOUR", "TIM", replies=("TIM", "TIMER")),
     ),
     records=EditMemory(n_memories=4),
-    questions=tuple(range(14)),
+    questions=(0, 1, 2, 3, 6, 7, 8, 10, 12, 13),
 )

@@ -6,7 +6,6 @@ Nothing is played: the outputs are off whenever a burst starts, and the amplitud
 from __future__ import annotations
 
 import math
-import socket
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,15 +19,13 @@ from modaltouch.rig.catalogue import instrument_of
 from modaltouch.rig.connection import Connection, Patience
 from modaltouch.rig.controls import Unconfirmed
 from modaltouch.rig.instrument import Setting
-from modaltouch.rig.link import InUse, LinkError, Log, block_bounds, describe_error, split_reply
+from modaltouch.rig.link import LinkError, Log, split_reply
 from modaltouch.rig.scope import Scope
-from modaltouch.rig.visa import VisaSession
 from modaltouch.rig.watchdog_client import WatchdogClient
 from modaltouch.stimulus import Burst
 from modaltouch.system import SYSTEM_CLOCK
 
 REPETITION_PERIOD = 1 / 7
-RAW_PORTS = (4000, 5025)
 N_POINTS = 125_000
 STEPS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)
 N_CHANGES = 3
@@ -100,36 +97,6 @@ def _copy_time(connection: Connection) -> Finding:
     )
 
 
-def _second_edit_memory(connection: Connection) -> Finding:
-    connection.controls.ask("*CLS;*OPC?")
-    try:
-        reply = connection.controls.ask("DATA:POIN? EMEM2")
-    except LinkError:
-        connection.restore("question 4", (), lambda: None)
-        return "found", "no: it does not answer to EMEM2", "the driver uses one edit memory in any case"
-    errors = connection.controls.pending_errors()
-    answer = f"no: {', '.join(errors)}" if errors else f"yes: it has {reply} points"
-    return "found", answer, "the driver uses one edit memory in any case"
-
-
-def _raw_socket(connection: Connection) -> Finding:
-    host = (connection.address.split("::") + [""])[1]
-    if not connection.address.upper().startswith("TCPIP") or "," in host:
-        return "unanswered", "not reached over its network address", "ask again over TCPIP::<address>::INSTR"
-    open_ports = [str(port) for port in RAW_PORTS if _answers(host, port)]
-    answer = f"yes, on port {' and '.join(open_ports)}" if open_ports else f"no, neither on port {RAW_PORTS}"
-    return "found", answer, "use ::INSTR in any case: raw sockets lose replies after a timeout"
-
-
-def _answers(host: str, port: int) -> bool:
-    try:
-        with socket.create_connection((host, port), timeout=1) as connection:
-            connection.sendall(b"*IDN?\n")
-            return b"," in connection.recv(200)
-    except OSError:
-        return False
-
-
 def _ranges(connection: Connection) -> Finding:
     took = {}
     for amplitude in STEPS:
@@ -181,40 +148,6 @@ def _error_queue(connection: Connection) -> Finding:
         return "found", "no error after an undefined header", "errors go unseen: rely on what is read back"
     depth = f"{len(errors)} entries" if len(errors) < N_ERRORS else f"at least {N_ERRORS} entries"
     return "found", f"first {errors[0]}, last {errors[-1]}; {depth}", "the driver empties it after every setting"
-
-
-def _block_end(connection: Connection) -> Finding:
-    connection.controls.ask("DATA:DEF EMEM,1000;*OPC?")
-    reply = connection.controls.ask_raw("DATA:DATA? EMEM")
-    _, end = block_bounds(reply)
-    return (
-        "found",
-        f"{reply[end:]!r} after a block of {end} bytes",
-        "records can be read back" if reply[end:] in (b"", b"\n") else "records are verified by single points",
-    )
-
-
-def _sessions(connection: Connection) -> Finding:
-    second = VisaSession(connection.address, shares=True)
-    try:
-        second.open()
-        second.exchange(b"*IDN?\n", timeout=connection.patience.reply, reply=True)
-    except InUse as error:
-        return (
-            "found",
-            f"no: {error}",
-            "a second program is refused while a session runs, and the first goes on",
-        )
-    # Backends raise VisaIOError, OSError, ValueError and plain Exception.
-    except Exception as error:
-        return "found", f"no: {describe_error(error)}", "a second program is refused while a session runs"
-    finally:
-        second.close(broken=False)
-    return (
-        "found",
-        "yes: a second session is answered",
-        "a second program can disturb a session; the driver notices at each trial's end, and offers the trial again",
-    )
 
 
 def _trigger(connection: Connection, scope: Scope | None = None) -> Finding:
@@ -301,14 +234,10 @@ QUESTIONS: tuple[tuple[int, str, Callable[[Connection], Finding]], ...] = (
     (1, "Where does the output rest between bursts?", lambda connection: IDLE_LEVEL),
     (2, "What does the trigger timer make of 1/7 s?", _timer),
     (3, "How long does storing a record take?", _copy_time),
-    (4, "Is there a second edit memory?", _second_edit_memory),
-    (5, "Does it answer on a raw socket?", _raw_socket),
     (6, "Does a change of amplitude click or glitch?", _ranges),
     (7, "Is a level beyond VOLTage:LIMit refused or cut?", _limits),
     (8, "What does the error queue say, and how much does it hold?", _error_queue),
-    (9, "How does a block reply end?", _block_end),
     (10, "How far apart do the channels start?", lambda connection: SKEW),
-    (11, "Does it admit a second session?", _sessions),
     (12, "What do the outputs do when the link is lost?", _after_link_loss),
     (13, "How soon after its command does a burst begin?", _trigger),
     (14, "Is an amplitude that of all codes or of the record?", _amplitude),

@@ -225,5 +225,5 @@ KEYSIGHT_33500B = Instrument(
     ),
     records=ChannelMemories(n_memories=4),
     # Those about the timer, the edit memory and the end of its blocks are an AFG3022B's.
-    questions=(0, 1, 5, 6, 7, 8, 10, 11, 12, 13, 14),
+    questions=(0, 1, 6, 7, 8, 10, 12, 13, 14),
 )
