@@ -218,13 +218,11 @@ def compare(
                 seed=seed,
                 progress=progress,
             )
-        give(report, lambda values: _show_comparison(report.table, report.paragraphs, values), json_output=json_output)
+        give(report, lambda values: _show_comparison(report.table, values), json_output=json_output)
 
 
-def _show_comparison(lines: list[dict[str, Any]], paragraphs: list[str], values: dict[str, Any]) -> None:
-    """Print the methods side by side, what the numbers say, and where the page is."""
-    from rich.console import Console
-
+def _show_comparison(lines: list[dict[str, Any]], values: dict[str, Any]) -> None:
+    """Print the methods side by side, and where the page is."""
     methods = values["methods"]
     title = f"Target: {values['velocity_mm_s']:g} mm/s at the focus; the best of each column bold"
     shown = [line for line in lines if line["key"] in COLUMNS and methods[0].get(line["key"]) is not None]
@@ -233,8 +231,6 @@ def _show_comparison(lines: list[dict[str, Any]], paragraphs: list[str], values:
         cells = [line["cells"][number] for line in shown]
         rows.append((method["name"], *(f"[bold]{cell['text']}[/]" if cell["best"] else cell["text"] for cell in cells)))
     print_table(title, ("method", *(COLUMNS[line["key"]] for line in shown)), rows)
-    for words in paragraphs:
-        Console().print(words, highlight=False)
     print(values["files"]["comparison.html"])
 
 

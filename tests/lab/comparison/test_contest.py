@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from modaltouch.cli.commands import app
 from modaltouch.lab.comparison.command import ComparisonReport
 from modaltouch.lab.comparison.contest import contend, true_delay, without_mismatch
-from modaltouch.lab.comparison.results import Criterion, criteria, paragraphs, rows_of
+from modaltouch.lab.comparison.results import Criterion, criteria, rows_of
 from modaltouch.rig import Simulator
 
 pytestmark = pytest.mark.usefixtures("svg_alone")
@@ -88,17 +88,6 @@ def test_winners_share_what_is_printed_alike():
     assert [low.printed(row) for row in rows] == ["1.0", "1.0", "3.0", "–"]
 
 
-def test_words_name_the_rival_that_wins_and_change_with_the_numbers(rows):
-    """Honest rows: what a rival does better is said, and no longer once it does not."""
-    said = " ".join(paragraphs(rows, 200.0, 2))
-    assert re.search(r"1-bit time reversal: best in peak voltage \(\d", said)
-    worse = [row | {"peak_voltage_V": 999.0} if row["method"] == "one_bit" else row for row in rows]
-    again = " ".join(paragraphs(worse, 200.0, 2))
-    assert "Time reversal: best in peak voltage" in again
-    weak = [row | {"at_focus_mm_s": 100.0} if row["method"] == "paper" else row for row in rows]
-    assert "More than 5 % short of the 200 mm/s: paper's law 100 mm/s" in " ".join(paragraphs(weak, 200.0, 2))
-
-
 def test_page_json_and_table_hold_the_same(found, rows, tmp_path):
     """One page without network, one JSON, one CSV; every criterion and every method."""
     written = ComparisonReport(found, "C", ABOUT, tmp_path / "out").write()
@@ -116,11 +105,10 @@ def test_page_json_and_table_hold_the_same(found, rows, tmp_path):
         assert float(line["rms_error_mm_s"]) == pytest.approx(method["rms_error_mm_s"], abs=1e-4)
 
 
-def test_without_other_beams_there_is_no_robustness_to_speak_of(found):
-    """Expected: dashes instead of numbers, and no sentence on other beams."""
+def test_without_other_beams_there_is_no_robustness_to_show(found):
+    """Expected: dashes instead of numbers."""
     alone = rows_of(replace(found, changed=tuple(() for _ in found.designed)), "C")
     assert alone[0]["changed_drift_mm_s"] is None
-    assert "other beams" not in " ".join(paragraphs(alone, 200.0, 0))
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from modaltouch.lab.comparison.contest import Contest, DriveAssessment, contest, learn
-from modaltouch.lab.comparison.results import Row, criteria, paragraphs, rows_of
+from modaltouch.lab.comparison.results import Row, criteria, rows_of
 from modaltouch.lab.laboratory import UNTOLD, MeasurementProgress, TooFewPointsError
 from modaltouch.lab.output import DARK, MIDDLE, rounded
 from modaltouch.preflight import examine
@@ -160,11 +160,6 @@ class ComparisonReport:
         """Velocity asked for at the focus [mm/s]."""
         return self.contest.task.target_field.velocity * 1e3
 
-    @property
-    def paragraphs(self) -> list[str]:
-        """What the numbers say."""
-        return paragraphs(self.rows, self.level, len(self.contest.changed[0]))
-
     def as_dict(self) -> dict[str, Any]:
         """Return everything as plain values."""
         return {
@@ -212,7 +207,6 @@ class ComparisonReport:
             level=format(round(self.level, 6), "g"),
             rows=self.rows,
             table=self.table,
-            paragraphs=self.paragraphs,
             delay=self.contest.delay * 1e6,
         )
         tables = {"comparison.json": values, "comparison.csv": _table_rows(self.rows)}
