@@ -57,7 +57,7 @@ def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path)
         "rig.acquisition",
         "rig.watchdog_client",
         "session.console.keyboard",
-        "session.rewiring",
+        "session.resumption",
         "stimulus.timoshenko",
         "window.noise",
         "window.screen",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.cli import doctor
+from modaltouch.cli import records as doctor
 from modaltouch.window import environment, machine
 from modaltouch.window.interface import WindowError
 

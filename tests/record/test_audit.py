@@ -23,7 +23,7 @@ from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chai
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.session import Session
 from modaltouch.record.view import write_view
-from modaltouch.session.rewiring import wire_resume
+from modaltouch.session.resumption import wire_resume
 from modaltouch.session.wiring import simulate_session
 
 Events = list[dict[str, Any]]

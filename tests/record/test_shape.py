@@ -9,7 +9,7 @@ from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
 from modaltouch.record.session import Session, read_session
 from modaltouch.record.shape import check_shape
-from modaltouch.session.rewiring import wire_resume
+from modaltouch.session.resumption import wire_resume
 from modaltouch.session.wiring import simulate_session
 
 

@@ -14,7 +14,7 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
-from modaltouch.rig.local_client import LocalClient
+from modaltouch.rig.pacing import LocalClient
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.state import Behaviour
 from modaltouch.rig.visa import VisaSession

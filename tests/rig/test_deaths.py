@@ -16,7 +16,7 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import Firing, RigError, StimulusLost
-from modaltouch.rig.local_client import LocalClient
+from modaltouch.rig.pacing import LocalClient
 from modaltouch.rig.player import RELAYS_SETTLE, Repetition
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.visa import VisaSession

@@ -10,7 +10,7 @@ from typing import Any
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig import Generator, Simulator
 from modaltouch.rig.afg3022b import AFG3022B
-from modaltouch.rig.local_client import LocalClient
+from modaltouch.rig.pacing import LocalClient
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system import VirtualClock
 

@@ -17,11 +17,11 @@ from modaltouch.preflight import examine
 from modaltouch.protocol import Trial
 from modaltouch.protocol.questions import QuestionSection
 from modaltouch.record import Session, audit_session, read_session
-from modaltouch.record.questions import check_answers
+from modaltouch.record.sequence import check_answers
 from modaltouch.rig import Generator, RigError, Simulator
 from modaltouch.session import simulate_session
 from modaltouch.session.console.status import Status
-from modaltouch.session.rewiring import resume, wire_resume
+from modaltouch.session.resumption import resume, wire_resume
 from modaltouch.session.setup import begin
 from modaltouch.session.wiring import wire_run
 

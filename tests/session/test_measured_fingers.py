@@ -18,7 +18,7 @@ from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, encode_line, read_chain
 from modaltouch.record.session import Session
 from modaltouch.rig import RigError, Simulator
-from modaltouch.session.rewiring import resume, wire_resume
+from modaltouch.session.resumption import resume, wire_resume
 from modaltouch.session.setup import begin
 from modaltouch.session.wiring import simulate_session, wire_run
 

@@ -24,7 +24,7 @@ from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, encode_line, read_chain
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.session import Session, read_session
-from modaltouch.session.rewiring import resume, wire_resume
+from modaltouch.session.resumption import resume, wire_resume
 from modaltouch.session.setup import begin
 from modaltouch.session.wiring import wire_run
 from modaltouch.window.interface import SessionStopped

@@ -12,7 +12,7 @@ from modaltouch.record.session import read_session
 from modaltouch.rig import Generator
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
-from modaltouch.session.rewiring import resume
+from modaltouch.session.resumption import resume
 from modaltouch.session.setup import begin
 from modaltouch.session.wiring import wire_run
 from modaltouch.window.simulated import Answerer, SimulatedParticipant

@@ -17,7 +17,7 @@ from modaltouch.protocol import Findings
 from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, encode_line, read_chain
 from modaltouch.record.session import Session, read_session
-from modaltouch.session.rewiring import resume, wire_resume
+from modaltouch.session.resumption import resume, wire_resume
 from modaltouch.session.wiring import simulate_session
 
 pytestmark = pytest.mark.usefixtures("undrawn")

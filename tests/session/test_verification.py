@@ -12,7 +12,7 @@ from modaltouch.preflight import examine
 from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, line_check, read_chain
 from modaltouch.record.session import Session
-from modaltouch.session.rewiring import resume, wire_resume
+from modaltouch.session.resumption import resume, wire_resume
 from modaltouch.session.setup import begin
 from modaltouch.session.wiring import wire_run
 

@@ -7,7 +7,7 @@ import pytest
 
 from modaltouch.preflight import examine
 from modaltouch.record.chain import RecordError
-from modaltouch.session.rewiring import wire_resume
+from modaltouch.session.resumption import wire_resume
 from modaltouch.session.setup import begin
 from modaltouch.session.wiring import wire_run
 from modaltouch.window import WindowOptions

@@ -11,12 +11,10 @@ from pydantic import Field
 
 from modaltouch.protocol.adaptive import AdaptiveSection
 from modaltouch.protocol.answers import AnswerList, Side
-from modaltouch.protocol.calibration_section import CalibrationSection
 from modaltouch.protocol.cells import Cell, CellsSection
 from modaltouch.protocol.conditions import ConditionsSection, FingerCondition
 from modaltouch.protocol.intervals import IntervalsSection, Meaning
 from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, PAUSE_KEY
-from modaltouch.protocol.markers import MarkersSection
 from modaltouch.protocol.masking import MaskingSection
 from modaltouch.protocol.occasions import Overrides
 from modaltouch.protocol.people import PersonField, read_people
@@ -25,6 +23,45 @@ from modaltouch.protocol.schedule_section import ScheduleSection
 from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
 from modaltouch.protocol.stimulus_sections import StimulusSection, StimulusVariant
 from modaltouch.protocol.trial import Trial
+
+
+class CalibrationLimits(Section):
+    """What a calibration may leave at most, its uncertainty included; one that misses them is marked."""
+
+    velocity_mm_s: Positive = described("Error of a modal velocity at the focusing instant [mm/s].", default=0.3)
+    displacement_mm_s: Positive = described(
+        "Modal displacement times angular frequency there, desired to be 0 [mm/s].", default=0.3
+    )
+    level_percent: Positive = described("Deviation of a level at the focus [percent].", default=1.0)
+
+
+class CalibrationSection(Section):
+    """Which calibration the stimulus needs."""
+
+    file: Text | None = described(
+        "File of the calibration that `modaltouch calibrate` wrote, seen from this file; null for none.", default=None
+    )
+    max_age_days: Positive | None = described(
+        "Oldest calibration that a session may begin with [days]; null for any.", default=None
+    )
+    required: bool = Field(
+        strict=True, default=False, description="Whether a session without a calibration is refused."
+    )
+    limits: CalibrationLimits = described(
+        "What a calibration may leave at most, its uncertainty included; one that misses them is marked.",
+        default=CalibrationLimits(),
+    )
+
+
+class MarkersSection(Section):
+    """What other devices are told while a session runs."""
+
+    lsl: bool = described(
+        "Whether each stimulus, question and answer is sent as a marker of the Lab Streaming Layer, in the stream "
+        "`modaltouch` of type Markers; needs the extra `lsl`.",
+        default=False,
+    )
+
 
 AnswerWay = Literal["free_hand", "lifting", "foot_switch", "experimenter"]
 Seconds = Annotated[NotNegative, Field(le=600)]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from modaltouch.session.assignment import propose_participant
     from modaltouch.session.console.consoles import open_console
     from modaltouch.session.overview import survey_results
-    from modaltouch.session.rewiring import resume, wire_resume
+    from modaltouch.session.resumption import resume, wire_resume
     from modaltouch.session.setup import Setup, begin
     from modaltouch.session.wiring import SIMULATED, mode_of, simulate_session, wire_run
 else:
@@ -25,7 +25,7 @@ else:
             "console.consoles": "open_console",
             "overview": "survey_results",
             "setup": "Setup begin",
-            "rewiring": "resume wire_resume",
+            "resumption": "resume wire_resume",
             "wiring": "SIMULATED mode_of simulate_session wire_run",
         },
     )

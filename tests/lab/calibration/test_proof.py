@@ -20,8 +20,7 @@ from modaltouch.lab.calibration.proof import mark_of
 from modaltouch.preflight import Preflight
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.calibration import check_mark, examine_calibration
-from modaltouch.protocol.calibration_section import CalibrationLimits
-from modaltouch.protocol.sections import Protocol
+from modaltouch.protocol.sections import CalibrationLimits, Protocol
 from modaltouch.protocol.source import Source
 from modaltouch.rig.interface import RigError
 

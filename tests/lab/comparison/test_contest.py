@@ -11,9 +11,8 @@ import pytest
 from typer.testing import CliRunner
 
 from modaltouch.cli.commands import app
-from modaltouch.lab.comparison.command import ComparisonReport
+from modaltouch.lab.comparison.command import ComparisonReport, Criterion, criteria, rows_of
 from modaltouch.lab.comparison.contest import contend, true_delay, without_mismatch
-from modaltouch.lab.comparison.results import Criterion, criteria, rows_of
 from modaltouch.rig import Simulator
 
 pytestmark = pytest.mark.usefixtures("svg_alone")

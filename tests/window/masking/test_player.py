@@ -121,7 +121,7 @@ def test_the_doctor_says_whether_there_is_a_sound_device(
 import json
 from dataclasses import asdict
 from pathlib import Path
-from modaltouch.cli.doctor import examine_machine
+from modaltouch.cli.records import examine_machine
 (sound,) = [finding for finding in examine_machine(Path(".")) if finding.subject == "sound"]
 print(json.dumps(asdict(sound)))
 """

@@ -134,7 +134,7 @@ class Simulator:
         clock = self.afg.clock
         if not isinstance(clock, VirtualClock):
             return {"clock": clock}
-        from modaltouch.rig.local_client import LocalClient
+        from modaltouch.rig.pacing import LocalClient
         from modaltouch.rig.visa import VisaSession
 
         # No other program knows of this twin; one that had the same port before may still hold the address's lock.
