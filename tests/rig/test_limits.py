@@ -121,7 +121,7 @@ def test_fire_after_a_power_cycle_sends_no_output_on_before_all_is_verified_agai
     """The first try is not confirmed, and no output goes on; the records are read back or sent before the next."""
     simulator.power_cycle()
     if erased == "the memories too":
-        simulator.front_panel("SYST:SEC:IMM")
+        simulator.front_panel("DATA:LOCK USER1,OFF;LOCK USER2,OFF;DEL USER1;DEL USER2")
     assert not loaded.fire(0.1).started
     assert not any("OUTP1 ON" in message for message in heard.sent)
     assert len(heard.of("record_sent" if erased == "the memories too" else "record_found")) == 2

@@ -163,7 +163,7 @@ def parse_chain(data: bytes, name: str) -> Chain:
             damage.append(f"{name}:{number}: {error}, though its check is right")
             previous = error.check
             continue
-        if event is None or (pending and not _declares(event, pending)):
+        if event is None or (pending and event.get("torn") != describe_torn(pending.removesuffix(b"\n"))):
             pending = pending + line if pending else line
             pending_line = pending_line or number
             continue
@@ -233,7 +233,3 @@ def read_object(line: bytes) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise UnreadableLineError("it is no JSON object")
     return value
-
-
-def _declares(event: dict[str, Any], torn: bytes) -> bool:
-    return bool(event.get("torn") == describe_torn(torn.removesuffix(b"\n")))

@@ -48,7 +48,8 @@ class ChannelMemories:
 
     def store(self, desk: Desk, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
         """Have records in the memories of their channels, verified, and return their names."""
-        names = [_name(codes) for _, codes in records]
+        # A letter first, twelve at most.
+        names = ["MT" + hashlib.sha256(codes.tobytes()).hexdigest()[:10].upper() for _, codes in records]
         for channel in dict.fromkeys(channel for channel, _ in records):
             wanted = {name: codes for name, (each, codes) in zip(names, records, strict=True) if each == channel}
             if all(desk.stored.get(f"{channel}:{name}") for name in wanted):
@@ -97,11 +98,6 @@ class ChannelMemories:
                 raise Unconfirmed(
                     f"{name} of output {channel} does not hold the record that was sent, after two uploads"
                 )
-
-
-def _name(codes: NDArray[np.uint16]) -> str:
-    """Return the name of a record: a letter first, twelve at most."""
-    return "MT" + hashlib.sha256(codes.tobytes()).hexdigest()[:10].upper()
 
 
 def _verified(desk: Desk, channel: int, name: str, codes: NDArray[np.uint16]) -> bool:

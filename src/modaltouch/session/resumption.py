@@ -124,10 +124,10 @@ def refuse_old(session: Session, interruption: SessionInterruption, within_hours
             f"{anew}"
         )
     hours = interruption.age_s / 3600
+    ago = f"{hours:.1f} h" if hours >= 1 else f"{60 * hours:.1f} min"
     if hours > within_hours:
         raise RecordInputError(
-            f"{session.path}: was interrupted {_duration(interruption.age_s)} ago, and {limit} "
-            f"(schedule.resume.within_hours); {anew}"
+            f"{session.path}: was interrupted {ago} ago, and {limit} (schedule.resume.within_hours); {anew}"
         )
 
 
@@ -213,10 +213,6 @@ def begin_anew(
         log.write_view(old)
     begun = {"session": old.session, "interruption": asdict(cut)}
     return SessionLog.create(place.log, "start", timed_by=clock, **facts, begins_anew=begun)
-
-
-def _duration(seconds: float) -> str:
-    return f"{seconds / 3600:.1f} h" if seconds >= 3600 else f"{seconds / 60:.1f} min"
 
 
 def _cut_trial(session: Session) -> dict[str, Any] | None:

@@ -89,7 +89,7 @@ def broken(rng: random.Random) -> tuple[str, int]:
 def mutated(rng: random.Random) -> bytes:
     """Return bytes that began as commands."""
     units = [broken(rng)[0] for _ in range(rng.randint(1, 8))]
-    units += ["*IDN?", "SYST:ERR?", "DATA? EMEM", "*SAV 1;*RCL 1", "DATA:COPY USER1,EMEM"][: rng.randint(0, 5)]
+    units += ["*IDN?", "SYST:ERR?", "DATA? EMEM", "*RST;*OPC?", "DATA:COPY USER1,EMEM"][: rng.randint(0, 5)]
     rng.shuffle(units)
     message = bytearray(";".join(units).encode("latin1"))
     for _ in range(rng.randint(0, 12)):

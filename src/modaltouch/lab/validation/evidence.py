@@ -174,13 +174,10 @@ class Evidence:
         return self.observation.stimulus.target_field.centre
 
     @property
-    def _share(self) -> float:
-        return self.observation.velocity / self.observation.stimulus.target_field.velocity
-
-    @property
     def target(self) -> FloatArray:
         """Coefficients of the selected modes, (n_modes,) array, 0 for the others [m/s]."""
-        return self.observation.stimulus.target * self._share
+        stimulus = self.observation.stimulus
+        return stimulus.target * (self.observation.velocity / stimulus.target_field.velocity)
 
     @cached_property
     def target_coefficient(self) -> FloatArray:

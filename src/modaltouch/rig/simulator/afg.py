@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -54,7 +54,6 @@ class Afg(GeneratorState[Channel]):
     def __post_init__(self) -> None:
         self.user: dict[int, bytes | None] = dict.fromkeys(range(1, len(MEMORIES) + 1))
         self.locked: dict[int, bool] = dict.fromkeys(self.user, False)
-        self.saved: dict[int, tuple[dict[int, Channel], str, float]] = {}
         super().__post_init__()
 
     def forget(self) -> None:
@@ -69,7 +68,6 @@ class Afg(GeneratorState[Channel]):
             self.level_concurrent = self.frequency_concurrent = False
             self.trigger_output = "TRIG"
             self.clock_source = "INT"
-            self.recall_automatically = False
 
     # memories
 
@@ -142,24 +140,6 @@ class Afg(GeneratorState[Channel]):
         if channel.offset + half > limit_high * (1 + 1e-9) or channel.offset - half < limit_low * (1 + 1e-9):
             raise ScpiError(-221, f"the level {2 * half:g} Vpp at {channel.offset:g} V exceeds the new limit")
         channel.limit_high, channel.limit_low = limit_high, limit_low
-
-    def copy_channel(self, target: int, source: int) -> None:
-        """Give a channel the settings of the other; its output stays as it is."""
-        self.channels[target] = replace(self.channels[source], output=self.channels[target].output)
-
-    # save and recall
-
-    def save(self, place: int) -> None:
-        """Keep the settings under a number."""
-        channels = {number: replace(channel) for number, channel in self.channels.items()}
-        self.saved[place] = (channels, self.trigger_source, self.timer)
-
-    def recall(self, place: int) -> None:
-        """Restore settings; the outputs come back off."""
-        if place not in self.saved:
-            raise ScpiError(-224, f"nothing saved under {place}")
-        channels, self.trigger_source, self.timer = self.saved[place]
-        self.channels = {number: replace(channel, output=False) for number, channel in channels.items()}
 
     # what comes out
 

@@ -253,22 +253,9 @@ def _trigger(afg: Afg) -> dict[str, Command]:
 
 
 def _system(afg: Afg) -> dict[str, Command]:
-    def erase(channel: int, arguments: Arguments) -> None:
-        afg.user = dict.fromkeys(afg.user)
-        afg.reset()
-
-    def copy_channel(channel: int, arguments: Arguments) -> None:
-        target, source = (int(read_choice(name, ("CH1", "CH2"))[2:]) for name in exactly(arguments, 2))
-        afg.copy_channel(target, source)
-
     return {
-        "*SAV": Command(set=lambda c, a: afg.save(whole(a, 0, 4))),
-        "*RCL": Command(set=lambda c, a: afg.recall(whole(a, 0, 4))),
-        "AFGControl:CSCopy": Command(set=copy_channel),
         "SOURce:ROSCillator:SOURce": choice(afg, "clock_source", ("INTernal", "EXTernal")),
-        "MEMory:STATe:RECall:AUTo": switch(afg, "recall_automatically"),
         "SYSTem:BEEPer[:IMMediate]": Command(set=lambda c, a: None),
-        "SYSTem:SECurity:IMMediate": Command(set=erase),
     }
 
 

@@ -347,7 +347,10 @@ class Timeline:
                 end=max(last for _, last in passed.values()),
                 whole=all(passed.get(channel) == run.spans[channel] for channel in due),
                 sent=tuple(run.sent[channel] if channel in passed else None for channel in n_channels),
-                passed=tuple(_since(run.spans[n][0], passed[n]) if n in passed else None for n in n_channels),
+                passed=tuple(
+                    (passed[n][0] - run.spans[n][0], passed[n][1] - run.spans[n][0]) if n in passed else None
+                    for n in n_channels
+                ),
                 link=run.link,
             )
         )
@@ -365,10 +368,6 @@ def _reach(situation: Situation) -> float:
     lengths = [length for length in situation.length if math.isfinite(length)]
     delays = [sent.delay for sent in situation.sent if sent is not None]
     return 3 * max([situation.tick or 0.0, *lengths]) + max(delays, default=0.0)
-
-
-def _since(start: float, span: tuple[float, float]) -> tuple[float, float]:
-    return span[0] - start, span[1] - start
 
 
 def _after(now: float, origin: float, period: float) -> float:

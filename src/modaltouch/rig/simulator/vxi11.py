@@ -310,7 +310,9 @@ class Vxi11Server:
         with self._guard:
             connections, self._connections = self._connections, set()
         for connection in connections:
-            _reset(connection)
+            # Wakes the thread that serves it, which closes it; the client sees a reset.
+            with contextlib.suppress(OSError):
+                connection.shutdown(socket.SHUT_RD)
 
     def close(self) -> None:
         """Stop serving."""
@@ -358,9 +360,3 @@ class Vxi11Server:
         if procedure == 0:
             return accept(transaction)
         return accept(transaction) + self._links.call(procedure, parameters, own)
-
-
-def _reset(connection: socket.socket) -> None:
-    """Wake the thread that serves a connection, which closes it; the client sees a reset."""
-    with contextlib.suppress(OSError):
-        connection.shutdown(socket.SHUT_RD)
