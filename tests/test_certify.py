@@ -4,9 +4,12 @@ import importlib.util
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from modaltouch.analysis.statistics import STATISTICS
+from modaltouch.protocol.adaptive import StaircaseSection
+from modaltouch.protocol.levels import follow
 
 PLACE = Path(__file__).with_name("certify.py")
 
@@ -14,6 +17,7 @@ PLACE = Path(__file__).with_name("certify.py")
 @pytest.fixture(scope="module")
 def certify():
     """The script."""
+    sys.path.insert(0, str(PLACE.parent))
     spec = importlib.util.spec_from_file_location("certify", PLACE)
     module = importlib.util.module_from_spec(spec)
     sys.modules["certify"] = module  # dataclasses look their module up
@@ -36,7 +40,7 @@ def test_a_population_gives_a_row_for_each_family_of_tests(certify) -> None:
     part = certify.certify(number, 12)
     rows = {row["certificate"]: row for row in part["rows"]}
     assert set(STATISTICS) <= set(rows)
-    assert set(rows) >= {"rank", "d'", "group", "friedman"}
+    assert set(rows) >= {"rank", "d'", "group", "friedman", "run of one, forced choice", "mean JND"}
     assert all(0 <= row["errors"] <= row["n"] <= 12 for row in rows.values())
 
 
@@ -62,3 +66,13 @@ def test_the_populations_are_those_that_are_promised(certify) -> None:
         "participants": (6, 60), "repetitions": (1, 8),
     }  # fmt: skip
     assert {each.kind for each in drawn} == set(certify.KINDS)
+
+
+@pytest.mark.parametrize("down_after", [1, 2])
+def test_runs_follow_the_rule_of_a_session(certify, down_after) -> None:
+    """A run of 40 trials against `follow`, which decides the levels of a session."""
+    measures, rule = certify.certified_measures, StaircaseSection(down_after=down_after, steps_dB=(8.0, 4.0, 2.0))
+    levels, chances = measures.LEVELS_DB, np.linspace(0.2, 0.9, 21)[None]
+    (places,), (successes,) = measures.staircases(rule, np.random.default_rng(3), 40, chances)
+    bounds, start = (levels[0], levels[-1]), levels[measures.START]
+    assert levels[places].tolist() == [follow(rule, start, bounds, successes[:trial].tolist()) for trial in range(40)]

@@ -16,8 +16,8 @@ from scipy.special import ndtr, ndtri
 
 from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.findings import Finding, correct
+from modaltouch.analysis.location import by_flips, by_ranks, group_test
 from modaltouch.analysis.means import BoundedMean
-from modaltouch.analysis.measures import by_flips, by_ranks, group_test
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.ratings import friedman, power_law
 from modaltouch.analysis.reading import read_responses

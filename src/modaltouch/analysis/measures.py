@@ -1,21 +1,13 @@
 """A number of each participant, such as a d', a threshold or a mean rating; then over participants and groups.
 
-The participant is the unit: what is tested is one number of each, never the pooled trials. Over participants a number
-has the centre about which sign flips do not reject symmetry, of ratings by signed ranks; between groups the labels of
-the participants are shuffled.
-
-References
-----------
-Hollander and Wolfe, "Nonparametric Statistical Methods" (1973), sections 3.1 to 3.3 (signed ranks).
-Pitman, J. R. Stat. Soc. Suppl. 4 (1937) 119-130 (shuffled groups).
+The participant is the unit: what is tested is one number of each, never the pooled trials.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import combinations
 from typing import Any, cast
 
@@ -23,10 +15,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from modaltouch.analysis.covariates import centre_interval
-from modaltouch.analysis.exact import ExactTest, sign_flip_test
 from modaltouch.analysis.findings import Finding, finding_of
-from modaltouch.analysis.intervals import CONFIDENCE, Interval
+from modaltouch.analysis.intervals import Interval
+from modaltouch.analysis.location import Located, by_flips, by_ranks, flip_test, group_test
 from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.scale import LevelScale
 from modaltouch.analysis.zones import label_zones
@@ -34,8 +25,6 @@ from modaltouch.analysis.zones import label_zones
 FloatArray = NDArray[np.float64]
 Cell = tuple[str, str, str, float]
 """Participant, finger condition, pair of zones, level."""
-
-Located = tuple[ExactTest, Interval]
 
 
 @dataclass(frozen=True)
@@ -120,112 +109,7 @@ class Own:
         }
 
 
-def flip_test(values: FloatArray) -> ExactTest:
-    """Return the exact test that values are symmetric about zero, by sign flips of their four leading digits.
-
-    Parameters
-    ----------
-    values : (..., n) array
-        One value a participant.
-    """
-    return sign_flip_test(np.rint(values / _unit(values) * 1000).astype(np.int64))
-
-
-def _unit(values: FloatArray) -> float:
-    largest = float(np.abs(values).max(initial=0.0))
-    return 10.0 ** math.floor(math.log10(largest)) if largest > 0 else 1.0
-
-
-def by_flips(values: FloatArray) -> Located:
-    """Return the test by sign flips, and the centres that it does not reject, of values as `flip_test` takes them."""
-    unit = _unit(values)
-    return flip_test(values), centre_interval(values / unit).changed(lambda scaled: scaled * unit)
-
-
-def rank_test(values: FloatArray) -> ExactTest:
-    """Return Wilcoxon's exact test of signed ranks; zeros are left out, equal sizes share their rank.
-
-    Parameters
-    ----------
-    values : (..., n) array
-        One value a participant.
-
-    Examples
-    --------
-    >>> float(rank_test(np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])).p)  # 2 / 2^6
-    0.03125
-    """
-    rows = np.abs(values).reshape(-1, values.shape[-1])
-    ranks = pd.DataFrame(np.where(rows > 0, rows, np.nan)).rank(axis=1).fillna(0.0).to_numpy().reshape(values.shape)
-    return sign_flip_test(np.rint(2 * ranks * np.sign(values)).astype(np.int64))
-
-
-def by_ranks(values: FloatArray) -> Located:
-    """Return the test of signed ranks, and the median of the averages of two values with its exact interval."""
-    # Means that are equal may differ in their last bit, and then would have ranks of their own.
-    values, n = values.round(9), values.size
-    first, second = np.triu_indices(n)
-    averages = np.sort((values[first] + values[second]) / 2)
-    chances = np.ones(1)
-    for rank in range(1, n + 1):
-        chances = (np.pad(chances, (0, rank)) + np.pad(chances, (rank, 0))) / 2
-    dropped = int(np.searchsorted(np.cumsum(chances), (1 - CONFIDENCE) / 2))
-    low, high = (averages[dropped - 1], averages[-dropped]) if dropped and n else (-math.inf, math.inf)
-    return rank_test(values), Interval(float(np.median(averages)) if n else math.nan, float(low), float(high), n)
-
-
 _FLIPS, _RANKS = "sign flips", "signed ranks"
-_MOST_ORDERS = 20_000
-"""Ways to share out the participants up to which all are counted; beyond, as many are drawn."""
-
-
-def group_test(first: FloatArray, second: FloatArray) -> Located:
-    """Return the permutation test that two groups have one distribution, and the shifts that it does not reject.
-
-    Parameters
-    ----------
-    first, second : (n,) arrays
-        One value a participant; the statistic is the difference of the means, first less second.
-    """
-    values, n, size = np.concatenate([first, second]), len(first), len(first) + len(second)
-    weights, is_exact = _weights(n, size)
-    differences, moved = weights @ values, weights[:, :n].sum(axis=1)
-    observed = float(first.mean() - second.mean())
-
-    def p(shift: float) -> float:
-        reached = np.abs(differences - shift * moved) >= abs(observed - shift) - 1e-9
-        return float(reached.mean())
-
-    least = (2 if is_exact and 2 * n == size else 1) / len(weights)
-    test = ExactTest(observed, p(0.0), least, size)
-    far = 2 * float(np.ptp(values)) + 1e-9
-    low, high = (_last_kept(p, observed, observed + far * side) for side in (-1, 1))
-    return test, Interval(observed, low, high, size)
-
-
-@lru_cache(maxsize=4)
-def _weights(n: int, size: int) -> tuple[FloatArray, bool]:
-    """Return what turns values into differences of means, an order a row, the given one first; and whether all are."""
-    is_first = np.arange(size) < n
-    is_exact = math.comb(size, n) <= _MOST_ORDERS
-    if is_exact:
-        chosen = np.array(list(combinations(range(size), n)))
-        orders = np.zeros((len(chosen), size), dtype=bool)
-        np.put_along_axis(orders, chosen, True, axis=1)
-    else:
-        rng = np.random.default_rng(1)
-        orders = np.stack([is_first, *(rng.permutation(is_first) for _ in range(_MOST_ORDERS - 1))])
-    return orders / n - ~orders / (size - n), is_exact
-
-
-def _last_kept(p: Callable[[float], float], kept: float, rejected: float) -> float:
-    """Return the farthest shift that is not rejected; infinite where none is."""
-    if p(rejected) > 1 - CONFIDENCE:
-        return math.copysign(math.inf, rejected - kept)
-    for _ in range(40):
-        middle = (kept + rejected) / 2
-        kept, rejected = (middle, rejected) if p(middle) > 1 - CONFIDENCE else (kept, middle)
-    return kept
 
 
 def over_participants(measure: Measure, own: Sequence[Own]) -> Located:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from modaltouch.analysis.exact import ExactTest
 from modaltouch.analysis.findings import Finding, finding_of
@@ -148,19 +149,19 @@ def correct(frame: pd.DataFrame, task: TrialTask, scale: LevelScale) -> pd.Serie
     return right.astype(float).reindex(task.told(frame, scale.column).index).reindex(frame.index)
 
 
-def power_law(levels: pd.Series, magnitudes: pd.Series) -> Interval:
+def power_law(levels: ArrayLike, magnitudes: ArrayLike) -> Interval:
     """Return the exponent of magnitude over level, by least squares of their logarithms, with its t interval.
 
     Parameters
     ----------
-    levels, magnitudes : Series
+    levels, magnitudes : (n,) arrays
         Above zero, an answer each.
 
     References
     ----------
     Stevens, "Psychophysics" (1975), chapter 1.
     """
-    x, y = np.log(levels.to_numpy(dtype=float)), np.log(magnitudes.to_numpy(dtype=float))
+    x, y = np.log(np.asarray(levels, dtype=float)), np.log(np.asarray(magnitudes, dtype=float))
     spread = ((x - x.mean()) ** 2).sum()
     slope = float(((x - x.mean()) * (y - y.mean())).sum() / spread)
     if len(x) < 3:
@@ -196,23 +197,42 @@ def level_findings(values: Sequence[Own]) -> Iterator[Finding]:
             )  # fmt: skip
 
 
-def friedman(rows: np.ndarray) -> tuple[ExactTest, float]:
+def friedman(rows: np.ndarray) -> tuple[ExactTest, Any]:
     """Return Friedman's test with p from 9,999 shuffles within participants of a fixed seed, and Kendall's W.
 
     Parameters
     ----------
-    rows : (n_participants, n_levels) array
+    rows : (..., n_participants, n_levels) array
         Mean ratings.
     """
-    ranks = pd.DataFrame(rows).round(9).rank(axis=1).to_numpy()
-    n, k = ranks.shape
-    ties = sum(((counts := np.unique(row, return_counts=True)[1]) ** 3 - counts).sum() for row in ranks)
+    shape, (n, k) = rows.shape[:-2], rows.shape[-2:]
+    ranks = pd.DataFrame(rows.reshape(-1, k)).round(9).rank(axis=1).to_numpy().reshape(-1, n, k)
+    ties = ((ranks[..., np.newaxis] == ranks[..., np.newaxis, :]).sum(axis=-1) ** 2 - 1).sum(axis=(1, 2))
     most = n**2 * (k**3 - k) / 12 - n * ties / 12
-    deviation = ((ranks.sum(axis=0) - n * (k + 1) / 2) ** 2).sum()
-    if most <= 0:
-        return ExactTest(0.0, 1.0, 1.0, 0), math.nan
-    shuffled = np.random.default_rng(1).permuted(np.broadcast_to(ranks, (_SHUFFLES, n, k)), axis=2).sum(axis=1)
-    reached = (((shuffled - n * (k + 1) / 2) ** 2).sum(axis=1) >= deviation - 1e-9).sum()
-    least = max(1 / (_SHUFFLES + 1), float(math.factorial(k)) ** (1 - n))
-    concordance = float(deviation / most)
-    return ExactTest(n * (k - 1) * concordance, (reached + 1) / (_SHUFFLES + 1), least, n), concordance
+    centred = ranks - (k + 1) / 2
+    deviation = (centred.sum(axis=1) ** 2).sum(axis=-1)
+    reached, halves = np.zeros(len(rows := centred.reshape(-1, n * k))), rows.astype(np.float32)
+    for shuffles in _shuffles(n, k, 1_000_000 // (k * max(len(halves), n * k))):
+        # Sums of halves are exact in single precision.
+        sums = (halves @ shuffles).astype(float).reshape(len(halves), -1, k)
+        reached += ((sums**2).sum(axis=-1) >= deviation[:, np.newaxis] - 1e-9).sum(axis=-1)
+    varies, least = most > 0, max(1 / (_SHUFFLES + 1), float(math.factorial(k)) ** (1 - n))
+    concordance = np.divide(deviation, most, out=np.full(most.shape, math.nan), where=varies)
+    found: list[Any] = [
+        np.where(varies, value, nothing).reshape(shape)[()]
+        for value, nothing in (
+            (n * (k - 1) * concordance, 0.0), ((reached + 1) / (_SHUFFLES + 1), 1.0), (least, 1.0), (n, 0)
+        )
+    ]  # fmt: skip
+    return ExactTest(*found), concordance.reshape(shape)[()]
+
+
+def _shuffles(n: int, k: int, at_once: int) -> Iterator[np.ndarray]:
+    """Yield shuffles within n participants, some at a time, as matrices that turn values into their sums by level."""
+    rng = np.random.default_rng(1)
+    for start in range(0, _SHUFFLES, max(at_once, 1)):
+        size = min(max(at_once, 1), _SHUFFLES - start)
+        places = rng.permuted(np.broadcast_to(np.arange(k), (size, n, k)), axis=2)
+        picked = np.zeros((n, k, size, k), dtype=np.float32)
+        picked[np.arange(n)[:, np.newaxis], places, np.arange(size)[:, np.newaxis, np.newaxis], np.arange(k)] = 1
+        yield picked.reshape(n * k, size * k)

@@ -30,7 +30,8 @@ MOST_LAPSE = 0.02
 
 FEWEST_LEVELS = 3
 
-_QUARTILE = NormalDist().inv_cdf(0.75)
+JND_OF_SPREAD = NormalDist().inv_cdf(0.75)
+"""Just noticeable difference in spreads: from half to three quarters of the answers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +117,9 @@ def measures_of_fits(fits: tuple[FittedCell, ...], task: TrialTask, scale: Level
         value = _interval(fitted.threshold, lambda level: 10 ** (level / 20))
         yield Own(equal if each.is_choice else threshold, *each.cell, value, n, fitted.why_not)
         if each.is_choice:
-            yield Own(jnd, *each.cell, _interval(fitted.spread, lambda spread: _QUARTILE * spread), n, fitted.why_not)
+            yield Own(
+                jnd, *each.cell, _interval(fitted.spread, lambda spread: JND_OF_SPREAD * spread), n, fitted.why_not
+            )
 
 
 def _interval(estimate: ThresholdEstimate | None, told: Callable[[float], float]) -> Interval:

@@ -2,13 +2,14 @@
 
 The probability of success at a level x [dB re 1 mm/s] is g + (1 - g - l) Phi((x - m) / s): m is the threshold, halfway
 between guessing and lapsing, s the spread, g the guess rate and l the lapse rate. Everything is read off the
-likelihood on a grid, so nothing diverges where answers are separated; intervals are those of the profile likelihood,
-all levels whose best fit is within 1.92 of the best of all.
+likelihood on a grid, so nothing diverges where answers are separated. Intervals are the ends of the joint 95 % region
+of m and s, all pairs whose best fit is within 3.00 of the best of all: levels of a run lie where answers led, and its
+likeliest spread is too small, so that an interval of m alone, within 1.92, misses up to a quarter of the thresholds.
 
 References
 ----------
 Wichmann and Hill, Perception & Psychophysics 63 (2001) 1293-1313 (the function; lapses held to a small range).
-Venzon and Moolgavkar, J. R. Stat. Soc. C 37 (1988) 87-94 (profile likelihood intervals).
+Venzon and Moolgavkar, J. R. Stat. Soc. C 37 (1988) 87-94 (profile likelihood; joint regions).
 """
 
 from __future__ import annotations
@@ -16,10 +17,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from modaltouch.analysis.intervals import Interval
 
 FloatArray = NDArray[np.float64]
 
@@ -32,74 +34,16 @@ BEYOND = 20.0
 _LEAST = 1e-9
 """No outcome is impossible: probabilities are kept this far from 0 and 1."""
 
+_SPREADS = np.geomspace(0.5, 20.0, 28)
+_GUESSES = np.array([0.0, 0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5])
+"""Spreads [dB], and guess rates where catch trials tell of them [1], that are compared."""
 
-@dataclass(frozen=True)
-class Grid:
-    """Values of the parameters that are compared.
-
-    Attributes
-    ----------
-    thresholds, spreads : arrays
-        [dB re 1 mm/s], [dB].
-    lapses, guesses : arrays
-        [1].
-    """
-
-    thresholds: FloatArray
-    spreads: FloatArray
-    lapses: FloatArray
-    guesses: FloatArray
-
-    @classmethod
-    def around(cls, levels: FloatArray, guess_rate: ArrayLike, most_lapse: float, *, fits_guesses: bool) -> Self:
-        """Return a grid for some levels [dB re 1 mm/s].
-
-        Parameters
-        ----------
-        levels : array
-            The levels that were presented.
-        guess_rate : float or array
-            The guess rates, unless catch trials tell of them [1].
-        most_lapse : float
-            Largest lapse rate [1].
-        fits_guesses : bool
-            Whether catch trials tell of guesses.
-        """
-        return cls(
-            thresholds=np.arange(levels.min() - BEYOND, levels.max() + BEYOND + STEP / 2, STEP),
-            spreads=np.geomspace(0.5, 20.0, 28),
-            lapses=np.linspace(0.0, most_lapse, 4) if most_lapse else np.zeros(1),
-            guesses=np.array([0.0, 0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5])
-            if fits_guesses
-            else np.atleast_1d(np.asarray(guess_rate, dtype=float)),
-        )
-
-    def log_likelihood(self, levels: FloatArray, hits: FloatArray, tries: FloatArray) -> FloatArray:
-        """Return the log likelihood of successes, (n_thresholds, n_spreads, n_lapses, n_guesses) array.
-
-        Parameters
-        ----------
-        levels, hits, tries : (n_levels,) arrays
-            Levels [dB re 1 mm/s], successes, and trials.
-        """
-        from scipy.special import ndtr
-
-        rising = ndtr((levels - self.thresholds[:, None, None]) / self.spreads[:, None])
-        total = np.empty((*rising.shape[:2], len(self.lapses), len(self.guesses)))
-        for i, lapse in enumerate(self.lapses):
-            for j, guess in enumerate(self.guesses):
-                p = np.clip(guess + (1 - guess - lapse) * rising, _LEAST, 1 - _LEAST)
-                total[:, :, i, j] = np.log(p) @ hits + np.log1p(-p) @ (tries - hits)
-        return total
-
-    def log_guesses(self, n_false: int, n_catch: int) -> FloatArray:
-        """Return the log likelihood of successes on catch trials, (n_guesses,) array."""
-        p = np.clip(self.guesses, _LEAST, 1 - _LEAST)
-        return np.asarray(n_false * np.log(p) + (n_catch - n_false) * np.log1p(-p)) if n_catch else np.zeros_like(p)
+_AT_ONCE = 4_000_000
+"""Likelihoods of the largest temporary array."""
 
 
-DROP = 1.920729
-"""Half the 95 % point of chi-squared with one degree of freedom."""
+DROP, REGION = 1.920729, 2.995732
+"""Half the 95 % points of chi-squared with one and two degrees of freedom."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +55,7 @@ class ThresholdEstimate:
     value : float
         The likeliest value.
     low, high : float or None
-        95 % interval by profile likelihood.
+        Ends of the joint 95 % region of threshold and spread.
     """
 
     value: float
@@ -205,28 +149,143 @@ def fit_psychometric(
         If there is no trial, or levels and successes differ in number.
     """
     x, hits, tries = _counted(levels, successes)
-    grid, n_false = Grid.around(x, guess_rate, most_lapse, fits_guesses=bool(len(catches))), sum(catches)
-    likelihood = grid.log_likelihood(x, hits, tries) + grid.log_guesses(n_false, len(catches))
-    best = np.unravel_index(int(likelihood.argmax()), likelihood.shape)
-    threshold = _estimate(grid.thresholds, likelihood.max(axis=(1, 2, 3)))
-    spread = _estimate(grid.spreads, likelihood.max(axis=(0, 2, 3)))
-    constant = _log_binomial(hits.sum(), tries.sum()) + _log_binomial(n_false, len(catches))
-    gain, known = float(likelihood.max()) - constant, 0.0
-    if flat_rate is not None:
-        known = constant - hits.sum() * math.log(flat_rate) - (tries - hits).sum() * math.log1p(-flat_rate)
-    why = _why_not(x, hits, tries, gain + known, threshold.value, unit)
+    n_catch, n_false = len(catches), sum(catches)
+    fits = fit_counts(
+        x, hits[np.newaxis], tries[np.newaxis], guess_rate=guess_rate, most_lapse=most_lapse, n_catch=n_catch,
+        n_false=n_false, flat_rate=flat_rate,
+    )  # fmt: skip
+    why = _why_not(x, hits, tries, float(fits.settled[0]), float(fits.threshold.estimate[0]), unit)
+    threshold, spread = (None if why else _estimated(each[0]) for each in (fits.threshold, fits.spread))
     return Psychometric(
         n_trials=int(tries.sum()),
         n_successes=int(hits.sum()),
-        n_catch=len(catches),
+        n_catch=n_catch,
         n_false=n_false,
-        threshold=None if why else threshold,
-        spread=None if why else spread,
-        guess_rate=float(grid.guesses[best[3]]),
-        lapse_rate=float(grid.lapses[best[2]]),
+        threshold=threshold,
+        spread=spread,
+        guess_rate=float(fits.guess_rate[0]),
+        lapse_rate=float(fits.lapse_rate[0]),
         why_not=why,
-        is_uncertain=bool(not why and gain < DROP),
+        is_uncertain=bool(not why and fits.gain[0] < DROP),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Fits:
+    """The fits of a batch of runs, arrays of shape (n_runs,).
+
+    Attributes
+    ----------
+    threshold, spread : Interval
+        [dB re 1 mm/s], [dB]; a bound is infinite where the answers set none.
+    guess_rate, lapse_rate : arrays
+        The likeliest asymptotes [1].
+    gain, settled : arrays
+        Gain of the log likelihood over a constant chance: the likeliest one, and `flat_rate` where it is known.
+    is_told : array of bool
+        Whether the answers tell a threshold.
+    """
+
+    threshold: Interval
+    spread: Interval
+    guess_rate: FloatArray
+    lapse_rate: FloatArray
+    gain: FloatArray
+    settled: FloatArray
+    is_told: NDArray[np.bool_]
+
+
+def fit_counts(
+    levels: FloatArray,
+    hits: FloatArray,
+    tries: FloatArray,
+    *,
+    guess_rate: ArrayLike,
+    most_lapse: float,
+    n_catch: int = 0,
+    n_false: int = 0,
+    flat_rate: float | None = None,
+) -> Fits:
+    """Return the fits of a batch of runs, whose levels are all or some of those given.
+
+    Parameters
+    ----------
+    levels : (n_levels,) array
+        Levels, increasing [dB].
+    hits, tries : (n_runs, n_levels) arrays
+        Successes and trials of each run.
+    guess_rate, most_lapse, flat_rate
+        As for `fit_psychometric`.
+    n_catch, n_false : int
+        Catch trials of each run, and successes among them.
+    """
+    thresholds = np.arange(levels[0] - BEYOND, levels[-1] + BEYOND + STEP / 2, STEP)
+    guesses = _GUESSES if n_catch else np.atleast_1d(np.asarray(guess_rate, dtype=float))
+    lapses = np.linspace(0.0, most_lapse, 4) if most_lapse else np.zeros(1)
+    step = max(1, _AT_ONCE // (thresholds.size * _SPREADS.size))
+    parts = [
+        _profiles(levels, hits[k : k + step], tries[k : k + step], thresholds, lapses, guesses)
+        for k in range(0, len(hits), step)
+    ]
+    by_threshold, by_spread, asymptotes = (
+        np.concatenate(each, axis=1) + _log_chance(n_false, n_catch, guesses)[:, None, None]
+        for each in zip(*parts, strict=True)
+    )
+    best = asymptotes.max(axis=(0, 2))
+    n_hits, n = hits.sum(axis=-1), tries.sum(axis=-1)
+    flat = _log_constant(n_hits, n) + _log_constant(np.array(float(n_false)), np.array(float(n_catch)))
+    known = 0.0 if flat_rate is None else flat - n_hits * math.log(flat_rate) - (n - n_hits) * math.log1p(-flat_rate)
+    threshold, spread = _located(thresholds, by_threshold.max(axis=0)), _located(_SPREADS, by_spread.max(axis=0))
+    lowest = np.where(tries > 0, levels, np.inf).min(axis=-1)
+    highest = np.where(tries > 0, levels, -np.inf).max(axis=-1)
+    is_within = (lowest <= threshold.estimate) & (threshold.estimate <= highest)
+    settled = best - flat + known
+    return Fits(
+        threshold,
+        spread,
+        guesses[asymptotes.max(axis=2).argmax(axis=0)],
+        lapses[asymptotes.max(axis=0).argmax(axis=1)],
+        best - flat,
+        settled,
+        (n_hits > 0) & (n_hits < n) & (settled >= DROP) & is_within,
+    )
+
+
+def _profiles(
+    levels: FloatArray,
+    hits: FloatArray,
+    tries: FloatArray,
+    thresholds: FloatArray,
+    lapses: FloatArray,
+    guesses: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the highest log likelihoods, by guess rate and run, of each threshold, spread and lapse rate."""
+    from scipy.special import ndtr
+
+    rising = ndtr((levels - thresholds[:, None, None]) / _SPREADS[:, None])
+    # A threshold is looked for about a run's own levels.
+    lowest, highest = (np.where(tries > 0, levels, end) for end in (np.inf, -np.inf))
+    inside = thresholds >= lowest.min(axis=-1)[:, None] - BEYOND - STEP / 4
+    inside &= thresholds <= highest.max(axis=-1)[:, None] + BEYOND + STEP / 2
+    by_threshold = np.full((guesses.size, len(hits), thresholds.size), -np.inf)
+    by_spread = np.full((guesses.size, len(hits), _SPREADS.size), -np.inf)
+    asymptotes = np.empty((guesses.size, len(hits), lapses.size))
+    for i, guess in enumerate(guesses):
+        for j, lapse in enumerate(lapses):
+            p = np.clip(guess + (1 - guess - lapse) * rising, _LEAST, 1 - _LEAST).reshape(-1, levels.size).T
+            found = (hits @ np.log(p) + (tries - hits) @ np.log1p(-p)).reshape(len(hits), -1, _SPREADS.size)
+            found[~inside] = -np.inf
+            of_spreads = found.max(axis=1)
+            np.maximum(by_threshold[i], found.max(axis=2), out=by_threshold[i])
+            np.maximum(by_spread[i], of_spreads, out=by_spread[i])
+            asymptotes[i, :, j] = of_spreads.max(axis=1)
+    return by_threshold, by_spread, asymptotes
+
+
+def _log_chance(n_false: int, n_catch: int, guesses: FloatArray) -> FloatArray:
+    """Return the log likelihood of successes on catch trials, of each guess rate."""
+    p = np.clip(guesses, _LEAST, 1 - _LEAST)
+    return np.asarray(n_false * np.log(p) + (n_catch - n_false) * np.log1p(-p))
 
 
 def _counted(levels: Sequence[float], successes: Sequence[bool]) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -254,29 +313,40 @@ def _why_not(x: FloatArray, hits: FloatArray, tries: FloatArray, gain: float, th
     return next((reason for holds, reason in reasons if holds), "")
 
 
-def _estimate(values: FloatArray, profile: FloatArray) -> ThresholdEstimate:
-    """Return where a profile is highest, between the points of the grid, and where it has fallen by `DROP`."""
-    place, bound = int(profile.argmax()), float(profile.max()) - DROP
-    value = float(values[place])
-    if 0 < place < len(values) - 1:
-        before, here, after = (float(each) for each in profile[place - 1 : place + 2])
-        curve = before - 2 * here + after
-        shift = 0.5 * (before - after) / curve if curve < 0 else 0.0
-        value += shift * float(values[place + 1] - values[place])
-    within = np.flatnonzero(profile >= bound)
-    low = _crossing(values, profile, int(within[0]), -1, bound)
-    high = _crossing(values, profile, int(within[-1]), 1, bound)
-    return ThresholdEstimate(value, low, high)
+def _located(values: FloatArray, profiles: FloatArray) -> Interval:
+    """Return where profiles are highest, between the points of the grid, and where they have fallen by `REGION`."""
+    rows, place = np.arange(len(profiles)), profiles.argmax(axis=1)
+    padded = np.pad(profiles, ((0, 0), (1, 1)), constant_values=-np.inf)
+    before, here, after = (padded[rows, place + shift] for shift in range(3))
+    inner = np.isfinite(before) & np.isfinite(after)
+    curve = np.where(inner, before - 2 * here + after, 0.0)
+    shift = np.divide(0.5 * np.where(inner, before - after, 0.0), curve, out=np.zeros(len(rows)), where=curve < 0)
+    step = np.append(np.diff(values), 0.0)[place]
+    bound = here - REGION
+    low = _crossing(values, profiles, bound)
+    high = -_crossing(-values[::-1], profiles[:, ::-1], bound)
+    return Interval(values[place] + shift * step, low, high, np.zeros(len(rows)))
 
 
-def _crossing(values: FloatArray, profile: FloatArray, inside: int, step: int, bound: float) -> float | None:
-    outside = inside + step
-    if not 0 <= outside < len(values):
-        return None
-    share = (profile[inside] - bound) / (profile[inside] - profile[outside])
-    return float(values[inside] + share * (values[outside] - values[inside]))
+def _crossing(values: FloatArray, profiles: FloatArray, bound: FloatArray) -> FloatArray:
+    """Return where profiles first rise above a bound; minus infinity where they are above it from the first on."""
+    rows, inside = np.arange(len(profiles)), (profiles >= bound[:, None]).argmax(axis=1)
+    outside = np.maximum(inside - 1, 0)
+    found, left = profiles[rows, inside], profiles[rows, outside]
+    is_crossed = (inside > 0) & np.isfinite(left)
+    share = np.divide(found - bound, found - left, out=np.zeros(len(rows)), where=is_crossed)
+    return np.where(is_crossed, values[inside] - share * (values[inside] - values[outside]), -np.inf)
 
 
-def _log_binomial(hits: float, tries: float) -> float:
+def _estimated(interval: Interval) -> ThresholdEstimate:
+    """Return a fitted number with its bounds; None where there is none."""
+    low, high = (float(each) if np.isfinite(each) else None for each in (interval.low, interval.high))
+    return ThresholdEstimate(float(interval.estimate), low, high)
+
+
+def _log_constant(hits: FloatArray, tries: FloatArray) -> FloatArray:
     """Return the highest log likelihood of a constant probability."""
-    return sum(n * math.log(n / tries) for n in (hits, tries - hits) if n > 0)
+    from scipy.special import xlogy
+
+    share = hits / np.maximum(tries, 1)
+    return np.asarray(xlogy(hits, share) + xlogy(tries - hits, 1 - share))

@@ -1,0 +1,160 @@
+"""Where numbers of participants lie, one number of each: tests, and the intervals of what they do not reject.
+
+Over participants a number has the centre about which sign flips do not reject symmetry, of ratings by signed ranks;
+between groups the labels of the participants are shuffled.
+
+References
+----------
+Hollander and Wolfe, "Nonparametric Statistical Methods" (1973), sections 3.1 to 3.3 (signed ranks).
+Pitman, J. R. Stat. Soc. Suppl. 4 (1937) 119-130 (shuffled groups).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from itertools import combinations
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from modaltouch.analysis.covariates import centre_interval
+from modaltouch.analysis.exact import ExactTest, sign_flip_test
+from modaltouch.analysis.intervals import CONFIDENCE, Interval
+
+FloatArray = NDArray[np.float64]
+Located = tuple[ExactTest, Interval]
+
+
+def flip_test(values: FloatArray) -> ExactTest:
+    """Return the exact test that values are symmetric about zero, by sign flips of their four leading digits.
+
+    Parameters
+    ----------
+    values : (..., n) array
+        One value a participant.
+    """
+    return sign_flip_test(np.rint(values / _unit(values) * 1000).astype(np.int64))
+
+
+def _unit(values: FloatArray) -> float:
+    largest = float(np.abs(values).max(initial=0.0))
+    return 10.0 ** math.floor(math.log10(largest)) if largest > 0 else 1.0
+
+
+def by_flips(values: FloatArray) -> Located:
+    """Return the test by sign flips, and the centres that it does not reject, of values as `flip_test` takes them."""
+    unit = _unit(values)
+    return flip_test(values), centre_interval(values / unit).changed(lambda scaled: scaled * unit)
+
+
+def rank_test(values: FloatArray) -> ExactTest:
+    """Return Wilcoxon's exact test of signed ranks; zeros are left out, equal sizes share their rank.
+
+    Parameters
+    ----------
+    values : (..., n) array
+        One value a participant.
+
+    Examples
+    --------
+    >>> float(rank_test(np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])).p)  # 2 / 2^6
+    0.03125
+    """
+    rows = np.abs(values).reshape(-1, values.shape[-1])
+    ranks = pd.DataFrame(np.where(rows > 0, rows, np.nan)).rank(axis=1).fillna(0.0).to_numpy().reshape(values.shape)
+    return sign_flip_test(np.rint(2 * ranks * np.sign(values)).astype(np.int64))
+
+
+def by_ranks(values: FloatArray) -> Located:
+    """Return the test of signed ranks, and the median of the averages of two values with its exact interval.
+
+    Parameters
+    ----------
+    values : (..., n) array
+        One value a participant.
+    """
+    # Means that are equal may differ in their last bit, and then would have ranks of their own.
+    values, n = values.round(9), values.shape[-1]
+    first, second = np.triu_indices(n)
+    averages = np.sort((values[..., first] + values[..., second]) / 2)
+    chances = np.ones(1)
+    for rank in range(1, n + 1):
+        chances = (np.pad(chances, (0, rank)) + np.pad(chances, (rank, 0))) / 2
+    dropped = int(np.searchsorted(np.cumsum(chances), (1 - CONFIDENCE) / 2))
+    is_told = bool(dropped and n)
+    low, high = (averages[..., dropped - 1], averages[..., -dropped]) if is_told else (-math.inf, math.inf)
+    middle = np.median(averages, axis=-1) if n else math.nan
+    return rank_test(values), Interval(middle, low, high, n)
+
+
+_MOST_ORDERS = 20_000
+"""Ways to share out the participants up to which all are counted; beyond, as many are drawn."""
+
+_AT_ONCE = 4_000_000
+"""Entries of the largest temporary array."""
+
+
+def group_test(first: FloatArray, second: FloatArray) -> Located:
+    """Return the permutation test that two groups have one distribution, and the shifts that it does not reject.
+
+    Parameters
+    ----------
+    first, second : (n,) arrays
+        One value a participant; the statistic is the difference of the means, first less second.
+    """
+    test, far = shuffle_test(first, second), 2 * float(np.ptp(np.concatenate([first, second]))) + 1e-9
+    observed = float(test.statistic)
+
+    def p(shift: float) -> float:
+        return float(shuffle_test(first - shift, second).p)
+
+    low, high = (_last_kept(p, observed, observed + far * side) for side in (-1, 1))
+    return test, Interval(observed, low, high, first.size + second.size)
+
+
+def shuffle_test(first: FloatArray, second: FloatArray) -> ExactTest:
+    """Return the permutation test that two groups have one distribution.
+
+    Parameters
+    ----------
+    first, second : (..., n) arrays
+        As for `group_test`.
+    """
+    values, n = np.concatenate([first, second], axis=-1), first.shape[-1]
+    size = values.shape[-1]
+    weights, is_exact = _weights(n, size)
+    observed = first.mean(axis=-1) - second.mean(axis=-1)
+    rows, least = values.reshape(-1, size), np.abs(observed).reshape(-1, 1) - 1e-9
+    step = max(1, _AT_ONCE // len(weights))
+    parts = (slice(start, start + step) for start in range(0, len(rows), step))
+    p = np.concatenate([(np.abs(rows[part] @ weights.T) >= least[part]).mean(axis=-1) for part in parts])
+    p_min = (2 if is_exact and 2 * n == size else 1) / len(weights)
+    return ExactTest(observed, p.reshape(observed.shape)[()], p_min, size)
+
+
+@lru_cache(maxsize=4)
+def _weights(n: int, size: int) -> tuple[FloatArray, bool]:
+    """Return what turns values into differences of means, an order a row, the given one first; and whether all are."""
+    is_first = np.arange(size) < n
+    is_exact = math.comb(size, n) <= _MOST_ORDERS
+    if is_exact:
+        chosen = np.array(list(combinations(range(size), n)))
+        orders = np.zeros((len(chosen), size), dtype=bool)
+        np.put_along_axis(orders, chosen, True, axis=1)
+    else:
+        rng = np.random.default_rng(1)
+        orders = np.stack([is_first, *(rng.permutation(is_first) for _ in range(_MOST_ORDERS - 1))])
+    return orders / n - ~orders / (size - n), is_exact
+
+
+def _last_kept(p: Callable[[float], float], kept: float, rejected: float) -> float:
+    """Return the farthest shift that is not rejected; infinite where none is."""
+    if p(rejected) > 1 - CONFIDENCE:
+        return math.copysign(math.inf, rejected - kept)
+    for _ in range(40):
+        middle = (kept + rejected) / 2
+        kept, rejected = (middle, rejected) if p(middle) > 1 - CONFIDENCE else (kept, middle)
+    return kept

@@ -1,0 +1,233 @@
+"""Certificates of what is told of each participant: d', thresholds, exponents and ratings, and of their means.
+
+People are drawn from a population and answer by the very model that is fitted; what is told of one is a row by itself.
+A mean is certified by experiments that draw participants from 2,000 such people, whose own mean is the truth.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtr
+
+from modaltouch.analysis.intervals import Interval, student_interval
+from modaltouch.analysis.location import by_ranks, flip_test, rank_test, shuffle_test
+from modaltouch.analysis.ratings import friedman, power_law
+from modaltouch.analysis.sensitivity import same_different, yes_no
+from modaltouch.analysis.thresholds.constant import JND_OF_SPREAD, MOST_LAPSE
+from modaltouch.analysis.thresholds.psychometric import Fits, fit_counts
+from modaltouch.protocol.adaptive import StaircaseSection
+
+ALPHA = 0.05
+TIES = 1 + 1e-9
+LEVELS_DB = np.arange(-20.0, 20.5, 2.0)
+"""Levels of an adaptive run, about the middle of the population [dB]."""
+
+START = 16
+"""Place of the level of its first trial."""
+
+LEAST_DB = 0.5
+"""Means of levels are of numbers rounded to this [dB], so that sign flips are counted soon."""
+
+Errors = Iterator[tuple[str, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Task:
+    """What a population is asked, and what it is like.
+
+    Attributes
+    ----------
+    signals, noises : int
+        Trials with and without a signal.
+    tries : int
+        Trials at each of the levels that are fixed.
+    run : int
+        Trials of an adaptive run.
+    alternatives : int
+        Of a forced choice.
+    d_prime, spread_dB, lapse : float
+        Mean d', spread of the psychometric function [dB], and share of lapses [1].
+    """
+
+    signals: int
+    noises: int
+    tries: int
+    run: int
+    alternatives: int
+    d_prime: float
+    spread_dB: float  # noqa: N815
+    lapse: float
+
+    @classmethod
+    def draw(cls, number: int) -> Task:
+        """Return the task of a population."""
+        rng = np.random.default_rng([1908, number])
+
+        def one_of(*values):
+            return values[rng.integers(len(values))]
+
+        signals, noises = one_of((20, 10), (40, 10), (40, 20), (40, 40), (80, 8))
+        return cls(
+            signals, noises, one_of(6, 10, 20, 40), one_of(20, 30, 40, 60, 80), one_of(2, 2, 3),
+            one_of(0.0, 0.5, 1.0, 2.0), one_of(2.0, 4.0, 6.0), one_of(0.0, 0.01, 0.02),
+        )  # fmt: skip
+
+
+def errors_of_measures(number: int, participants: int, n: int) -> Errors:
+    """Yield the name of each certificate of a population, and whether the test or interval errs, in n experiments."""
+    task, rng = Task.draw(number), np.random.default_rng([1907, number])
+    yield from _of_tests(task, rng, (n, participants))
+    yield from _of_sensitivity(task, rng, (n, participants))
+    yield from _of_fixed_levels(task, rng, (n, participants))
+    yield from _of_runs(task, rng, (n, participants))
+    yield from _of_exponents(rng, (n, participants))
+
+
+def _of_tests(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
+    """Yield tests where nobody differs."""
+    # Differences of ratings, coarse and of heavy tails, as likely with either sign.
+    gaps = np.rint(2 * rng.laplace(size=shape))
+    yield "rank", rank_test(gaps).quick_p <= ALPHA * TIES
+    yield "rank interval", _missed(by_ranks(gaps)[1], 0.0)
+    # Who feels nothing answers "yes" at a rate of the own.
+    rates = rng.beta(1, 4, shape)
+    contrasts = rng.binomial(task.signals, rates) / task.signals - rng.binomial(task.noises, rates) / task.noises
+    yield "d'", flip_test(contrasts).quick_p <= ALPHA * TIES
+    skewed, half = np.exp(rng.normal(size=shape)), shape[1] // 2
+    yield "group", shuffle_test(skewed[:, :half], skewed[:, half:]).p <= ALPHA * TIES
+    ratings = np.sort(rng.integers(1, 8, (*shape, 4)), axis=-1)
+    rated = rng.permuted(ratings + rng.normal(0, 0.3, ratings.shape).round(), axis=-1)
+    parts = (friedman(rated[start : start + 200])[0].p for start in range(0, len(rated), 200))
+    yield "friedman", np.concatenate([*parts]) <= ALPHA * TIES
+
+
+def _of_sensitivity(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
+    own = np.abs(rng.normal(task.d_prime, 0.5, shape[0]))
+    criterion = rng.normal(0, 0.4, shape[0])
+    chances = ndtr(own / 2 - criterion), ndtr(-own / 2 - criterion)
+    found = _each(yes_no, rng, task, chances)
+    d_primes = Interval(*(np.array([getattr(each.d_prime, name) for each in found]) for name in _BOUNDS), shape[0])
+    criteria = Interval(*(np.array([getattr(each.criterion, name) for each in found]) for name in _BOUNDS), shape[0])
+    yield "d' of one", _missed(d_primes, own)
+    yield "criterion of one", _missed(criteria, criterion)
+    yield "mean d'", _flipped(rng, d_primes.estimate, own, shape, 0.05)
+    apart = rng.uniform(1.0, 2.0, shape[0])
+    chances = ndtr((own - apart) / math.sqrt(2)) + ndtr((-own - apart) / math.sqrt(2)), 2 * ndtr(-apart / math.sqrt(2))
+    differing = [each.d_prime for each in _each(same_different, rng, task, chances)]
+    bounds = (np.array([getattr(each, name) for each in differing]) for name in _BOUNDS)
+    yield "same and different of one", _missed(Interval(*bounds, shape[0]), own)
+
+
+_BOUNDS = ("estimate", "low", "high")
+
+
+def _each(model, rng, task, chances):
+    """Return what a model tells of each of some people, whose counts are drawn."""
+    counts = list(zip(*(rng.binomial(n, chance).tolist() for n, chance in zip(
+        (task.signals, task.noises), chances, strict=True)), strict=True))  # fmt: skip
+    told = {pair: model((pair[0], task.signals), (pair[1], task.noises)) for pair in set(counts)}
+    return [told[pair] for pair in counts]
+
+
+def _of_fixed_levels(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
+    """Yield thresholds of a forced choice at fixed levels; points of subjective equality and what is just noticed."""
+    levels, (own, spread), guess = np.arange(-9.0, 9.5, 3.0), _people(task, rng, shape[0]), 1 / task.alternatives
+    rising = ndtr((levels - own[:, None]) / spread[:, None])
+    tries = np.full(rising.shape, float(task.tries))
+    hits = rng.binomial(task.tries, guess + (1 - guess - task.lapse) * rising).astype(float)
+    found = fit_counts(levels, hits, tries, guess_rate=guess, most_lapse=MOST_LAPSE)
+    yield "threshold of one", _missed(found.threshold, own)[found.is_told]
+    yield "mean threshold", _flipped(rng, _known(found, found.threshold), own, shape, LEAST_DB)
+    hits = rng.binomial(task.tries, task.lapse + (1 - 2 * task.lapse) * rising).astype(float)
+    found = fit_counts(levels, hits, tries, guess_rate=np.linspace(0, MOST_LAPSE, 3), most_lapse=MOST_LAPSE)
+    yield "PSE of one", _missed(found.threshold, own)[found.is_told]
+    yield "mean PSE", _flipped(rng, _known(found, found.threshold), own, shape, LEAST_DB)
+    yield "JND of one", _missed(found.spread, spread)[found.is_told]
+    just = JND_OF_SPREAD * _known(found, found.spread)
+    yield "mean JND", _flipped(rng, just, JND_OF_SPREAD * spread, shape, LEAST_DB / 5)
+
+
+def _of_runs(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
+    """Yield thresholds of adaptive runs: of a forced choice, down after two successes, and of what is felt."""
+    for name, guess, down_after in (("forced choice", 1 / task.alternatives, 2), ("felt", 0.0, 1)):
+        own, spread = _people(task, rng, shape[0])
+        rule = StaircaseSection(down_after=down_after, steps_dB=(8.0, 4.0, 2.0))
+        rising = ndtr((LEVELS_DB - own[:, None]) / spread[:, None])
+        place, success = staircases(rule, rng, task.run, guess + (1 - guess - task.lapse) * rising)
+        tries = np.stack([(place == at).sum(axis=-1) for at in range(LEVELS_DB.size)], axis=-1).astype(float)
+        hits = np.stack([(success & (place == at)).sum(axis=-1) for at in range(LEVELS_DB.size)], axis=-1).astype(float)
+        flat = guess if guess else None
+        found = fit_counts(LEVELS_DB, hits, tries, guess_rate=guess, most_lapse=0.06, flat_rate=flat)
+        yield f"run of one, {name}", _missed(found.threshold, own)[found.is_told]
+        known, truth = _known(found, found.threshold)[rng.integers(shape[0], size=shape)], own.mean()
+        means = [student_interval(row[np.isfinite(row)]) for row in known]
+        yield f"mean of runs, {name}", np.array([not each.low <= truth <= each.high for each in means])
+
+
+def staircases(rule, rng, n_trials, chances):
+    """Return the places of the levels of some runs, and which answers succeed, (n_runs, n_trials) arrays.
+
+    Parameters
+    ----------
+    rule : StaircaseSection
+        Steps of whole multiples of 2 dB, as large up as down.
+    rng : Generator
+        Source of chance.
+    n_trials : int
+        Trials of each run.
+    chances : (n_runs, n_levels) array
+        Chance of success at each level [1].
+    """
+    steps = np.array(rule.steps_dB) / 2
+    rows, n = np.arange(len(chances)), len(chances)
+    level = np.full(n, START)
+    in_a_row, heading, turns = (np.zeros(n, int) for _ in range(3))
+    places, successes = [], []
+    for _ in range(n_trials):
+        places.append(level)
+        success = rng.random(n) < chances[rows, level]
+        successes.append(success)
+        in_a_row = np.where(success, in_a_row + 1, 0)
+        direction = np.where(success, -1 * (in_a_row >= rule.down_after), 1)
+        in_a_row = np.where(direction == -1, 0, in_a_row)
+        turns = turns + ((direction != 0) & (heading == -direction))
+        heading = np.where(direction != 0, direction, heading)
+        moved = level + direction * steps[np.minimum(turns, steps.size - 1)].astype(int)
+        level = np.clip(moved, 0, LEVELS_DB.size - 1)
+    return np.stack(places, axis=-1), np.stack(successes, axis=-1)
+
+
+def _of_exponents(rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
+    """Yield exponents of magnitudes of five levels, three times each, rounded to two digits as people answer."""
+    levels, own = np.repeat([20.0, 40.0, 80.0, 120.0, 200.0], 3), rng.normal(0.6, 0.2, shape[0])
+    size = np.exp(rng.normal(2, 0.5, (shape[0], 1))) * levels ** own[:, None]
+    given = size * np.exp(rng.normal(0, 0.25, size.shape))
+    digit = 10.0 ** (np.floor(np.log10(given)) - 1)
+    found = [power_law(levels, row) for row in np.maximum(np.rint(given / digit) * digit, digit)]
+    exponents = Interval(*(np.array([getattr(each, name) for each in found]) for name in _BOUNDS), shape[0])
+    yield "exponent of one", _missed(exponents, own)
+    yield "mean exponent", _flipped(rng, exponents.estimate, own, shape, 0.02)
+
+
+def _people(task: Task, rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return threshold and spread of some people [dB]."""
+    return rng.normal(0, 2, n), task.spread_dB * np.exp(rng.normal(0, 0.2, n))
+
+
+def _known(found: Fits, estimate: Interval) -> np.ndarray:
+    return np.where(found.is_told, estimate.estimate, np.nan)
+
+
+def _flipped(rng, known, own, shape, least):
+    """Return where the mean of people's numbers, rounded, errs by sign flips; those who have none are left out."""
+    gaps = np.rint((known - own.mean()) / least)
+    return flip_test(np.nan_to_num(gaps)[rng.integers(shape[0], size=shape)]).quick_p <= ALPHA * TIES
+
+
+def _missed(interval: Interval, truth: np.ndarray | float) -> np.ndarray:
+    """Return which intervals do not hold the truth."""
+    return (truth < interval.low - 1e-9) | (interval.high + 1e-9 < truth)
