@@ -216,7 +216,7 @@ def errors_of_shares(answers, truth):
     yield "odds ratio", np.array([not each.low <= truth["odds ratio"] * TIES or each.high < truth["odds ratio"] / TIES
                                   for each in odds])  # fmt: skip
     rated = answers.counts[..., 0, 0, :, :]
-    parts = [rated[start : start + 50] for start in range(0, len(rated), 50)]
+    parts = [rated[start : start + 10] for start in range(0, len(rated), 10)]
     yield "agreement", np.concatenate([missed(ac1_interval(part), truth["agreement"]) for part in parts])
 
 

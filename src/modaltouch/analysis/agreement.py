@@ -83,13 +83,13 @@ def agreement_between(answers: ArrayLike, weights: ArrayLike) -> tuple[FloatArra
     flat = shares.reshape(*shares.shape[:-2], -1)
     chosen = (weight @ flat).reshape(*flat.shape[:-2], len(weight), *shares.shape[-2:])
     total, own = weight @ known, weight**2 @ known
-    same = (chosen**2).sum(axis=-1) - weight**2 @ (shares**2).sum(axis=-1)
+    same = np.einsum("...k,...k->...", chosen, chosen) - weight**2 @ (shares**2).sum(axis=-1)
     pairs, mass = total**2 - own, np.maximum(total, 1e-300)[..., np.newaxis]
     alike = np.divide(same, pairs, out=np.full(same.shape, math.nan), where=pairs > 1e-12)
     agreement = mean_of_known(alike)
     rated = np.where((total > 0)[..., np.newaxis], chosen / mass, math.nan)
     popular = mean_of_known(np.moveaxis(rated, -2, -1))
-    chance = (popular * (1 - popular)).sum(axis=-1) / (table.shape[-1] - 1)
+    chance = np.einsum("...k,...k->...", popular, 1 - popular) / (table.shape[-1] - 1)
     return agreement, (agreement - chance) / (1 - chance)
 
 
