@@ -51,7 +51,8 @@ window.addEventListener("DOMContentLoaded", () => {
   if (!root || !FIELD) return;
   const { data } = FIELD;
   const state = { level: 200, focus: 0, left: -40, right: 0, heavy: false, chosen: data.labels.map((each) => data.selected.includes(each)) };
-  const WIDTH = 720, HEIGHT = 360, EDGE = 46, LOW = 62;
+  // On a phone the drawing is narrower, not smaller.
+  const WIDTH = window.matchMedia("(max-width: 40em)").matches ? 400 : 720, HEIGHT = 360, EDGE = 46, LOW = 62;
   const x = (place) => EDGE + ((place + 50) / 100) * (WIDTH - 2 * EDGE);
   const place = (px) => ((px - EDGE) / (WIDTH - 2 * EDGE)) * 100 - 50;
   const y = (speed) => HEIGHT - LOW - ((speed + 120) / 380) * (HEIGHT - LOW - 16);
@@ -60,7 +61,7 @@ window.addEventListener("DOMContentLoaded", () => {
   const range = (name, label, low, high, step, unit) =>
     `<label>${label} <output id="field-${name}-value"></output> ${unit}<input type="range" id="field-${name}" min="${low}" max="${high}" step="${step}" value="${state[name]}"></label>`;
   const zones = Object.entries(data.zones_mm).map(([name, [from, to]], k) =>
-    `<rect class="zone${k % 2 ? " odd" : ""}" x="${x(from)}" y="10" width="${x(to) - x(from)}" height="${HEIGHT - LOW - 4}"/><text x="${x((from + to) / 2)}" y="${HEIGHT - LOW - 6}">${name}</text>`);
+    `<rect class="zone${k % 2 ? " odd" : ""}" x="${x(from)}" y="10" width="${x(to) - x(from)}" height="${HEIGHT - LOW - 4}"/><text x="${x((from + to) / 2)}" y="${HEIGHT - LOW + 18}">${name}</text>`);
   const lines = [-100, 0, 100, 200].map((speed) =>
     `<line class="grid" x1="${EDGE}" x2="${WIDTH - EDGE}" y1="${y(speed)}" y2="${y(speed)}"/><text class="tick" x="${EDGE - 6}" y="${y(speed) + 4}">${speed}</text>`);
   root.innerHTML = `
@@ -81,7 +82,7 @@ window.addEventListener("DOMContentLoaded", () => {
     </div>
     <fieldset><legend>Modes</legend>${data.labels.map((label, k) =>
       `<label><input type="checkbox" data-mode="${k}"${state.chosen[k] ? " checked" : ""}> ${label} <small>${(data.frequencies_Hz[k] / 1000).toFixed(1)} kHz</small></label>`).join("")}</fieldset>
-    <label><input type="checkbox" id="field-heavy"> Let the two fingers weigh on the beam (typical fingertips; they then lie on a grid of 10 mm)</label>
+    <label><input type="checkbox" id="field-heavy"> Let the two fingers load the beam (typical fingertips, placed every 10 mm)</label>
     <p><button type="button" id="field-reset">As in the paper</button></p>`;
 
   const find = (name) => root.querySelector(name);
@@ -132,7 +133,9 @@ window.addEventListener("DOMContentLoaded", () => {
   };
 
   for (const name of ["focus", "level", "left", "right"]) {
-    find(`#field-${name}`).addEventListener("input", (event) => { state[name] = Number(event.target.value); state.moved = name; show(); });
+    const slider = find(`#field-${name}`), handle = find(`[data-name=${name}]`);
+    for (const [kind, is] of [["focus", true], ["blur", false]]) slider.addEventListener(kind, () => handle?.classList.toggle("active", is));
+    slider.addEventListener("input", (event) => { state[name] = Number(event.target.value); state.moved = name; show(); });
   }
   root.querySelectorAll("[data-mode]").forEach((box) => box.addEventListener("change", () => { state.chosen[box.dataset.mode] = box.checked; show(); }));
   find("#field-heavy").addEventListener("change", (event) => { state.heavy = event.target.checked; show(); });

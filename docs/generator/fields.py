@@ -1,6 +1,6 @@
 """Every field of the log, the table, `--json` and `--events`, found in what the program writes; their meaning is data.
 
-The names come from the source, from sessions run at this build and from frozen outputs; ``docs/fields.yaml`` says what
+The names come from the source, from every shipped protocol run at this build and from frozen outputs; ``docs/fields.yaml`` says what
 each means. A field that it does not know, or an entry that nothing bears, stops the build.
 """
 
@@ -11,13 +11,13 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from ruamel.yaml import YAML
 
 from generator.keys import keys
 from generator.pages import definition, page, table, toctree, write
+from generator.runs import run_all
 from modaltouch.cli.commands import MODULES
 
 ROOT = Path(__file__).parents[2]
@@ -78,38 +78,19 @@ def _add(fields: dict[str, Any], value: dict[str, Any]) -> None:
 
 @cache
 def session_fields() -> tuple[Found, Found]:
-    """Return the fields of the events of the log and of ``--events``, from short sessions on the twin and the source."""
-    from typer.testing import CliRunner
-
-    from modaltouch.cli import app
-    from modaltouch.protocol.findings import Findings  # noqa: F401
-
+    """Return the fields of the events of the log and of ``--events``, from sessions of every protocol and the source."""
     log: Found = defaultdict(dict)
     told: Found = defaultdict(dict)
-    with TemporaryDirectory() as name:
-        folder = Path(name)
-        for protocol in ("demo", "with_catch_trials", "threshold", "two_fields", "magnitude", "comparison_2ifc"):
-            events = folder / f"{protocol}.jsonl"
-            options = (
-                f"-p p01 --rig simulated --answers simulated -y --plain --json --results {folder} --events {events}"
-            )
-            done = CliRunner().invoke(app, ["run", protocol, *options.split()])
-            if done.exit_code:
-                raise RuntimeError(f"modaltouch run {protocol} ended with {done.exit_code}: {done.output}")
-            _read(log, next(folder.glob(f"simulated/{protocol}/**/session.jsonl")))
-            _read(told, events)
+    for found, lines in ((log, run_all().events["log"]), (told, run_all().events["events"])):
+        for event in lines:
+            _add(found[event["event"]], event)
     for file in sorted((ROOT / "tests" / "record" / "format_2").rglob("session.jsonl")):
-        _read(log, file)
+        for line in file.read_text(encoding="utf-8").splitlines():
+            _add(log[(event := json.loads(line))["event"]], event)
     for kind, names in written_events().items():
         for each in names:
             log[kind].setdefault(each, None)
     return dict(log), dict(told)
-
-
-def _read(found: Found, file: Path) -> None:
-    for line in file.read_text(encoding="utf-8").splitlines():
-        event = json.loads(line)
-        _add(found[event["event"]], event)
 
 
 @cache
@@ -196,6 +177,9 @@ def _entries(group: str, fields: dict[str, Any], prefix: str) -> list[str]:
 def write_fields(folder: Path) -> None:
     """Write the pages of the log, the table, ``--json`` and ``--events``."""
     (log, told), said = session_fields(), outputs()
+    for command, values in run_all().said.items():
+        for value in values:
+            _add(said.setdefault(command, {}), value)
     unknown = [*missing(log, "log"), *missing(told, "events"), *missing(said)]
     unknown += [f"the event {kind}" for kind in {**log, **told} if kind not in meanings()["kinds"]]
     idle = [kind for kind in meanings()["kinds"] if kind not in {**log, **told} and kind not in _told_only()]

@@ -1,29 +1,23 @@
-"""The gallery: every shipped protocol with what it asks, the field that is predicted, and the order of a participant."""
+"""The gallery: every shipped protocol with its screens, an order, its predicted field and a report of simulated people."""
 
+import html
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
-from typer.testing import CliRunner
 
 import modaltouch
 from generator.pages import page, table, toctree, write
-from modaltouch.cli import app
+from generator.runs import COHORT, protocols, run_all
+from generator.screens import png, screens
 from modaltouch.protocol import Schedule
 from modaltouch.report import CONDITION_COLOURS, PAIR_COLOURS, house_style, quiet_grid
 from modaltouch.report.style import render
 
 ROOT = Path(__file__).parents[2]
-SCREENS = ROOT / "docs" / "_static" / "screens"
 PARTICIPANT, SEED = "p01", 1
-PAPER = "differentiated_stimulation"
-
-
-def protocols() -> list[Path]:
-    """Return the shipped protocols, the paper's first."""
-    return sorted((ROOT / "protocols").glob("*.yaml"), key=lambda file: (file.stem != PAPER, file.stem))
+ANSWERED_ON = {"vas": "a place on a line", "likert": "a point of a scale", "number": "a number that is typed"}
 
 
 def _field(preflight) -> Figure:
@@ -55,42 +49,38 @@ def _lead(file: Path) -> str:
 def _order(preflight) -> str:
     protocol = preflight.experiment.protocol
     trials = Schedule.draw(protocol, PARTICIPANT, SEED, 1).trials[:12]
-    rows = []
-    for trial in trials:
-        condition = trial.condition
-        level = (
-            "nothing"
-            if condition.is_catch
-            else f"{condition.velocity_mm_s:g} mm/s"
-            if condition.velocity_mm_s
-            else "as the run says"
-        )
-        fingers = condition.finger_condition.replace("_", " ")
-        rows.append(
-            (
-                str(trial.index),
-                fingers,
-                f"{condition.zone_left}–{condition.zone_right}",
-                condition.stimulus or "",
-                level,
-            )
-        )
-    head = ["trial", "fingers", "zones", "stimulus", "level"]
-    if not any(row[3] for row in rows):
-        head, rows = [*head[:3], head[4]], [(*row[:3], row[4]) for row in rows]
-    return table(head, rows)
+    columns = {
+        "trial": [str(trial.index) for trial in trials],
+        "fingers": [trial.condition.finger_condition.replace("_", " ") for trial in trials],
+        "zones": ["–".join(trial.condition.zones) for trial in trials],
+        "stimulus": [trial.condition.stimulus for trial in trials],
+        "interval of the comparison": [str(trial.interval or "") for trial in trials],
+        "level": [_level(protocol, trial.condition) for trial in trials],
+    }
+    shown = {name: cells for name, cells in columns.items() if any(cells)}
+    return table(list(shown), zip(*shown.values(), strict=True))
 
 
-def _report(static: Path) -> str:
-    """Write the report of ten simulated participants of the paper's protocol, and return the link to it."""
-    with TemporaryDirectory() as name:
-        results, out = Path(name, "results"), Path(name, "report")
-        for words in (f"simulate {PAPER} -n 10 --results {results}", f"analyse {results} --out {out}"):
-            done = CliRunner().invoke(app, words.split())
-            if done.exit_code:
-                raise RuntimeError(f"modaltouch {words} ended with {done.exit_code}: {done.output}")
-        write(static / "report.html", (out / "report.html").read_bytes())
-    return '```{raw} html\n<p><a href="../../_static/report.html">The report of ten simulated participants</a></p>\n```'
+def _level(protocol, condition) -> str:
+    if condition.is_catch:
+        return "nothing"
+    if protocol.adaptive is not None:
+        return "as the run says"
+    multiple = protocol.conditions.sensation_levels is not None
+    return f"{condition.velocity_mm_s:g} {'× threshold' if multiple else 'mm/s'}"
+
+
+def _screens(preflight, name: str, static: Path) -> str:
+    """Draw the screens of a session, and return what shows them."""
+    shown = []
+    for picture in screens(preflight.experiment):
+        file = f"screen_{name}_{picture.name}.png"
+        write(static / file, png(picture, preflight.experiment.texts))
+        shown.append(
+            f'<img src="../../_static/{file}" width="800" height="500" loading="lazy" '
+            f'alt="{html.escape("; ".join(picture.texts), quote=True)}">'
+        )
+    return "\n".join(("```{raw} html", '<div class="screens">', *shown, "</div>", "```"))
 
 
 def write_gallery(folder: Path, static: Path) -> None:
@@ -101,7 +91,8 @@ def write_gallery(folder: Path, static: Path) -> None:
         values = preflight.as_dict()
         with house_style():
             write(static / f"field_{name}.svg", render(_field(preflight), "svg"))
-        answers = ", ".join(preflight.experiment.protocol.answers.keys)
+        scale = preflight.experiment.protocol.answers.scale
+        answers = ", ".join(preflight.experiment.protocol.answers.keys) if scale is None else ANSWERED_ON[scale.kind]
         facts = [
             ("trials", f"{values['n_trials']}, and {values['n_practice_trials']} for practice"),
             ("length", f"about {values['estimated_duration_min']:.0f} min"),
@@ -113,16 +104,16 @@ def write_gallery(folder: Path, static: Path) -> None:
             ("answers", answers),
             ("modes", ", ".join(map(str, values["stimuli"][-1]["selected_modes"]))),
         ]
-        kind = "with_catch_trials" if "none" in preflight.experiment.protocol.answers.keys else "demo"
-        pictures = "\n".join(
-            f"```{{image}} ../../_static/screens/{shot.name}\n:alt: The screen “{shot.stem.partition('-')[2][2:].replace('_', ' ')}”\n:width: 49%\n```"
-            for shot in sorted(SCREENS.glob(f"{kind}-*.png"))
-        )
+        write(static / f"report_{name}.html", run_all().reports[name])
         blocks = [
-            _lead(file), table(("", ""), facts), "## The field that is predicted",
+            _lead(file), table(("", ""), facts),
+            "## What the participant sees", _screens(preflight, name, static),
+            f"## The first trials of {PARTICIPANT}", _order(preflight),
+            "## The predicted field",
             f"```{{image}} ../static/field_{name}.svg\n:alt: Predicted and target velocity along the beam.\n:class: drawn\n```",
-            f"## The first trials of {PARTICIPANT}", _order(preflight), "## What the participant sees", pictures,
-            *(("## The report", _report(static)) if name == PAPER else ()),
+            "## The report",
+            f'```{{raw}} html\n<p><a href="../../_static/report_{name}.html">The report of {COHORT.get(name, 6)} simulated participants'
+            "</a></p>\n```",
             "## The file", f"```{{literalinclude}} ../../../protocols/{file.name}\n:language: yaml\n```",
         ]  # fmt: skip
         title = values["title"] or name

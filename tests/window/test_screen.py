@@ -5,12 +5,16 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from modaltouch.protocol import AnswerList, Experiment, Texts
+from modaltouch.protocol.findings import Findings
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.window.buttons import typesetter_of
 from modaltouch.window.environment import virtual_display
@@ -230,3 +234,23 @@ def test_a_session_opens_in_either_theme(display: str, experiment: Experiment, t
         assert image.size == (800, 600)
         ground = THEMES[theme].ground
         assert image.getpixel((3, 3)) == tuple(int(ground[place : place + 2], 16) for place in (1, 3, 5))
+
+
+def test_the_screens_of_the_site_are_those_of_the_window(screen: Any, tmp_path: Path, monkeypatch: Any) -> None:
+    """Expected: every pixel of the real window, within the rounding of its eight bits."""
+    from generator import screens
+
+    experiment = Findings.read(ROOT / "protocols" / "detection_with_confidence.yaml").experiment()
+    monkeypatch.setattr(screens, "SIZE", screen.size)
+    pictures = screens.screens(experiment)
+    assert [picture.name.partition("_one_hand")[0] for picture in pictures] == [
+        "welcome", "answers", "place_fingers", "question", "question_confidence", "rest",
+    ]  # fmt: skip
+    for picture in pictures:
+        screen.draw(picture)
+        screen.flip(tmp_path / "window.png")
+        shown, drawn = (
+            np.asarray(Image.open(file).convert("RGB"), dtype=int)
+            for file in (tmp_path / "window.png", BytesIO(screens.png(picture, experiment.texts)))
+        )
+        assert np.abs(shown - drawn).max() <= 2, picture.name
