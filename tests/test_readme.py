@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from stops import HARDWARE_ENDS
 from Xlib import XK, X, display
 from Xlib.ext import xtest
 
@@ -149,7 +150,7 @@ def test_what_the_readme_links_to_exists():
 
 
 def test_its_figures_are_those_of_the_results():
-    """Minutes of a first demonstration, and what is left of a level under fingers, as the benchmarks found them."""
+    """Minutes of a first demonstration, how soon the beam is at rest, and what is left of a level under fingers."""
     doorstep = json.loads((ROOT / "results" / "benchmarks" / "doorstep.json").read_text())["trials"]
     seconds = [trial["seconds"] for trial in doorstep if trial["way"] == "clone" and trial["load"] == 0]
     assert f"about {round(max(seconds) / 60)} minutes" in TEXT
@@ -157,3 +158,7 @@ def test_its_figures_are_those_of_the_results():
     for name in ("free", "typical"):
         said = f"{designs[name]['level_mean_percent']:.0f} % ± {designs[name]['level_sd_percent']:.0f} %"
         assert said in TEXT.replace("\n", " ")
+    assert designs["known"]["level_mean_percent"] == pytest.approx(100)
+    stops = json.loads((ROOT / "results" / "benchmarks" / "stops.json").read_text())
+    assert stops["n_safe"] == stops["n"] == 1000
+    assert f"comes to rest within {HARDWARE_ENDS:g} s" in TEXT.replace("\n", " ")
