@@ -191,8 +191,8 @@ lock: | $(filter .uv/bin/uv,$(UV))
 ## docs: the site, into build/docs; warnings and dead links inside it are errors
 .PHONY: docs
 docs: .venv/.docs
-	rm -rf build/docs
-	PYTHONPATH=src $(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
+	@rm -rf build/docs
+	@PYTHONPATH=src NUMEXPR_NUM_THREADS=1 $(PYTHON) -m sphinx --quiet --fail-on-warning --keep-going --fresh-env docs build/docs
 	@echo 'Open build/docs/index.html'
 
 ## docs-check: build the site, run every command and every snippet on it, and look at it in a browser where there is one

@@ -136,4 +136,6 @@ def test_the_tour_passes_files_that_are_there():
     tour = TEXT.partition("## A tour of the house")[2].partition("\n## ")[0]
     walks = [re.findall(r"`(\w+/\w+\.py)`", walk) for walk in tour.split("**An answer")]
     assert all((ROOT / "src" / "modaltouch" / file).is_file() for walk in walks for file in walk)
+    for name, file in re.findall(r"`([A-Z]\w+)`\s+\(`(\w+/\w+\.py)`\)", tour):
+        assert f"class {name}" in (ROOT / "src" / "modaltouch" / file).read_text(encoding="utf-8"), name
     assert [len(set(walk)) <= most for walk, most in zip(walks, (25, 16), strict=True)] == [True, True]
