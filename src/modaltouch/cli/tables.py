@@ -11,16 +11,27 @@ if TYPE_CHECKING:
 
 
 def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], *, n_words: int = 1) -> None:
-    """Print a table; cells may have Rich's markup, and hold numbers but in the first `n_words` columns."""
+    """Print a table; cells may have Rich's markup, and hold numbers but in the first `n_words` columns.
+
+    Headings and words are wrapped where the screen is narrow, between words; numbers never.
+    """
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
+    lines, console = [[Text.from_markup(cell) for cell in row] for row in rows], Console()
+    columns = [[line[place].plain for line in lines] for place in range(len(headings))]
+    widest = [max(map(len, [heading, *cells])) for heading, cells in zip(headings, columns, strict=True)]
+    is_narrow = sum(widest) + 3 * len(headings) + 1 > console.width
     table = Table(title=title, title_justify="left")
-    for place, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if place < n_words else "right", no_wrap=place >= n_words)
-    for row in rows:
-        table.add_row(*row)
-    Console().print(table)
+    for place, (heading, cells) in enumerate(zip(headings, columns, strict=True)):
+        is_words = place < n_words
+        longest = max(map(len, [*heading.split(), *(" ".join(cells).split() if is_words else cells)]), default=1)
+        width = None if is_words or not is_narrow else longest
+        table.add_column(heading, justify="left" if is_words else "right", min_width=longest, max_width=width)
+    for line in lines:
+        table.add_row(*line)
+    console.print(table)
 
 
 def make_bars() -> Progress:
