@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from modaltouch.analysis import analyse
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.reading import read_responses
 from modaltouch.preflight import Preflight, examine
@@ -216,3 +217,31 @@ def test_reading_leaves_garbage_collection_as_it_was(record, tmp_path, monkeypat
         assert gc.isenabled() is was_on
     finally:
         gc.enable()
+
+
+def test_the_trees_of_several_labs_are_one_analysis_with_the_lab_as_a_factor(record, tmp_path) -> None:
+    """The same participant label in two labs is two people; each lab is a group, and nothing is left out."""
+    record("p01"), record("p02")
+    (tmp_path / "results").rename(tmp_path / "north")
+    record("p01"), record("p02")
+    (tmp_path / "results").rename(tmp_path / "south")
+    with pytest.raises(InputError, match=r"given the folders of several labs; .*--out"):
+        analyse(tmp_path / "north", labs=[tmp_path / "south"])
+    analysis = analyse(tmp_path / "north", tmp_path / "out", labs=[tmp_path / "south"])
+    responses = analysis.responses
+    assert responses.groups == {"north/p01": "north", "north/p02": "north", "south/p01": "south", "south/p02": "south"}
+    assert (len(responses.frame), responses.left_out) == (96, ())
+    assert {"fig_10.csv", "groups.png"} <= set(analysis.files)
+    between = [finding for finding in analysis.findings if finding.question == "group"]
+    assert {finding.scope for finding in between} == {"north - south"}
+    # Both labs hold the same answers.
+    assert {finding.estimate for finding in between} == {0.0}
+
+
+def test_labs_are_told_apart_by_the_names_of_their_folders(record, tmp_path) -> None:
+    """Two folders of one name would be one lab; a file is no lab."""
+    path = record("p01")
+    with pytest.raises(InputError, match=r"given several folders named 'results'; .*name each folder after its lab"):
+        read_responses(tmp_path / "results", tmp_path / "results")
+    with pytest.raises(InputError, match=r"given a file among several sources; .*the results folder of each lab"):
+        read_responses(tmp_path / "results", path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,6 +27,7 @@ def analyse(
     path: Path | str,
     out: Path | str | None = None,
     *,
+    labs: Sequence[Path | str] = (),
     mode: str | None = None,
     stimulus: str | None = None,
     table_format: TableFormat | None = None,
@@ -43,6 +44,9 @@ def analyse(
         A tidy CSV, or a tree of recorded sessions.
     out : Path or str, optional
         Folder for what is written; by default ``analysis`` in the tree, or ``<name>_analysis`` beside the CSV.
+    labs : sequence of Path or str
+        Trees of other labs that ran the same protocol; `out` is needed then. The lab is a factor: participants of
+        labs are compared as those of groups are.
     mode : {"real", "pilot", "simulated"}, optional
         Which sessions of a tree to take.
     stimulus : str, optional
@@ -72,7 +76,9 @@ def analyse(
         If a file would be overwritten that this command did not write, or cannot be written.
     """
     asked: dict[str, Any] = {"--figures": _figures(figures), "--prereg": prereg, "--model": model}
-    responses = read_responses(path, mode=mode, stimulus=stimulus, table_format=table_format)
+    if labs and out is None:
+        raise InputError.of(path, "the folders of several labs", "with --out", "say with --out where the results go")
+    responses = read_responses(path, *labs, mode=mode, stimulus=stimulus, table_format=table_format)
     responses = responses.by_predicted_speed() if speed == "predicted" else responses
     folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
     source = responses.source

@@ -12,7 +12,11 @@ if TYPE_CHECKING:
 
 
 def read_responses(
-    path: Path | str, *, mode: str | None = None, stimulus: str | None = None, table_format: TableFormat | None = None
+    path: Path | str,
+    *labs: Path | str,
+    mode: str | None = None,
+    stimulus: str | None = None,
+    table_format: TableFormat | None = None,
 ) -> Responses:
     """Return the answers in a CSV file, a session log, or a tree of sessions.
 
@@ -20,6 +24,8 @@ def read_responses(
     ----------
     path : Path or str
         A CSV file; or a results folder, or any folder or session log in it.
+    *labs : Path or str
+        Results folders of other labs that ran the same protocol.
     mode : {"real", "pilot", "simulated"}, optional
         Which sessions of a tree to take. By default the real ones; where there are none, whichever single kind
         there is. Of a CSV with a column ``mode``, which rows.
@@ -35,17 +41,21 @@ def read_responses(
         With every fault found, its place and what to do: unknown words, missing columns or cells, doubled rows,
         a tree that mixes modes or protocols.
     """
-    place = Path(path)
-    if not place.exists():
-        remedy = "check the name; results lie under results/<protocol> unless --results said otherwise"
-        raise InputError.of(place, "no such file or folder", "a CSV file or a results folder", remedy)
+    place, *further = map(Path, (path, *labs))
+    for each in (place, *further):
+        if not each.exists():
+            remedy = "check the name; results lie under results/<protocol> unless --results said otherwise"
+            raise InputError.of(each, "no such file or folder", "a CSV file or a results folder", remedy)
+        if further and not each.is_dir():
+            remedy = "give the results folder of each lab; join tables in one"
+            raise InputError.of(each, "a file among several sources", "folders alone", remedy)
     if place.is_dir() or place.suffix == ".jsonl":
         if table_format is not None:
             given = "a protocol, or words of answers, with recorded sessions, which hold their own"
             raise InputError.of(place, given, "these only with a CSV file", "leave the option out")
         from modaltouch.analysis.results_tree import read_tree
 
-        return read_tree(place, mode, stimulus)
+        return read_tree(place, *further, mode=mode, stimulus=stimulus)
     from modaltouch.analysis.tidy import read_csv
 
     return read_csv(place, table_format, mode, stimulus)

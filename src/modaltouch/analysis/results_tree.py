@@ -12,7 +12,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +71,8 @@ class SessionAnswers:
         Columns of numbers on a scale, and of further questions.
     names : tuple of str
         Stimuli, groups and kinds of session in the order of the protocol.
+    lab : str
+        Name of the tree, where there are several.
     """
 
     path: Path
@@ -90,6 +92,14 @@ class SessionAnswers:
     is_crossed: bool = True
     columns: tuple[str, ...] = ()
     names: tuple[str, ...] = ()
+    lab: str = ""
+
+    def of_lab(self, name: str) -> SessionAnswers:
+        """Return the session as one of a lab: its participants are others than those of another lab."""
+        who = f"{name}/{self.participant}"
+        rows = tuple((who, *row[1:]) for row in self.rows)
+        facts = None if self.facts is None else replace(self.facts, participant=who)
+        return replace(self, participant=who, rows=rows, facts=facts, lab=name)
 
 
 def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
@@ -201,13 +211,15 @@ def _unfit(session: Session) -> str:
     return f"damaged: {faults[0]}" if faults else session.unfit
 
 
-def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None) -> Responses:
-    """Return the answers of the complete, sound sessions in a folder.
+def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: str | None = None) -> Responses:
+    """Return the answers of the complete, sound sessions in a folder, or in those of several labs.
 
     Parameters
     ----------
     place : Path
         A results folder, a folder in it, or one session log.
+    *further : Path
+        Results folders of other labs; the names of all folders are groups of participants then.
     mode : {"real", "pilot", "simulated"}, optional
         Which sessions to take; by default the real ones, and where there are none the only kind there is.
     stimulus : str, optional
@@ -220,7 +232,7 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
     """
     if mode is not None and mode not in MODES:
         raise InputError.of(place, f"mode {mode!r}", ", ".join(MODES), "choose one of them")
-    found = _open_logs(place)
+    found = _open_labs(place, *further) if further else _open_logs(place)
     modes = [item.mode for item in found if item.mode]
     usual = "real" if "real" in modes or not modes else ""
     chosen = mode or usual or _only(place, "modes", modes, f"choose with --mode, or {_ONE}")
@@ -249,7 +261,7 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
         frame,
         tuple(item.facts for item in taken if item.facts is not None),
         tuple(sorted(left_out, key=lambda item: Path(item.source))),
-        AnswerSource(str(place), "results", digest, chosen),
+        AnswerSource(", ".join(map(str, (place, *further))), "results", digest, chosen),
         foci.get(stimulus or "", taken[0].focus),
         start,
         _sum_catches(taken),
@@ -258,6 +270,7 @@ def read_tree(place: Path, mode: str | None = None, stimulus: str | None = None)
         answers,
         design.get("analysis", {}).get("equivalence_margin"),
         asked,
+        notes=(f"Groups are labs: {', '.join(frame['group'].cat.categories)}",) if further else (),
         scheduled=scheduled,
         design=design,
     )
@@ -269,6 +282,19 @@ def _open_logs(place: Path) -> list[SessionAnswers]:
     if not found:
         remedy = f"give the folder that `modaltouch run` wrote to; it holds files named {SessionFolder.LOG_NAME}"
         raise InputError.of(place, "a folder without a recorded session", "a results folder", remedy)
+    return found
+
+
+def _open_labs(*places: Path) -> list[SessionAnswers]:
+    """Return the sessions of several labs, each under the name of its folder."""
+    names = [place.resolve().name for place in places]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        given = f"several folders named {twice!r}"
+        raise InputError.of(places[0], given, "one folder of each lab", "name each folder after its lab")
+    found = [item.of_lab(name) for name, place in zip(names, places, strict=True) for item in _open_logs(place)]
+    if grouped := next((item for item in found if item.kind[0]), None):
+        given = f"sessions of several labs with groups of participants, such as {grouped.kind[0]!r}"
+        raise InputError.of(places[0], given, "labs of a protocol without groups", "analyse each lab by itself")
     return found
 
 
@@ -295,7 +321,7 @@ def _join(
     frame = pd.DataFrame([row for item in taken for row in item.rows], columns=[*COLUMNS, *taken[0].columns])
     numbers = [len(item.rows) for item in taken]
     for place_of, column in enumerate(("group", "session_kind")):
-        frame[column] = np.repeat([item.kind[place_of] for item in taken], numbers)
+        frame[column] = np.repeat([(item.lab or item.kind[0], item.kind[1])[place_of] for item in taken], numbers)
     for column in ("group", "session_kind", "stimulus"):
         names = sorted(frame[column].unique(), key=lambda name: (*taken[0].names, name).index(name))
         frame[column] = pd.Categorical(frame[column], names)

@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 
 _SOURCE = Annotated[
-    Path,
+    list[Path],
     typer.Argument(
-        help="A results folder, or a CSV with the columns participant, finger_condition, zone_left, zone_right, "
-        "velocity_mm_s, response.",
+        help="A results folder, one of each of several labs, or a CSV with the columns participant, "
+        "finger_condition, zone_left, zone_right, velocity_mm_s, response.",
         show_default=False,
     ),
 ]
@@ -84,8 +84,9 @@ def analyse(
         if any(option is not None for option in (protocol, answers, missing)):
             table_format = _table_format(protocol, words, missing)
         analysis = run_analysis(
-            source,
+            source[0],
             out,
+            labs=source[1:],
             mode=mode,
             stimulus=stimulus,
             table_format=table_format,
