@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -326,5 +327,8 @@ def test_the_report_says_what_was_a_success_and_what_the_standard(design: dict, 
     responses = Responses(frame, (), (), source, "C", {"design": design, "adaptive": {"algorithm": "a rule"}},
                           answers=answers, design=design)  # fmt: skip
     page = " ".join(render_runs(analyse_runs(responses))["report.html"].split())
-    assert words in page
+    assert words in page and "timed out" not in page
+    late = analyse_runs(replace(responses, frame=frame[1:]))
+    assert [run.n_missing for run in late.runs] == [late.as_dict()["n_missing"]] == [1]
+    assert "1 trial timed out without an answer. The level followed" in render_runs(late)["report.html"]
     assert "which is in focus" not in page

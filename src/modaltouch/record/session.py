@@ -9,7 +9,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-from modaltouch.protocol import TIME_OUT
 from modaltouch.record.chain import Chain, UnreadableLineError, read_chain, read_object
 from modaltouch.record.files import is_locked
 from modaltouch.record.folders import find_log
@@ -269,11 +268,7 @@ class Session:
             return f"incomplete: {self.n_answered} of {total} trials answered (go on with `modaltouch resume`)"
         kinds = self.start.get("design", {}).get("schedule", {}).get("sessions")
         kept = [kind["name"] for kind in kinds if not kind["analysed"]] if isinstance(kinds, list) else []
-        if self.occasion[1] in kept:
-            return f"of the kind {self.occasion[1]}, which is not analysed (schedule.sessions)"
-        n_timed_out = sum(event["response"]["answer"] == TIME_OUT for event in self.trials)
-        is_adaptive = bool(self.start.get("design", {}).get("adaptive"))
-        return f"{n_timed_out} of {total} trials timed out without an answer" if n_timed_out and is_adaptive else ""
+        return f"of the kind {self.occasion[1]}, which is not analysed (schedule.sessions)" * (self.occasion[1] in kept)
 
 
 def count(counting: dict[int, dict[str, Any]], event: dict[str, Any]) -> None:

@@ -48,6 +48,7 @@ class ThresholdAnalysis:
             "files": {name: str(path) for name, path in self.files.items()},
             "n_participants": len({run.participant for run in self.runs}),
             "n_responses": len(self.responses.frame),
+            "n_missing": sum(run.n_missing for run in self.runs),
             "mode": self.responses.source.mode or None,
             "source": self.responses.source.path,
             "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
@@ -122,6 +123,7 @@ def _report_files(
         focus=" or ".join(sorted(set(responses.foci.values()) or {responses.focus})),
         n_participants=len({run.participant for run in analysis.runs}),
         n_sessions=n_sessions,
+        n_missing=sum(run.n_missing for run in analysis.runs),
         left_out=responses.left_out,
         record=describe_record(responses.sessions),
     )  # fmt: skip

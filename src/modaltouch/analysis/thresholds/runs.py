@@ -43,6 +43,8 @@ class Run:
         Whether its answer counts as success.
     fitted : Psychometric
         What the answers tell.
+    n_missing : int
+        Trials that timed out; the level followed from them as from failures, and no fit counts them.
     """
 
     participant: str
@@ -53,6 +55,7 @@ class Run:
     levels: NDArray[np.float64]
     successes: NDArray[np.bool_]
     fitted: Psychometric
+    n_missing: int = 0
 
     @property
     def kind(self) -> str:
@@ -82,6 +85,7 @@ class Run:
             "pair": self.pair,
             **({"stimulus": self.stimulus} if self.stimulus else {}),
             "n_trials": fitted.n_trials,
+            "n_missing": self.n_missing,
             "n_successes": fitted.n_successes,
             "n_catch_trials": fitted.n_catch,
             "n_catch_successes": fitted.n_false,
@@ -142,7 +146,8 @@ def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str
         flat_rate=rule["guess_rate"] if is_forced(responses) else None,
     )
     names = str(finger_condition), label_zones(part).iloc[0], stimulus
-    return Run(str(participant), int(session), *names, level[driven], success[driven], fitted)
+    n_missing = rule["trials"] - int(driven.sum())
+    return Run(str(participant), int(session), *names, level[driven], success[driven], fitted, n_missing)
 
 
 def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
