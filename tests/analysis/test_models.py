@@ -90,8 +90,8 @@ def test_an_analysis_writes_the_table_and_the_script(paper_csv, tmp_path) -> Non
     assert len(rows) == 240
     assert sum(row["zone"] == "both" for row in rows) == int((found.responses.frame["response"] == "both").sum())
     script = found.files["models.R"].read_text(encoding="utf-8")
-    assert "lme4::glmer(dominant ~ pair + finger_condition + level + (1 | participant)" in script
-    assert "ordinal::clmm(zone ~ pair" in script and "brms::brm(" in script
+    assert "lme4::glmer(\n  dominant ~ pair + finger_condition + level + (1 | participant)" in script
+    assert "ordinal::clmm(\n  zone ~ pair" in script and "brms::brm(" in script
     assert {row.question for row in found.findings} >= {"model"}
     assert "What does a mixed model say?" in found.files["report.html"].read_text(encoding="utf-8")
 
@@ -116,11 +116,17 @@ def test_answers_that_name_no_finger_have_a_table_and_a_script_too() -> None:
     table = list(csv.DictReader(files["answers.csv"].splitlines()))
     assert [row["response"] for row in table] == ["comparison", "standard"] * 2
     assert [row["sure"] for row in table] == ["1.0"] * 4
-    assert "glmer(chosen ~ group + level + (1 | participant)" in files["models.R"]
-    assert "clmm(ordered(`sure`) ~ group + level + (1 | participant)" in files["models.R"]
+    assert "glmer(\n  chosen ~ group + level + (1 | participant)" in files["models.R"]
+    assert "clmm(\n  ordered(`sure`) ~ group + level + (1 | participant)" in files["models.R"]
 
 
 def test_what_does_not_vary_is_no_term(frame) -> None:
     """One pair under one finger condition."""
     alone = frame[(frame["zone_left"] == "A") & (frame["finger_condition"] == "one_hand")]
-    assert "dominant ~ level + (1 | participant)" in model_files(count_answers(alone), alone)["models.R"]
+    given = Responses(
+        alone.assign(sure=3), (), (), AnswerSource("", "csv", ""), design={"answers": {"then": {"sure": {}}}}
+    )
+    files = model_files(count_answers(alone), given)
+    assert "dominant ~ level + (1 | participant)" in files["models.R"]
+    assert {row["sure"] for row in csv.DictReader(files["answers.csv"].splitlines())} == {"3"}
+    assert "clmm(\n  ordered(`sure`) ~ level + (1 | participant)" in files["models.R"]

@@ -8,11 +8,13 @@ from typing import Any
 import pandas as pd
 
 from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.ratings import Question, questions_of
+from modaltouch.analysis.responses import Responses
 from modaltouch.report import render_page
 
 
-def model_table(answers: AnswerCounts, frame: pd.DataFrame) -> pd.DataFrame:
-    """Return one row for each answer that chose a zone or both: who, where, at which level, which zone.
+def model_table(answers: AnswerCounts, frame: pd.DataFrame, asked: Sequence[Question] = ()) -> pd.DataFrame:
+    """Return one row for each answer that chose a zone or both: who, where, at which level, which zone, what was rated.
 
     Parameters
     ----------
@@ -20,6 +22,8 @@ def model_table(answers: AnswerCounts, frame: pd.DataFrame) -> pd.DataFrame:
         Counts of the answers, each finger of which can be named alone.
     frame : DataFrame
         Tidy answers.
+    asked : sequence of Question
+        What was rated.
     """
     rows = frame.loc[frame.index.repeat(frame["n"])]
     pair = rows["zone_left"].astype(str) + "-" + rows["zone_right"].astype(str)
@@ -43,6 +47,7 @@ def model_table(answers: AnswerCounts, frame: pd.DataFrame) -> pd.DataFrame:
         "level": (rows[scale.column] - middle) / scale.step,
         "response": rows["response"].astype(str),
         "zone": chosen,
+        **{each.column: each.numbers(rows) for each in asked},
     })  # fmt: skip
     return table[table["zone"] != ""].assign(dominant=lambda kept: (kept["zone"] == "dominant").astype(int))
 
@@ -53,15 +58,18 @@ def terms_of_model(answers: AnswerCounts) -> list[str]:
     return [name for name, values in several.items() if len(values) > 1]
 
 
-def model_files(answers: AnswerCounts, frame: pd.DataFrame) -> dict[str, Any]:
+def model_files(answers: AnswerCounts, responses: Responses) -> dict[str, Any]:
     """Return the tidy table and the R script of the models, by file name."""
-    return zone_files(model_table(answers, frame), terms_of_model(answers), answers)
+    asked = questions_of(responses.design, responses.frame)
+    return zone_files(model_table(answers, responses.frame, asked), terms_of_model(answers), answers, asked)
 
 
-def zone_files(table: pd.DataFrame, terms: Sequence[str], answers: AnswerCounts) -> dict[str, Any]:
+def zone_files(
+    table: pd.DataFrame, terms: Sequence[str], answers: AnswerCounts, asked: Sequence[Question]
+) -> dict[str, Any]:
     """Return a table of chosen zones and the R script of its models, by file name."""
-    orders = [zone for zone in ("other", "both", "dominant") if zone != "both" or answers.both_place is not None]
-    return script_files(table, "models.R.j2", terms, zones=orders, scale=answers.scale)
+    zones = [zone for zone in ("other", "both", "dominant") if zone != "both" or answers.both_place is not None]
+    return script_files(table, "models.R.j2", terms, zones=zones, asked=asked, scale=answers.scale)
 
 
 def script_files(table: pd.DataFrame, template: str, terms: Sequence[str], **given: Any) -> dict[str, Any]:

@@ -191,7 +191,7 @@ def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str,
     if analysis.answers.compares:
         from modaltouch.analysis.models import model_files
 
-        files |= model_files(analysis.answers, analysis.responses.frame)
+        files |= model_files(analysis.answers, analysis.responses)
     else:
         from modaltouch.analysis.tidy_models import tidy_files
 

@@ -14,6 +14,7 @@ from modaltouch.analysis.counts import AnswerCounts, count_answers
 from modaltouch.analysis.findings import ALPHA, Finding, correct, to_frame
 from modaltouch.analysis.models import model_table, zone_files
 from modaltouch.analysis.outcome import plain_row
+from modaltouch.analysis.ratings import questions_of
 from modaltouch.analysis.responses import Responses, cell_of
 from modaltouch.analysis.statistics import uncorrected
 from modaltouch.analysis.tables import tabulate, zone_table
@@ -242,7 +243,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         "modaltouch.analysis.parts",
         "report",
         shown,
-        title=f"Analysis: {design.get('title') or responses.start.get('protocol', '')}",
+        title=f"Analysis: {design.get('title') or responses.start.get('protocol', '') or 'answers'}",
         source=responses.source,
         n_participants=responses.frame["participant"].nunique(),
         n_answers=len(responses.frame),
@@ -284,8 +285,10 @@ def _models(analysis: PartsAnalysis) -> dict[str, Any]:
         from modaltouch.analysis.tidy_models import tidy_files
 
         return tidy_files(analysis.responses)
-    table = pd.concat([model_table(part.counts, part.frame).assign(**part.factors) for part in analysis.parts])
+    asked = questions_of(analysis.responses.design, analysis.responses.frame)
+    tables = [model_table(part.counts, part.frame, asked).assign(**part.factors) for part in analysis.parts]
+    table = pd.concat(tables)
     middle = (table[first.scale.column].max() + table[first.scale.column].min()) / 2
     table = table.assign(level=(table[first.scale.column] - middle) / first.scale.step)
     columns = [name for name in (*FACTORS, "finger_condition", "pair", "level") if name in table]
-    return zone_files(table, [name for name in columns if table[name].nunique() > 1], first)
+    return zone_files(table, [name for name in columns if table[name].nunique() > 1], first, asked)
