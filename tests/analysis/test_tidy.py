@@ -7,6 +7,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.parts import analyse_parts
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.responses import TableFormat
 from modaltouch.protocol.problems import InputError
@@ -372,11 +373,15 @@ class TestSessionsAndModes:
         """Neither real, nor pilot, nor simulated."""
         assert "a column mode with fast" in fails(write_csv([row | {"mode": "fast"} for row in paper_rows]))[0]
 
-    def test_several_stimuli_are_chosen_among(self, write_csv, paper_rows) -> None:
-        """As with recorded sessions."""
-        path = write_csv([row | {"stimulus": name} for name in ("near", "far") for row in paper_rows])
-        assert "choose one with --stimulus" in fails(path)[0]
-        assert read_responses(path, stimulus="far").count().n_repetitions == 1
+    def test_several_stimuli_are_analysed_together_or_one_is_chosen(self, write_csv, paper_rows) -> None:
+        """As with recorded sessions: parts of their own, whose counts are those of either alone; one answer lacks."""
+        rows = [row | {"stimulus": name} for name in ("near", "far") for row in paper_rows]
+        path = write_csv(rows[:-1])
+        assert read_responses(path, stimulus="near").count().n_repetitions == 1
+        found = analyse_parts(read_responses(path))
+        assert [part.factors for part in found.parts] == [{"stimulus": "far"}, {"stimulus": "near"}]
+        assert (found.parts[1].counts.counts == counted(write_csv(paper_rows, "alone.csv"))).all()
+        assert [missing["n"] for missing in found.as_dict()["missing"]] == [1]
 
     def test_sessions_are_repetitions_and_said_to_be(self, write_csv, paper_rows) -> None:
         """Two sessions of everybody."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from modaltouch.analysis.responses import (
     ExcludedSource,
     Responses,
     TableFormat,
+    answers_per_cell,
     unmirror,
 )
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY
@@ -51,7 +52,7 @@ def read_csv(
     table_format : TableFormat, optional
         How the words are to be read.
     mode, stimulus : str, optional
-        Which rows to take, where these columns hold several words.
+        Which rows to take, where these columns hold several words; of several stimuli by default all.
 
     Raises
     ------
@@ -60,24 +61,31 @@ def read_csv(
     """
     table_format = table_format or TableFormat()
     table = read_table(path, (*REQUIRED, *table_format.asked))
-    table = choose_rows(choose_rows(table, "mode", mode), "stimulus", stimulus)
+    table = choose_rows(table, "mode", mode)
+    table = table if stimulus is None else choose_rows(table, "stimulus", stimulus)
     table, left_out, notes = choose_sessions(table)
     fields, columns = table.fields, _Columns(table)
     caught, practice = columns.flags("catch", "a catch trial"), columns.flags("practice", "a practice trial")
     frame, answers = _frame_of(columns, fields, caught, table_format)
     columns.check_zones()
     caught &= ~practice
+    usual, scheduled = 0, []
     if not columns.problems:
-        asked = frame[~practice & ~caught]
-        problems, usual = check_balance(table, unmirror(asked, answers))
-        columns.problems += problems
+        asked = unmirror(frame[~practice & ~caught], answers)
+        parts = [part for _, part in asked.groupby("stimulus", sort=False)] if "stimulus" in asked else [asked]
+        for part in parts:
+            problems, usual = check_balance(table, part)
+            columns.problems += problems
+            scheduled.append(_with_missing(part, usual))
     if columns.problems:
         raise InputError(columns.problems)
     apart = ((practice, "practice trials"), (caught, "catch trials, counted apart"))
     left_out += [ExcludedSource(f"{table.file}: {rows.sum()} rows", why) for rows, why in apart if rows.any()]
     told = set(fields["mode"]) - set(_EMPTY) if "mode" in fields else set()
+    is_crossed = len(scheduled) < 2
+    kept = asked if is_crossed else _told_apart(pd.concat(scheduled), table_format.design)
     return Responses(
-        unmirror(asked[asked["response"].notna()], answers),
+        kept[kept["response"].notna()],
         (),
         tuple(left_out),
         AnswerSource(table.file, "csv", table.sha256, str(next(iter(told), ""))),
@@ -86,8 +94,27 @@ def read_csv(
         margin=table_format.margin,
         asked=usual,
         notes=tuple(notes),
+        scheduled=None if is_crossed else kept,
         design=table_format.design,
     )
+
+
+def _with_missing(part: pd.DataFrame, usual: int) -> pd.DataFrame:
+    """Return a crossed part with one row for an answer, and one without a response for each that is missing."""
+    lacks = (usual - answers_per_cell(part)).melt(ignore_index=False, value_name="n").reset_index()
+    missing = lacks.loc[lacks.index.repeat(lacks["n"].clip(lower=0))]
+    rows = pd.concat([part.loc[part.index.repeat(part["n"])], missing])
+    stimulus = {"stimulus": part["stimulus"].iloc[0]} if "stimulus" in part else {}
+    rows["response"] = pd.Categorical(rows["response"], part["response"].cat.categories)
+    return rows.assign(n=1, **stimulus)
+
+
+def _told_apart(frame: pd.DataFrame, design: Mapping[str, Any]) -> pd.DataFrame:
+    """Return answers to several stimuli with the columns that tell recorded ones apart, and each one's focus."""
+    usual, own = design.get("stimulus", {}).get("focus", ""), design.get("stimuli", {})
+    focus = [str(own.get(name, {}).get("focus") or usual) for name in frame["stimulus"]]
+    frame = frame.assign(focus=focus, **{name: "" for name in ("group", "session_kind") if name not in frame})
+    return frame.assign(group=frame.groupby("participant")["group"].transform("first")).reset_index(drop=True)
 
 
 def _frame_of(
