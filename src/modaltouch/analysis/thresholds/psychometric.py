@@ -79,8 +79,8 @@ class Psychometric:
         The likeliest asymptotes [1].
     why_not : str
         Why no threshold can be told; empty where it can.
-    is_uncertain : bool
-        Whether a constant chance explains the answers as well as the function does.
+    is_uncertain, is_step : bool
+        Whether a constant chance explains the answers as well as the function does, or the steepest function.
     """
 
     n_trials: int
@@ -93,11 +93,12 @@ class Psychometric:
     lapse_rate: float
     why_not: str = ""
     is_uncertain: bool = False
+    is_step: bool = False
 
     @property
     def slope(self) -> float | None:
         """Rise of the function at the threshold [1/dB]; None where the answers fit a step as well."""
-        if self.spread is None or self.spread.low is None:
+        if self.spread is None or self.is_step:
             return None
         return (1 - self.guess_rate - self.lapse_rate) / (self.spread.value * math.sqrt(2 * math.pi))
 
@@ -167,6 +168,7 @@ def fit_psychometric(
         lapse_rate=float(fits.lapse_rate[0]),
         why_not=why,
         is_uncertain=bool(not why and fits.gain[0] < DROP),
+        is_step=bool(fits.is_step[0]),
     )
 
 
@@ -182,8 +184,8 @@ class Fits:
         The likeliest asymptotes [1].
     gain, settled : arrays
         Gain of the log likelihood over a constant chance: the likeliest one, and `flat_rate` where it is known.
-    is_told : array of bool
-        Whether the answers tell a threshold.
+    is_told, is_step : arrays of bool
+        Whether the answers tell a threshold, and whether the steepest function fits as well.
     """
 
     threshold: Interval
@@ -193,6 +195,7 @@ class Fits:
     gain: FloatArray
     settled: FloatArray
     is_told: NDArray[np.bool_]
+    is_step: NDArray[np.bool_]
 
 
 def fit_counts(
@@ -235,7 +238,8 @@ def fit_counts(
     n_hits, n = hits.sum(axis=-1), tries.sum(axis=-1)
     flat = _log_constant(n_hits, n) + _log_constant(np.array(float(n_false)), np.array(float(n_catch)))
     known = 0.0 if flat_rate is None else flat - n_hits * math.log(flat_rate) - (n - n_hits) * math.log1p(-flat_rate)
-    threshold, spread = _located(thresholds, by_threshold.max(axis=0)), _located(_SPREADS, by_spread.max(axis=0))
+    of_spreads = by_spread.max(axis=0)
+    threshold, spread = _located(thresholds, by_threshold.max(axis=0)), _located(_SPREADS, of_spreads)
     lowest = np.where(tries > 0, levels, np.inf).min(axis=-1)
     highest = np.where(tries > 0, levels, -np.inf).max(axis=-1)
     is_within = (lowest <= threshold.estimate) & (threshold.estimate <= highest)
@@ -248,6 +252,7 @@ def fit_counts(
         best - flat,
         settled,
         (n_hits > 0) & (n_hits < n) & (settled >= DROP) & is_within,
+        of_spreads[:, 0] >= best - DROP,
     )
 
 
