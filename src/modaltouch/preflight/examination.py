@@ -361,8 +361,8 @@ def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> St
 def _check_schedule(findings: Findings) -> list[Problem]:
     """Return why no order can be drawn, if none can."""
     try:
-        # With a tenth of the work, so that hardly any participant is without an order on the day.
-        Schedule.draw(findings.experiment().protocol, "p01", 0, effort=0.1)
+        # With a quarter of the work, so that hardly any participant is without an order on the day.
+        Schedule.draw(findings.experiment().protocol, "p01", 0, effort=0.25)
     except ValueError as error:
         path = ("schedule", getattr(error, "key", "max_same_pair_running"))
         return [findings.problem(path, f"a limit that cannot be kept, {error}", "")]

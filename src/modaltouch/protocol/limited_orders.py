@@ -1,8 +1,7 @@
 """Uniform draws among the orders in which no kind comes more than n times running.
 
 Each way is uniform over all valid orders: by the gaps between unlike neighbours where nothing may come twice
-running, by counting the ways to go on where these can be counted, by rejection where they cannot. A long order
-is rejected by its beginning alone: how many ways there are to end it can be counted.
+running, by counting the ways to go on where these can be counted, by rejection where they cannot.
 """
 
 from __future__ import annotations
@@ -11,12 +10,10 @@ import math
 from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from fractions import Fraction
 from functools import lru_cache
 from itertools import accumulate, groupby, pairwise
 from math import comb
 
-from modaltouch.protocol.order_limits import LIMITS, NoOrderError
 from modaltouch.protocol.streams import Stream
 
 
@@ -108,14 +105,7 @@ def moves(left: Sequence[int], last: int | None, limit: int, table: dict[State, 
 
 def draw_counted(counts: Sequence[int], limit: int, stream: Stream) -> list[int]:
     """Return an order drawn run by run, each with the share of the orders that begin so."""
-    return _finished([], counts, None, limit, count_states(tuple(counts), limit), stream)
-
-
-def _finished(
-    begun: list[int], counts: Sequence[int], last: int | None, limit: int, table: dict[State, int], stream: Stream
-) -> list[int]:
-    """Return an order that goes on uniformly from how it began, with so many left of each kind."""
-    left, order = list(counts), list(begun)
+    table, left, order, last = count_states(tuple(counts), limit), list(counts), list[int](), None
     while any(left):
         choices = list(moves(left, last, limit, table))
         kind, run = choices[stream.weighted([weight for *_, weight in choices])][:2]
@@ -183,113 +173,52 @@ def _ways_to_finish(counts: tuple[int, ...]) -> list[list[int]]:
 WORK_LIMIT = 4_000_000
 """Most items placed in rejected orders before a design is given up: a few seconds."""
 
-LONG_ORDER = 600
-"""Trials from which an order is rejected by its beginning: shorter ones are drawn as in records of version 0.2."""
 
-SHARE_BITS = 64
-"""Bits of a share of long orders, whose numbers of ways have thousands."""
+def draw_by_rejection(counts: Sequence[int], limit: int, stream: Stream) -> list[int] | None:
+    """Return the first order that keeps limit and counts, of many that keep one of the two; None if that is too rare.
 
-
-def draw_by_rejection(counts: Sequence[int], limit: int, stream: Stream, key: str = LIMITS[0]) -> list[int]:
-    """Return the first order that keeps limit and counts, of many that keep one of the two by construction.
-
-    Raises
-    ------
-    NoOrderError
-        If such an order is too rare to be found.
+    Nothing is drawn where about more than `WORK_LIMIT` items would be.
     """
     n_trials, n_kinds = sum(counts), len(counts)
-    tail = _longest_tail(n_kinds, limit) if n_trials >= LONG_ORDER else 0
-    # Rough sizes, logarithms of the tries, only choose the quicker way: each draws uniformly.
+    # Rough sizes, logarithms of the tries, choose the quicker way: each draws uniformly.
     excess = n_trials * n_kinds ** -float(limit) * (1 - 1 / n_kinds)
-    spread = (n_kinds - 1) / 2 * math.log(2 * math.pi * n_trials / n_kinds / max(1, 2 * tail / n_kinds))
+    spread = (n_kinds - 1) / 2 * math.log(2 * math.pi * n_trials / n_kinds)
     by_counts = excess < spread
     kinds = [kind for kind, count in enumerate(counts) for _ in range(count)]
-    hopeless = n_trials >= LONG_ORDER and min(excess, spread) > math.log(10 * WORK_LIMIT / n_trials)
-    work = 0
-    while work < WORK_LIMIT and not hopeless:
-        order = stream.shuffled(kinds) if by_counts else _draw_word(tuple(counts), limit, tail, stream)
+    work = WORK_LIMIT if min(excess, spread) > math.log(WORK_LIMIT / n_trials) else 0
+    while work < WORK_LIMIT:
+        order = stream.shuffled(kinds) if by_counts else _draw_word(tuple(counts), limit, stream)
         work += len(order)
         if len(order) == n_trials and (not by_counts or longest_run(order) <= limit):
             return order
-    noun = key.removeprefix("max_same_").removesuffix("_running")
-    raise NoOrderError(
-        f"orders of {n_kinds} {noun}s with {max(counts)} trials of each in which a {noun} comes at most {limit} "
-        f"times running are too many to count and too rare to find; allow {limit + 1} or more running, or "
-        f"repeat each condition less often",
-        key,
-    )
+    return None
 
 
-def _draw_word(counts: tuple[int, ...], limit: int, tail: int, stream: Stream) -> list[int]:
-    """Return a uniform draw among all orders that keep the limit, cut where its counts go wrong.
-
-    Where there is a tail, the beginning of such an order is kept with the share of its ends that keep the counts,
-    and one of these ends is drawn.
-    """
-    steps = _shares_of_runs(sum(counts), len(counts), limit, exact=not tail)
+def _draw_word(counts: tuple[int, ...], limit: int, stream: Stream) -> list[int]:
+    """Return a uniform draw among all orders that keep the limit, cut where its counts go wrong."""
+    steps = _totals_of_runs(sum(counts), len(counts), limit)
     left, last, order = list(counts), -1, list[int]()
-    rest = sum(counts)
-    while rest > tail:
-        totals = steps[rest]
+    while len(order) < len(steps) - 1:
+        totals = steps[len(steps) - 1 - len(order)]
         run = 1 + bisect_right(totals, stream.below(totals[-1]))
         kind = stream.below(len(counts) - (last >= 0))
         kind += 0 <= last <= kind
         left[kind] -= run
-        rest -= run
         if left[kind] < 0:
             return order
         order += [kind] * run
         last = kind
-    if not tail:
-        return order
-    table, best = _ends(len(counts), limit, tail)
-    ways = table.get((left[last], tuple(sorted(left[:last] + left[last + 1 :]))), 0)
-    kept = stream.below(_ways_to_fill(tail, len(counts), limit)[rest] * best.numerator) < ways * best.denominator
-    return _finished(order, left, last, limit, table, stream) if kept else order
-
-
-def _longest_tail(n_kinds: int, limit: int) -> int:
-    """Return the most trials whose orders can be counted, however they are shared out among the kinds."""
-    tail = 0
-    while n_states_at_most([_most_of_a_kind(tail + 1, limit)] * n_kinds) <= STATE_LIMIT:
-        tail += 1
-    return tail
-
-
-def _most_of_a_kind(n_trials: int, limit: int) -> int:
-    """Return the most trials of one kind in an order that keeps the limit."""
-    return limit * (n_trials + 1) // (limit + 1)
+    return order
 
 
 @lru_cache(maxsize=8)
-def _ends(n_kinds: int, limit: int, tail: int) -> tuple[dict[State, int], Fraction]:
-    """Return the ways to go on from every state, and the largest share of them among orders of any counts."""
-    table = count_states((_most_of_a_kind(tail, limit) + 1,) * n_kinds, limit)
-    ways = _ways_to_fill(tail, n_kinds, limit)
-    lengths = {state: state[0] + sum(state[1]) for state in table}
-    shares = (Fraction(table[state], ways[n]) for state, n in lengths.items() if tail - limit < n <= tail)
-    return table, max(shares)
-
-
-@lru_cache(maxsize=8)
-def _shares_of_runs(length: int, n_kinds: int, limit: int, exact: bool) -> list[list[int]]:
+def _totals_of_runs(length: int, n_kinds: int, limit: int) -> list[list[int]]:
     """Return the ways to go on with runs of 1, 2, ... at most, added up, by the number of places left."""
-    ways = _ways_to_fill(length, n_kinds, limit)
-    rows: list[list[int]] = [[]]
+    ways, rows = [1], [list[int]()]
     for rest in range(1, length + 1):
-        row = list(accumulate((n_kinds - 1) * ways[rest - run] for run in range(1, min(limit, rest) + 1)))
-        rows.append(row if exact else [(total << SHARE_BITS) // ways[rest] for total in row])
+        rows.append(list(accumulate((n_kinds - 1) * ways[rest - run] for run in range(1, min(limit, rest) + 1))))
+        ways.append(rows[-1][-1])
     return rows
-
-
-@lru_cache(maxsize=8)
-def _ways_to_fill(length: int, n_kinds: int, limit: int) -> tuple[int, ...]:
-    """Return how many ways there are to go on after a run, by the number of places left."""
-    ways = [1]
-    for rest in range(1, length + 1):
-        ways.append((n_kinds - 1) * sum(ways[rest - run] for run in range(1, min(limit, rest) + 1)))
-    return tuple(ways)
 
 
 def longest_run(order: Sequence[object]) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 LIMITS = (
     "max_same_pair_running",
     "max_same_level_running",
@@ -18,3 +20,15 @@ class NoOrderError(ValueError):
     def __init__(self, message: str, key: str) -> None:
         super().__init__(message)
         self.key = key
+
+
+def least_limit(counts: Sequence[int]) -> int:
+    """Return the smallest limit on runs that the counts allow.
+
+    The most frequent kind must fit into the gaps before, between and after the others.
+
+    >>> least_limit([4, 4, 4]), least_limit([12]), least_limit([9, 2])
+    (1, 12, 3)
+    """
+    most = max(counts)
+    return -(-most // (sum(counts) - most + 1))

@@ -1,23 +1,14 @@
-"""Orders in which no kind comes more than n times running, drawn uniformly among all of them."""
+"""Orders in which no kind comes more than n times running, drawn uniformly among all of them.
+
+Exactly so wherever they can be counted or are met by chance; by a random walk where they are too many and too rare.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from modaltouch.protocol.order_limits import LIMITS, NoOrderError
+from modaltouch.protocol.order_limits import LIMITS, NoOrderError, least_limit
 from modaltouch.protocol.streams import Stream
-
-
-def least_limit(counts: Sequence[int]) -> int:
-    """Return the smallest limit on runs that the counts allow.
-
-    The most frequent kind must fit into the gaps before, between and after the others.
-
-    >>> least_limit([4, 4, 4]), least_limit([12]), least_limit([9, 2])
-    (1, 12, 3)
-    """
-    most = max(counts)
-    return -(-most // (sum(counts) - most + 1))
 
 
 def draw_order(counts: Sequence[int], limit: int | None, stream: Stream, key: str = LIMITS[0]) -> list[int]:
@@ -42,7 +33,7 @@ def draw_order(counts: Sequence[int], limit: int | None, stream: Stream, key: st
     Raises
     ------
     NoOrderError
-        If no order keeps the limit, or those that do are too many to count and too rare to find.
+        If no order keeps the limit.
     """
     if limit is None or limit >= max(counts):
         return stream.shuffled(kind for kind, count in enumerate(counts) for _ in range(count))
@@ -65,4 +56,10 @@ def draw_order(counts: Sequence[int], limit: int | None, stream: Stream, key: st
         return draw_unlike_neighbours(tuple(counts), stream)
     if n_states_at_most(counts) <= STATE_LIMIT:
         return draw_counted(counts, limit, stream)
-    return draw_by_rejection(counts, limit, stream, key)
+    drawn = draw_by_rejection(counts, limit, stream)
+    if drawn is None:
+        from modaltouch.protocol.order_walk import Limit, draw_by_walk
+
+        kinds = [kind for kind, count in enumerate(counts) for _ in range(count)]
+        drawn = draw_by_walk(kinds, [Limit(key, lambda kind: kind, limit)], stream)
+    return drawn

@@ -57,18 +57,11 @@ class Stream:
     def __init__(self, seed: int, participant: str, session: int, purpose: str) -> None:
         self._source = np.random.PCG64(seed_sequence(seed, participant, session, purpose))
         self._words: list[int] = []
-        self._n_words = 0
 
     def _word(self) -> int:
         if not self._words:
             self._words = self._source.random_raw(256).tolist()[::-1]
-            self._n_words += len(self._words)
         return self._words.pop()
-
-    @property
-    def n_drawn(self) -> int:
-        """Words of chance drawn so far, which tell the work that was done with them."""
-        return self._n_words - len(self._words)
 
     def below(self, bound: int) -> int:
         """Return a uniform whole number from 0 to `bound` - 1, exactly, however large the bound."""

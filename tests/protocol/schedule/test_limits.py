@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
+from scipy.stats import chi2, chi2_contingency
 
 from modaltouch.preflight import examine
-from modaltouch.protocol import Findings, InputError, Protocol, Schedule, constrained_orders
-from modaltouch.protocol.constrained_orders import Limit, draw_constrained, limits_of
+from modaltouch.protocol import Findings, InputError, Protocol, Schedule, order_walk
+from modaltouch.protocol.constrained_orders import limits_of
 from modaltouch.protocol.limited_orders import longest_run
 from modaltouch.protocol.order_limits import NoOrderError
+from modaltouch.protocol.order_walk import Limit, draw_by_walk
 from modaltouch.protocol.streams import Stream
 from modaltouch.session import wire_run
 
@@ -45,43 +48,77 @@ def test_every_limit_holds_in_every_block(participant: str) -> None:
         assert min(b - a for a, b in places.values()) >= 3
 
 
-def test_the_hardest_limit_is_kept_by_drawing() -> None:
-    """Of two levels at most two running as of four stimuli never one twice, the second is the rarer by chance.
-
-    By hand, runs that are too long among 32 trials: 32 / 4 * 3 / 4 = 6 of stimuli, 32 / 4 / 2 = 4 of levels.
-    """
-    cells = [(pair, level, name) for pair in (("A", "C"), ("C", "E")) for level in (80.0, 150.0) for name in "abcd"] * 2
-    level, stimulus = Limit("level", lambda cell: cell[1], 2), Limit("stimulus", lambda cell: cell[2], 1)
-    assert (level.frequency(cells), stimulus.frequency(cells)) == (4.0, 6.0)
-    for n in range(20):
-        order = draw_constrained(cells, [level, stimulus], Stream(1, f"p{n}", 1, "a test"), 0.1)
-        assert level.holds(order)
-        assert stimulus.holds(order)
+LIMITS = {
+    "pair": lambda running: Limit("max_same_pair_running", lambda cell: cell[0], running),
+    "level": lambda running: Limit("max_same_level_running", lambda cell: cell[1], running),
+    # A pair without the focus has no side.
+    "side": lambda running: Limit("max_same_side_running", lambda cell: {"A": 0, "B": 1}.get(cell[0]), running),
+    "distance": lambda distance: Limit("min_same_cell_distance", lambda cell: cell, 1, distance),
+}
 
 
-def test_all_orders_that_keep_the_limits_are_equally_likely() -> None:
-    """Chi-squared over every order there is, found by going through all permutations; 1 in 1000 above the bound."""
-    cells = [(("A", "C"), 80.0, ""), (("A", "C"), 150.0, ""), (("C", "E"), 80.0, "")] * 2
-    limits = [
-        Limit("max_same_pair_running", lambda cell: cell[0], 2),
-        Limit("max_same_level_running", lambda cell: cell[1], 2),
-        Limit("min_same_cell_distance", lambda cell: cell, 1, 2),
-    ]
-    valid = {order for order in itertools.permutations(cells) if all(limit.holds(order) for limit in limits)}
+def every_order(cells: Sequence[Any], limits: Sequence[Limit[Any]]) -> set[tuple[Any, ...]]:
+    """Return all orders that keep the limits by trying every one."""
+    return {order for order in itertools.permutations(cells) if not any(limit.n_broken(order) for limit in limits)}
+
+
+@pytest.mark.parametrize(
+    ("cells", "given", "n_orders"),
+    [
+        ("A1 A2 C1 A1 A2 C1", {"pair": 2, "level": 2, "distance": 2}, 12),
+        ("A1 A2 B1 B2 C1 C2", {"pair": 1, "level": 1}, 12),
+        ("A1 A1 A1 A2 B1 B2", {"pair": 3, "level": 2}, 40),
+        ("A1 B1 A2 C2 C1 A1", {"side": 1, "level": 2}, 28),
+        ("A1 B1 C1 A1 B1 C1", {"distance": 3}, 6),
+    ],
+)
+def test_all_orders_that_keep_the_limits_are_equally_likely(
+    cells: str, given: dict[str, int], n_orders: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Chi-squared over every order that trying each permutation finds, after a tenth of the steps; p above 0.001."""
+    monkeypatch.setattr(order_walk, "SWEEPS", 10)
+    limits, items = [LIMITS[name](limit) for name, limit in given.items()], cells.split()
+    valid = every_order(items, limits)
     stream = Stream(1, "p01", 1, "a test")
-    drawn = Counter(tuple(draw_constrained(cells, limits, stream)) for _ in range(100 * len(valid)))
-    assert set(drawn) == valid
-    assert len(valid) == 12
-    assert sum((n - 100) ** 2 / 100 for n in drawn.values()) < 31.3
+    drawn = Counter(tuple(draw_by_walk(items, limits, stream)) for _ in range(20 * n_orders))
+    assert (set(drawn), len(valid)) == (valid, n_orders)
+    assert chi2.sf(sum((n - 20) ** 2 / 20 for n in drawn.values()), n_orders - 1) > 1e-3
+
+
+def test_the_walk_draws_as_rejection_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of 18 trials, limits on pair and level: neighbours of one pair come as often, after a tenth of the steps."""
+    monkeypatch.setattr(order_walk, "SWEEPS", 10)
+    cells = [pair + level for pair in "AB" for level in "123"] * 3
+    limits, stream = [LIMITS["pair"](4), LIMITS["level"](3)], Stream(1, "p01", 1, "a test")
+
+    def alike(order: Sequence[str]) -> int:
+        return sum(one[0] == other[0] for one, other in itertools.pairwise(order))
+
+    shuffled = (stream.shuffled(cells) for _ in itertools.count())
+    rejected = (order for order in shuffled if not any(limit.n_broken(order) for limit in limits))
+    one = Counter(alike(order) for order in itertools.islice(rejected, 500))
+    other = Counter(alike(draw_by_walk(cells, limits, stream)) for _ in range(500))
+    middle = range(5, 11)
+    table = [[each[n] for n in middle] + [500 - sum(each[n] for n in middle)] for each in (one, other)]
+    assert chi2_contingency(table).pvalue > 1e-3
+
+
+@pytest.mark.parametrize("participant", ["p01", "p02", "p03"])
+def test_long_orders_keep_limits_that_chance_would_not(participant: str) -> None:
+    """144 trials of 3 pairs and 4 levels; of shuffled ones about one in exp(17) keeps both limits."""
+    cells = [pair + level for pair in "ABC" for level in "1234"] * 12
+    order = draw_by_walk(cells, [LIMITS["pair"](2), LIMITS["level"](2)], Stream(1, participant, 1, "a test"))
+    assert Counter(order) == Counter(cells)
+    assert [longest_run([cell[n] for cell in order]) for n in (0, 1)] == [2, 2]
 
 
 def test_pairs_without_the_focus_break_a_row_of_one_side() -> None:
     """The side is that of the finger on the focus."""
     (limit,) = limits_of(limited(max_same_side_running=1))
     left, right, none = ((pair, 80.0, "sharp") for pair in (("C", "E"), ("A", "C"), ("B", "D")))
-    assert limit.holds([left, right, left])
-    assert limit.holds([left, none, left])
-    assert not limit.holds([right, right, none])
+    assert not limit.n_broken([left, right, left])
+    assert not limit.n_broken([left, none, left])
+    assert limit.n_broken([right, right, none]) == 1
 
 
 @pytest.mark.parametrize(
@@ -89,14 +126,10 @@ def test_pairs_without_the_focus_break_a_row_of_one_side() -> None:
     [
         ("min_same_cell_distance: 9", "schedule.min_same_cell_distance is 9, but 4 of 24 trials are of one cell; the"),
         ("max_same_stimulus_running: 1", "schedule.max_same_stimulus_running is 1, but 24 of 24 trials are alike"),
-        ("max_same_level_running: 1\n  min_same_cell_distance: 6", "most broke schedule.min_same_cell_distance: ease"),
     ],
 )
-def test_limits_that_cannot_be_kept_are_refused_with_the_reason(
-    edit: Any, monkeypatch: pytest.MonkeyPatch, limits: str, told: str
-) -> None:
+def test_limits_that_cannot_be_kept_are_refused_with_the_reason(edit: Any, limits: str, told: str) -> None:
     """At the key that asks too much."""
-    monkeypatch.setattr(constrained_orders, "WORK_LIMIT", 5000)
     words = ("  max_same_pair_running: 2", f"  {limits}"), ("repetitions: 1", "repetitions: 4")
     problems = examine(edit("demo.yaml", *words)).problems
     assert [told in each.given for each in problems] == [True]
@@ -106,24 +139,24 @@ def test_limits_that_cannot_be_kept_are_refused_with_the_reason(
 def test_a_participant_without_an_order_is_told_and_is_rare(
     edit: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A check gives up after a tenth of the work; who has no order all the same gets words, no traceback."""
+    """A check gives up after a quarter of the work; who has no order all the same gets words, no traceback."""
     words = ("  max_same_pair_running: 2", "  max_same_level_running: 1\n  min_same_cell_distance: 3")
     preflight = examine(edit("demo.yaml", words, ("repetitions: 1", "repetitions: 4"))).require()
-    monkeypatch.setattr(constrained_orders, "WORK_LIMIT", 24 * 10)
-    with pytest.raises(InputError, match="limits that no order drawn for p01 keeps, none of 10 orders .* another --se"):
+    monkeypatch.setattr(order_walk, "SWEEPS", 10**6)
+    monkeypatch.setattr(order_walk, "STEPS_ASTRAY", 0)
+    with pytest.raises(InputError, match="limits that no order drawn for p01 keeps, orders .* or give another --seed"):
         wire_run(preflight, "p01", answers="simulated", results=tmp_path)
     (problem,) = examine(preflight.experiment.sources.protocol.path).problems
-    assert "none of 1 orders drawn kept" in problem.given
+    assert "do not exist or are too rare to find" in problem.given
 
 
-def test_orders_that_take_long_to_draw_are_given_up_by_what_was_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Known: 16 trials of each of two pairs take 30 words or more to shuffle, so 100 are passed after four orders."""
-    monkeypatch.setattr(constrained_orders, "DRAWN_LIMIT", 100)
-    cells = [((zone, "C"), 80.0, "") for zone in "AB"] * 16
-    never = Limit("max_same_side_running", lambda cell: None if cell[0][0] == "A" else 1, 1)
-    own = Limit("max_same_pair_running", lambda cell: cell[0], 2)
-    with pytest.raises(NoOrderError, match="none of [1-4] orders drawn kept"):
-        draw_constrained(cells, [own, never], Stream(1, "p01", 1, "order"))
+def test_limits_that_no_order_keeps_together_are_refused_by_both_names() -> None:
+    """Known: where two pairs and two levels both alternate, a pair has one level alone."""
+    cells = [pair + level for pair in "AB" for level in "12"] * 4
+    limits = [LIMITS["pair"](1), LIMITS["level"](1)]
+    told = "schedule.max_same_pair_running and schedule.max_same_level_running together do not exist .* is broken most"
+    with pytest.raises(NoOrderError, match=told):
+        draw_by_walk(cells, limits, Stream(1, "p01", 1, "a test"), effort=0.1)
 
 
 def test_a_limit_with_an_order_that_is_not_drawn_is_refused(edit: Any) -> None:

@@ -13,7 +13,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from modaltouch.protocol import limited_orders
 from modaltouch.protocol.limited_orders import (
     count_orders,
     draw_by_rejection,
@@ -21,16 +20,24 @@ from modaltouch.protocol.limited_orders import (
     draw_unlike_neighbours,
     longest_run,
 )
-from modaltouch.protocol.orders import draw_order, least_limit
+from modaltouch.protocol.order_limits import least_limit
+from modaltouch.protocol.order_walk import Limit, draw_by_walk
+from modaltouch.protocol.orders import draw_order
 from modaltouch.protocol.streams import Stream
 
-Draw = Callable[[Sequence[int], int, Stream], list[int]]
+Draw = Callable[[Sequence[int], int, Stream], list[int] | None]
 
 
 def by_gaps(counts: Sequence[int], limit: int, stream: Stream) -> list[int]:
     """Draw with the way that serves a limit of one."""
     assert limit == 1
     return draw_unlike_neighbours(tuple(counts), stream)
+
+
+def by_walk(counts: Sequence[int], limit: int, stream: Stream) -> list[int]:
+    """Walk among all orders of these counts."""
+    items = [kind for kind, count in enumerate(counts) for _ in range(count)]
+    return draw_by_walk(items, [Limit("max_same_pair_running", lambda kind: kind, limit)], stream)
 
 
 def stream(seed: int = 1) -> Stream:
@@ -68,54 +75,25 @@ def carlitz(counts: Sequence[int]) -> int:
         ((3, 2, 2), 2, draw_counted),
         ((2, 2, 2), 1, draw_by_rejection),
         ((4, 2, 1), 2, draw_by_rejection),
+        ((3, 2, 1), 1, by_walk),
     ],
 )
 def test_every_valid_order_is_equally_likely(counts: tuple[int, ...], limit: int, draw: Draw) -> None:
     """Chi-square over all orders found by trying every permutation; fixed seed, p above 0.001."""
     orders = every_order(counts, limit)
     source, n_draws = stream(3), 30 * len(orders)
-    drawn = Counter(tuple(draw(counts, limit, source)) for _ in range(n_draws))
+    drawn = Counter(tuple(draw(counts, limit, source) or ()) for _ in range(n_draws))
     assert set(drawn) == orders
     statistic = sum((drawn[order] - 30) ** 2 / 30 for order in orders)
     assert chi2.sf(statistic, len(orders) - 1) > 1e-3
 
 
-@pytest.mark.parametrize(
-    ("counts", "limit", "n_states"), [((3, 3, 2), 2, 30), ((4, 2, 1), 2, 40), ((3, 2, 2), 1, 12), ((4, 3), 2, 12)]
-)
-def test_long_orders_are_equally_likely_too(
-    counts: tuple[int, ...], limit: int, n_states: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Chi-square as above, where an order is rejected by its beginning and a tail of four or so is counted."""
-    monkeypatch.setattr(limited_orders, "LONG_ORDER", 0)
-    monkeypatch.setattr(limited_orders, "STATE_LIMIT", n_states)
-    tail = limited_orders._longest_tail(len(counts), limit)
-    assert 2 <= tail < sum(counts) - 1
-
-    def draw(counts: Sequence[int], limit: int, source: Stream) -> list[int]:
-        while len(order := limited_orders._draw_word(tuple(counts), limit, tail, source)) < sum(counts):
-            pass
-        return order
-
-    test_every_valid_order_is_equally_likely(counts, limit, draw)
-
-
-@pytest.mark.parametrize("count", [400, 1666])
-def test_thousands_of_trials_are_ordered(count: int) -> None:
-    """A block of 1,200 trials, and one of the most that a protocol may ask for: 100 and 400 beginnings at most."""
-    source = stream()
-    for _ in range(3):
-        order = draw_order((count,) * 3, 2, source)
-        assert longest_run(order) == 2
-        assert [order.count(kind) for kind in range(3)] == [count] * 3
-
-
-def test_orders_too_rare_to_be_found_are_refused_at_once() -> None:
-    """Six pairs, 200 trials of each: one order in some ten million keeps both counts and limit."""
-    source = stream()
-    with pytest.raises(ValueError, match="too many to count and too rare to find; allow 3 or more running"):
-        draw_order((200,) * 6, 2, source)
-    assert source.below(2**64) == stream().below(2**64), "nothing was drawn"
+def test_long_orders_are_walked_to() -> None:
+    """Six pairs, 100 trials of each: one order in some ten million of those with these counts keeps the limit."""
+    assert draw_by_rejection((100,) * 6, 2, stream()) is None
+    order = draw_order((100,) * 6, 2, stream())
+    assert longest_run(order) == 2
+    assert [order.count(kind) for kind in range(6)] == [100] * 6
 
 
 def test_the_chi_square_would_find_a_greedy_order() -> None:

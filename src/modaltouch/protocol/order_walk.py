@@ -1,0 +1,149 @@
+"""Orders under limits that cannot be counted: a random walk that comes to every order that keeps them alike.
+
+A step turns a stretch of the order round. It is taken if it breaks no more limits than before, and else with a
+probability of 2**-k for each more: Metropolis's rule, in whole numbers. Over all orders the walk is then
+stationary with weights 2**-k for each limit broken; watched only where none is, it is stationary and uniform.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
+
+from modaltouch.protocol.order_limits import NoOrderError, least_limit
+from modaltouch.protocol.streams import Stream
+
+Item = TypeVar("Item", bound=Hashable)
+
+SWEEPS = 100
+"""Steps for each trial that the walk takes among orders that keep all limits; most designs forget theirs in two."""
+
+STEPS_ASTRAY, SWEEPS_ASTRAY = 200_000, 200
+"""Steps, and steps for each trial besides, among orders that break a limit, after which limits are given up."""
+
+
+@dataclass(frozen=True)
+class Limit(Generic[Item]):
+    """A limit on what may follow what.
+
+    Attributes
+    ----------
+    key : str
+        Key of the section schedule that sets it.
+    kind_of : callable
+        What of an item it is about; None for an item that it is not about.
+    running : int
+        Most times running; 1 for a distance.
+    distance : int
+        Least number of trials from one of a kind to the next; 1 for none.
+    """
+
+    key: str
+    kind_of: Callable[[Item], object]
+    running: int
+    distance: int = 1
+
+    def refuse_impossible(self, items: Sequence[Item]) -> None:
+        """Raise NoOrderError where no order of these items keeps it."""
+        counts = Counter(map(self.kind_of, items))
+        n_free = counts.pop(None, 0)
+        most = max(counts.values(), default=0)
+        if self.distance > 1 and most > 1:
+            farthest = (len(items) - list(counts.values()).count(most)) // (most - 1)
+            if self.distance > farthest:
+                said = f"{most} of {len(items)} trials are of one cell; the largest that works is {farthest}"
+                raise NoOrderError(f"schedule.{self.key} is {self.distance}, but {said}", self.key)
+        elif self.distance == 1 and most:
+            least = least_limit([*counts.values(), *[1] * n_free])
+            if self.running < least:
+                said = f"{most} of {len(items)} trials are alike in this; the least that works is {least}"
+                raise NoOrderError(f"schedule.{self.key} is {self.running}, but {said}", self.key)
+
+    @property
+    def reach(self) -> int:
+        """Number of trials before and after a place that can break it there."""
+        return max(self.running, self.distance - 1)
+
+    def n_broken_between(self, before: Sequence[Item], after: Sequence[Item]) -> int:
+        """Return how often it is broken by what comes right before a place together with what comes right after.
+
+        A row of kinds breaks it once for each stretch that is one longer than allowed, a distance once for each two
+        that are too near.
+        """
+        if not before or not after:
+            return 0
+        if self.distance > 1:
+            near, far = before[: -self.distance : -1], after[: self.distance - 1]
+            if set(near).isdisjoint(far):
+                return 0
+            return sum(one == other for gap, one in enumerate(near) for other in far[: self.distance - 1 - gap])
+        kind, n_alike = self.kind_of(after[0]), 0
+        if kind is None or kind != self.kind_of(before[-1]):
+            return 0
+        for side in (before[: -self.running - 1 : -1], after[: self.running]):
+            for item in side:
+                if self.kind_of(item) != kind:
+                    break
+                n_alike += 1
+        return max(0, n_alike - self.running)
+
+    def n_broken(self, order: Sequence[Item]) -> int:
+        """Return how often an order breaks it, each time counted at its last trial."""
+        places = range(1, len(order))
+        return sum(self.n_broken_between(order[max(0, n - self.reach) : n], order[n : n + 1]) for n in places)
+
+
+def draw_by_walk(
+    items: Sequence[Item], limits: Sequence[Limit[Item]], stream: Stream, effort: float = 1.0
+) -> list[Item]:
+    """Return an order that keeps all limits, each as likely as any other once the walk has forgotten its first.
+
+    Parameters
+    ----------
+    items, limits, stream
+        What is ordered, what is to be kept, and where chance comes from.
+    effort : float
+        Share of the usual work after which limits are given up [1].
+
+    Raises
+    ------
+    NoOrderError
+        If no order keeps one of them, or the walk comes to too few that keep all.
+    """
+    for limit in limits:
+        limit.refuse_impossible(items)
+    # What an item is to each limit is looked up, not worked out again.
+    limits = [replace(limit, kind_of={item: limit.kind_of(item) for item in items}.__getitem__) for limit in limits]
+    order, n = stream.shuffled(items), len(items)
+    reach = max(limit.reach for limit in limits)
+    # A weight below 1 / n: an order breaks a few limits for each ten trials, and the walk shall mostly break none.
+    bits, n_steps = n.bit_length(), [0, 0]
+    n_broken = sum(limit.n_broken(order) for limit in limits)
+    while n_steps[True] < effort * (STEPS_ASTRAY + SWEEPS_ASTRAY * n):
+        begin, last = sorted(divmod(stream.below(n * n), n))
+        end = last + 1
+        before, after = order[max(0, begin - reach) : begin], order[end : end + reach]
+        # Of a long stretch only its ends can break a limit with what lies around it; of a short one all, and more.
+        head, tail = order[begin : min(end, begin + reach)], order[max(begin, end - reach) : end]
+        new_head, new_tail = tail[::-1], head[::-1]
+        if end - begin < reach:
+            head, new_head, tail, new_tail = head + after, new_head + after, before + tail, before + new_tail
+        more = 0
+        for limit in limits:
+            more += limit.n_broken_between(before, new_head) - limit.n_broken_between(before, head)
+            more += limit.n_broken_between(new_tail, after) - limit.n_broken_between(tail, after)
+        if more <= 0 or not stream.below(1 << bits * more):
+            order[begin:end] = order[begin:end][::-1]
+            n_broken += more
+        n_steps[n_broken > 0] += 1
+        if n_steps[False] == SWEEPS * n:
+            return order
+    often = {limit.key: limit.n_broken(order) for limit in limits}
+    worst = max(often, key=lambda key: often[key])
+    raise NoOrderError(
+        f"orders that keep {' and '.join(f'schedule.{key}' for key in often)} together do not exist or are too rare "
+        f"to find; schedule.{worst} is broken most: ease it, or leave one of them out",
+        worst,
+    )
