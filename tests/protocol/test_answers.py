@@ -147,7 +147,7 @@ def test_two_answers_for_one_finger_are_refused(edit: Edit) -> None:
 def test_practice_cannot_be_judged_where_no_finger_is_named(edit: Edit, changes, fault: str) -> None:
     """Which answer is right follows from the speeds under the fingers."""
     keys = ("    left: [left, num_4]\n" + BOTH + "    right: [right, num_6]\n", "    more: [up]\n    less: [down]\n")
-    with pytest.raises(InputError, match=f"{fault}, where no answer names a finger"):
+    with pytest.raises(InputError, match=f"{fault}, where no answer names a finger or an interval"):
         Findings.read(edit(FILE, keys, *changes)).experiment()
 
 

@@ -104,15 +104,6 @@ def faults(file: Path) -> list[str]:
         ),
         (
             [
-                ("practice_trials: 1", "practice_trials: 1\n  practice_feedback: true"),
-                THREE,
-                (PAIRS, "zones: [[A, C, E]]"),
-                (KEYS, "    left: [a]\n    mid: [b]\n    right: [c]\n  fingers: {mid: [between]}\n"),
-            ],
-            "schedule.practice_feedback: given true, where an answer names one of three fingers; allowed: false",
-        ),
-        (
-            [
                 (FINGERS, "finger_conditions: [own]\n  fingers: {own: [right index, right ring]}"),
                 ("english", "bare"),
             ],

@@ -126,10 +126,6 @@ ADAPTIVE = "adaptive: {method: staircase, trials: 8, start_mm_s: 130, success: c
             [(STANDARD, "standard: {stimulus: blunt}")],
             "'blunt', where there is no section stimuli; allowed: null",
         ),
-        (
-            [("practice_trials: 4", "practice_trials: 4\n  practice_feedback: true")],
-            "allowed: answers that name fingers; remove it: practice is judged by the speeds under the fingers",
-        ),
         ([("\n  number: 2\n", "\n  number: 4\n")], "given 4; allowed: a whole number of at least 2, at most 3"),
         (
             [

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from modaltouch.protocol import Findings, Trial
 from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.practice import Round, judge_round
+from modaltouch.protocol.trial import Condition
 
 PAPER = AnswerList.of({})
+SHIPPED = Path(__file__).parents[2] / "protocols"
+DEMO, COMPARISON = (
+    Findings.read(SHIPPED / f"{name}.yaml").experiment().protocol for name in ("demo", "comparison_2ifc")
+)
 
 
 @pytest.mark.parametrize(
@@ -61,7 +68,7 @@ def event(index: int, answer: str, left: float, right: float, *, practice: bool 
     """Return a trial as the session log has it."""
     return {
         "event": "trial",
-        "trial": {"practice": practice, "index": index},
+        "trial": Trial(index, int(not practice), Condition("one_hand", "A", "C", 200.0), practice=practice).as_dict(),
         "planned": {"speed_left_mm_s": left, "speed_right_mm_s": right},
         "response": {"answer": answer},
     }
@@ -77,13 +84,26 @@ def test_a_round_counts_its_own_trials_and_those_that_can_be_judged() -> None:
         event(6, "left", 100, 118),
         event(4, "left", 200, 100, practice=False),
     ]
-    assert judge_round(events, 2, 3, PAPER) == Round(2, n_judged=2, n_agreed=1)
+    assert judge_round(events, 2, 3, DEMO) == Round(2, n_judged=2, n_agreed=1)
 
 
 def test_a_trial_answered_again_counts_by_its_last_answer() -> None:
     """Expected: a trial that was offered again supersedes the first."""
     events = [event(1, "left", 100, 200), event(1, "right", 100, 200)]
-    assert judge_round(events, 1, 1, PAPER) == Round(1, 1, 1)
+    assert judge_round(events, 1, 1, DEMO) == Round(1, 1, 1)
+
+
+@pytest.mark.parametrize(
+    ("level", "interval", "right"), [(180.0, 1, "first"), (180.0, 2, "second"), (40.0, 1, "second"), (100.0, 1, None)]
+)
+def test_a_comparison_of_intervals_is_judged_by_the_stronger_one(
+    level: float, interval: int, right: str | None
+) -> None:
+    """Shipped: which of two was stronger, beside 100 mm/s; without a verdict where both are alike."""
+    trial = Trial(1, 0, Condition("one_hand", "A", "C", level), practice=True, interval=interval)
+    assert COMPARISON.expected(trial, (0.1, 0.2)) == right
+    answered = event(1, right or "first", 100, 200) | {"trial": trial.as_dict()}
+    assert judge_round([answered], 1, 1, COMPARISON) == Round(1, int(right is not None), int(right is not None))
 
 
 @pytest.mark.parametrize(

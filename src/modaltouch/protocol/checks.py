@@ -282,13 +282,13 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
         given = f"a beam that is turned, where '{one_sided}' has no answer on the other side"
         remedy = "name the other finger, too, or leave the beam as it is"
         yield reading.problem(("conditions", "placements"), given, "answers for both sides", remedy)
-    if any(answer.fingers for answer in offered):
+    if any(answer.fingers or answer.interval for answer in offered):
         return
     for key in ("practice_feedback", "practice_criterion"):
         if value := reading.sound("schedule", key):
-            given = f"{str(value).lower()}, where no answer names a finger"
-            remedy = "remove it: practice is judged by the speeds under the fingers, and by nothing else"
-            yield reading.problem(("schedule", key), given, "answers that name fingers", remedy)
+            given = f"{str(value).lower()}, where no answer names a finger or an interval"
+            remedy = "remove it: practice is judged by the speeds under the fingers or by the intervals"
+            yield reading.problem(("schedule", key), given, "answers that name fingers or intervals", remedy)
 
 
 LEAST_SAMPLES_PER_CYCLE = 2.5

@@ -113,9 +113,6 @@ def _check_answers(reading: Reading[Protocol], name: str, number: int) -> Iterat
         at = ("answers", "fingers" if is_own else "keys", odd)
         remedy += f"; remove its entry under {at[1]}" if number == 1 else ""
         yield reading.problem(at, f"'{odd}', with the {_SAID[number]} of {name}", allowed, remedy, at_key=True)
-    if number == 3 and offered.names_between and reading.sound("schedule", "practice_feedback"):
-        given = "true, where an answer names one of three fingers"
-        yield reading.problem(("schedule", "practice_feedback"), given, "false", "remove it: the texts tell of two")
 
 
 def _check_way(reading: Reading[Protocol], name: str) -> Iterator[Problem]:

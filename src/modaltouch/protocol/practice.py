@@ -6,8 +6,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from modaltouch.protocol.answers import AnswerList
-from modaltouch.protocol.trial import SIDES
+from modaltouch.protocol.sections import Protocol
+from modaltouch.protocol.trial import SIDES, Trial
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Round:
         return self.n_agreed >= criterion * self.n_judged - 1e-9
 
 
-def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int, answers: AnswerList) -> Round:
+def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int, protocol: Protocol) -> Round:
     """Return how a round of practice went, from the session's log.
 
     Parameters
@@ -52,8 +52,8 @@ def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int,
         Which round, from 1.
     n_trials : int
         Practice trials of a round.
-    answers : AnswerList
-        Answers that are offered.
+    protocol : Protocol
+        Tells which answer is right.
     """
     first, last = (number - 1) * n_trials + 1, number * n_trials
     judged: dict[int, bool] = {}
@@ -61,9 +61,8 @@ def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int,
         if event.get("event") != "trial" or not event["trial"]["practice"]:
             continue
         index, planned = event["trial"]["index"], event["planned"]
-        expected = answers.expected(
-            *(planned[name] for name in map("speed_{}_mm_s".format, SIDES[3]) if name in planned)
-        )
+        speeds = [planned[name] for name in map("speed_{}_mm_s".format, SIDES[3]) if name in planned]
+        expected = protocol.expected(Trial.from_dict(event["trial"]), speeds)
         if first <= index <= last and expected is not None:
             judged[index] = event["response"]["answer"] == expected
     return Round(number, len(judged), sum(judged.values()))

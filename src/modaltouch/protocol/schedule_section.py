@@ -79,10 +79,10 @@ class ScheduleSection(Section):
     practice_feedback: bool = Field(
         strict=True,
         default=False,
-        description="Whether a practice trial is followed by where the vibration was stronger.",
+        description="Whether a practice trial is followed by where it was stronger, or by the right answer.",
     )
     practice_criterion: Annotated[float, Field(strict=True, gt=0, le=1)] | None = described(
-        "Share of the practice trials to be answered as predicted; null where practice cannot fail.", default=None
+        "Share of the practice trials to be answered rightly; null where practice cannot fail.", default=None
     )
     practice_rounds: Annotated[Count, Field(le=10)] = described(
         "Most rounds of practice, where the criterion is not met at once.", default=1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
@@ -372,6 +372,20 @@ class Protocol(Section):
             return (trial,)
         standard = replace(trial, condition=self.intervals.standard_of(trial.condition))
         return tuple(trial if n == trial.interval else standard for n in range(1, self.intervals.number + 1))
+
+    def expected(self, trial: Trial, speeds: Sequence[float]) -> str | None:
+        """Name of the right answer to a trial, by its intervals or else the speeds under the fingers; None for none.
+
+        Parameters
+        ----------
+        trial : Trial
+            What is presented.
+        speeds : sequence of float
+            Predicted peak speeds under the fingers, from left to right, in one unit.
+        """
+        if self.intervals is None:
+            return self.answers.offered.expected(*speeds)
+        return next((name for name in self.answers.offered.names if self.is_correct(trial, name)), None)
 
     def is_correct(self, trial: Trial, answer: str) -> bool | None:
         """Whether an answer is right about a trial's intervals; None where it says nothing of them, or any may be."""

@@ -32,6 +32,7 @@ _PLACEHOLDERS: dict[str, frozenset[str]] = {
     "placed_by_hand_on_beam": frozenset({"key", "hand"}),
     "free_hand_answers": frozenset({"hand"}),
     "how_to_rate": frozenset({"pause_key"}),
+    "practice_was": frozenset({"answer"}),
     "confirm_rating": frozenset({"key"}),
 }
 """Words in braces that a text must contain; every other text must contain none."""
@@ -156,6 +157,10 @@ class Texts(Section):
     practice_was_left: Text = described("After a practice trial: the left finger's vibration was the stronger one.")
     practice_was_both: Text = described("After a practice trial: both vibrations were about equally strong.")
     practice_was_right: Text = described("After a practice trial: the right finger's vibration was the stronger one.")
+    practice_was: Text = described(
+        "After a practice trial whose answers name intervals, or one of three fingers: the right one, {answer}.",
+        default="This time the right answer was: {answer}",
+    )
     practice_again: Text = described("Announces another round of practice.")
     right_index: Text = described("The right index finger.")
     right_middle: Text = described("The right middle finger.")

@@ -397,8 +397,9 @@ class EventSequence:
     def _judged(self, number: int, event: Event) -> Iterator[str]:
         """Check a verdict on a round of practice."""
         self._passed = self._passed or bool(event["passed"])
-        section, offered = self._given.protocol.schedule, self._given.protocol.answers.offered
-        outcome = judge_round(self._counted.values(), event["round"], section.practice_trials, offered)
+        protocol = self._given.protocol
+        section = protocol.schedule
+        outcome = judge_round(self._counted.values(), event["round"], section.practice_trials, protocol)
         found = outcome.n_judged, outcome.n_agreed, outcome.passes(section.practice_criterion)
         if number > self._whole_from and found != (event["n_judged"], event["n_agreed"], event["passed"]):
             yield f"in round {event['round']} of practice {found[1]} of {found[0]} answers agreed; it says otherwise"

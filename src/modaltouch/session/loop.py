@@ -187,7 +187,7 @@ def _comment(sitting: SessionRun, trial: Trial, response: Response) -> None:
     """Tell a participant who practises what was to be felt, where the protocol wants it and there is no doubt."""
     if not (trial.practice and sitting.protocol.schedule.practice_feedback):
         return
-    expected = sitting.protocol.answers.offered.expected(*sitting.speeds(trial))
+    expected = sitting.protocol.expected(trial, sitting.speeds(trial))
     if expected is not None:
         sitting.window.give_feedback(response, expected)
 
@@ -217,7 +217,7 @@ def _close_rounds(sitting: SessionRun) -> None:
         if number not in judged and done.issuperset(range(last - schedule.practice_trials + 1, last + 1)):
             from modaltouch.protocol import judge_round
 
-            outcome = judge_round(counted, number, schedule.practice_trials, sitting.protocol.answers.offered)
+            outcome = judge_round(counted, number, schedule.practice_trials, sitting.protocol)
             sitting.log.append(
                 "practice_round",
                 round=number,

@@ -30,8 +30,7 @@ def every_picture(pictures: Illustrator, trial: Trial) -> list[Picture]:
     names = pictures.answers.offered.names
     chosen = names[0] if pictures.answers.scale is None else f"{pictures.answers.scale.at(0.5):g}"
     offered = pictures.answers.offered
-    # No feedback tells of three fingers.
-    expected = [answer.name for answer in offered if answer.fingers and not offered.names_between]
+    expected = [answer.name for answer in offered if answer.fingers or answer.interval]
     return [
         pictures.welcome(trial),
         pictures.answering(trial),

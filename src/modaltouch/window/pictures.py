@@ -269,15 +269,15 @@ class Illustrator:
         )
 
     def feedback(self, trial: Trial, progress: Progress, answer: str, expected: str) -> Picture:
-        """Return where the vibration was stronger, after a practice trial."""
-        texts = self.texts
+        """Return where the vibration was stronger, or which answer was right, after a practice trial."""
+        texts, felt = self.texts, self.answers.offered.fingers_of(expected)
         said = {
             ("left",): texts.practice_was_left,
             ("left", "right"): texts.practice_was_both,
             ("right",): texts.practice_was_right,
         }
-        felt = self.answers.offered.fingers_of(expected)
-        words = texts.practice_agreed if answer == expected or felt is None else said[felt]
+        named = texts.practice_was.format(answer=texts.label(expected))
+        words = texts.practice_agreed if answer == expected else said.get(felt or (), named)
         name = "feedback_agreed" if answer == expected else f"feedback_{expected}"
         marks = (self._headline(words, 0.05), *self._beam(trial), *self._progress(trial, progress))
         return Picture(name, marks)
