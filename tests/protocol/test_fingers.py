@@ -159,7 +159,7 @@ def test_crossed_hands_need_the_other_hand_too(named: Callable[..., Findings]) -
                 "'mass_g'?",
                 "2:16: spread.mass: given 4; allowed: a number of at least 0, at most 3",
                 "3:1: colour: given 'colour', which is not a key here; allowed: description, sources, fingers, spread, "
-                "placement_spread, probes",
+                "placement_spread, trial_spread, probes",
             ],
         ),
         (

@@ -339,6 +339,24 @@ def test_fingers_differ_between_the_placements_of_a_followed_session(apparatus: 
     assert all(abs(f.position - centre) < 8e-3 for f, centre in zip(second, (-0.04, 0.0), strict=True))
 
 
+def test_fingers_differ_between_the_trials_of_a_placement(apparatus: Apparatus, tmp_path: Path) -> None:
+    """Anew with each trial that is over, around those of the placement."""
+    own = {
+        "fingers": FingerSection(mass_g=0.1, damping_N_s_per_m=0.5),
+        "finger_trial_spread": FingerSpread.model_validate({"mass": 0.02, "offset_mm": 0.1}),
+    }
+    log, twin = tmp_path / "session.jsonl", apparatus.twin.model_copy(update=own)
+    followed, masses = FollowedSession(log, apparatus.model_copy(update={"twin": twin})), []
+    start = '{"event":"start","seed":1,"participant":"p01","session":1}\n'
+    for line in (start + '{"event":"placement","zone_left":"A","zone_right":"C"}\n', *['{"event":"trial"}\n'] * 30):
+        with log.open("a", encoding="utf-8") as growing:
+            growing.write(line)
+        masses += [finger.mass for finger in followed.fingers().values()]
+    assert len(set(masses)) == 62
+    assert np.std(np.log(masses)) == pytest.approx(0.02, rel=0.3)
+    assert np.mean(masses) == pytest.approx(1e-4, rel=0.01)
+
+
 def test_a_burst_may_repeat_otherwise_than_usual(
     simulator: Simulator, open_generator: Callable[..., Generator], burst: Burst
 ) -> None:

@@ -191,7 +191,8 @@ class Findings:
         fingers = None if self.placements is None else self.placements.drawn(rng)
         if self.placements is None or fingers is None or apparatus.twin.fingers is not None:
             return apparatus
-        own = {"fingers": fingers, "finger_spread": self.placements.file.placement_spread}
+        file = self.placements.file
+        own = {"fingers": fingers, "finger_spread": file.placement_spread, "finger_trial_spread": file.trial_spread}
         return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update=own)})
 
     def placement_of(self, finger_condition: str, left: str, right: str) -> str:

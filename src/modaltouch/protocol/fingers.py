@@ -141,6 +141,10 @@ class FingersFile(Section):
         "How much those of a person differ from one placement to the next, on the simulated beam.",
         default=FingerSpread(),
     )
+    trial_spread: FingerSpread = described(
+        "How much those of a placement differ from one trial to the next, on the simulated beam.",
+        default=FingerSpread(),
+    )
     probes: Annotated[tuple[FingerProbe, ...], Field(max_length=100)] = described(
         "The probes that they were measured by, as `modaltouch fingers probe` wrote them.", default=()
     )

@@ -146,6 +146,10 @@ class TwinSection(Section):
         "How much fingers differ from one placement to the next, in a session that is followed.",
         default=FingerSpread(),
     )
+    finger_trial_spread: FingerSpread = described(
+        "How much the fingers of a placement differ from one trial to the next, in a session that is followed.",
+        default=FingerSpread(),
+    )
     finger_press_N: Positive | None = described(  # noqa: N815
         "Force with which each finger presses [N]; where the beam pulls harder, skin and beam part; null for fingers "
         "that never let go.",

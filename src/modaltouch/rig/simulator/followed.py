@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import threading
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from modaltouch.protocol import Apparatus, Schedule
 from modaltouch.stimulus import Finger
 
-KINDS = (b'"event":"start"', b'"event":"placement"', b'"event":"hands_off"')
-"""Lines that say who sits there, and where fingers lie."""
+if TYPE_CHECKING:
+    import numpy as np
+
+KINDS = (b'"event":"start"', b'"event":"placement"', b'"event":"hands_off"', b'"event":"trial"')
+"""Lines that say who sits there, and where fingers lie; with each trial that is over they are drawn anew."""
 
 
 class FollowedSession:
@@ -22,14 +25,15 @@ class FollowedSession:
     path : Path
         The log, ``session.jsonl``.
     apparatus : Apparatus
-        Its section ``twin`` has the fingers, and how much they differ between placements.
+        Its section ``twin`` has the fingers, and how much they differ between placements and between trials.
     """
 
     def __init__(self, path: Path, apparatus: Apparatus) -> None:
         self._path, self._apparatus = path, apparatus
-        self._read = self._n_placements = 0
+        self._read = self._n_placements = self._n_trials = 0
         self._who = 0, "", 0
         self._fingers: dict[str, Finger] = {}
+        self._laid: dict[str, tuple[Any, float]] = {}
         self._lock = threading.Lock()
 
     def fingers(self) -> dict[str, Finger]:
@@ -59,13 +63,28 @@ class FollowedSession:
         if event["event"] == "start":
             self._who = event["seed"], event["participant"], event["session"]
             return
-        self._fingers = {}
+        if event["event"] == "trial":
+            self._n_trials += 1
+            self._drift()
+            return
+        self._fingers, self._laid = {}, {}
         if event["event"] == "hands_off":
             return
         self._n_placements += 1
-        rng, twin = Schedule.random_generator(*self._who, f"placement {self._n_placements}"), self._apparatus.twin
+        rng, twin = self._drawn_by(f"placement {self._n_placements}"), self._apparatus.twin
         for zone in (event.get(f"zone_{side}") for side in ("left", "between", "right")):
             if zone in self._apparatus.zones:
                 centre = self._apparatus.zones[zone].centre_mm * 1e-3
-                own = None if twin.fingers is None else twin.finger_spread.drawn(twin.fingers, rng)
-                self._fingers[zone] = Finger(centre) if own is None else own.at(centre)
+                if twin.fingers is None:
+                    self._fingers[zone] = Finger(centre)
+                else:
+                    self._laid[zone] = twin.finger_spread.drawn(twin.fingers, rng), centre
+        self._drift()
+
+    def _drift(self) -> None:
+        """Draw the fingers of a trial around those of its placement."""
+        rng, spread = self._drawn_by(f"trial {self._n_trials}"), self._apparatus.twin.finger_trial_spread
+        self._fingers |= {zone: spread.drawn(own, rng).at(centre) for zone, (own, centre) in self._laid.items()}
+
+    def _drawn_by(self, what: str) -> np.random.Generator:
+        return Schedule.random_generator(*self._who, what)
