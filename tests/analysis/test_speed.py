@@ -54,4 +54,4 @@ def test_a_standard_level_is_not_compared_with_predicted_speeds() -> None:
     frame = pd.DataFrame(columns=["velocity_mm_s"])
     responses = Responses(frame, (), (), AnswerSource("answers", "results", ""), design=design)
     with pytest.raises(InputError, match=r"given a standard of 100 mm/s.*take --speed nominal"):
-        responses.by_predicted_speed()
+        responses.by_speed("predicted")

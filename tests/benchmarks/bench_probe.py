@@ -129,7 +129,9 @@ class Bench:
         exact = exact * np.exp(-s * DELAY)
         deviation = DENSITY * np.sqrt(SPACING) / self.line
         noise = rng.standard_normal((N_RECORDS, 2, s.size)) * deviation
-        records = [Probe(self.laser, frequency, channel, exact + re + 1j * im, deviation) for re, im in noise]
+        records = [
+            Probe(self.laser, frequency, np.eye(2)[channel], exact + re + 1j * im, deviation) for re, im in noise
+        ]
         return Probe.averaged(records)
 
     def row(
@@ -150,7 +152,7 @@ class Bench:
         voltage, unit = designed.voltage_played(LEVEL), designed.volts_per_code(LEVEL)
         ended = time.perf_counter()
         played = designed.touched(())
-        spread = found.spread(lambda model: replace(played, model=model).velocity_at_focus([0.0], unit))
+        spread = found.spread(found.slopes(lambda model: replace(played, model=model).velocity_at_focus([0.0], unit)))
 
         def level(laid: tuple[Finger, ...]) -> float:
             timing, true = designed.timing, beam.touched(laid)

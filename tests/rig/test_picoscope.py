@@ -114,6 +114,21 @@ def test_calls_are_those_of_the_transcript(apparatus: Apparatus, aimed: list[flo
     np.testing.assert_allclose(seen.drive, np.full((1, 1, 100), -100.0))
 
 
+def test_a_burst_is_recorded_without_waiting_for_it(apparatus: Apparatus, aimed: list[float]) -> None:
+    """Armed at once, fetched later, where the vibrometer aims anyway; armed anew where that burst never came."""
+    library = Library()
+    with PicoScope(apparatus, aimed.append, driver=library) as scope:
+        scope.configure(Acquisition(n_samples=100, drives=()))
+        library.calls.clear()
+        scope.arm()
+        assert [call[0] for call in library.calls] == ["RunBlock"]
+        scope.arm()
+        assert [call[0] for call in library.calls] == ["RunBlock", "Stop", "RunBlock"]
+        seen = scope.fetch(0.049)
+        assert [call[0] for call in library.calls[3:]] == ["IsReady", "SetDataBuffer", "GetValues"]
+    assert (seen.velocity.shape, seen.position, aimed) == ((1, 100), 0.049, [])
+
+
 def test_every_call_names_the_scope(apparatus: Apparatus, aimed: list[float]) -> None:
     """The handle that OpenUnit gave is the first argument of every other call."""
     handles = []

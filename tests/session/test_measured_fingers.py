@@ -11,8 +11,10 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
+from modaltouch import analyse
 from modaltouch.lab import Prober
-from modaltouch.preflight import Preflight, examine
+from modaltouch.preflight import Preflight, delivered_figures, examine, with_measured
+from modaltouch.protocol import Trial
 from modaltouch.protocol.source import Source
 from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, encode_line, read_chain
@@ -88,6 +90,41 @@ def test_the_level_is_that_under_the_fingers(session: Session) -> None:
         assert speeds == pytest.approx((planned["speed_left_mm_s"], planned["speed_right_mm_s"]), rel=0.005)
 
 
+def test_the_record_says_what_each_burst_delivered(session: Session) -> None:
+    """What each finger of the twin got lies within twice the 95 % interval, which is a few per cent wide."""
+    lines = (session.path.parents[5] / "played.jsonl").read_text(encoding="utf-8").splitlines()
+    bursts = [json.loads(line) for line in lines]
+    for event in session.trials:
+        onset = event["confirmed"]["onset"]
+        felt = min(bursts, key=lambda burst: abs(burst["start_s"] - onset))["finger_peak_mm_s"]
+        condition, delivered = event["trial"]["condition"], event["delivered"]
+        for side in ("left", "right"):
+            speed, (low, high) = delivered[f"speed_{side}_mm_s"], delivered[f"interval_{side}_mm_s"]
+            assert abs(felt[condition[f"zone_{side}"]] - speed) < high - low < 0.06 * speed
+        assert not delivered["drifted"]
+        assert 0.5 < delivered["misfit"] < 2
+
+
+def test_fingers_that_drifted_are_marked(session: Session, preflight: Preflight) -> None:
+    """More than 5 % off the prediction, as under fingers half as heavy again."""
+    probe, event = placements(session)[0], session.trials[0]
+    trial = Trial.from_dict(event["trial"])
+    placed, found = with_measured(preflight, trial, probe), event["delivered"]
+    heavier = {name: {**own, "mass_g": 1.5 * own["mass_g"]} for name, own in found["fingers"].items()}
+    as_found = delivered_figures(placed, trial, found)
+    assert as_found == {name: found[name] for name in as_found}
+    assert delivered_figures(placed, trial, {**found, "fingers": heavier})["drifted"]
+
+
+def test_levels_may_be_told_by_what_was_delivered(session: Session, tmp_path: Path) -> None:
+    """By the faster finger, mean of the level's trials; the report has it beside what was asked."""
+    analysis = analyse(session.path, tmp_path, speed="delivered")
+    faster = [max(event["delivered"][f"speed_{side}_mm_s"] for side in ("left", "right")) for event in session.trials]
+    assert analysis.answers.levels == pytest.approx([sum(faster) / 3], abs=1e-3)
+    assert analysis.answers.scale.quantity == "delivered peak speed under the faster finger [mm/s]"
+    assert "speeds delivered under the faster finger" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
 def test_the_level_asked_is_met_where_it_is_attainable(session: Session) -> None:
     """At C, 60 mm/s where the design for these fingers attains them, else what it attains."""
     played = {}
@@ -145,6 +182,8 @@ def test_other_fingers_in_the_record_are_noticed(session: Session, tmp_path: Pat
     for event in read_chain(log).events:
         if event["event"] == "probe" and event["hands"] == "on":
             event["fingers"]["right index"]["mass_g"] *= 1.01
+        if event["event"] == "trial":
+            event["delivered"]["fingers"]["right index"]["mass_g"] *= 1.1
         line, check = encode_line(event, check)
         lines.append(line)
     log.write_bytes(b"".join(lines))
@@ -153,6 +192,7 @@ def test_other_fingers_in_the_record_are_noticed(session: Session, tmp_path: Pat
         "the drive for the fingers that were measured (A-C) is another than it says" in each for each in problems
     )
     assert any("Vpp were commanded" in each for each in problems)
+    assert any("the fingers found in its burst give a delivered speed_left_mm_s of" in each for each in problems)
 
 
 def test_an_interrupted_session_measures_anew(session: Session, tmp_path: Path) -> None:

@@ -36,11 +36,11 @@ def beam(table):
     )
 
 
-def responses(model, delay=0.0):
+def responses(model, delay=0.0, channels=None):
     """Velocity per volt, each line by the solution of the coupled modes' equations."""
     s, omega = 2j * np.pi * FREQUENCY, model.angular_frequency
     rows = []
-    for each, channel in zip(s, CHANNEL, strict=True):
+    for each, channel in zip(s, np.broadcast_to(CHANNEL if channels is None else channels, s.shape), strict=True):
         stiff = np.diag(each + 2 * model.damping_ratio * omega + omega**2 / each)
         for finger in model.fingers:
             contact = finger.contact(model.shapes, model.length) / model.mass
@@ -56,7 +56,7 @@ def measured(model, seed=0, noise=0.003):
     deviation = noise * np.sqrt(np.abs(exact) * np.abs(exact).mean())
     rng = np.random.default_rng(seed)
     drawn = rng.standard_normal(exact.size) + 1j * rng.standard_normal(exact.size)
-    return Probe(LASER, FREQUENCY, CHANNEL, exact + deviation * drawn, deviation)
+    return Probe(LASER, FREQUENCY, np.eye(2)[CHANNEL], exact + deviation * drawn, deviation)
 
 
 @pytest.fixture(scope="module")
@@ -98,9 +98,32 @@ def test_fingers_are_found_where_they_lie(found):
 
 def test_spread_of_a_figure_is_that_of_its_parameter(found):
     """Of figures that are one parameter each, their standard deviations."""
-    spread = found.spread(lambda model: np.log([finger.mass for finger in model.fingers]))
+    spread = found.spread(found.slopes(lambda model: np.log([finger.mass for finger in model.fingers])))
     known = np.sqrt(np.diag(found.covariance))[[found.n_beam, found.n_beam + 4]]
     assert spread == pytest.approx(known, rel=1e-3)
+
+
+def test_a_burst_tells_how_fingers_and_gains_have_drifted(beam, found):
+    """Both outputs at once: what changed since the probe, within four standard deviations, and no more uncertain."""
+    later = tuple(replace(finger, mass=1.2 * finger.mass, damping=0.8 * finger.damping) for finger in TRUE)
+    gains = np.array([1.02, 0.97])
+    drifted = replace(beam, modal_gain=beam.modal_gain * gains).touched(later)
+    each = [replace(beam, modal_gain=beam.modal_gain * gains * own).touched(later) for own in np.eye(2)]
+    rng = np.random.default_rng(5)
+    drive = rng.standard_normal((FREQUENCY.size, 2)) + 1j * rng.standard_normal((FREQUENCY.size, 2))
+    per_volt = np.stack([responses(one, 4e-6, channel) for channel, one in enumerate(each)], axis=1)
+    exact = (per_volt * drive).sum(axis=1)
+    deviation = 0.003 * np.sqrt(np.abs(exact) * np.abs(exact).mean())
+    noise = deviation * (rng.standard_normal(exact.size) + 1j * rng.standard_normal(exact.size))
+    seen = Probe(LASER, FREQUENCY, drive, exact + noise, deviation).later(found)
+    slopes = seen.slopes(lambda model: np.log([finger.mass for finger in model.fingers]))
+    off = np.log([finger.mass / true.mass for finger, true in zip(seen.model.fingers, drifted.fingers, strict=True)])
+    assert np.all(np.abs(off) < 4 * seen.spread(slopes))
+    assert seen.spread(slopes).max() < 0.05
+    assert (seen.model.modal_gain / found.model.modal_gain).mean(axis=0) == pytest.approx(gains, abs=0.02)
+    assert 0.5 < seen.misfit < 1.5
+    with pytest.raises(ValueError, match="no drift of the fingers explains the record: misfit [0-9.]+, at most 10 is"):
+        Probe(LASER, FREQUENCY, drive[::-1], exact, deviation).later(found)
 
 
 def test_slopes_are_differences_of_responses(beam):

@@ -59,8 +59,9 @@ def analyse(
         The preregistration, as ``modaltouch prereg`` wrote it; by default the one beside the protocol, if any.
     model : bool
         Whether the mixed logistic model is fitted, too, for which statsmodels is loaded.
-    speed : {"nominal", "predicted"}
-        What levels are told by: the speed asked at the focus, or the one predicted under the faster finger.
+    speed : {"nominal", "predicted", "delivered"}
+        What levels are told by: the speed asked at the focus, or the one predicted or delivered under the faster
+        finger.
 
     Returns
     -------
@@ -79,11 +80,11 @@ def analyse(
     if labs and out is None:
         raise InputError.of(path, "the folders of several labs", "with --out", "say with --out where the results go")
     responses = read_responses(path, *labs, mode=mode, stimulus=stimulus, table_format=table_format)
-    responses = responses.by_predicted_speed() if speed == "predicted" else responses
+    responses = responses if speed == "nominal" else responses.by_speed(speed)
     folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
     source = responses.source
     about = {"version": version(), "source": source.path, "sha256": source.sha256, "mode": source.mode}
-    asked |= {"--speed": speed == "predicted"} if responses.scheduled is not None else {}
+    asked |= {"--speed": speed != "nominal"} if responses.scheduled is not None else {}
     found, files = _results(responses, path, asked)
     return replace(found, files=write_files(folder, files, about))
 

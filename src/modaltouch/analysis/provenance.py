@@ -20,6 +20,8 @@ FAULTS = {
     "stop": "sittings ended early",
     "rig": "troubles with the instrument, all overcome or followed by an end",
     "masking_lost": "losses of the masking noise",
+    "drifted": "trials that delivered over 5 % more or less than predicted",
+    "unheard": "trials of which the vibrometer tells no delivered speed",
     "torn": "lines cut while they were written",
 }
 
@@ -193,6 +195,8 @@ def _kinds_of_fault(event: dict[str, Any]) -> Iterator[str]:
     told = ("trial_cut", "unconfirmed", "resume", "masking_lost")
     if kind in told or (kind == "stop" and not event.get("complete")):
         yield kind
+    delivered = event.get("delivered", {})
+    yield from ["drifted"] * delivered.get("drifted", False) + ["unheard"] * ("refused" in delivered)
 
 
 def _faults(sessions: Sequence[SessionFacts]) -> Iterator[tuple[str, int, str]]:

@@ -71,6 +71,7 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
         strips=participant_strips(answers),
         values=analysis.design.rows if analysis.design else [],
         speeds=speed_rows(analysis.responses.frame),
+        delivered=delivered_rows(analysis.responses.frame),
         tests=list_questions(analysis.findings, answers),
         families=state_families(analysis.findings),
         most_rows=MOST_ROWS,
@@ -199,12 +200,21 @@ def speed_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
     sides = ["speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s"]
     sides = [side for side in sides if has_values(frame, side)]
     zones = [name for name in zones_of(frame.columns) if (frame[name] != "").any()]
-    if len(sides) < len(zones):
-        return []
+    return [] if len(sides) < len(zones) else _ranges(frame, sides)
+
+
+def delivered_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return the same of the peak speeds delivered under the faster finger, of trials of which they are known."""
+    known = frame.dropna(subset=["delivered_mm_s"]) if "delivered_mm_s" in frame else frame.head(0)
+    return [] if known.empty else _ranges(known, ["delivered_mm_s"])
+
+
+def _ranges(frame: pd.DataFrame, columns: list[str]) -> list[dict[str, Any]]:
+    """Return a row for each pair of zones, in each cell from where to where columns go."""
     *pair, level = cell_of(frame.columns)
-    bounds = frame.groupby([*pair, level], observed=True)[sides].agg(["min", "max"])
+    bounds = frame.groupby([*pair, level], observed=True)[columns].agg(["min", "max"])
     said = bounds.round().astype(int).astype(str).apply(
-        lambda row: " | ".join("–".join(dict.fromkeys(row[side])) for side in sides), axis=1
+        lambda row: " | ".join("–".join(dict.fromkeys(row[column])) for column in columns), axis=1
     )  # fmt: skip
     rows = said.unstack(level).fillna("")
     return [

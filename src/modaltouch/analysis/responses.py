@@ -14,7 +14,7 @@ from collections.abc import Collection, Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.analysis.scale import OWN_THRESHOLD, PREDICTED, VELOCITY, LevelScale, scale_of
+from modaltouch.analysis.scale import DELIVERED, OWN_THRESHOLD, PREDICTED, VELOCITY, LevelScale, Speed, scale_of
 from modaltouch.analysis.zones import zones_of
 from modaltouch.protocol import AnswerList, InputError
 
@@ -253,11 +253,11 @@ class Responses:
         counts = count_answers(self.frame, self.focus or focus, self.answers, self.margin, self.asked)
         return replace(counts, guesses_evenly=(self.design.get("intervals") or {}).get("number", 1) < 3)
 
-    def by_predicted_speed(self) -> Responses:
-        """Return the answers with their levels told by the peak speed predicted under the faster finger.
+    def by_speed(self, speed: Speed) -> Responses:
+        """Return the answers with their levels told by the peak speed predicted or delivered under the faster finger.
 
         Of adaptive sessions each trial has its own; a fixed level has the mean of its trials, so that the cells of the
-        design stay.
+        design stay. Where the vibrometer tells nothing of a trial, what was predicted stands for it.
 
         Raises
         ------
@@ -265,7 +265,7 @@ class Responses:
             If the answers do not tell it.
         """
         if self.task.standard > 0:
-            given = f"a standard of {self.task.standard:g} mm/s, to which predicted speeds are not comparable"
+            given = f"a standard of {self.task.standard:g} mm/s, to which speeds under the fingers are not comparable"
             raise InputError.of(self.source.path, given, "trials without a standard level", "take --speed nominal")
         column = scale_of(self.frame.columns).column
         zones = {name: f"speed_{name.split('_')[1]}_mm_s" for name in zones_of(self.frame.columns)}
@@ -273,11 +273,16 @@ class Responses:
         if column != VELOCITY.column or not set(sides) <= set(self.frame) or self.frame[sides].isna().to_numpy().any():
             given = "answers that do not tell the speeds predicted under the fingers in mm/s"
             raise InputError.of(self.source.path, given, "recorded sessions of levels in mm/s", "take --speed nominal")
-        speed = self.frame[sides].max(axis=1)
+        told, scale = self.frame[sides].max(axis=1), PREDICTED
+        if speed == "delivered":
+            if "delivered_mm_s" not in self.frame:
+                given = "answers without a delivered speed"
+                allowed = "sessions with `stimulus.fingers: measured`"
+                raise InputError.of(self.source.path, given, allowed, "take --speed predicted")
+            told, scale = self.frame["delivered_mm_s"].fillna(told), DELIVERED
         if not self.is_adaptive:
-            speed = speed.groupby(self.frame[column]).transform("mean")
-        told = self.frame.drop(columns=column).assign(**{PREDICTED.column: speed.round(3)})
-        return replace(self, frame=told)
+            told = told.groupby(self.frame[column]).transform("mean")
+        return replace(self, frame=self.frame.drop(columns=column).assign(**{scale.column: told.round(3)}))
 
     @property
     def in_multiples(self) -> bool:

@@ -148,6 +148,7 @@ COLUMNS = (
     "speed_left_mm_s",
     "speed_between_mm_s",
     "speed_right_mm_s",
+    "delivered_mm_s",
     "confirmed",
     "interval",
     "standard_mm_s",
@@ -161,7 +162,8 @@ _ONE_NAMED = f"{_ONE}; name the other protocol anew"
 _OF_INTERVALS = ("interval", "standard_mm_s", "correct")
 """Columns of trials with several intervals alone."""
 
-_NUMBERS = ("trial", "block", "response_uncertainty", "speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s")
+_SPEEDS = ("speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s", "delivered_mm_s")
+_NUMBERS = ("trial", "block", "response_uncertainty", *_SPEEDS)
 
 
 def open_log(path: Path) -> SessionAnswers:
@@ -330,6 +332,8 @@ def _join(
     frame = unmirror(frame.astype(dict.fromkeys(_NUMBERS, float)), answers)
     if not frame["zone_between"].any():
         frame = frame.drop(columns=["zone_between", "speed_between_mm_s"])
+    if frame["delivered_mm_s"].isna().all():
+        frame = frame.drop(columns="delivered_mm_s")
     if frame["interval"].isna().all():
         frame = frame.drop(columns=list(_OF_INTERVALS))
     if levels == "calibrated":

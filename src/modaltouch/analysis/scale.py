@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 
@@ -57,8 +57,13 @@ OWN_THRESHOLD = LevelScale(
 PREDICTED = LevelScale("speed_mm_s", "predicted peak speed under the faster finger [mm/s]", "mm/s", 100.0, "100 mm/s")
 """Levels by what they are predicted to do under the fingers."""
 
-Speed = Literal["nominal", "predicted"]
-"""What levels are told by: the speed asked at the focus, or that predicted under the fingers."""
+DELIVERED = replace(
+    PREDICTED, column="speed_delivered_mm_s", quantity="delivered peak speed under the faster finger [mm/s]"
+)
+"""Levels by what the vibrometer saw of each trial; where it tells nothing, by the prediction."""
+
+Speed = Literal["nominal", "predicted", "delivered"]
+"""What levels are told by: the speed asked at the focus, or that predicted or delivered under the fingers."""
 
 
 def scale_of(columns: Container[str]) -> LevelScale:
@@ -69,4 +74,4 @@ def scale_of(columns: Container[str]) -> LevelScale:
     columns : container of str
         Names of its columns.
     """
-    return next((scale for scale in (OWN_THRESHOLD, PREDICTED) if scale.column in columns), VELOCITY)
+    return next((scale for scale in (OWN_THRESHOLD, PREDICTED, DELIVERED) if scale.column in columns), VELOCITY)

@@ -68,8 +68,10 @@ def analyse(
         bool, typer.Option("--model", help="Also fit a mixed logistic model, refused where answers are separated.")
     ] = False,
     speed: Annotated[
-        Literal["nominal", "predicted"],
-        typer.Option(help="What levels are told by: speed asked at the focus, or predicted under the faster finger."),
+        Literal["nominal", "predicted", "delivered"],
+        typer.Option(
+            help="What levels are told by: speed asked at the focus, or predicted or delivered under the faster finger."
+        ),
     ] = "nominal",
     json_output: JSON = False,
 ) -> None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from modaltouch.preflight.exploration import contrast_figures, design_figures, sample_figures, sensitivity_figures
     from modaltouch.preflight.figures import estimated_duration, finite
     from modaltouch.preflight.legibility import check_legibility
-    from modaltouch.preflight.measured import with_measured
+    from modaltouch.preflight.measured import delivered_figures, with_measured
 else:
     __getattr__ = lazily(
         __name__,
@@ -29,7 +29,7 @@ else:
             "exploration": "contrast_figures design_figures sample_figures sensitivity_figures",
             "figures": "estimated_duration finite",
             "legibility": "check_legibility",
-            "measured": "with_measured",
+            "measured": "delivered_figures with_measured",
         },
     )
 
@@ -38,6 +38,7 @@ __all__ = [
     "Preflight",
     "check_legibility",
     "contrast_figures",
+    "delivered_figures",
     "design",
     "design_figures",
     "design_to_fit",

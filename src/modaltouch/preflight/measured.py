@@ -6,12 +6,19 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from modaltouch.preflight.checked import Preflight
+from modaltouch.preflight.design_inputs import DesignInputs
 from modaltouch.preflight.examination import attainable_level, design_to_fit
 from modaltouch.protocol import InputError, Trial
 
 if TYPE_CHECKING:
     from modaltouch.stimulus import Finger
+
+
+DRIFT = 0.05
+"""From which difference between what was delivered and what was predicted a trial is marked [1]."""
 
 
 def with_measured(preflight: Preflight, trial: Trial, found: Mapping[str, Any]) -> Preflight:
@@ -38,18 +45,54 @@ def with_measured(preflight: Preflight, trial: Trial, found: Mapping[str, Any]) 
     return replace(preflight, variants=parts) if preflight.variants else parts[""]
 
 
-def _designed(part: Preflight, place: str, by_zone: Mapping[str, Finger], modes: list[dict[str, Any]]) -> Preflight:
-    inputs, _ = part.placed[place].sound
+def delivered_figures(preflight: Preflight, trial: Trial, found: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a record of a trial's burst says of the speeds under its fingers.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        As `with_measured` returns it for the placement.
+    trial : Trial
+        Which trial.
+    found : mapping
+        ``fingers`` and ``modes`` while it was played, as for `with_measured`.
+
+    Returns
+    -------
+    dict
+        Peak speed under each finger, ``speed_left_mm_s`` and so on; and ``drifted``, whether one is more than 5 % off
+        what was predicted.
+    """
+    placements, condition = preflight.findings.placements, trial.condition
+    if placements is None:
+        raise InputError(preflight.problems)
+    inputs, stimulus = preflight.designs[preflight.design_of(condition)].sound
+    by_zone = placements.measured(found["fingers"])
+    own = _on_beam(inputs, by_zone, found["modes"])
+    played = replace(stimulus.touched(()), model=own.apparatus.modal_model().touched(own.fingers))
+    unit = stimulus.volts_per_code(preflight.played(condition, condition.velocity_mm_s) * 1e-3)
+    speeds = played.peak_velocity([by_zone[zone].position for zone in condition.zones], unit)
+    names = map("speed_{}_mm_s".format, condition.sides)
+    return {
+        **dict(zip(names, (speeds * 1e3).round(3).tolist(), strict=True)),
+        "drifted": bool((np.abs(speeds / preflight.speeds(trial) - 1) > DRIFT).any()),
+    }
+
+
+def _on_beam(inputs: DesignInputs, by_zone: Mapping[str, Finger], modes: list[dict[str, Any]]) -> DesignInputs:
     # Intervals of an identification say nothing of values that were found since.
     pairs = zip(inputs.apparatus.modes, modes, strict=True)
     refitted = tuple(mode.model_copy(update={**values, "intervals_95": None}) for mode, values in pairs)
-    on_focus = by_zone.get(inputs.section.focus)
-    own = replace(
+    return replace(
         inputs,
         apparatus=inputs.apparatus.model_copy(update={"modes": refitted}),
-        centre_mm=inputs.centre_mm if on_focus is None else on_focus.position * 1e3,
         fingers=tuple(sorted(by_zone.values(), key=lambda finger: finger.position)),
     )
+
+
+def _designed(part: Preflight, place: str, by_zone: Mapping[str, Finger], modes: list[dict[str, Any]]) -> Preflight:
+    own, on_focus = _on_beam(part.placed[place].sound[0], by_zone, modes), by_zone.get(part.sound[0].section.focus)
+    own = own if on_focus is None else replace(own, centre_mm=on_focus.position * 1e3)
     stimulus = design_to_fit(own)
     designed = replace(part.placed[place], inputs=own, designed=stimulus, attainable=attainable_level(own, stimulus))
     return replace(part, placed=part.placed | {place: designed})

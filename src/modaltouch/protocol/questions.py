@@ -30,7 +30,7 @@ participant session trial block practice group interval finger_condition zone_le
 finger_left finger_right finger_between placement velocity_mm_s multiple_of_threshold masked catch stimulus
 repetition response response_time response_onset response_uncertainty answered_by way double confirmed onset
 onset_uncertainty n_bursts n_bursts_dropped repetition_by presentation device speed_left_mm_s speed_right_mm_s
-speed_between_mm_s log_line value n mode standard_mm_s correct level pair zone zones dominant
+speed_between_mm_s delivered_mm_s log_line value n mode standard_mm_s correct level pair zone zones dominant
 """
 TAKEN_COLUMNS = frozenset(_TAKEN.split())
 """Columns that a table of answers has anyway."""

@@ -133,6 +133,18 @@ def _check_planned(planned: dict[str, Any], trial: Trial, given: TrialExpectatio
         yield f"{level:g} mm/s gives {listed(found)} mm/s at the fingers, not {listed(said)}"
 
 
+def check_delivered(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
+    """Yield where the speeds delivered are not those of the fingers that were found while a trial was played."""
+    said = event.get("delivered", {"refused": ""})
+    if "refused" in said:
+        return
+    from modaltouch.preflight import delivered_figures
+
+    for name, value in delivered_figures(given.restored.preflight, trial, said).items():
+        if abs(said[name] - value) > SPEED:
+            yield f"the fingers found in its burst give a delivered {name} of {value}, not {said[name]}"
+
+
 def check_intervals(event: Event, trial: Trial, begun: list[Event], given: TrialExpectation) -> Iterator[str]:
     """Yield where the intervals of an answer are not those of its trial, nor those that began."""
     parts, told, section = given.protocol.presented(trial), event.get("intervals", []), given.protocol.intervals
@@ -343,6 +355,7 @@ class EventSequence:
             self._n_finished += 1
             self._n_settled += not (trial.practice or trial.condition.is_catch)
             faults += check_bursts(event, trial, self._given) if schema > 1 else []
+            faults += check_delivered(event, trial, self._given)
             faults += self._finishes(event) if schema > 1 and number > self._whole_from else []
             self._counted[number] = event
             self._done[trial.practice, trial.index] += bool(event["confirmed"]["confirmed"])

@@ -147,7 +147,8 @@ class Session:
         tell the sessions apart: ``participant``, ``session``, ``double`` and ``response_uncertainty`` [s].
         """
         trial, response, condition = event["trial"], event["response"], event["trial"]["condition"]
-        bursts, planned, confirmed = (event.get(name) or {} for name in ("bursts", "planned", "confirmed"))
+        kinds = "bursts", "planned", "confirmed", "delivered"
+        bursts, planned, confirmed, delivered = (event.get(name) or {} for name in kinds)
         others = (each["planned"] for n, each in enumerate(event.get("intervals", ()), 1) if n != trial["interval"])
         velocity = float(condition["velocity_mm_s"])
         laid: list[str] = event.get("fingers") or []
@@ -192,6 +193,7 @@ class Session:
             "speed_left_mm_s": planned.get("speed_left_mm_s"),
             "speed_between_mm_s": planned.get("speed_between_mm_s"),
             "speed_right_mm_s": planned.get("speed_right_mm_s"),
+            "delivered_mm_s": max((v for k, v in delivered.items() if k.startswith("speed_")), default=None),
             "log_line": event["n"],
             **dict(zip(self.question_columns, self._further(response), strict=True)),
         }

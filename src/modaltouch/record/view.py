@@ -98,13 +98,21 @@ BETWEEN: dict[str, dict[str, Any]] = {
 }
 """Columns of sessions with three fingers."""
 
+DELIVERED: dict[str, dict[str, Any]] = {
+    "delivered_mm_s": {
+        "Description": "Peak speed of the beam under the faster finger, from a record of the first burst",
+        "Units": "mm/s",
+    },
+}
+"""Columns of sessions whose fingers are measured."""
+
 LINE: dict[str, dict[str, Any]] = {
     "log_line": {"Description": f"Number of the line in {LOG_NAME}"},
 }
 
 _FORMATS = {
     **dict.fromkeys(("velocity_mm_s", "multiple_of_threshold", "standard_mm_s"), "g"),
-    **dict.fromkeys(("speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s"), "g"),
+    **dict.fromkeys(("speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s", "delivered_mm_s"), "g"),
     **dict.fromkeys(("response_time", "onset", "onset_uncertainty"), ".4f"),
 }
 
@@ -228,6 +236,7 @@ def _columns(session: Session) -> dict[str, dict[str, Any]]:
         (design.get("stimuli"), {"stimulus": STIMULUS}),
         (any(len(zones) > 2 for zones in design.get("conditions", {}).get("zones", ())), BETWEEN),
         (design.get("intervals"), INTERVALS),
+        (design.get("stimulus", {}).get("fingers") == "measured", DELIVERED),
     )
     columns = {name: column for held, columns in known if held for name, column in columns.items()}
     for name, asked in session.questions.items():

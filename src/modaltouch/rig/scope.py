@@ -5,9 +5,11 @@ from __future__ import annotations
 import abc
 import contextlib
 import ctypes
+import functools
 import importlib
+import operator
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Self
 
@@ -66,6 +68,26 @@ class Scope(abc.ABC):
         RigError
             If no trigger comes, or the scope fails.
         """
+
+    def arm(self) -> None:
+        """Have the next burst recorded, without waiting for it.
+
+        Raises
+        ------
+        RigError
+            If the scope fails, or cannot do that.
+        """
+        raise RigError(f"{self.identity}: no single burst can be awaited; use a PicoScope")
+
+    def fetch(self, position: float) -> Recording:
+        """Return the record of the burst for which the scope was armed, of the point at which the vibrometer aims [m].
+
+        Raises
+        ------
+        RigError
+            If no trigger came, or the scope fails.
+        """
+        raise RigError(f"{self.identity}: no burst was awaited")
 
     @abc.abstractmethod
     def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
@@ -149,7 +171,7 @@ class PicoScope(Scope):
         knobs = apparatus.acquisition
         self._inputs = Inputs(knobs.sensitivity_mm_s_per_V * 1e-3, knobs.range_mm_s * 1e-3, knobs.probe_attenuation)
         self._handle = ctypes.c_int16()
-        self._open = False
+        self._open = self._waits = False
         self._start()
         try:
             self._identity = f"PicoScope {self._about(VARIANT)}, serial {self._about(SERIAL)}"
@@ -199,11 +221,29 @@ class PicoScope(Scope):
     def measure(self, position: float) -> Recording:
         """Return velocity and drive at a position [m from mid-beam]."""
         self._aim(position)
-        asked = self._asked
-        counts = np.zeros((asked.n_records, asked.n_channels, asked.n_samples), dtype=np.int16)
-        over = 0
-        for record in counts:
-            over |= self._record(record)
+        counts = []
+        for _ in range(self._asked.n_records):
+            self.arm()
+            counts.append(self._counts())
+        return self._recording(position, counts)
+
+    def arm(self) -> None:
+        """Have the next burst recorded, without waiting for it."""
+        n_samples = self._asked.n_samples
+        n_before = min(n_samples, max(0, -round(self._asked.start * self._rate)))
+        if self._waits:
+            self._call("Stop")  # the burst that it was armed for never came
+        self._waits = True
+        self._call("RunBlock", n_before, n_samples - n_before, self._time_base, 1, None, 0, None, None)
+
+    def fetch(self, position: float) -> Recording:
+        """Return the record of the burst for which the scope was armed."""
+        return self._recording(position, [self._counts()])
+
+    def _recording(self, position: float, records: Sequence[tuple[NDArray[np.int16], int]]) -> Recording:
+        """Return records of counts, each with the inputs that were overloaded, in SI units."""
+        asked, counts = self._asked, np.array([each for each, _ in records])
+        over = functools.reduce(operator.or_, (each for _, each in records))
         first = round(asked.start * self._rate)
         scale = {0: self._inputs.sensitivity} | dict.fromkeys(asked.drives, self._inputs.attenuation)
         values = [
@@ -218,7 +258,7 @@ class PicoScope(Scope):
             position=position,
             time=(first + np.arange(asked.n_samples)) / self._rate,
             velocity=values[0],
-            drive=np.stack(values[1:], axis=1) if asked.drives else np.empty((asked.n_records, 0, asked.n_samples)),
+            drive=np.stack(values[1:], axis=1) if asked.drives else np.empty((len(counts), 0, asked.n_samples)),
             sampling_rate=self._rate,
             overloaded=tuple(name for name in names if name in cut),
         )
@@ -266,20 +306,20 @@ class PicoScope(Scope):
         self._call("GetUnitInfo", text, len(text), ctypes.byref(needed), what)
         return text.value.decode("ascii", "replace")
 
-    def _record(self, counts: NDArray[np.int16]) -> int:
-        """Take one record, (n_channels, n_samples) array of counts, and return which inputs were overloaded."""
-        n_samples = self._asked.n_samples
-        n_before = min(n_samples, max(0, -round(self._asked.start * self._rate)))
-        self._call("RunBlock", n_before, n_samples - n_before, self._time_base, 1, None, 0, None, None)
-        self._wait(self._trigger_wait + abs(self._asked.start) + n_samples / self._rate)
+    def _counts(self) -> tuple[NDArray[np.int16], int]:
+        """Return one record, (n_channels, n_samples) array of counts, and which inputs were overloaded."""
+        asked = self._asked
+        self._wait(self._trigger_wait + abs(asked.start) + asked.n_samples / self._rate)
+        self._waits = False
+        counts = np.zeros((asked.n_channels, asked.n_samples), dtype=np.int16)
         for channel, row in zip(self._used, counts, strict=True):
             buffer = row.ctypes.data_as(ctypes.POINTER(ctypes.c_int16))
-            self._call("SetDataBuffer", channel, buffer, n_samples, 0, 0)
-        came, over = ctypes.c_uint32(n_samples), ctypes.c_int16()
+            self._call("SetDataBuffer", channel, buffer, asked.n_samples, 0, 0)
+        came, over = ctypes.c_uint32(asked.n_samples), ctypes.c_int16()
         self._call("GetValues", 0, ctypes.byref(came), 1, 0, 0, ctypes.byref(over))
-        if came.value != n_samples:
-            raise RigError(f"{n_samples} samples were asked of the PicoScope, {came.value} came: measure again")
-        return over.value
+        if came.value != asked.n_samples:
+            raise RigError(f"{asked.n_samples} samples were asked of the PicoScope, {came.value} came: measure again")
+        return counts, over.value
 
     def _wait(self, longest: float, pause: float = 1e-3) -> tuple[float, float]:
         """Return the last instant at which the record was not full, and the first at which it was [s]."""

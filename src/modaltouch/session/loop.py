@@ -247,7 +247,8 @@ def run(sitting: SessionRun, trial: Trial, previous: Trial | None) -> Response:
         response, firing = present(sitting, trial)
         if response is not None:
             answers += 1
-            sitting.window.wait(sitting.protocol.answers.pause_s)
+            busy = 0.0 if sitting.probing is None else sitting.probing.busy
+            sitting.window.wait(max(sitting.protocol.answers.pause_s - busy, 0.0))
             if firing.confirmed:
                 return response
         if firing.stalled:
@@ -306,7 +307,7 @@ def _present_once(sitting: SessionRun, trial: Trial) -> tuple[Response | None, F
     for number, part in enumerate(parts, 1):
         interval = number if len(parts) > 1 else 0
         facts = {"trial": trial.as_dict(), **({"interval": interval} if interval else {})}
-        firing = fire(sitting, part)
+        firing = fire(sitting, part, heard=number == max(trial.interval, 1))
         if not firing.started:
             sitting.log.append("unconfirmed", **facts, confirmed=firing.as_dict())
             break
@@ -351,7 +352,8 @@ def _present_once(sitting: SessionRun, trial: Trial) -> tuple[Response | None, F
         if response is not None:
             if firing.confirmed and not faults and response.answer != TIME_OUT:
                 response = _with_further(sitting, trial, response)
-            _write_down(sitting, "trial", trial, response, over, answered=line)
+            delivered = {} if sitting.probing is None else sitting.probing.delivered(trial)
+            _write_down(sitting, "trial", trial, response, over, answered=line, **delivered)
             sitting.save_view()
         elif not firing.confirmed:
             _write_cut(sitting, facts, firing.reason, firing)
@@ -387,8 +389,10 @@ def fill_in(sitting: SessionRun) -> None:
             sitting.save_view()
 
 
-def fire(sitting: SessionRun, trial: Trial) -> Firing:
-    """Start the stimulus of a trial, a catch trial's silence included."""
+def fire(sitting: SessionRun, trial: Trial, *, heard: bool) -> Firing:
+    """Start the stimulus of a trial, a catch trial's silence included; where fingers are measured, it may be heard."""
+    if heard and sitting.probing is not None:
+        sitting.probing.listen(trial)
     # A catch trial does all that one at the lowest level does, but lets no burst go.
     silent = trial.condition.is_catch
     level = min(sitting.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s

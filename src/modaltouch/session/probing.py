@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.preflight import Preflight, with_measured
+from modaltouch.preflight import Preflight, delivered_figures, with_measured
 from modaltouch.protocol import Trial
 from modaltouch.record import SessionLog
 from modaltouch.rig import Rig, RigError
@@ -41,7 +41,11 @@ class Probing:
     ----------
     preflight : Preflight
         The same, designed for the fingers that lie on the beam at their placement.
+    busy : float
+        What the latest look at a burst took, which the pause after its trial makes up for [s].
     """
+
+    busy, _listens = 0.0, False
 
     def __init__(
         self, preflight: Preflight, prober: Prober, rig: Rig, window: AnswerWindow, log: SessionLog, clock: Clock
@@ -106,6 +110,39 @@ class Probing:
         ]
         self._log.append("probe", hands="on", trial=trial.as_dict(), **self._settings, **found, levels=levels)
         self._window.tell_measuring(max(GAP - (self._clock.now() - ended), 0.0))
+
+    def listen(self, trial: Trial) -> None:
+        """Have the first burst of a trial, if it has any, recorded at the vibrometer's spot.
+
+        Raises
+        ------
+        RigError
+            If the scope fails.
+        """
+        condition, self.busy, self._listens = trial.condition, 0.0, not trial.condition.is_catch
+        if self._listens:
+            part = self.preflight.designs[self.preflight.design_of(condition)]
+            self._prober.arm(*part.sound, self.preflight.played(condition, condition.velocity_mm_s))
+
+    def delivered(self, trial: Trial) -> dict[str, Any]:
+        """Return what the record of that burst says: the speeds that the fingers got, with their 95 % intervals.
+
+        Fingers that drifted are not measured anew before the next placement.
+        """
+        if not self._listens:
+            return {}
+        began = self._clock.now()
+        try:
+            found = self._prober.delivered()
+        except (ValueError, RigError) as error:
+            return {"delivered": {"refused": str(error)}}
+        finally:
+            self.busy = self._clock.now() - began
+        widths, told = found.pop("half_width_mm_s"), delivered_figures(self.preflight, trial, found)
+        for side, zone in zip(trial.condition.sides, trial.condition.zones, strict=True):
+            speed = told[f"speed_{side}_mm_s"]
+            told[f"interval_{side}_mm_s"] = [round(speed + sign * widths[zone], 3) for sign in (-1, 1)]
+        return {"delivered": told | found}
 
     @property
     def _settings(self) -> dict[str, float]:

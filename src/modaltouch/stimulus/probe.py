@@ -45,6 +45,12 @@ _MODEL_ERROR = 1e-3
 _STEP = 1e-3
 """By which a parameter of a finger is moved for its derivative [its unit]."""
 
+_FINGER_DRIFT, _TERM_DRIFT = (0.3, 0.3, 0.5, 1.0), 0.5
+"""By how much fingers may differ between a probe and a burst: standard deviations as those of their priors."""
+
+_GAIN_DRIFT, _DELAY_DRIFT = 0.03, 1.0
+"""The same of a channel's gain [1], and of the instant of a record against its trigger [us]."""
+
 _DELAYS = np.arange(0.0, 60e-6, 0.25e-6)
 """Delays of the velocity that are tried [s]."""
 
@@ -100,11 +106,15 @@ class ProbedBeam:
         """Number of parameters of the untouched beam."""
         return self.model.n_modes * (2 + self.model.n_channels) + 1
 
-    def spread(self, figures: Callable[[ModalModel], FloatArray]) -> FloatArray:
-        """Standard deviations of figures of a beam under fingers, by the covariance, (n_figures,) array."""
-        root, middle = np.linalg.cholesky(self.covariance) * _SHRUNK, figures(self.model)
-        slopes = np.array([figures(self.moved(column).model) - middle for column in root.T]) / _SHRUNK
-        return np.asarray(np.sqrt((slopes**2).sum(axis=0)))
+    def slopes(self, figures: Callable[[ModalModel], FloatArray]) -> FloatArray:
+        """Derivatives of figures of a beam under fingers by the parameters, (n_parameters, n_figures) array."""
+        root, middle = np.linalg.cholesky(self.covariance), figures(self.model)
+        moved = np.array([figures(self.moved(_SHRUNK * column).model) - middle for column in root.T]) / _SHRUNK
+        return np.asarray(np.linalg.solve(root.T, moved))
+
+    def spread(self, slopes: FloatArray) -> FloatArray:
+        """Standard deviations of figures with these derivatives, by the covariance, (n_figures,) array."""
+        return np.asarray(np.sqrt(((np.linalg.cholesky(self.covariance).T @ slopes) ** 2).sum(axis=0)))
 
     def moved(self, step: FloatArray) -> ProbedBeam:
         """The same with its parameters moved, in the units of the covariance."""
@@ -132,10 +142,22 @@ class ProbedBeam:
         covariance[:n, :n] = self.covariance[:n, :n]
         return replace(self, model=self.model.touched(tuple(fingers)), covariance=covariance)
 
+    def loosened(self) -> ProbedBeam:
+        """The same some time later: fingers, gain of each channel and trigger are known less well."""
+        model, n, covariance = self.model, self.n_beam, self.covariance.copy()
+        gains = model.modal_gain / _strongest(model)
+        of_channel = (gains[:, :, None] * np.eye(model.n_channels)).reshape(-1, model.n_channels) * _GAIN_DRIFT
+        covariance[2 * model.n_modes : n - 1, 2 * model.n_modes : n - 1] += of_channel @ of_channel.T
+        drifts = [_DELAY_DRIFT]
+        for finger in model.fingers:
+            drifts += [*_FINGER_DRIFT, *[_TERM_DRIFT] * len(finger.maxwell)]
+        covariance[n - 1 :, n - 1 :] += np.diag(np.square(drifts))
+        return replace(self, covariance=covariance)
+
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """Velocity of a point of a beam per volt at single frequencies.
+    """Velocity of a point of a beam under known voltages at single frequencies.
 
     Attributes
     ----------
@@ -143,17 +165,17 @@ class Probe:
         Where it was measured, origin at mid-beam [m].
     frequency : (n_lines,) array
         [Hz].
-    channel : (n_lines,) array of int
-        Which drives at each frequency, from 0.
+    drive : (n_lines, n_channels) array
+        What drives at each frequency: 1 V of one channel in a probe, the spectrum of a burst in its record [V or V s].
     response : (n_lines,) complex array
-        Velocity per volt at the beam [m/s per V].
+        Velocity under it [m/s or m].
     deviation : (n_lines,) array
-        Standard deviation of its real and of its imaginary part, by noise [m/s per V].
+        Standard deviation of its real and of its imaginary part, by noise [m/s or m].
     """
 
     position: float
     frequency: FloatArray
-    channel: NDArray[np.intp]
+    drive: ComplexArray | FloatArray
     response: ComplexArray
     deviation: FloatArray
 
@@ -267,6 +289,26 @@ class Probe:
             )
         return found
 
+    def later(self, known: ProbedBeam) -> ProbedBeam:
+        """The beam and its fingers while a burst was played, from a record of it.
+
+        Parameters
+        ----------
+        known : ProbedBeam
+            The same as a probe found it, at this placement.
+
+        Raises
+        ------
+        ValueError
+            If no drift of fingers and gains explains the record.
+        """
+        found = self._fitted(replace(known.loosened(), trusted=np.ones(self.frequency.size, dtype=bool)))
+        if found.misfit > _WORST:
+            raise ValueError(
+                f"no drift of the fingers explains the record: misfit {found.misfit:.1f}, at most {_WORST:g} is allowed"
+            )
+        return found
+
     def _missed(self, beam: ProbedBeam) -> FloatArray:
         """What a beam misses of each response, over its uncertainty, (n_lines,) array [1]."""
         missed = np.abs(self._responses(beam)[0] - self.response) / self._uncertainty
@@ -316,13 +358,12 @@ class Probe:
         inverse[:, np.arange(n), np.arange(n)] = s + 2 * xi * omega + omega**2 / s
         for contact, finger in model.loads:
             inverse += finger.impedance(s)[:, :, None] * contact
-        gain = model.modal_gain.T[self.channel]
+        gain = self.drive @ model.modal_gain.T
         sides = np.stack([np.broadcast_to(model.shapes([self.position])[:, 0], gain.shape), gain], axis=2)
         left, right = np.moveaxis(np.linalg.solve(inverse, sides), 2, 0)
         left = left * np.exp(-s * beam.delay)
         response, through = (left * gain).sum(axis=1), -left * right
-        gains = np.zeros((rows.size, n, model.n_channels), dtype=complex)
-        gains[rows, :, self.channel] = left * _strongest(model)[:, 0]
+        gains = (left * _strongest(model)[:, 0])[:, :, None] * self.drive[:, None, :]
         slopes = [
             through * (2 * xi * omega + 2 * omega**2 / s),
             through * (2 * xi * omega),

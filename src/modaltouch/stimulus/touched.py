@@ -59,6 +59,18 @@ class TouchedBeam:
         """Highest speed at points of the beam until the next burst, (n_positions,) array [m/s]; as above."""
         return self._played.peaks(unit, positions, self.model.shapes(positions))
 
+    def velocity_at(self, positions: ArrayLike, instants: ArrayLike, unit: FloatArray) -> FloatArray:
+        """Velocity at points, each at its own instant from the start of the burst [s], (n_positions,) array [m/s]."""
+        shapes, codes, system = self.model.shapes(positions), self.codes * unit[:, None], self._played.system
+        states = [system.state_at(codes, self.timing, instant) for instant in np.asarray(instants).tolist()]
+        return np.array([shape @ system.read(state)[0] for shape, state in zip(shapes.T, states, strict=True)])
+
+    def peak_instants(self, positions: ArrayLike, unit: FloatArray) -> FloatArray:
+        """Instants of a burst at which points are fastest, (n_positions,) array [s]; as for `peak_velocity`."""
+        system = self._played.system
+        speed = np.abs(self._course(self.model.shapes(positions).T @ system.velocity, self.codes * unit[:, None]))
+        return np.asarray(speed.argmax(axis=1) * self.timing.hold + system.delay)
+
     def peak_below(self, frequency: float, position: float, unit: FloatArray) -> float:
         """Highest speed of what swings and decays slower than a frequency [Hz] at a point of the beam [m], [m/s]."""
         system = self._played.system
@@ -119,15 +131,18 @@ class TouchedBeam:
         """
         if not self.model.fingers:
             return np.zeros(0)
-        system, hold = self._played.system, self.timing.hold
-        rows = [_force(self.model, finger, system) for finger in self.model.fingers]
-        at_once = np.stack([direct for _, direct in rows])
+        rows = [_force(self.model, finger, self._played.system) for finger in self.model.fingers]
+        at_once, voltage = np.stack([direct for _, direct in rows]), self.codes * unit[:, None]
         # The force of an inertia follows the acceleration, in which a step of voltage shows at once.
-        kernel = BlockKernel.of(system, np.stack([row for row, _ in rows]), hold)
-        voltage = self.codes * unit[:, None]
-        force = np.empty((len(rows), voltage.shape[1]))
-        kernel.write(lambda start, stop: voltage[:, start:stop], force)
-        return np.asarray(np.abs(force + at_once @ voltage).max(axis=1))
+        force = self._course(np.stack([row for row, _ in rows]), voltage) + at_once @ voltage
+        return np.asarray(np.abs(force).max(axis=1))
+
+    def _course(self, output: ComplexArray, voltage: FloatArray) -> FloatArray:
+        """What is read off the states at the start of each sample, (n_outputs, n_samples) array."""
+        course = np.empty((len(output), voltage.shape[1]))
+        kernel = BlockKernel.of(self._played.system, output, self.timing.hold)
+        kernel.write(lambda start, stop: voltage[:, start:stop], course)
+        return course
 
 
 def _force(model: ModalModel, finger: Finger, system: DiagonalSystem) -> tuple[ComplexArray, FloatArray]:

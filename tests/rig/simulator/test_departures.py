@@ -11,7 +11,7 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.twin import TwinSection
 from modaltouch.rig.acquisition import Acquisition
 from modaltouch.rig.simulator.scope import SimulatedScope
-from modaltouch.rig.simulator.timeline import Playback
+from modaltouch.rig.simulator.timeline import Delays, Playback, Timeline
 from modaltouch.rig.simulator.twin import PLAYS, Twin, lagging
 
 
@@ -92,7 +92,7 @@ def test_lost_light_is_no_velocity(
     vibrometer = apparatus.twin.vibrometer.model_copy(update={"dropouts_Hz": 1000.0, "noise_um_s_per_sqrt_Hz": 0.0})
     scope_section = apparatus.twin.scope.model_copy(update={"noise_steps": 0.0})
     twin = Twin(with_twin(apparatus, vibrometer=vibrometer, scope=scope_section), 1)
-    with SimulatedScope(twin, lambda: (playback(20.0), None), lambda: ()) as scope:
+    with SimulatedScope(twin, lambda: (playback(20.0), None), lambda: (), Timeline(Delays())) as scope:
         scope.configure(Acquisition(sampling_rate=1e5, n_samples=3000, n_records=10, start=0.01))
         dark = np.mean(scope.measure(0.0).velocity == 0)
     assert 0.12 < dark < 0.25

@@ -171,15 +171,21 @@ class Excitation:
         frequency = self.bins * recording.sampling_rate / n
         per_volt = (1.0 if bandwidth is None else 1 + 1j * frequency / bandwidth) / self.line
         deviation = self._noise(velocity) * np.abs(per_volt) / np.sqrt(2)
-        return Probe(recording.position, frequency, self.channel, velocity[self.bins] * per_volt, deviation)
+        drive = np.eye(len(self.burst.codes))[self.channel]
+        return Probe(recording.position, frequency, drive, velocity[self.bins] * per_volt, deviation)
 
     def _noise(self, spectrum: ComplexArray) -> FloatArray:
         """Root mean square of the noise at each frequency, from the bins that nothing plays, (n_lines,) array."""
         near = self.bins[:, None] + np.arange(1 - GAP, GAP)
         silent = np.setdiff1d(np.arange(GAP, int(self.bins[-1]) + 2 * N_SILENT), near)
-        silent = silent[: silent.size // N_SILENT * N_SILENT]
-        power = np.median(np.abs(spectrum[silent]).reshape(-1, N_SILENT) ** 2, axis=1) / np.log(2)
-        return np.asarray(np.sqrt(np.interp(self.bins, silent.reshape(-1, N_SILENT).mean(axis=1), power)))
+        return noise_level(spectrum, silent, self.bins)
+
+
+def noise_level(spectrum: ComplexArray, silent: NDArray[np.intp], places: FloatArray | NDArray[np.intp]) -> FloatArray:
+    """Root mean square of the noise of a spectrum at places between its bins, from those that hold nothing else."""
+    near = silent[: silent.size // N_SILENT * N_SILENT].reshape(-1, N_SILENT)
+    power = np.median(np.abs(spectrum[near]) ** 2, axis=1) / np.log(2)
+    return np.asarray(np.sqrt(np.interp(places, near.mean(axis=1), power)))
 
 
 def _lines(model: ModalModel) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -12,6 +12,7 @@ from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.identification.estimates import NORMAL_95
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.lab.output import rounded
+from modaltouch.lab.probe.burst_record import BurstRecord
 from modaltouch.lab.probe.excitation import Excitation
 from modaltouch.preflight import DesignInputs
 from modaltouch.stimulus import Finger, ModalModel, Probe, Stimulus
@@ -51,6 +52,7 @@ class Prober:
         middle = sum(finger.position for finger in placements[0])
         self.laser = float(np.copysign(end, -middle)) if laser is None else laser
         self._excitation = Excitation.of(apparatus, self._model, placements, self.laser, speed)
+        self._slopes: dict[str, FloatArray] = {}
         corner = apparatus.acquisition.vibrometer_bandwidth_kHz
         self._bandwidth = None if corner is None else corner * 1e3
 
@@ -70,7 +72,7 @@ class Prober:
             If the rig fails.
         """
         self._free = self._beam = self._record().untouched(self._model)
-        return {"misfit": round(self._beam.misfit, 3), "modes": self._modes()}
+        return {"misfit": round(self._beam.misfit, 3), "modes": self._modes(self._beam.model)}
 
     def hands_on(self, expected: Mapping[str, tuple[str, Finger]]) -> dict[str, Any]:
         """Measure the fingers on the beam, after `hands_off`.
@@ -94,48 +96,103 @@ class Prober:
             If the rig fails.
         """
         self._beam = beam = self._record().touched(self._free, [finger for _, finger in expected.values()])
-        zones, fingers = self._laboratory.apparatus.zones, {}
-        for (name, (zone, _)), finger in zip(expected.items(), beam.model.fingers, strict=True):
-            fingers[name] = {"zone": zone, **_section(finger, zones[zone].centre_mm)}
+        self._laid = {name: zone for name, (zone, _) in expected.items()}
+        self._slopes.clear()
         covariance = beam.covariance[beam.n_beam :, beam.n_beam :].tolist()
         return {
-            "misfit": round(beam.misfit, 3),
-            "fingers": fingers,
+            **self._found(beam.model, beam.misfit),
             "covariance": [[float(f"{value:.4g}") for value in row] for row in covariance],
-            "modes": self._modes(),
         }
 
     def predict(self, inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
-        """What a stimulus does at the focusing instant, on the beam and under the fingers as they were found.
+        """What a stimulus does on the beam and under the fingers as they were found.
 
         Returns
         -------
         dict
-            ``asked_mm_s``, the highest level; ``level_mm_s``, that at the focus; ``interval_mm_s``, its 95 % interval;
-            ``finger_mm_s`` and ``finger_deviation_mm_s``, speeds under the fingers.
+            ``asked_mm_s``, the highest level; ``level_mm_s``, that at the focus at the focusing instant, and
+            ``interval_mm_s``, its 95 % interval; ``finger_peak_mm_s`` and ``finger_interval_mm_s``, peak speeds under
+            the fingers, from the left end of the beam, and their intervals.
         """
-        played, unit = stimulus.touched(()), stimulus.volts_per_code(inputs.reference * 1e-3)
+        model, unit = self._beam.model, stimulus.volts_per_code(inputs.reference * 1e-3)
+        played, places = replace(stimulus.touched(()), model=model), [finger.position for finger in model.fingers]
+        instants = [stimulus.timing.focusing_instant, *played.peak_instants(places, unit)]
 
         def speeds(model: ModalModel) -> FloatArray:
             places = [inputs.centre_mm * 1e-3, *(finger.position for finger in model.fingers)]
-            return replace(played, model=model).velocity_at_focus(places, unit)
+            # A peak is flat: how it changes shows at its instant.
+            return np.abs(replace(played, model=model).velocity_at(places, instants, unit)) * 1e3
 
-        speed, deviation = speeds(self._beam.model) * 1e3, self._beam.spread(speeds) * 1e3
+        slopes = self._slopes[stimulus.burst.content_hash] = self._beam.slopes(speeds)
+        speed, half = speeds(model), NORMAL_95 * self._beam.spread(slopes)
+        intervals = np.stack([speed - half, speed + half], axis=1).tolist()
         values = {
             "asked_mm_s": inputs.reference,
             "level_mm_s": float(speed[0]),
-            "interval_mm_s": [float(speed[0] + side * NORMAL_95 * deviation[0]) for side in (-1, 1)],
-            "finger_mm_s": speed[1:].tolist(),
-            "finger_deviation_mm_s": deviation[1:].tolist(),
+            "interval_mm_s": intervals[0],
+            "finger_peak_mm_s": speed[1:].tolist(),
+            "finger_interval_mm_s": intervals[1:],
         }
         return dict(rounded(values, 6))
+
+    def arm(self, inputs: DesignInputs, stimulus: Stimulus, level: float) -> None:
+        """Have the vibrometer record the next burst, after `predict`; nothing is waited for.
+
+        Parameters
+        ----------
+        inputs, stimulus
+            What is played, and what it was designed from.
+        level : float
+            At which it is played [mm/s].
+
+        Raises
+        ------
+        RigError
+            If the scope fails.
+        """
+        scope, burst = self._laboratory.scope, BurstRecord(stimulus, level * 1e-3, self._model.natural_frequency)
+        played = replace(stimulus.touched(()), model=self._beam.model)
+        fastest = float(played.peak_velocity([self.laser], stimulus.volts_per_code(level * 1e-3))[0])
+        scope.configure(burst.acquisition(min(fastest, self._laboratory.apparatus.acquisition.range_mm_s * 1e-3)))
+        scope.arm()
+        self._armed = burst, level / inputs.reference
+
+    def delivered(self) -> dict[str, Any]:
+        """What the burst that the scope was armed for says of the fingers while it was played.
+
+        Returns
+        -------
+        dict
+            ``fingers``, ``misfit`` and ``modes`` as of `hands_on`; ``half_width_mm_s``, half the 95 % interval of the
+            peak speed under the finger on each zone.
+
+        Raises
+        ------
+        ValueError
+            If no drift of the fingers explains the record.
+        RigError
+            If no burst came, or the rig fails.
+        """
+        burst, share = self._armed
+        probe = burst.probe(self._laboratory.scope.fetch(self.laser), self._bandwidth)
+        beam = probe.later(self._beam)
+        half = NORMAL_95 * share * beam.spread(self._slopes[burst.stimulus.burst.content_hash])[1:]
+        widths = dict(zip(self._laid.values(), (float(f"{each:.4g}") for each in half), strict=True))
+        return {**self._found(beam.model, beam.misfit), "half_width_mm_s": widths}
+
+    def _found(self, model: ModalModel, misfit: float) -> dict[str, Any]:
+        """Misfit; fingers as found, with their zones, by their names; modes of the beam."""
+        zones, fingers = self._laboratory.apparatus.zones, {}
+        for (name, zone), finger in zip(self._laid.items(), model.fingers, strict=True):
+            fingers[name] = {"zone": zone, **_section(finger, zones[zone].centre_mm)}
+        return {"misfit": round(misfit, 3), "fingers": fingers, "modes": self._modes(model)}
 
     def _record(self) -> Probe:
         return Probe.averaged(self._excitation.probe(self._laboratory, self.laser, self.speed, self._bandwidth))
 
-    def _modes(self) -> list[dict[str, Any]]:
+    def _modes(self, model: ModalModel) -> list[dict[str, Any]]:
         """Values of each mode as found, by the keys of an apparatus file, to seven digits."""
-        model, sets = self._beam.model, self._laboratory.apparatus.actuator_sets
+        sets = self._laboratory.apparatus.actuator_sets
         return [
             {
                 "natural_frequency_Hz": float(f"{frequency:.7g}"),

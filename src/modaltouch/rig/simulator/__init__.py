@@ -189,10 +189,8 @@ class Simulator:
         """Return the vibrometer and the scope that stand at this beam; equal seeds give equal noise."""
         from modaltouch.rig.simulator.scope import SimulatedScope
 
-        timeline = self.afg.timeline
-        return SimulatedScope(
-            self.twin, lambda: self.playbacks, lambda: tuple(self.touched.values()), lambda: timeline.commanded
-        )
+        playing, touched = (lambda: self.playbacks), (lambda: tuple(self.touched.values()))
+        return SimulatedScope(self.twin, playing, touched, self.afg.timeline)
 
     @property
     def playbacks(self) -> tuple[Playback | None, ...]:

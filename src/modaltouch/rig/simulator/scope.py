@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +14,7 @@ from modaltouch.rig.interface import RigError
 from modaltouch.rig.scope import Scope
 from modaltouch.rig.simulator.held import FloatArray
 from modaltouch.rig.simulator.motion import Motion
-from modaltouch.rig.simulator.timeline import Playback
+from modaltouch.rig.simulator.timeline import Playback, Timeline
 from modaltouch.rig.simulator.twin import Twin
 
 if TYPE_CHECKING:
@@ -42,8 +44,8 @@ class SimulatedScope(Scope):
         Returns what each generator output sends now.
     touched : callable
         Returns the fingers on the beam.
-    commanded : callable
-        Returns when the generator obeyed the latest trigger [s].
+    timeline : Timeline
+        When the generator obeyed the latest trigger, and what it then sent.
     """
 
     def __init__(
@@ -51,12 +53,12 @@ class SimulatedScope(Scope):
         twin: Twin,
         playing: Callable[[], Sequence[Playback | None]],
         touched: Callable[[], Sequence[Finger]],
-        commanded: Callable[[], float | None] = lambda: None,
+        timeline: Timeline,
     ) -> None:
         self._twin = twin
         self._playing = playing
         self._touched = touched
-        self._commanded = commanded
+        self._timeline = timeline
         knobs = twin.apparatus.acquisition
         self._inputs = Inputs(
             sensitivity=knobs.sensitivity_mm_s_per_V * 1e-3,
@@ -109,19 +111,34 @@ class SimulatedScope(Scope):
         ValueError
             If the position is not on the beam.
         """
-        asked, true = self._asked, self._twin.apparatus.twin
-        self._twin.n_measured += 1
         playbacks = self._playing()
         if not any(playbacks):
             raise RigError(
                 "no trigger came from the generator: neither of its outputs plays; load a record and fire it, then "
                 "measure again"
             )
+        return self._recorded(position, playbacks, self._asked.n_records)
+
+    def arm(self) -> None:
+        """Have the next burst recorded, without waiting for it."""
+        self._timeline.caught = None
+
+    def fetch(self, position: float) -> Recording:
+        """Return the record of the burst for which the scope was armed: from rest."""
+        if self._timeline.caught is None:
+            raise RigError("no trigger came from the generator since the scope was armed")
+        alone = [each and replace(each, period=math.inf) for each in self._timeline.caught]
+        return self._recorded(position, alone, 1)
+
+    def _recorded(self, position: float, playbacks: Sequence[Playback | None], n_records: int) -> Recording:
+        """Return velocity and drive at a position while outputs send what they send."""
+        asked, true = self._asked, self._twin.apparatus.twin
+        self._twin.n_measured += 1
         nominal = asked.start + np.arange(asked.n_samples) / self._rate
         # A fast clock takes its samples early; the beam hears of a sample after the amplifier's delay.
         elapsed = nominal / (1 + true.scope.clock_offset_ppm * 1e-6) + true.scope.trigger_latency_us * 1e-6
         elapsed -= self._twin.amplifier.delay
-        jitter = true.scope.trigger_jitter_ns * 1e-9 * self._rng.standard_normal(asked.n_records)
+        jitter = true.scope.trigger_jitter_ns * 1e-9 * self._rng.standard_normal(n_records)
         late = true.vibrometer.delay_us * 1e-6
         reach = late + float(np.abs(jitter).max())
         motions = self._twin.motions(
@@ -137,8 +154,8 @@ class SimulatedScope(Scope):
             (np.zeros(asked.n_samples) for _ in jitter) if drive is None else drive.moved(elapsed, jitter)
             for drive in drives
         ]
-        velocity = np.empty((asked.n_records, asked.n_samples))
-        voltage = np.empty((asked.n_records, len(drives), asked.n_samples))
+        velocity = np.empty((n_records, asked.n_samples))
+        voltage = np.empty((n_records, len(drives), asked.n_samples))
         overloaded: dict[str, bool] = {}
         for record, exact in enumerate(_moved(motions, elapsed - late, jitter)):
             over = self._see_velocity(exact)
@@ -155,7 +172,7 @@ class SimulatedScope(Scope):
     def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
         """Call `send`, and return between which instants the burst began, as a scope tells that is asked at times."""
         send()
-        began = self._commanded()
+        began = self._timeline.commanded
         if began is None:
             raise RigError("no trigger came from the generator: it waits for none, or is switched off")
         empty = began - self._rng.uniform(0, ASKED_EVERY)

@@ -163,6 +163,8 @@ class Timeline:
         Takes each burst when it ends.
     triggers : tuple of float
         When the latest two bursts began since outputs or trigger source were last switched [s].
+    caught : tuple of Playback or None
+        What the first burst sends that began since this was None.
     commanded : float or None
         When the generator obeyed the latest trigger that was commanded, whatever it sends [s].
     """
@@ -174,6 +176,7 @@ class Timeline:
         self._phase = self._random.random()
         self.told: Callable[[PlayedBurst], None] | None = None
         self.triggers: tuple[float, ...] = ()
+        self.caught: tuple[Playback | None, ...] | None = None
         self.commanded: float | None = None
         self._now = -math.inf
         self._situation = Situation()
@@ -288,6 +291,9 @@ class Timeline:
             if sent is not None and situation.in_burst[channel] == in_burst:
                 first = begin + (sent.delay if in_burst else 0.0)
                 spans[channel] = first, first + (situation.length[channel] if in_burst else self._cycle_length)
+        if spans and self.caught is None and any(situation.outputs):
+            rows = zip(situation.sent, situation.outputs, strict=True)
+            self.caught = tuple(sent if on else None for sent, on in rows)
         return _Run(situation.sent, spans, link) if spans else None
 
     def _take(self, now: float, begin: float, link: int | None) -> None:

@@ -1,0 +1,97 @@
+"""A burst as the vibrometer sees it: its spectrum at a few frequencies, beside that of the voltages that made it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.identification.excitation import RATE
+from modaltouch.lab.probe.excitation import FURTHEST, GAP, HEADROOM, LOWEST, N_SILENT, N_SPREAD, noise_level
+from modaltouch.rig import Acquisition, Recording, RigError
+from modaltouch.stimulus import Probe, Stimulus
+
+OVERSAMPLING = 2
+"""Samples of the scope, over those of a probe: images of the generator's lie beyond what the beam follows."""
+
+RINGS, LISTENS = 0.3, 0.9
+"""Parts of the silence after a burst until which the beam may ring on, and until which noise is recorded [1]."""
+
+N_CLOCKS = 1000
+"""Lengths that are tried until both clocks have whole samples."""
+
+
+@dataclass(frozen=True, eq=False)
+class BurstRecord:
+    """The first burst of a trial, to be recorded.
+
+    Attributes
+    ----------
+    stimulus : Stimulus
+        Whose burst it is.
+    velocity : float
+        Level at which it is played [m/s].
+    near : (n_modes,) array
+        Frequencies of the modes, about which it is looked at [Hz].
+    """
+
+    stimulus: Stimulus
+    velocity: float
+    near: FloatArray
+
+    def acquisition(self, fastest: float) -> Acquisition:
+        """What is asked of the scope; the point is expected to move at up to a speed [m/s]."""
+        rate = OVERSAMPLING * RATE
+        n_samples = int(rate * self._until(LISTENS))
+        return Acquisition(sampling_rate=rate, n_samples=n_samples, drives=(), velocity_range=HEADROOM * fastest)
+
+    def probe(self, recording: Recording, bandwidth: float | None) -> Probe:
+        """What the record says of the beam.
+
+        Parameters
+        ----------
+        recording : Recording
+            The burst, from rest, and the silence after it.
+        bandwidth : float or None
+            Corner of the vibrometer's low-pass [Hz].
+
+        Raises
+        ------
+        ValueError
+            If the silence is too short to tell the noise.
+        RigError
+            If the velocity passed the range.
+        """
+        from scipy.fft import rfft
+
+        if recording.overloaded:
+            raise RigError("the burst overloads the vibrometer: choose a wider range there, and in the apparatus file")
+        hold, rate = self.stimulus.timing.hold, recording.sampling_rate
+        held = round(self._until(RINGS) / hold) + np.arange(N_CLOCKS)
+        n_held = int(held[np.abs(held * hold * rate - np.round(held * hold * rate)).argmin()])
+        seen, silence = np.split(recording.velocity[0], [round(n_held * hold * rate)])
+        if silence.size < 4 * N_SILENT:
+            raise ValueError("bursts follow each other without the silence that tells the noise: lower their rate")
+        bins = self._bins(n_held * hold)
+        frequency = bins / (n_held * hold)
+        noise = noise_level(rfft(silence), np.arange(GAP, silence.size // 2), bins * silence.size / seen.size)
+        passed = 1.0 if bandwidth is None else 1 + 1j * frequency / bandwidth
+        deviation = noise * np.sqrt(seen.size / silence.size / 2) / rate * np.abs(passed)
+        voltage = rfft(self.stimulus.voltage_played(self.velocity), n_held, axis=1)[:, bins] * hold
+        voltage = voltage * np.sinc(frequency * hold) * np.exp(-1j * np.pi * frequency * hold)
+        corner = self.stimulus.amplifier.bandwidth
+        drive = voltage if corner is None else voltage / (1 + 1j * frequency / corner)
+        return Probe(recording.position, frequency, drive.T, rfft(seen)[bins] / rate * passed, deviation)
+
+    def _until(self, part: float) -> float:
+        """Time from the start of the burst to a part of the silence after it [s]."""
+        timing = self.stimulus.timing
+        return timing.duration + part * (1 / timing.repetition_rate - timing.duration)
+
+    def _bins(self, span: float) -> NDArray[np.intp]:
+        """Frequencies that are looked at, over one turn in a span of time [s], increasing."""
+        near = np.outer(self.near, np.linspace(0.96, 1.04, 17)).ravel()
+        wanted = np.concatenate([np.geomspace(LOWEST, FURTHEST, 5 * N_SPREAD), near[near < FURTHEST]])
+        return np.unique(np.round(wanted * span).astype(np.intp))
