@@ -107,7 +107,7 @@ def test_a_named_file_that_is_missing_is_told_at_its_key(calibrate: Callable) ->
     path.unlink()
     said = problems(protocol, None)
     assert "demo.yaml:5:21: calibration.file: given 'calibration.yaml', a file that does not exist" in said
-    assert "allowed: a YAML file that exists and can be read, named as seen from this file" in said
+    assert "allowed: a YAML file that exists and can be read, by its path from this file" in said
 
 
 def test_required_and_none_given_is_refused(calibrate: Callable) -> None:

@@ -339,7 +339,7 @@ def test_a_key_for_emergencies_is_a_fault_where_it_was_written(edit: Edit, keys:
 def test_a_pause_in_which_a_hand_cannot_come_back_is_a_fault(
     edit: Edit, changes: list[tuple[str, str]], line: bool
 ) -> None:
-    """Expected: only where a hand of those on the beam presses, and only if it is written."""
+    """Expected: only where a hand that rests on the beam presses, and only if it is written."""
     found = faults(edit("differentiated_stimulation.yaml", *changes))
     assert [": answers.pause_s: given" in fault for fault in found] == [True] * line
     assert all(":39:" in fault and "at least " in fault and "foot_switch" in fault for fault in found)

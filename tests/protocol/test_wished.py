@@ -88,7 +88,7 @@ def test_a_record_keeps_the_points_of_its_field(edit: Edit, tmp_path: Path) -> N
             "stimulus.field: given a stimulus that cannot be made, the sampled field",
         ),
         ("file: nowhere.csv", "stimulus.field.file: given 'nowhere.csv', a file that does not exist"),
-        ("file: nowhere.csv", "allowed: a CSV file that exists and can be read, named as seen from this file"),
+        ("file: nowhere.csv", "allowed: a CSV file that exists and can be read, by its path from this file"),
     ],
 )
 def test_points_that_are_no_field_are_refused_in_their_place(edit: Edit, what: str, said: str) -> None:

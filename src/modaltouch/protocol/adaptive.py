@@ -66,7 +66,7 @@ class AdaptiveSection(Section):
         "Share of successes where nothing is felt [1]; fitted instead where there are catch trials.", default=0.0
     )
     lapse_rate: LapseRate = described(
-        "Share of failures where everything is felt, as assumed by quest_plus and as the most a fit may find [1].",
+        "Share of failures where everything is felt, as assumed by quest_plus and as the largest a fit may find [1].",
         default=0.06,
     )
     staircase: StaircaseSection = described("The rule of the staircase.", default=StaircaseSection())

@@ -51,7 +51,7 @@ class Beam(Section):
     width_mm: Positive = described("Width of the beam [mm].")
     thickness_mm: Positive = described("Thickness of the beam [mm].")
     mass_g: Positive | None = described(
-        "Moving mass, patches included, on which fingers weigh [g]; null for plain aluminium of these sizes.",
+        "Moving mass, patches included, that fingers add to [g]; null for plain aluminium of these sizes.",
         default=None,
     )
     theory: Literal["euler_bernoulli", "timoshenko", "measured"] = described(
@@ -108,7 +108,7 @@ class Mode(Section):
 
 
 class AmplifierSection(Section):
-    """What stands between generator and beam."""
+    """What connects generator and beam."""
 
     gain_V_per_V: Positive = described("Voltage gain [V at the beam per V of the generator].")  # noqa: N815
     limit_V: Positive = described("Highest voltage at the beam [V, peak]; no protocol can raise it.")  # noqa: N815
@@ -202,7 +202,7 @@ class Apparatus(Section):
     )
     actuator_sets: dict[Word, ActuatorSet] = described("Actuator sets, by name, each on its own output.", min_length=1)
     modes: tuple[Mode, ...] = described("Modelled modes, as identified.", min_length=1, max_length=200)
-    amplifier: AmplifierSection = described("What stands between generator and beam.")
+    amplifier: AmplifierSection = described("What connects generator and beam.")
     safety: Safety = described("Limits that no protocol can raise.")
     generator: GeneratorSection = described("The arbitrary function generator.", default=GeneratorSection())
     acquisition: AcquisitionSection = described(
@@ -211,7 +211,7 @@ class Apparatus(Section):
     identified: Identified | None = described("The identification that the table of modes comes from.", default=None)
     sound: Sound = described("What plays sound to the participant.", default=Sound())
     screen: ScreenSection | None = described("The participant's screen, by which type is checked.", default=None)
-    twin: TwinSection = described("What the simulated rig has and the tables have not.", default=TwinSection())
+    twin: TwinSection = described("What the simulated rig has that the tables lack.", default=TwinSection())
 
     def modal_model(self) -> ModalModel:
         """Return the identified plant in SI units.

@@ -126,7 +126,7 @@ class IterationFigures(Section):
 class Calibration(Section):
     """What every calibration file holds: who made it, with what, and what holds for the rig."""
 
-    calibration: Literal[1] = described("Version of this form.")
+    calibration: Literal[1] = described("Version of this format.")
     made: Text = described("When, with the offset from UTC (ISO 8601).")
     made_by: Text = described("Program, version and commit.")
     person: Text = described("Who made it.", default="")
@@ -185,7 +185,7 @@ class CalibratedStimulus(Section):
     stimulus: StimulusSection = described("The stimulus section of the protocol.")
     focus_centre_mm: Number = described("Centre of the focus zone [mm].")
     reference_mm_s: Positive = described("Level of the targets [mm/s].")
-    iterations: tuple[IterationFigures, ...] = described("The turns of the loop.", min_length=1)
+    iterations: tuple[IterationFigures, ...] = described("The iterations of the loop.", min_length=1)
     modes: tuple[CalibratedMode, ...] = described("The modelled modes.", min_length=1, max_length=200)
     levels: tuple[CalibratedLevel, ...] = described("The velocity levels.", min_length=1, max_length=100)
     missed: tuple[MissedLimit, ...] = described(

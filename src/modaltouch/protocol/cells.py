@@ -27,10 +27,10 @@ class CellsSection(Section):
         "Peak velocities of this pair at the centre of the focus zone at the focusing instant [mm/s]."
     )
     finger_conditions: tuple[Word, ...] = described(
-        "Finger conditions that have these cells; every one without.", default=()
+        "Finger conditions that have these cells; all if omitted.", default=()
     )
     stimuli: tuple[Word, ...] = described(
-        "Names of the stimuli that these cells are presented with; every one without.", default=()
+        "Names of the stimuli that these cells are presented with; all if omitted.", default=()
     )
     weight: Annotated[Count, Field(le=10_000)] = described(
         "Trials of each of these cells for each of schedule.repetitions, such as 2 for twice as many.", default=1

@@ -141,7 +141,7 @@ def check_settling(reading: Reading[Protocol]) -> Iterator[Problem]:
         return
     settling = [fingers for _, fingers in reading.items("conditions", "finger_conditions") if answers.settles(fingers)]
     if settling and answers.pause_s < answers.settling_s:
-        given = f"{answers.pause_s:g} s, but in {settling[0]} a hand or finger of those on the beam answers"
+        given = f"{answers.pause_s:g} s, but in {settling[0]} a hand or finger that rests on the beam answers"
         allowed = f"at least {answers.settling_s:g} s (answers.settling_s), for it to come back and rest"
         remedy = "leave it out, or have a foot_switch or the experimenter answer (answers.ways)"
         yield reading.problem(("answers", "pause_s"), given, allowed, remedy)

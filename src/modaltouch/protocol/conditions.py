@@ -11,7 +11,7 @@ from modaltouch.protocol.cells import CellsSection, Contacts, ExcludedCells, Zon
 from modaltouch.protocol.section import Positive, Section, Text, Word, described
 from modaltouch.protocol.trial import Condition
 
-FingerCondition = Annotated[Word, Field(json_schema_extra={"x-allowed": "one_hand, two_hands or a name of one's own"})]
+FingerCondition = Annotated[Word, Field(json_schema_extra={"x-allowed": "one_hand, two_hands or a name of your own"})]
 FingerName = Literal[
     "left little", "left ring", "left middle", "left index", "left thumb",
     "right thumb", "right index", "right middle", "right ring", "right little",
@@ -38,7 +38,7 @@ class ConditionsSection(Section):
         json_schema_extra=_UNIQUE,
     )
     fingers: dict[FingerCondition, Annotated[tuple[FingerName, ...], Field(min_length=1, max_length=3)]] = described(
-        "Finger conditions of one's own: a name, and one to three fingers from left to right as the participant sees "
+        "Your own finger conditions: a name, and one to three fingers from left to right as the participant sees "
         "them, palms down, such as `three_fingers: [left index, right index, right middle]`.",
         default={},
         exclude_if=lambda given: not given,
@@ -79,13 +79,13 @@ class ConditionsSection(Section):
     )
     cells: Annotated[tuple[CellsSection, ...], Field(max_length=10_000)] = described(
         "The cells one by one, in place of zone_pairs and peak_velocities_mm_s, where the design is not crossed: "
-        "levels of each pair, weights, an order of one's own (schedule.order: as_listed), such as "
+        "levels of each pair, weights, an order of your own (schedule.order: as_listed), such as "
         "{pair: [A, C], peak_velocities_mm_s: [80, 100], weight: 2}.",
         default=(),
         exclude_if=lambda given: not given,
     )
     table: Text | None = described(
-        "CSV file with the cells, seen from this file, in place of zone_pairs and peak_velocities_mm_s: a line to "
+        "CSV file with the cells, relative to this file, in place of zone_pairs and peak_velocities_mm_s: a line to "
         "each, with the columns zone_left, zone_right (empty for one finger), peak_velocity_mm_s and, where needed, "
         "zone_between, finger_condition, stimulus and weight (as under cells). Null for none.",
         default=None,
@@ -98,7 +98,7 @@ class ConditionsSection(Section):
         exclude_if=lambda given: not given,
     )
     sensation_levels: SensationLevelsSection | None = described(
-        "Levels calibrated by participant, as multiples of the participant's own threshold; the peak velocities are "
+        "Levels calibrated for each participant, as multiples of their own threshold; the peak velocities are "
         "then the lowest and the highest level that anyone may get. Null for the same levels for all.",
         default=None,
     )

@@ -444,7 +444,7 @@ def _load_named(protocol: Reading[Protocol], key: tuple[str, ...], problems: lis
             problems.append(found)
         else:
             wanted = YAML_FILE.replace("YAML", "CSV") if key[0] in ("stimulus", "conditions") else YAML_FILE
-            allowed = f"{wanted}, named as seen from this file" if found.allowed == YAML_FILE else found.allowed
+            allowed = f"{wanted}, by its path from this file" if found.allowed == YAML_FILE else found.allowed
             given = f"{name!r}, {found.given} ({path})"
             problems.append(protocol.problem(key, given, allowed, found.remedy))
         return None

@@ -63,7 +63,7 @@ class Identified(Section):
     misfit: NotNegative | None = described(
         "Mean square of what the fit leaves over that of the noise [1].", default=None
     )
-    warnings: tuple[Text, ...] = described("What has to be known of these numbers, a sentence each.", default=())
+    warnings: tuple[Text, ...] = described("What you should know about these numbers, a sentence each.", default=())
     replaced_sha256: Text = described("Hash of the apparatus file that this one was made from.", default="")
 
 

@@ -49,7 +49,7 @@ class IntervalsSection(Section):
         json_schema_extra={"uniqueItems": True},
     )
     asked: Literal["comparison", "stronger"] = described(
-        "Which interval is the right answer: that of the comparison (which one was different, which one vibrated), or "
+        "Which interval is correct: that of the comparison (which one was different, which one vibrated), or "
         "that of the higher level (which one was stronger), which may be the standard's.",
         default="comparison",
     )

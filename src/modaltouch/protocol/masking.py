@@ -32,7 +32,7 @@ class MaskingSection(Section):
     required: bool = Field(
         strict=True,
         default=True,
-        description="Whether a session may not begin or go on without it; otherwise the record says where it lacks.",
+        description="Whether a session may not begin or continue without it; else the record says where it is missing.",
     )
 
     def level(self, sound: Sound) -> float | None:

@@ -1,4 +1,4 @@
-"""Groups of participants and kinds of session: what is otherwise for each, as the protocol's own keys."""
+"""Groups of participants and kinds of session: what differs for each, under the protocol's own keys."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ _OWN: dict[str, Any] = {"default": {}, "exclude_if": lambda given: not given}
 
 
 class Overrides(Section):
-    """What is otherwise for a group, or in a kind of session; all else is as in the protocol."""
+    """What differs for a group, or in a kind of session; everything else is as in the protocol."""
 
     conditions: dict[str, object] = described(
-        "Keys of the section conditions that are otherwise, such as {peak_velocities_mm_s: [80, 100]}.", **_OWN
+        "Keys of the section conditions that differ, such as {peak_velocities_mm_s: [80, 100]}.", **_OWN
     )
     stimulus: dict[str, object] = described(
-        "Keys of the section stimulus that are otherwise, such as {focus: B}.", **_OWN
+        "Keys of the section stimulus that differ, such as {focus: B}.", **_OWN
     )
     schedule: dict[str, object] = described(
-        "Keys of the section schedule that are otherwise, such as {repetitions: 1, practice_trials: 10}.", **_OWN
+        "Keys of the section schedule that differ, such as {repetitions: 1, practice_trials: 10}.", **_OWN
     )
     answers: dict[str, object] = described(
-        "Keys of the section answers that are otherwise, such as {presentation_bursts: 7}.", **_OWN
+        "Keys of the section answers that differ, such as {presentation_bursts: 7}.", **_OWN
     )
     masking: dict[str, object] = described(
-        "Keys of the section masking that are otherwise, such as {level_dB_FS: -30}.", **_OWN
+        "Keys of the section masking that differ, such as {level_dB_FS: -30}.", **_OWN
     )
 
 

@@ -33,10 +33,10 @@ class PersonField(Section):
     )
     question: Text = described("What is asked, in the participant's language.")
     choices: tuple[Text, ...] = described(
-        "What may be chosen, of a choice.", default=(), json_schema_extra={"uniqueItems": True}
+        "Possible answers to a choice.", default=(), json_schema_extra={"uniqueItems": True}
     )
-    lowest: Number | None = described("Smallest number that is taken; null for any.", default=None)
-    highest: Number | None = described("Largest number that is taken; null for any.", default=None)
+    lowest: Number | None = described("Smallest number that is accepted; null for any.", default=None)
+    highest: Number | None = described("Largest number that is accepted; null for any.", default=None)
     unit: Text = described("Unit of a number, for the description of its column.", default="")
     required: bool = Field(strict=True, default=True, description="Whether the question must be answered.")
     identifies: bool = Field(

@@ -62,7 +62,7 @@ class ScaleSection(Section):
         "From one place of the mark, or one point, to the next; null for 1. Of what is typed always null.", default=None
     )
     words: tuple[Text, ...] = described(
-        "What stands at the two ends, such as [not at all, extremely], or at each point; each in words, or by its name "
+        "Words at the two ends, such as [not at all, extremely], or at each point; each in words, or by its name "
         "under `answers` in the texts.",
         default=(),
     )

@@ -13,7 +13,7 @@ _ABSENT: dict[str, Any] = {"default": None, "exclude_if": lambda given: given is
 
 
 class ResumeSection(Section):
-    """How an interrupted session goes on."""
+    """How an interrupted session is resumed."""
 
     at: Literal["trial", "block", "restart"] = described(
         "trial: with the next trial; block: the block that was cut from its first trial on, its answers kept but not "
@@ -21,7 +21,7 @@ class ResumeSection(Section):
         default="trial",
     )
     within_hours: Positive | None = described(
-        "Longest interruption after which it may go on [h]; null for no limit.", default=None
+        "Longest interruption after which it may be resumed [h]; null for no limit.", default=None
     )
 
 
@@ -64,7 +64,7 @@ class ScheduleSection(Section):
     )
     balance: Literal["by_number", "least_filled"] = described(
         "How participants take turns in orders, placements and rows of a Latin square: by their number, or each new "
-        "one gets the turn that fewest of those on record have filled, so that dropouts are made good.",
+        "one gets the turn that fewest of those on record have filled, so that dropouts are replaced.",
         default="by_number",
     )
     sessions: Sessions = described(
@@ -94,7 +94,7 @@ class ScheduleSection(Section):
     break_after_min: Positive | None = described(
         "Minutes between two breaks, at the next trial; null for no breaks by time.", default=None
     )
-    resume: ResumeSection = described("How an interrupted session goes on.", default=ResumeSection())
+    resume: ResumeSection = described("How an interrupted session is resumed.", default=ResumeSection())
 
     @property
     def session_kinds(self) -> tuple[SessionKind, ...]:

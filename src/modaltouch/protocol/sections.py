@@ -26,7 +26,7 @@ from modaltouch.protocol.trial import Trial
 
 
 class CalibrationLimits(Section):
-    """What a calibration may leave at most, its uncertainty included; one that misses them is marked."""
+    """Largest errors that a calibration may leave, uncertainty included; one that misses them is marked."""
 
     velocity_mm_s: Positive = described("Error of a modal velocity at the focusing instant [mm/s].", default=0.3)
     displacement_mm_s: Positive = described(
@@ -39,16 +39,16 @@ class CalibrationSection(Section):
     """Which calibration the stimulus needs."""
 
     file: Text | None = described(
-        "File of the calibration that `modaltouch calibrate` wrote, seen from this file; null for none.", default=None
+        "File of the calibration that `modaltouch calibrate` wrote, relative to this file; null for none.", default=None
     )
     max_age_days: Positive | None = described(
-        "Oldest calibration that a session may begin with [days]; null for any.", default=None
+        "Greatest age of a calibration that a session may begin with [days]; null for any.", default=None
     )
     required: bool = Field(
         strict=True, default=False, description="Whether a session without a calibration is refused."
     )
     limits: CalibrationLimits = described(
-        "What a calibration may leave at most, its uncertainty included; one that misses them is marked.",
+        "Largest errors that a calibration may leave, uncertainty included; one that misses them is marked.",
         default=CalibrationLimits(),
     )
 
@@ -90,7 +90,7 @@ class AnswersSection(AskedSection):
     ways: dict[FingerCondition, AnswerWay] = described(
         "How the participant gives the answer: with a free hand, by lifting a finger off the beam, or by a foot "
         "switch that types keys. Without an entry: lifting in two_hands, else a free hand; where both hands are on the "
-        "beam in a finger condition of one's own, an entry is needed.",
+        "beam in a finger condition of your own, an entry is required.",
         default={},
     )
     change_until_confirmed: bool = Field(
@@ -122,11 +122,11 @@ class AnswersSection(AskedSection):
     question_delay_s: Seconds = described("From the first burst to the question [s].", default=0.5)
     pause_s: Seconds = described(
         "Between an answer, or a key to go on, and the next stimulus [s]; settling_s where that is longer and a hand "
-        "of those on the beam has to come back to it.",
+        "has to come back to the beam.",
         default=1.0,
     )
     settling_s: Seconds = described(
-        "The same where a hand or finger of those on the beam presses: in two_hands without foot switch or "
+        "The same where a hand or finger that rests on the beam presses: in two_hands without foot switch or "
         "experimenter, and in lifting [s]; the participant sees a countdown.",
         default=1.5,
     )
@@ -200,7 +200,7 @@ class AnswersSection(AskedSection):
         return self.ways.get(finger_condition, "lifting" if finger_condition == "two_hands" else "free_hand")
 
     def settles(self, finger_condition: str) -> bool:
-        """Return whether a hand or finger of those on the beam presses, and then has to settle there again."""
+        """Return whether a hand or finger that rests on the beam presses, and then has to settle there again."""
         way = self.way(finger_condition)
         return way == "lifting" or (way == "free_hand" and finger_condition == "two_hands")
 
@@ -223,8 +223,8 @@ class Protocol(Section):
 
     protocol: FileName = described("Name of the protocol; it names the folder of its results.")
     title: Text = described("Title on reports.", default="")
-    apparatus: Text = described("File of the apparatus, seen from this file.")
-    texts: Text = described("File of the participant's texts, seen from this file.")
+    apparatus: Text = described("File of the apparatus, relative to this file.")
+    texts: Text = described("File of the participant's texts, relative to this file.")
     stimulus: StimulusSection = described("The burst that every trial plays, up to its level.")
     stimuli: dict[Word, StimulusVariant] = described(
         "Several stimuli, by name, that every condition is presented with, each in its own memories; the section "
@@ -233,19 +233,19 @@ class Protocol(Section):
     )
     conditions: ConditionsSection = described("The cells of the design.")
     intervals: IntervalsSection | None = described(
-        "Several stimuli to a trial, one after the other, as in a choice between two intervals; null for one.",
+        "Several stimuli per trial, one after the other, as in a forced choice between two intervals; null for one.",
         default=None,
         exclude_if=lambda given: given is None,
     )
     schedule: ScheduleSection = described("How the trials are ordered.", default=ScheduleSection())
     groups: dict[Word, Overrides] = described(
-        "Groups of participants, by name, and what is otherwise for each; participants are allotted in turn, or as "
+        "Groups of participants, by name, and what differs for each; participants are assigned in turn, or as "
         "schedule.balance says. Such as {low: {conditions: {peak_velocities_mm_s: [80]}}, high: {}}.",
         default={},
         exclude_if=lambda given: not given,
     )
     masking: MaskingSection | None = described(
-        "Noise that keeps the participant from hearing the beam; null for none.", default=None
+        "Noise that prevents the participant from hearing the beam; null for none.", default=None
     )
     markers: MarkersSection | None = described(
         "Markers for other devices, such as an EEG amplifier; null for none.",
@@ -260,7 +260,7 @@ class Protocol(Section):
     )
     answers: AnswersSection = described("How the question is asked and answered.")
     calibration: CalibrationSection = described("Which calibration the stimulus needs.", default=CalibrationSection())
-    analysis: AnalysisSection = described("What the analysis is judged by.", default=AnalysisSection())
+    analysis: AnalysisSection = described("Criteria of the analysis.", default=AnalysisSection())
     people: dict[Word, PersonField] = described(
         "What each participant is asked once, before the first session, by column of participants.tsv; nothing that "
         "identifies a person.",

@@ -40,7 +40,7 @@ class FieldSection(Section):
         default=None,
     )
     file: Text | None = described(
-        "File of the points of a sampled field, with the columns position_mm and velocity, seen from this file.",
+        "File of the points of a sampled field, with the columns position_mm and velocity, relative to this file.",
         default=None,
     )
 
@@ -89,12 +89,12 @@ class StimulusSection(Section):
     )
     repetition_rate_Hz: Positive = described("Bursts per second [Hz].", default=7.0)  # noqa: N815
     fingers: Text = described(
-        "Fingers that the stimulus is designed for, one design to each pair of zones: none (the untouched beam), a "
-        "file seen from this file, shipped fingers such as typical, or measured: by a vibrometer, at each placement.",
+        "Fingers that the stimulus is designed for, one design for each pair of zones: none (the untouched beam), a "
+        "file (from this file), shipped fingers such as typical, or measured: by a vibrometer, at each placement.",
         default=NO_FINGERS,
     )
     priority: Literal["field", "level"] = described(
-        "What comes first where the amplifier does not allow both: the whole field, at a level that it allows; or the "
+        "What has priority where the amplifier does not allow both: the whole field, at a level that it allows; or the "
         "level at the focus, exactly, with the field as near as it allows, which changes the spectrum.",
         default="field",
     )

@@ -117,7 +117,7 @@ class Texts(Section):
         default=None,
     )
     placed_by_hand_on_beam: Text | None = described(
-        "The same where a hand of those on the beam confirms it and then returns; holds {key}, {hand}.", default=None
+        "The same where a hand that rests on the beam confirms it and then returns; holds {key}, {hand}.", default=None
     )
     placed_by_experimenter: Text | None = described("The same where the experimenter confirms it.", default=None)
     free_hand_answers: Text | None = described("Says that the free hand answers; holds {hand}.", default=None)

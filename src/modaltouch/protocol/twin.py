@@ -134,10 +134,10 @@ class TwinSection(Section):
         "Share of the actuators' force at the amplifier's limit that lags behind the voltage [1].", default=0.0
     )
     unlisted_modes: tuple[UnlistedMode, ...] = described(
-        "Modes that the beam has and the table has not.", default=(), max_length=200
+        "Modes of the beam that the table lacks.", default=(), max_length=200
     )
     beam_mass_g: Positive | None = described(
-        "True moving mass of the beam, on which fingers weigh [g]; null for that of the section beam.", default=None
+        "True moving mass of the beam, that fingers add to [g]; null for that of the section beam.", default=None
     )
     fingers: FingerSection | None = described(
         "What a finger adds to the beam where it touches; null for fingers that only feel.", default=None
