@@ -9,7 +9,7 @@ from pathlib import Path
 from generator.pages import write
 
 ROOT = Path(__file__).parents[2]
-WIDTH, ROW, BOX = 720, 62, 42
+WIDTH, ROW, BOX = 460, 62, 42
 
 
 def layers() -> list[list[str]]:
@@ -57,11 +57,16 @@ def draw() -> str:
             if other not in centre:
                 continue
             x2, y2 = centre[other]
-            bend = 150 * (1 if (y2 - y) > 1.5 * ROW else 0) * (1 if sum(map(ord, room + other)) % 2 else -1)
+            if y2 - y < 1.5 * ROW:
+                middle, ends = (y + y2) / 2, (x, y + BOX / 2, x2, y2 - BOX / 2)
+                curve = f"{x:.0f},{middle:.0f} {x2:.0f},{middle:.0f}"
+            else:  # beside what lies between
+                side = 1 if len(lines) % 2 else -1
+                ends, bend = (x + side * 62, y, x2 + side * 62, y2), side * 80
+                curve = f"{ends[0] + bend:.0f},{y:.0f} {ends[2] + bend:.0f},{y2:.0f}"
             lines.append(
                 f'<path class="import" data-from="{room}" data-to="{other}" '
-                f'd="M{x:.0f},{y + BOX / 2:.0f} C{x + bend:.0f},{(y + y2) / 2:.0f} {x2 + bend:.0f},{(y + y2) / 2:.0f} '
-                f'{x2:.0f},{y2 - BOX / 2:.0f}"/>'
+                f'd="M{ends[0]:.0f},{ends[1]:.0f} C{curve} {ends[2]:.0f},{ends[3]:.0f}"/>'
             )
         boxes.append(
             f'<a href="../generated/api/{room}.html"><title>{_first_line(room)}</title>'

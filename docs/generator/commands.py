@@ -1,6 +1,7 @@
 """Every command with its arguments and options, as the program itself lists them; every exit status."""
 
 import inspect
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,13 @@ from modaltouch.cli import app
 from modaltouch.cli.commands import MODULES
 
 STATUSES = (
-    ("DONE", "All that was asked for is done."),
-    ("BAD_INPUT", "A file, an option or a record is not what it must be; each fault is named with its place. "
-     "Nothing was begun."),
+    ("DONE", "Done."),
+    ("BAD_INPUT", "A file, an option or a record has a fault; each fault is named with its place. Nothing was begun."),
     ("RIG_FAILED", "Generator, vibrometer or window failed, or a measurement missed its limits. The outputs are off; "
-     "what was answered is kept, and `modaltouch resume` goes on."),
+     "the answers are kept, and `modaltouch resume` continues the session."),
     ("RECORD_AT_RISK", "A record is damaged, would be overwritten, or could not be written. The outputs are off."),
-    ("INTERRUPTED", "Ctrl-C, a signal, Escape in the window or the experimenter ended it. The outputs are off; what was "
-     "answered is kept."),
+    ("INTERRUPTED", "Ctrl-C, a signal, Escape in the window or the experimenter ended it. The outputs are off; the "
+     "answers are kept."),
 )  # fmt: skip
 """What each exit status means, by its name in the program."""
 
@@ -51,6 +51,8 @@ def _parameter(parameter: Any, context: Any, words: str) -> str:
     anchor = f"{words} {parameter.name}".replace(" ", "-").replace("_", "-").lower()
     said, _, facts = said.replace("<", "&lt;").partition("  [")
     facts = facts.removesuffix("]").replace("(", "").replace(")", "")
+    facts = re.sub(r"([\d.]+)<=x<=([\d.]+)", r"\1 to \2", facts)
+    facts = re.sub(r"x>=([\d.]+)", r"\1 or more", facts)
     return definition(" ".join(name.split()), f"option-{anchor}", said, facts)
 
 
@@ -71,7 +73,7 @@ def write_commands(folder: Path) -> None:
         rows.append((f"[`modaltouch {words}`]({name}.md)", first))
         write(folder / f"{name}.md", page(f"modaltouch {words}", *blocks))
     lead = (
-        "Every command explains itself with `--help`, from which these pages are made; those that report take `--json`."
+        "`--help` says the same as these pages, which are made from it. Commands that report something take `--json`."
     )
     write(folder / "index.md", page("Commands", lead, table(("command", "does"), rows), toctree(*names)))
 
@@ -84,8 +86,12 @@ def write_statuses(folder: Path) -> None:
     if set(known) != {name for name, _ in STATUSES}:
         raise ValueError(f"the exit statuses are {', '.join(known)}: say in docs/generator/commands.py what each means")
     lead = (
-        "Whatever happens, a command ends with one of these, says why on standard error in words, and shows no "
-        "traceback. With `--json` the words are the `error` of one object on standard output."
+        "A command that fails says why in words on standard error, without a traceback. With `--json` the words are the "
+        "`error` of one object on standard output."
     )
     rows = [(f"`{known[name]}`", meaning) for name, meaning in STATUSES]
+    bug = (
+        "A fault of the program itself, with a traceback: please report it. The outputs are off; the answers are kept."
+    )
+    rows.insert(1, ("`1`", bug))
     write(folder / "exit_statuses.md", page("Exit statuses", lead, table(("status", "meaning"), rows)))

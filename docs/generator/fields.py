@@ -199,8 +199,8 @@ def _write_log(folder: Path, log: Found) -> None:
     every = ("n", "time", "clock", "event", "check")
     kinds = meanings()["kinds"]
     blocks = [
-        "`session.jsonl` is the truth of a session: one JSON object a line, appended and synced, each with a checksum "
-        "over the line before it. The table beside it is derived from it and can be made again at any time. "
+        "`session.jsonl` is the record of a session: one JSON object per line, appended and synced, each with a checksum "
+        "that includes the line before. The table beside it is derived from it and can be made again at any time. "
         "`modaltouch verify` recomputes every line.",
         "## On every line",
         *_entries("log", {name: next(iter(log.values())).get(name) for name in every}, "log-every"),
@@ -220,8 +220,8 @@ def _write_events(folder: Path, told: Found) -> None:
                 together[path] = value
     kinds = [(f"`{kind}`", text) for kind, text in meanings()["kinds"].items()]
     lead = (
-        "`modaltouch run --events PATH` writes how the session stands, as one JSON object a line, whenever something "
-        "happens. Every line says all; `null` where there is nothing to say. `line` is the number of the line in the log."
+        "`modaltouch run --events PATH` writes the state of the session, as one JSON object per line, whenever something "
+        "happens. Every line has all fields, `null` where there is nothing to say. `line` is the line's number in the log."
     )
     write(
         folder / "events.md",
@@ -250,7 +250,7 @@ def _write_table(folder: Path) -> None:
     }
     blocks = [
         "`sub-<participant>_ses-<n>_task-<protocol>_beh.tsv`: one row for each answer that counts, in the form of BIDS, "
-        "tab-separated, `n/a` where there is nothing. Its side file of the same name, `.json`, says the same as this page."
+        "tab-separated, `n/a` where there is nothing. Its sidecar file of the same name, `.json`, says the same as this page."
     ]
     for title, columns in groups.items():
         blocks.append(f"## {title}")
@@ -274,7 +274,7 @@ def _write_json(folder: Path, said: Found) -> None:
         )
     lead = (
         "With `--json` a command prints one object and nothing else on standard output; progress goes to standard "
-        "error. Units stand at the end of a name. Keys may be added; those that are there keep name, unit and meaning. "
-        "Where a command fails the object has `error`, the reason in words, and `problems`, each with file, line and column."
+        "error. The unit is the end of a name. If a command fails, the object has `error`, the reason in words, and "
+        "`problems`, each with file, line and column. [How this may change](../explanation/what_is_public.md)."
     )
     write(folder / "json.md", page("JSON outputs", lead, toctree(*names)))

@@ -189,8 +189,8 @@ def write_keys(folder: Path) -> None:
         lead = f"{first} {len(all_keys)} keys; the schema for editors is `protocols/schema/{kind}.json`."
         write(folder / f"{kind}.md", page(title, lead, *blocks))
     lead = (
-        "What each file of an experiment may hold. Every key has its meaning, what may stand there with unit and "
-        "bounds, its default, and an example from a file that the program reads. A unit is the end of a key: `pause_s` is in "
-        "seconds, `base_mm` in millimetres. A key that is not listed is refused, with its place and the nearest one."
+        "What each file of an experiment may contain. Every key has its meaning, its type with unit and bounds, its "
+        "default, and an example from a real file. The unit is the end of a key: `pause_s` is in seconds, `base_mm` in "
+        "millimetres. A key that is not listed is refused by line and column, and the nearest one is suggested."
     )
     write(folder / "index.md", page("YAML keys", lead, toctree(*FILES)))
