@@ -39,7 +39,9 @@ From Python, without the command line:
 >>> session = modaltouch.simulate_session("demo", "p01", results.name)
 >>> session.n_answered
 12
->>> analysis = modaltouch.analyse(session.path.parent)          # also of a CSV with one answer a row
+>>> modaltouch.read_session(session.path).complete             # any record; `trials` holds every trial
+True
+>>> analysis = modaltouch.analyse(session.path.parent)          # also of a CSV with one answer per row
 >>> int(analysis.counts["n"].sum())
 12
 >>> results.cleanup()

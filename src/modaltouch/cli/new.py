@@ -99,7 +99,7 @@ def _readme(protocols: list[Protocol]) -> Iterator[str]:
     files = [f"protocols/{each.protocol}.yaml" for each in reversed(protocols)]
     yield f"# {protocol.title}\n"
     yield f"Written by modaltouch {version()} from its protocol `{name}`. In this folder, in this order:\n"
-    yield "| command | what for |\n|---|---|"
+    yield "| command | purpose |\n|---|---|"
     for file in files:
         yield f"| `modaltouch check {file}` | after each change: faults with their place, speeds, duration |"
         yield f"| `modaltouch simulate {file} -n 10` | simulated participants, to see what the data will be |"
@@ -107,7 +107,7 @@ def _readme(protocols: list[Protocol]) -> Iterator[str]:
     for file in files:
         yield f"| `modaltouch run {file} -p p01 --fullscreen` | a session; asks for the generator's address |"
     yield f"| `modaltouch verify results/{name}/sub-p01/ses-1` | its record, recomputed |"
-    yield f"| `modaltouch analyse results/{name}` | the same of the participants |"
+    yield f"| `modaltouch analyse results/{name}` | the same for your participants |"
     yield f"\nYour beam goes into `protocols/{protocol.apparatus}`, your words into `protocols/{protocol.texts}`."
 
 
