@@ -114,7 +114,7 @@ window.addEventListener("DOMContentLoaded", () => {
     if (!velocity) {
       for (const name of ["now", "untouched"]) find(`.${name}`).setAttribute("d", "");
       for (const name of ["left", "right"]) find(`#field-row-${name}`).innerHTML = `<td>${name}</td><td>${zoneOf(state[name])}</td><td>–</td><td>–</td>`;
-      said.textContent = "These modes cannot move the focus: each of them rests there, or none is chosen.";
+      said.textContent = "These modes cannot move the focus: each has a node there, or none is selected.";
       root.dataset.reached = "";
       return;
     }
@@ -123,8 +123,8 @@ window.addEventListener("DOMContentLoaded", () => {
     find(".now").setAttribute("d", path(FIELD.field(now)));
     const reached = FIELD.speed(now, state.focus);
     said.textContent = state.heavy
-      ? `The drive asks for ${state.level} mm/s; under these fingers the focus gets ${reached.toFixed(0)} mm/s.`
-      : `The focus at ${state.focus} mm gets ${reached.toFixed(0)} mm/s.`;
+      ? `The drive is designed for ${state.level} mm/s; under these fingers the focus reaches ${reached.toFixed(0)} mm/s.`
+      : `The focus at ${state.focus} mm reaches ${reached.toFixed(0)} mm/s.`;
     root.dataset.reached = reached.toFixed(3);
     for (const name of ["left", "right"]) {
       find(`#field-row-${name}`).innerHTML = `<td>${name}</td><td>${zoneOf(state[name])}</td>` +

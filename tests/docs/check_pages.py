@@ -215,12 +215,13 @@ def test_the_interactive_field_tells_what_the_engine_computes(browser):
 
 
 def test_keys_alone_reach_everything_on_the_interactive_page(browser):
-    """Tab goes through the four sliders, nine modes, the box of the fingers and the button, in that order."""
+    """Tab goes through the four sliders, nine modes, the box of the fingers and the button, with a ring about each."""
     browser.open(SITE / "look" / "field.html")
     browser.run("document.querySelector('#field-focus').focus()")
     seen = []
     for _ in range(15):
         seen.append(browser.run("document.activeElement.id || document.activeElement.dataset.mode || ''"))
+        assert browser.run("getComputedStyle(document.activeElement).outlineStyle") == "solid"
         browser.press("Tab", code=9)
     expected = [
         "field-focus",
