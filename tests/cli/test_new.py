@@ -76,16 +76,15 @@ def test_a_study_is_used_from_any_folder(tmp_path):
 
 
 def test_a_study_is_a_copy_in_the_shipped_layout(tmp_path):
-    """Byte by byte; apparatus, texts and schemas where the protocol and the editors look for them."""
+    """Byte by byte; every instrument, language and schema where protocol and editors look for them."""
     source = Source.shipped("protocol")["differentiated_stimulation"].parent
     write_study(tmp_path / "study", "differentiated_stimulation")
     copied = sorted(file for file in (tmp_path / "study" / "protocols").rglob("*") if file.is_file())
     names = [file.relative_to(tmp_path / "study" / "protocols").as_posix() for file in copied]
-    schemas = [
-        f"schema/{name}.json" for name in ("apparatus", "calibration", "fingers", "observer", "protocol", "texts")
-    ]
-    own = ["apparatus/beam_100x6x2.yaml", "differentiated_stimulation.yaml", *schemas, "texts/english.yaml"]
+    others = (file for kind in ("apparatus", "schema", "texts") for file in (source / kind).iterdir())
+    own = sorted(["differentiated_stimulation.yaml", *(file.relative_to(source).as_posix() for file in others)])
     assert names == own
+    assert {"texts/french.yaml", "schema/protocol.json", "apparatus/keysight_33522b.yaml"} < set(names)
     assert [file.read_bytes() for file in copied] == [(source / name).read_bytes() for name in names]
 
 

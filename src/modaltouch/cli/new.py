@@ -22,7 +22,7 @@ def new(
     template: Annotated[str, typer.Option("--from", help="A shipped protocol.")] = "differentiated_stimulation",
     json_output: JSON = False,
 ) -> None:
-    """Write a study: a shipped protocol with its apparatus, texts and schemas, ready to be changed.
+    """Write a study: a shipped protocol with the shipped apparatus, texts and schemas, ready to be changed.
 
     Its README.md lists the commands in their order. Nothing is ever overwritten.
     """
@@ -84,8 +84,10 @@ def _contents(template: str) -> dict[str, str]:
     if own := experiments[0].protocol.conditions.sensation_levels:
         experiments.append(Findings.read(known[own.thresholds_from]).experiment())
     named = [vars(each.sources)[key].path for each in experiments for key in ("protocol", "apparatus", "texts")]
-    folder, schemas = known[template].parent, known[template].parent.glob("schema/*.json")
-    files = {file.relative_to(folder).as_posix(): file for file in (*named, *sorted(schemas))}
+    folder = known[template].parent
+    # Every language and every instrument, so that a protocol need only name another.
+    others = (file for each in ("apparatus/*.yaml", "texts/*.yaml", "schema/*.json") for file in folder.glob(each))
+    files = {file.relative_to(folder).as_posix(): file for file in (*named, *sorted(others))}
     copied = {f"protocols/{place}": file.read_text(encoding="utf-8") for place, file in files.items()}
     readme = "".join(f"{line}\n" for line in _readme([each.protocol for each in experiments]))
     return copied | {"README.md": readme, "results/.gitignore": "*\n!.gitignore\n"}

@@ -20,9 +20,7 @@ class Overrides(Section):
     conditions: dict[str, object] = described(
         "Keys of the section conditions that differ, such as {peak_velocities_mm_s: [80, 100]}.", **_OWN
     )
-    stimulus: dict[str, object] = described(
-        "Keys of the section stimulus that differ, such as {focus: B}.", **_OWN
-    )
+    stimulus: dict[str, object] = described("Keys of the section stimulus that differ, such as {focus: B}.", **_OWN)
     schedule: dict[str, object] = described(
         "Keys of the section schedule that differ, such as {repetitions: 1, practice_trials: 10}.", **_OWN
     )
