@@ -234,6 +234,8 @@ def test_the_trees_of_several_labs_are_one_analysis_with_the_lab_as_a_factor(rec
     assert {"fig_10.csv", "groups.png"} <= set(analysis.files)
     between = [finding for finding in analysis.findings if finding.question == "group"]
     assert {finding.scope for finding in between} == {"north - south"}
+    assert (tmp_path / "out" / "answers.csv").read_text("utf-8").splitlines()[1].startswith("north/p01,north,")
+    assert "level + group + (1 | participant)" in (tmp_path / "out" / "models.R").read_text("utf-8")
     # Both labs hold the same answers.
     assert {finding.estimate for finding in between} == {0.0}
 

@@ -61,7 +61,11 @@ def terms_of_model(answers: AnswerCounts) -> list[str]:
 def model_files(answers: AnswerCounts, responses: Responses) -> dict[str, Any]:
     """Return the tidy table and the R script of the models, by file name."""
     asked = questions_of(responses.design, responses.frame)
-    return zone_files(model_table(answers, responses.frame, asked), terms_of_model(answers), answers, asked)
+    table, terms = model_table(answers, responses.frame, asked), terms_of_model(answers)
+    if responses.groups:
+        table.insert(1, "group", table["participant"].map(responses.groups))
+        terms.append("group")
+    return zone_files(table, terms, answers, asked)
 
 
 def zone_files(
