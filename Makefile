@@ -151,6 +151,12 @@ soak-calibration: install
 certify: install
 	$(PYTHON) tests/certify.py
 
+## models-r: models.R of every design in R, and p, intervals and estimates against R's own; installs R by apt
+.PHONY: models-r
+models-r: install
+	@command -v Rscript >/dev/null || { packages="r-base-core r-cran-lme4 r-cran-ordinal r-cran-coin r-cran-exactranktests"; $(INSTALL_PACKAGES); }
+	$(PYTHON) tests/r/models.py
+
 ## fuzz: 20,000 spoilt files through every reader, and new examples for every property
 .PHONY: fuzz
 fuzz: install
