@@ -24,7 +24,8 @@ if (nrow(cells) && "zone" %in% names(answers)) {
     all <- as.matrix(all[rowSums(all) == sum(k), ])
     sum(apply(all, 1, dmultinom, prob = rep(1, length(k)))[apply(all, 1, likelihood) >= likelihood(k) - 1e-9])
   }
-  counts <- table(paste0(scope_of(answers), " ", format(answers$velocity_mm_s, trim = TRUE), " mm/s"), answers$zone)
+  zone <- factor(answers$zone, c("dominant", "other", if (any(grepl("both", cells$note))) "both"))
+  counts <- table(paste0(scope_of(answers), " ", format(answers$velocity_mm_s, trim = TRUE), " mm/s"), zone)
   counts <- counts[cells$scope, , drop = FALSE]
   once <- rowSums(counts) == nlevels(answers$participant)
   compare("exact multinomial test: p", cells$p[once], apply(counts[once, , drop = FALSE], 1, exact), 1e-9)
