@@ -200,6 +200,7 @@ def test_what_cannot_have_been_answered_is_found(
         ("  scale: {kind: likert, words: [a, b, c]}\n", "given 3 words of a likert scale; allowed: 2 or 7, or none"),
         ("  scale: {kind: number, step: 1}\n", "given a step or words of a number that is typed; allowed: neither"),
         ("  scale: {kind: vas, keys: {lower: [f12]}}\n", "given 'f12', which switches the outputs off already"),
+        ("  emergency_keys: [up]\n  scale: {kind: vas}\n", "given 'up', which means higher on the scale answers.scale"),
         (
             KEYS + "  then: {sure: {question: Sure?}}\n",
             "then.sure: given neither keys nor a scale; allowed: one of them",

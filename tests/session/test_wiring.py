@@ -47,19 +47,20 @@ def test_a_session_does_not_go_on_as_another_kind(preflight, tmp_path):
         wire_resume(session.path, rig=ADDRESS, answers="window")
 
 
-def test_a_simulated_participant_is_not_masked_and_the_record_says_so(edit, tmp_path):
-    """Nobody hears the noise, so no sound device is needed to simulate a protocol that demands it."""
+def test_a_simulated_participant_is_masked_without_a_sound_device(edit, tmp_path):
+    """Nobody hears the noise, so none is played; the record has masking as the protocol has it, by the twin."""
     old = "answers:\n  given_by"
     demanding = examine(edit("demo.yaml", (old, f"masking: {{level_dB_FS: -20}}\n{old}"))).require()
     for answers in ("simulated", "robot"):
         with wire_run(demanding, "p01", answers=answers).open_masking(lambda event, **facts: None) as masking:
-            assert masking.describe() == {"state": "not masked", "reason": "a simulated participant hears nothing"}
+            said = masking.describe()
+            assert (said["state"], said["level_dB_FS"], said["device"]) == ("masked", -20, "simulated")
     session = begin(wire_run(demanding, "p01", answers="simulated", results=tmp_path))
-    assert session.start["masking"]["state"] == "not masked"
-    assert {event["masked"] for event in session.trials} == {False}
+    assert session.start["masking"]["device"] == "simulated"
+    assert {event["masked"] for event in session.trials} == {True}
     table = next(session.path.parent.glob("*_beh.tsv")).read_text().splitlines()
     assert table[0].split("\t")[-1] == "masked"
-    assert {row.split("\t")[-1] for row in table[1:]} == {"0"}
+    assert {row.split("\t")[-1] for row in table[1:]} == {"1"}
 
 
 @pytest.mark.parametrize(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 from modaltouch.protocol.problems import Problem, suggest
@@ -102,8 +104,10 @@ def _read_table(source: Source) -> tuple[Node, list[Problem]]:
         if not line.strip() or problems and problems[0].line == 1:
             continue
         if len(fields) != len(names):
-            given = f"{len(fields)} fields"
-            problems.append(Problem(path, number, 1, "", given, f"{len(names)}, as many as columns", "mend the line"))
+            given, remedy = f"{len(fields)} fields", "mend the line"
+            if separator == "," and len(fields) > len(names):
+                remedy += "; a decimal comma makes two fields of one: write 80.5, or separate fields by semicolons"
+            problems.append(Problem(path, number, 1, "", given, f"{len(names)}, as many as columns", remedy))
             continue
         rows.append(_row(path, number, dict(zip(names, fields, strict=True))))
     if not rows and not problems:
@@ -113,11 +117,11 @@ def _read_table(source: Source) -> tuple[Node, list[Problem]]:
 
 def _fields(line: str, separator: str) -> list[tuple[str, int]]:
     """Return the fields of a line with the columns at which they begin, from 1."""
-    found, column = [], 1
-    for field in line.split(separator):
-        bare = field.strip().strip('"').strip()
-        found.append((bare, column + field.find(bare)))
-        column += len(field) + 1
+    found, end = [], 0
+    for field in next(csv.reader([line], delimiter=separator, skipinitialspace=True), []):
+        begin = max(end, line.find(field.replace('"', '""').strip(), end))
+        found.append((field.strip(), begin + 1))
+        end = begin + len(field.strip()) + 1
     return found
 
 
@@ -162,6 +166,16 @@ def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
         ):
             if name not in names[kind]:
                 yield _unknown(reading, ("conditions", "cells", index, *at), name, kind, names[kind])
+    seen: dict[tuple[Any, ...], int] = {}
+    for index, each in enumerate(conditions.cells if reading.sound("schedule", "order") != "as_listed" else ()):
+        own = each.finger_conditions or names["finger_condition"], each.peak_velocities_mm_s
+        expanded = list(product(*own, [each.pair], each.stimuli or names["stimulus"] or ("",)))
+        twice = next((cell for cell in expanded if cell in seen), None)
+        if twice is not None:
+            given = f"{'-'.join(twice[2])} at {twice[1]:g} mm/s in {twice[0]}, the cell of cells[{seen[twice]}] again"
+            remedy = "remove one of them, and give the other a weight for more trials"
+            yield reading.problem(("conditions", "cells", index), given, "each cell once", remedy)
+        seen |= dict.fromkeys(expanded, index)
     for index, left_out in enumerate(conditions.exclude):
         for kind, known in names.items():
             if (name := getattr(left_out, kind)) is not None and name not in known:

@@ -41,7 +41,13 @@ def _check_durations(protocol: Reading[Protocol]) -> Iterator[Problem]:
         seconds = protocol.sound("answers", key)
         if seconds is None:
             continue
-        for _, rate in _stimuli(protocol, "repetition_rate_Hz"):
+        own = protocol.sound("stimuli") or {}
+        for path, rate in _stimuli(protocol, "repetition_rate_Hz"):
+            shared = [name for name in own if protocol.sound("stimuli", name, "repetition_rate_Hz") is None]
+            names = shared if path[0] == "stimulus" else [path[1]]
+            counted = names and all(protocol.sound("stimuli", name, "presentation_bursts") for name in names)
+            if counted and key == "presentation_s":
+                continue  # whose number of bursts is their own
             n_bursts = seconds * rate
             if n_bursts > 1 - WHOLE and abs(n_bursts - round(n_bursts)) <= WHOLE:
                 continue

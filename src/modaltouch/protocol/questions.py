@@ -233,7 +233,7 @@ def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
         if reading.find((*answers, key)) is not None:
             given, remedy = f"{key} beside a scale", "remove one of them; `then` asks a further question"
             yield reading.problem((*answers, key), given, "answers with keys, or a scale", remedy)
-    yield from _check_used(reading, (*answers, "scale", "keys"))
+    yield from _check_scale(reading, (*answers, "scale"))
     for section in (("answers", "then"), ("form",)):
         for name in reading.keys(*section) or ():
             if name in TAKEN_COLUMNS or name.endswith("_time"):
@@ -246,7 +246,19 @@ def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
                     (*section, name, "keys"), given, f"2 to {MOST_ANSWERS} answers", "or take a scale"
                 )
             yield from _check_used(reading, (*section, name, "keys"))
-            yield from _check_used(reading, (*section, name, "scale", "keys"))
+            yield from _check_scale(reading, (*section, name, "scale"))
+
+
+def _check_scale(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Problem]:
+    """Yield the faults of the keys of a scale, and keys for emergencies that a scale has without being given any."""
+    yield from _check_used(reading, (*path, "keys"))
+    scale, written = reading.sound(*path), reading.keys(*path, "keys") or ()
+    usual = {} if scale is None else {key: act for act, keys in scale.actions.items() for key in keys}
+    for index, name in reading.items("answers", "emergency_keys"):
+        if (act := usual.get(name, "")) and act not in written:
+            given = f"'{name}', which means {act.replace('_', ' ')} on the scale {'.'.join(path)}"
+            remedy = f"choose another, such as f12, or give {act} another key under {'.'.join(path)}.keys"
+            yield reading.problem(("answers", "emergency_keys", index), given, "a key with no other meaning", remedy)
 
 
 def _check_used(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Problem]:

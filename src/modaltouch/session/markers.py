@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import Any
 
 from modaltouch.protocol import Trial
 from modaltouch.system import Clock
+
+_OWN_SETTINGS = ("lsl_api.cfg", "~/lsl_api/lsl_api.cfg", "/etc/lsl_api/lsl_api.cfg")
+"""Where liblsl looks for the settings of a laboratory."""
 
 
 class Markers:
@@ -26,7 +31,11 @@ class Markers:
 
     def __init__(self, source: str, clock: Clock) -> None:
         import pylsl
+        from pylsl.lib import lib
 
+        if not any(Path(place).expanduser().is_file() for place in (os.environ.get("LSLAPICFG", ""), *_OWN_SETTINGS)):
+            # Else liblsl writes of itself to the console.
+            lib.lsl_set_config_content(b"[log]\nlevel = -1\n")
         about = pylsl.StreamInfo("modaltouch", "Markers", 1, pylsl.IRREGULAR_RATE, "string", source)
         self._outlet = pylsl.StreamOutlet(about)
         self._source, self._library = source, pylsl.library_version()

@@ -58,15 +58,17 @@ class Masking:
         log : callable
             Takes what happens to it for the record.
         is_heard : bool
-            Whether a person answers; a simulated participant hears nothing.
+            Whether a person answers; for a simulated participant none is played.
 
         Raises
         ------
         MaskingError
             If it cannot be played and the protocol demands it.
         """
-        if section is None or not is_heard:
-            return Masking("" if section is None else "a simulated participant hears nothing")
+        if section is None:
+            return Masking()
+        if not is_heard:
+            return SimulatedMasking(section, apparatus)
         try:
             return NoiseMasking(section, apparatus, log)
         except MaskingError as error:
@@ -118,43 +120,60 @@ class Masking:
         """Let the device go, whatever happened."""
 
 
-class NoiseMasking(Masking):
-    """Noise on a sound device; it is loaded with the first."""
+class SimulatedMasking(Masking):
+    """Noise as a simulated participant has it: with all that the record says of it, and without a sound."""
 
-    def __init__(self, section: MaskingSection, apparatus: Apparatus, log: Log) -> None:
-        from modaltouch.window.noise import LoopedNoise, amplitude_at, make_noise
-
-        sound, level = apparatus.sound, section.level(apparatus.sound)
-        if level is None:
-            raise MaskingError("the masking noise has no level; give masking.level_dB_FS")
+    def __init__(self, section: MaskingSection, apparatus: Apparatus) -> None:
         super().__init__()
-        self._section, self._apparatus, self._log, self._level = section, apparatus, log, level
-        period = make_noise(section.noise, sound.sampling_rate_Hz) * amplitude_at(level)
-        self._playback = LoopedNoise(period, round(section.fade_s * sound.sampling_rate_Hz))
-        self._device: dict[str, Any] = {}
-        self._stream: Any = None
-        self._asked = 0.0
-        self._n_underflows = 0
-        self._is_lost = self._given_up = False
+        self._section, self._apparatus, self._level = section, apparatus, section.level(apparatus.sound)
+        self._device: dict[str, Any] = {"name": "simulated"}
         self._is_wanted = True
-        self._open()
 
     def describe(self) -> dict[str, Any] | None:
         """Return noise, level and device for the start record."""
         from modaltouch.window.noise import SEED
 
-        full_scale = self._apparatus.sound.full_scale_dB_SPL
+        level, full_scale = self._level, self._apparatus.sound.full_scale_dB_SPL
         return {
             "state": "masked",
             "noise": self._section.noise,
-            "level_dB_FS": self._level,
-            "level_dB_SPL": None if full_scale is None else round(self._level + full_scale, 2),
+            "level_dB_FS": level,
+            "level_dB_SPL": None if full_scale is None or level is None else round(level + full_scale, 2),
             "fade_s": self._section.fade_s,
             "seed": SEED,
             "device": self._device.get("name"),
             "sampling_rate_Hz": self._apparatus.sound.sampling_rate_Hz,
             "required": self._section.required,
         }
+
+    def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
+        """Have it on, or silent."""
+        self._is_wanted = on
+
+    @property
+    def is_on(self) -> bool | None:
+        """Whether it was wanted at the last `ensure`."""
+        return self._is_wanted
+
+
+class NoiseMasking(SimulatedMasking):
+    """Noise on a sound device; it is loaded with the first."""
+
+    def __init__(self, section: MaskingSection, apparatus: Apparatus, log: Log) -> None:
+        from modaltouch.window.noise import LoopedNoise, amplitude_at, make_noise
+
+        super().__init__(section, apparatus)
+        sound, level = apparatus.sound, self._level
+        if level is None:
+            raise MaskingError("the masking noise has no level; give masking.level_dB_FS")
+        self._log = log
+        period = make_noise(section.noise, sound.sampling_rate_Hz) * amplitude_at(level)
+        self._playback = LoopedNoise(period, round(section.fade_s * sound.sampling_rate_Hz))
+        self._stream: Any = None
+        self._asked = 0.0
+        self._n_underflows = 0
+        self._is_lost = self._given_up = False
+        self._open()
 
     def start(self) -> None:
         """Begin to fade in."""

@@ -130,6 +130,15 @@ def test_every_order_presents_the_same_cells(folder: Path, order: str) -> None:
         (TABLE.replace("C,E,100,,", "C,E,100"), "cells.csv:5:1 given 3 fields; allowed: 5, as many as columns"),
         (TABLE.replace("peak_velocity_mm_s", "velocity"), "cells.csv:1:1 given a table without the column peak_velo"),
         (TABLE.replace("weight", "weigth"), "cells.csv:1:58 given the column 'weigth'; allowed: once each"),
+        (TABLE.replace("A,C,80,", 'A,"C","80,5",'), "cells.csv:2:8 given '80,5'; allowed: a number [mm/s] above 0"),
+        (
+            TABLE.replace("A,C,80,", "A,C,80,5,"),
+            "cells.csv:2:1 given 6 fields; allowed: 5, as many as columns; mend the",
+        ),
+        (
+            TABLE + "A,C,80,,\n",
+            "cells.csv:6:1 given A-C at 80 mm/s in one_hand, the cell of cells[0] again; allowed: each",
+        ),
         (TABLE.splitlines()[0] + "\n", "cells.csv:1:1 given a table without rows; allowed: at least one cell"),
     ],
 )
