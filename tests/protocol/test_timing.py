@@ -82,7 +82,8 @@ def test_duration_is_whole_bursts_of_every_stimulus(edit: Edit, seconds: str, fa
 def test_a_stimulus_with_its_own_number_of_bursts_is_of_any_rate(edit: Edit) -> None:
     """1.8 s are 9 bursts at 5 per second and none at 7, where each stimulus of 7 has a number of its own."""
     own = SLOW[0], SLOW[1].replace("law: exact", "presentation_bursts: 4")
-    assert faults(edit(FILE, own, (LENGTH, "presentation_s: 1.8 "))) == []
+    until = "stimulus_until: answer", "stimulus_until: question"
+    assert faults(edit(FILE, own, until, (LENGTH, "presentation_s: 1.8 "))) == []
 
 
 @pytest.mark.parametrize(

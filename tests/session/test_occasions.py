@@ -139,7 +139,16 @@ def test_the_study_shows_groups_and_kinds_and_who_is_next(results: Path) -> None
     assert [(row["group"], row["session_kind"]) for row in study["sessions"][:3]] == [
         ("near", "training"), ("near", "test"), ("far", "training"),
     ]  # fmt: skip
-    assert {(row["group"], row["filled"]) for row in study["orders"]} == {("near", 2), ("far", 2)}
+    orders = [(row["group"], row["session_kind"], *row["finger_conditions"], row["filled"]) for row in study["orders"]]
+    assert orders == [
+        (group, *order)
+        for group in ("near", "far")
+        for order in (
+            ("training", "one_hand", 2),
+            ("test", "one_hand", "two_hands", 1),
+            ("test", "two_hands", "one_hand", 1),
+        )
+    ]
     assert [(each["participant"], each["group"], each["session_kind"]) for each in study["next"]] == [
         ("p05", "near", "training")
     ]
@@ -152,8 +161,12 @@ def test_a_session_sooner_than_its_kind_allows_is_refused(preflight: Preflight, 
     due = (datetime.now(UTC) + timedelta(days=1)).strftime("%Y-%m-%d")
     with pytest.raises(RecordInputError, match=f"at least 1 days after it .* from {due} .* --any-gap"):
         sit(preflight, tmp_path, "p01")
-    begun = read_session(next(results.rglob("sub-p01/ses-2/beh/session.jsonl"))).start
-    assert begun["any_gap"] is True
+    assert survey_results(tmp_path)[0]["next"][0]["from"].startswith(due)
+    begun = read_session(next(results.rglob("sub-p01/ses-2/beh/session.jsonl")))
+    assert begun.start["any_gap"] is True
+    assert "sooner than the 1 of its kind, as it says" in "".join(audit_session(begun).lines)
+    silent = replace(begun, events=({**begun.start, "any_gap": False}, *begun.events[1:]))
+    assert "days after the session before, where the kind test wants 1 days" in audit_session(silent).problems[0]
     with pytest.raises(
         RecordInputError, match="given session 2, of the kind test, but .* p03 has had 0; allowed: session 1"
     ):

@@ -289,7 +289,7 @@ def _tell(dataset: dict[str, Any]) -> dict[str, Any]:
         ],
         "next": [
             f"{row['participant']} session {row['session']}, "
-            + (f"{row['session_kind']}, " if "session_kind" in row else "")
+            + (f"from {row['from'][:16].replace('T', ' ')} UTC on, " if "from" in row else "")
             + (_order(row) if row["do"] == "run" else f"`modaltouch {row['do']} {Path(row['log']).parent.parent}`")
             for row in dataset["next"]
         ],
@@ -299,8 +299,8 @@ def _tell(dataset: dict[str, Any]) -> dict[str, Any]:
 def _order(row: dict[str, Any]) -> str:
     """Return an order of finger conditions in words, with the placement where it is not the usual one."""
     placed = "" if row["placement"] == "normal" else f" ({row['placement']})"
-    group = f"{row['group']}: " if "group" in row else ""
-    return group + " then ".join(row["finger_conditions"]) + placed
+    named = ", ".join(row[key] for key in ("group", "session_kind") if key in row)
+    return (f"{named}: " if named else "") + " then ".join(row["finger_conditions"]) + placed
 
 
 @dataclass(frozen=True)

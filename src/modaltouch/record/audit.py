@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +135,8 @@ def check_beginning(session: Session, restored: RestoredExperiment, protocol: Pr
     yield _check_shown(session.start, restored, place)
     if session.start.get("sensation_levels"):
         yield _check_own_levels(session, restored, place)
+    if schedule.session_kind:
+        yield _check_gap(session, protocol, place)
 
 
 def draw_again(session: Session, protocol: Protocol) -> Schedule:
@@ -217,6 +220,23 @@ def _agree(said: Any, found: Any) -> bool:
     if isinstance(found, float):
         return isinstance(said, (int, float)) and abs(said - found) <= SPEED
     return bool(said == found)
+
+
+def _check_gap(session: Session, protocol: Protocol, place: str) -> tuple[bool, str]:
+    """Return whether a session began as long after the one before as its kind wants, where that one is here."""
+    kind, begun = protocol.schedule.kind_of(session.drawn_as), session.start["time"]
+    logs = SessionFolder.logs_of(session.path.absolute().parents[2])
+    before = [log for log in logs if SessionFolder.number_of(log) < int(session.start["session"])]
+    times = [event["time"] for event in Session.find(before[-1]).events if event["time"] <= begun] if before else []
+    if kind is None or not kind.min_gap_days or not times:
+        return True, ""
+    days = (datetime.fromisoformat(begun) - datetime.fromisoformat(times[-1])) / timedelta(days=1)
+    said = f"begun {days:.3g} days after the session before"
+    if days < kind.min_gap_days and not session.start.get("any_gap"):
+        return False, f"{place} {said}, where the kind {kind.name} wants {kind.min_gap_days:g} days"
+    return True, said + (
+        f", sooner than the {kind.min_gap_days:g} of its kind, as it says" if days < kind.min_gap_days else ""
+    )
 
 
 def _check_own_levels(session: Session, restored: RestoredExperiment, place: str) -> tuple[bool, str]:

@@ -238,5 +238,6 @@ def _participants(dataset: Path) -> Iterator[tuple[str, Session, Path]]:
 def first_turn(session: Session) -> int:
     """Return the turn that a participant's first session would have, from that of any."""
     start = session.start
-    turn = Turn.recorded(start) or Turn.of(session.participant, int(start["seed"]), session.drawn_as)
+    groups = start.get("design", {}).get("groups", ())
+    turn = Turn.recorded(start) or Turn.of(session.participant, int(start["seed"]), session.drawn_as, groups)
     return turn.number - (session.drawn_as - 1)

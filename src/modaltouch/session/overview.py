@@ -6,7 +6,9 @@ Only logs are read. A session is taken as its log tells it; `modaltouch verify` 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Iterator
 from dataclasses import replace
+from datetime import datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -77,12 +79,13 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
         own = {name: session.occasion[0] for name, session in begun.items()} | {new.participant: group}
         found = {nth: protocol.schedule.kind_of(nth) for nth in {1, *(each["nth"] for each in due)}}
         kinds = {nth: "" if kind is None else kind.name for nth, kind in found.items()}
+        gaps = {kind.name: kind.min_gap_days for kind in protocol.schedule.session_kinds}
         # A record keeps the table of its own group alone.
         of_group = {session.occasion[0]: session for session in begun.values()}
         protocols = {
             (name, kind): _protocol_of(of_group.get(name, latest), name, kind)
             for name in sorted(set(own.values()) | set(protocol.groups)) or [""]
-            for kind in set(kinds.values())
+            for kind in gaps or [""]
         }
         if protocol.schedule.balance == "least_filled":
             turns[new.participant] = assign_turn(new, protocols[group, kinds[1]], 1, group).turn.number
@@ -90,18 +93,26 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
             turns[new.participant] = Turn.of(new.participant, int(start["seed"]), 1, protocol.groups).number
     except (InputError, RecordError, LookupError, AttributeError, TypeError, ValueError) as error:
         return survey | {"notes": [f"orders and next sessions are not known: {error or type(error).__name__}"]}
+    states = {row["participant"]: row["state"] for row in rows}
+    ends = {row["participant"]: row["ended"] for row in rows}
     for each in due:
         who, nth = each["participant"], each.pop("nth")
         each |= _named(own[who], kinds[nth])
         each |= _order(Turn(turns[who] + nth - 1, ""), protocols[own[who], kinds[nth]])
-    states = {row["participant"]: row["state"] for row in rows}
+        if nth > 1 and (gap := gaps.get(kinds[nth], 0)) and (ended := ends.get(who)):
+            each["from"] = (datetime.fromisoformat(ended) + timedelta(days=gap)).isoformat(timespec="minutes")
+    had = _turns_had(turns, rows) if gaps else {who: [("", turns[who], state)] for who, state in states.items()}
     orders = [
-        _named(name) | row
+        _named(name, kind) | row
         for name in dict.fromkeys([*protocol.groups, *own.values()])
-        for row in _balance(protocols[name, kinds[1]], [(turns[who], states[who]) for who in begun if own[who] == name])
+        for kind in gaps or [""]
+        for row in _balance(
+            protocols[name, kind],
+            [each[1:] for who in begun if own[who] == name for each in had[who] if each[0] == kind],
+        )
     ]
-    n_each = protocol.schedule.n_sessions
-    return survey | {"sessions_each": n_each, "orders": orders, "next": due, "notes": _notes(begun, rows)}
+    notes = [*_notes(begun, rows), *_early(rows, {} if latest.mode == "simulated" else gaps)]
+    return survey | {"sessions_each": protocol.schedule.n_sessions, "orders": orders, "next": due, "notes": notes}
 
 
 def _protocol_of(session: Session, group: str, kind: str) -> Protocol:
@@ -133,6 +144,7 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
         "session": SessionFolder.number_of(log),
         **(_named(*session.occasion) if isinstance(session.start.get("schedule"), dict) else {}),
         "begun": session.start.get("time"),
+        "ended": session.events[-1].get("time") if session.events else None,
         "duration_min": round(sum(sittings) / 60, 1),
         "n_sittings": len(sittings),
         "n_answered": session.n_answered if is_readable else None,
@@ -208,6 +220,27 @@ def _balance(protocol: Protocol, turns: list[tuple[int, str]]) -> list[dict[str,
         }
         for own in alike.values()
     ]
+
+
+def _turns_had(turns: dict[str, int], rows: list[dict[str, Any]]) -> dict[str, list[tuple[str, int, str]]]:
+    """Return kind, turn and state of each session of each participant but those that were begun anew."""
+    had: dict[str, list[tuple[str, int, str]]] = defaultdict(list)
+    for row in rows:
+        if row["state"] != "closed" and (who := row["participant"]) in turns:
+            had[who].append((row.get("session_kind", ""), turns[who] + len(had[who]), row["state"]))
+    return had
+
+
+def _early(rows: list[dict[str, Any]], gaps: dict[str, float]) -> Iterator[str]:
+    """Yield which sessions began sooner after the one before than their kind wants."""
+    for before, row in pairwise(rows):
+        gap = gaps.get(row.get("session_kind", ""), 0)
+        if not gap or before["participant"] != row["participant"] or not (before["ended"] and row["begun"]):
+            continue
+        days = (datetime.fromisoformat(row["begun"]) - datetime.fromisoformat(before["ended"])) / timedelta(days=1)
+        if days < gap:
+            who = f"{row['participant']} session {row['session']}"
+            yield f"{who} began {days:.2g} days after the one before, not {gap:g}"
 
 
 def _notes(begun: dict[str, Session], rows: list[dict[str, Any]]) -> list[str]:
