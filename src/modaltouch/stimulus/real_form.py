@@ -115,9 +115,9 @@ def _summed(samples: FloatArray, over: FloatArray, effect: FloatArray) -> FloatA
     while len(rows) < _BLOCK:
         rows, power = np.concatenate([rows, power @ rows]), power @ power
     filled = np.pad(samples, ((0, 0), (-samples.shape[1] % _BLOCK, 0)))
-    blocks = filled.reshape(len(samples), -1, _BLOCK)[:, :, ::-1]
-    pushed = np.einsum("cbs,snc->bn", blocks, rows, optimize=True)
+    # The small array is turned, not the long one, and no channel is copied.
+    turned = np.ascontiguousarray(rows[::-1].transpose(2, 0, 1))
     state = np.zeros(len(over))
-    for push in pushed:
+    for push in (filled.reshape(len(samples), -1, _BLOCK) @ turned).sum(axis=0):
         state = power @ state + push
     return state
