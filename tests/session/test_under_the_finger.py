@@ -13,7 +13,7 @@ from typer.testing import CliRunner, Result
 
 from modaltouch.cli.commands import app
 from modaltouch.preflight import Preflight, examine
-from modaltouch.protocol import Findings
+from modaltouch.protocol import Findings, Trial
 from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import GENESIS, encode_line, read_chain
 from modaltouch.record.session import Session, read_session
@@ -53,6 +53,48 @@ def protocol_for(folder: Path, fingers: str, *changes: tuple[str, str], name: st
 def run(*words: object) -> Result:
     """Run the command line in this process."""
     return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def test_levels_are_equalised_in_a_band(tmp_path: Path) -> None:
+    """Root mean square velocity at C in 20 to 1000 Hz, by a brick-wall filter, alike at the levels played; verified."""
+    band = ("  focus: C  ", "  equalise_band_Hz: [20, 1000]\n  focus: C  ")
+    file = protocol_for(tmp_path / "protocols", HEAVY, (str(LEVELS), "[20]"), band)
+    preflight, felt = examine(file).require(), []
+    for part in preflight.designs.values():
+        (level,) = part.inputs.levels.values()
+        history = part.stimulus.velocity_history([0.0], level * 1e-3, whole_period=True)[0]
+        spectrum, place = np.fft.rfft(history), np.fft.rfftfreq(history.size, 1 / part.stimulus.timing.sampling_rate)
+        spectrum[(place < 20) | (place > 1000)] = 0
+        felt.append((np.fft.irfft(spectrum, history.size) ** 2).mean() ** 0.5)
+    assert felt == pytest.approx([felt[0]] * 3, rel=1e-4)
+    share = preflight.placed["B-D"].inputs.share
+    assert abs(share - 1) > 0.01
+    (said,) = (each for each in preflight.as_dict()["warnings"] if "20 to 1000 Hz" in each)
+    assert said.endswith(f"at these parts of those asked: A-C 1, B-D {share:g}, C-E 1")
+    session = simulate_session(preflight, "p01", tmp_path)
+    assert audit_session(session).problems == ()
+    for event in presented(session):
+        played = 20 * (share if event["trial"]["condition"]["zone_left"] == "B" else 1)
+        needed = preflight.designs[preflight.design_of(Trial.from_dict(event["trial"]).condition)].stimulus
+        assert event["planned"]["velocity_mm_s"] == (0 if event.get("catch") else 20)
+        assert tuple(event["commanded"]["amplitude_Vpp"]) == needed.burst.amplitude_for(played * 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("band", "words"),
+    [
+        ("[1000, 20]", "given 1000 to 20 Hz; allowed: a band that rises"),
+        (
+            "[20, 1000]\n  priority: level",
+            "given a band, on an untouched beam or with the level first; allowed: fingers",
+        ),
+    ],
+)
+def test_what_cannot_be_equalised_is_refused(tmp_path: Path, band: str, words: str) -> None:
+    """At its key."""
+    own = ("  focus: C  ", f"  equalise_band_Hz: {band}\n  focus: C  ")
+    (problem,) = examine(protocol_for(tmp_path / "protocols", HEAVY, own)).problems
+    assert words in str(problem)
 
 
 def presented(session: Session) -> list[dict[str, Any]]:

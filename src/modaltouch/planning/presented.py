@@ -144,7 +144,8 @@ def felt_speeds(preflight: Preflight, front_end: FrontEnd) -> Callable[[str, str
 
     def felt(finger_condition: str, left: str, right: str, velocity: float) -> tuple[float, float]:
         place = preflight.findings.placement_of(finger_condition, left, right) if preflight.placed else ""
-        return speeds[place].at(left, velocity), speeds[place].at(right, velocity)
+        played = velocity * placed[place].sound[0].share
+        return speeds[place].at(left, played), speeds[place].at(right, played)
 
     return felt
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 from modaltouch.preflight.design_inputs import DesignInputs
@@ -56,6 +57,18 @@ def field_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[
     if stimulus.projection.reconstruction_error > _UNREACHED:
         said.append(f"at {stimulus.target_field.velocity * 1e3:g} mm/s {stimulus.projection.unreached()}")
     return said
+
+
+def placement_warnings(designs: Mapping[str, DesignInputs]) -> list[str]:
+    """Return which levels are played where placements are equalised in a band."""
+    band = next(iter(designs.values())).section.equalise_band_Hz
+    if band is None:
+        return []
+    told = ", ".join(f"{name} {inputs.share:g}" for name, inputs in designs.items())
+    return [
+        f"the velocity from {band[0]:g} to {band[1]:g} Hz at the focus is made the same at every placement: levels are "
+        f"played at these parts of those asked: {told}"
+    ]
 
 
 def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:

@@ -143,7 +143,9 @@ class Preflight:
         return replace(
             self,
             findings=findings,
-            inputs=replace(self.inputs, levels=findings.levels),
+            inputs=replace(
+                self.inputs, levels={key: level * self.inputs.share for key, level in findings.levels.items()}
+            ),
             variants={name: part.with_levels(levels_mm_s) for name, part in self.variants.items()},
             placed={name: part.with_levels(levels_mm_s) for name, part in self.placed.items()},
         )
@@ -203,8 +205,9 @@ class Preflight:
         return tuple(peaks[zone] for zone in condition.zones)
 
     def played(self, condition: Any, level: float) -> float:
-        """Return the level that is played where one is asked: at most what the condition's design attains [mm/s]."""
-        return min(level, self.designs[self.design_of(condition)].attainable)
+        """Return the level that is played where one is asked: equalised, at most what the design attains [mm/s]."""
+        part = self.designs[self.design_of(condition)]
+        return min(level * part.sound[0].share, part.attainable)
 
     def zone_peaks(self, name: str, level: float) -> dict[str, float]:
         """Return the predicted peak speed at the centre of each zone, or at the finger that lies on it [m/s].
@@ -347,6 +350,7 @@ class Preflight:
             "warnings": [
                 *([f"the calibration misses its limits: {self.calibration_mark}"] if self.calibration_mark else []),
                 *self._stimulus_warnings(),
+                *advice.placement_warnings({name: part.sound[0] for name, part in self.designs.items()}),
                 *advice.design_warnings(protocol),
                 *advice.answer_warnings(protocol),
                 *advice.interval_warnings(protocol),

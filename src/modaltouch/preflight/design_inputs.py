@@ -42,6 +42,8 @@ class DesignInputs:
         Positions [mm] and relative velocities of a sampled field.
     fingers : tuple of Finger
         Fingertips that lie on the beam; none on the untouched beam.
+    share : float
+        These levels over those asked, where placements are equalised in a band [1].
     """
 
     section: StimulusSection
@@ -52,6 +54,7 @@ class DesignInputs:
     correction: Correction | None = None
     points: tuple[tuple[float, float], ...] = ()
     fingers: tuple[Finger, ...] = ()
+    share: float = 1.0
 
     @property
     def reference(self) -> float:

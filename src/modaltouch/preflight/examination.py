@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from modaltouch.preflight.checked import Preflight
 from modaltouch.preflight.design_inputs import DesignInputs, design, find_ground
+from modaltouch.preflight.equalised import equalised
 from modaltouch.protocol import Apparatus, Findings, Problem, Schedule
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Burst, Release, Stimulus
@@ -258,7 +259,14 @@ def _examine_placements(findings: Findings, inputs: DesignInputs) -> Preflight:
         own = replace(inputs, fingers=fingers)
         # Fingers that the modes cannot tell from those of another placement have its design.
         same = next((each for each in placed.values() if each.inputs and _alike(each.inputs, own)), None)
-        placed[name] = _examine_one(findings, own) if same is None else replace(same, inputs=own)
+        if same is not None and same.inputs is not None:
+            placed[name] = replace(same, inputs=replace(same.inputs, fingers=fingers))
+            continue
+        examined = placed[name] = _examine_one(findings, own)
+        first = next(iter(placed.values()))
+        if examined is not first and not {*examined.problems, *first.problems}:
+            scaled = equalised(*examined.sound, first.sound)
+            placed[name] = examined if scaled is examined.inputs else _examine_one(findings, scaled)
     first = next(iter(placed.values()))
     problems = {
         replace(problem, given=f"{problem.given} under fingers at {name}")

@@ -10,6 +10,7 @@ import numpy as np
 
 from modaltouch.preflight.checked import Preflight
 from modaltouch.preflight.design_inputs import DesignInputs
+from modaltouch.preflight.equalised import equalised
 from modaltouch.preflight.examination import attainable_level, design_to_fit
 from modaltouch.protocol import InputError, Trial
 
@@ -92,7 +93,10 @@ def _on_beam(inputs: DesignInputs, by_zone: Mapping[str, Finger], modes: list[di
 
 def _designed(part: Preflight, place: str, by_zone: Mapping[str, Finger], modes: list[dict[str, Any]]) -> Preflight:
     own, on_focus = _on_beam(part.placed[place].sound[0], by_zone, modes), by_zone.get(part.sound[0].section.focus)
+    own = replace(own, levels=part.sound[0].levels, share=1.0)
     own = own if on_focus is None else replace(own, centre_mm=on_focus.position * 1e3)
     stimulus = design_to_fit(own)
+    if (scaled := equalised(own, stimulus, part.sound)) is not own:
+        own, stimulus = scaled, design_to_fit(scaled)
     designed = replace(part.placed[place], inputs=own, designed=stimulus, attainable=attainable_level(own, stimulus))
     return replace(part, placed=part.placed | {place: designed})

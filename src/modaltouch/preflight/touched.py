@@ -41,10 +41,9 @@ def touched_figures(findings: Findings, designs: dict[str, Design]) -> list[dict
     placements = {} if findings.placements is None else findings.placements.all()
     used = {name: _design_at(designs, name) for name in placements}
     beams = {name: used[name][1].touched(laid) for name, laid in placements.items()}
-    inputs = next(iter(designs.values()))[0]
     return [
-        {name: _figures(*used[name], beams[name], level * 1e-3) for name in placements}
-        for level in inputs.levels.values()
+        {name: _figures(*used[name], beams[name], used[name][0].levels[key] * 1e-3) for name in placements}
+        for key in next(iter(designs.values()))[0].levels
     ]
 
 

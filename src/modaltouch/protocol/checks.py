@@ -171,6 +171,13 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
         if (other := reading.sound(*section, key)) not in (None, value):
             given, allowed = f"level, with the {key} {other}", "field, or the law exact of least energy"
             yield reading.problem((*section, "priority"), given, allowed, "leave one of them out")
+    if (band := reading.sound(*section, "equalise_band_Hz")) is not None:
+        if band[0] >= band[1]:
+            given = f"{band[0]:g} to {band[1]:g} Hz"
+            yield reading.problem((*section, "equalise_band_Hz"), given, "a band that rises", "turn it round")
+        if reading.sound(*section, "fingers") == "none" or reading.sound(*section, "priority") == "level":
+            given, allowed = "a band, on an untouched beam or with the level first", "fingers, the field first"
+            yield reading.problem((*section, "equalise_band_Hz"), given, allowed, "leave it out")
     yield from _doubled(reading, (*section, "selected_modes"), "mode")
     n_decomposed = reading.sound(*section, "decomposed_modes")
     for index, label in reading.items(*section, "selected_modes"):

@@ -98,6 +98,12 @@ class StimulusSection(Section):
         "level at the focus, exactly, with the field as near as it allows, which changes the spectrum.",
         default="field",
     )
+    equalise_band_Hz: tuple[Positive, Positive] | None = described(  # noqa: N815
+        "Band, from and to [Hz], in which the root mean square velocity at the focus is the same at every placement, "
+        "that of the first: levels of the others are scaled. Null for the same peak.",
+        default=None,
+        exclude_if=lambda given: given is None,
+    )
 
 
 class StimulusVariant(Section):

@@ -323,6 +323,7 @@ def _sitting(
         levels=_levels(setup.preflight.experiment.protocol),
         speeds=setup.preflight.speeds,
         which=lambda trial: designs.index(setup.preflight.design_of(trial.condition)),
+        played=lambda trial, level: setup.preflight.played(trial.condition, level),
         rig=rig,
         window=window,
         log=log,

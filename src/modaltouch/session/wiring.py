@@ -297,7 +297,8 @@ class SessionParts:
         if self.observer.front_end == "peak" or trial.condition.is_catch:
             return peaks
         # The twin tells peaks; what else is felt follows the predicted history, at the twin's size.
-        level, sense = trial.condition.velocity_mm_s * 1e-3, self._senses[self.preflight.design_of(trial.condition)]
+        level = self.preflight.played(trial.condition, trial.condition.velocity_mm_s) * 1e-3
+        sense = self._senses[self.preflight.design_of(trial.condition)]
         return tuple(
             sense.at(zone, level) * peak / expected
             for zone, peak, expected in zip(trial.condition.zones, peaks, predicted, strict=True)
