@@ -106,11 +106,15 @@ class ProbedBeam:
         """Number of parameters of the untouched beam."""
         return self.model.n_modes * (2 + self.model.n_channels) + 1
 
-    def slopes(self, figures: Callable[[ModalModel], FloatArray]) -> FloatArray:
-        """Derivatives of figures of a beam under fingers by the parameters, (n_parameters, n_figures) array."""
-        root, middle = np.linalg.cholesky(self.covariance), figures(self.model)
-        moved = np.array([figures(self.moved(_SHRUNK * column).model) - middle for column in root.T]) / _SHRUNK
-        return np.asarray(np.linalg.solve(root.T, moved))
+    def slopes(self, figures: Callable[[ModalModel], FloatArray], known: FloatArray | None = None) -> FloatArray:
+        """Derivatives of figures of a beam under fingers by the parameters, (n_parameters, n_figures) array.
+
+        Those by the parameters of the beam are taken from `known`, the derivatives under other fingers, if given.
+        """
+        middle, steps = figures(self.model), np.diag(_SHRUNK * np.sqrt(np.diag(self.covariance)))
+        start = 0 if known is None else self.n_beam
+        own = [(figures(self.moved(step).model) - middle) / step.sum() for step in steps[start:]]
+        return np.array(own) if known is None else np.concatenate([known[:start], own])
 
     def spread(self, slopes: FloatArray) -> FloatArray:
         """Standard deviations of figures with these derivatives, by the covariance, (n_figures,) array."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -111,25 +111,20 @@ class Prober:
         -------
         dict
             ``asked_mm_s``, the highest level; ``level_mm_s``, that at the focus at the focusing instant, and
-            ``interval_mm_s``, its 95 % interval; ``finger_peak_mm_s`` and ``finger_interval_mm_s``, peak speeds under
-            the fingers, from the left end of the beam, and their intervals.
+            ``interval_mm_s``, its 95 % interval; ``below_1_kHz_mm_s``, the peak at the focus of what swings slower than
+            that; ``finger_peak_mm_s`` and ``finger_interval_mm_s``, peak speeds under the fingers, from the left end of
+            the beam, and their intervals.
         """
-        model, unit = self._beam.model, stimulus.volts_per_code(inputs.reference * 1e-3)
-        played, places = replace(stimulus.touched(()), model=model), [finger.position for finger in model.fingers]
-        instants = [stimulus.timing.focusing_instant, *played.peak_instants(places, unit)]
-
-        def speeds(model: ModalModel) -> FloatArray:
-            places = [inputs.centre_mm * 1e-3, *(finger.position for finger in model.fingers)]
-            # A peak is flat: how it changes shows at its instant.
-            return np.abs(replace(played, model=model).velocity_at(places, instants, unit)) * 1e3
-
-        slopes = self._slopes[stimulus.burst.content_hash] = self._beam.slopes(speeds)
-        speed, half = speeds(model), NORMAL_95 * self._beam.spread(slopes)
+        model, figures = self._beam.model, self._figures(inputs, stimulus, self._beam.model)
+        slopes = self._slopes[stimulus.burst.content_hash] = self._beam.slopes(figures)
+        speed, half = figures(model), NORMAL_95 * self._beam.spread(slopes)
+        played, unit = replace(stimulus.touched(()), model=model), stimulus.volts_per_code(inputs.reference * 1e-3)
         intervals = np.stack([speed - half, speed + half], axis=1).tolist()
         values = {
             "asked_mm_s": inputs.reference,
             "level_mm_s": float(speed[0]),
             "interval_mm_s": intervals[0],
+            "below_1_kHz_mm_s": played.peak_below(1e3, inputs.centre_mm * 1e-3, unit) * 1e3,
             "finger_peak_mm_s": speed[1:].tolist(),
             "finger_interval_mm_s": intervals[1:],
         }
@@ -155,7 +150,7 @@ class Prober:
         fastest = float(played.peak_velocity([self.laser], stimulus.volts_per_code(level * 1e-3))[0])
         scope.configure(burst.acquisition(min(fastest, self._laboratory.apparatus.acquisition.range_mm_s * 1e-3)))
         scope.arm()
-        self._armed = burst, level / inputs.reference
+        self._armed = burst, inputs, level / inputs.reference
 
     def delivered(self) -> dict[str, Any]:
         """What the burst that the scope was armed for says of the fingers while it was played.
@@ -173,12 +168,28 @@ class Prober:
         RigError
             If no burst came, or the rig fails.
         """
-        burst, share = self._armed
-        probe = burst.probe(self._laboratory.scope.fetch(self.laser), self._bandwidth)
-        beam = probe.later(self._beam)
-        half = NORMAL_95 * share * beam.spread(self._slopes[burst.stimulus.burst.content_hash])[1:]
+        burst, inputs, share = self._armed
+        beam = burst.probe(self._laboratory.scope.fetch(self.laser), self._bandwidth).later(self._beam)
+        known = self._slopes[burst.stimulus.burst.content_hash]
+        slopes = beam.slopes(self._figures(inputs, burst.stimulus, beam.model), known)
+        half = NORMAL_95 * share * beam.spread(slopes)[1:]
         widths = dict(zip(self._laid.values(), (float(f"{each:.4g}") for each in half), strict=True))
         return {**self._found(beam.model, beam.misfit), "half_width_mm_s": widths}
+
+    def _figures(
+        self, inputs: DesignInputs, stimulus: Stimulus, near: ModalModel
+    ) -> Callable[[ModalModel], FloatArray]:
+        """What returns the level at the focus and the peak speeds under the fingers of beams near one [mm/s]."""
+        unit, played = stimulus.volts_per_code(inputs.reference * 1e-3), replace(stimulus.touched(()), model=near)
+        # A peak is flat: how it changes shows at its instant.
+        peaks = played.peak_instants([finger.position for finger in near.fingers], unit)
+        instants = [stimulus.timing.focusing_instant, *peaks.tolist()]
+
+        def figures(model: ModalModel) -> FloatArray:
+            places = [inputs.centre_mm * 1e-3, *(finger.position for finger in model.fingers)]
+            return np.abs(replace(played, model=model).velocity_at(places, instants, unit)) * 1e3
+
+        return figures
 
     def _found(self, model: ModalModel, misfit: float) -> dict[str, Any]:
         """Misfit; fingers as found, with their zones, by their names; modes of the beam."""
