@@ -2,6 +2,7 @@
 
 import json
 from collections import defaultdict
+from contextlib import chdir
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -18,9 +19,9 @@ COHORT = {PAPER: 10}
 """Simulated participants of each protocol; 6 where it is not listed."""
 
 _MORE = (
-    "verify {results}",
-    "study {results}",
-    "fit demo {results}/simulated/demo --out {folder}/observer.yaml",
+    "verify results",
+    "study results",
+    "fit demo results/simulated/demo --out observer.yaml",
     "power demo -n 8 --experiments 50",
 )
 """What else one protocol is run through."""
@@ -54,25 +55,25 @@ def protocols() -> list[Path]:
 def run_all() -> Runs:
     """Run them in one folder, as a lab has it."""
     said, events, reports = defaultdict(list), defaultdict(list), {}
-    with TemporaryDirectory() as name:
-        results, one, told, out = (Path(name, each) for each in ("results", "one", "events.jsonl", "report"))
+    # Paths in reports and outputs are those of a lab, from its own folder.
+    with TemporaryDirectory() as folder, chdir(folder):
+        one, told = Path("one"), Path("events.jsonl")
         # Who gets levels of their own has had the session that finds the threshold.
         for protocol in sorted((file.stem for file in protocols()), key=lambda each: each == "sensation_levels"):
             for words in [
                 f"check {protocol}",
                 f"run {protocol} -p p01 --rig simulated --answers simulated -y --plain --results {one} --events {told}",
-                f"simulate {protocol} -n {COHORT.get(protocol, 6)} --results {results}",
-                f"analyse {results / 'simulated' / protocol} --out {out}",
+                f"simulate {protocol} -n {COHORT.get(protocol, 6)} --results results",
+                f"analyse results/simulated/{protocol} --out report",
                 *(_MORE if protocol == "demo" else ()),
             ]:
-                words = words.format(results=results, folder=name)
                 done = CliRunner().invoke(app, [*words.split(), "--json"])
                 if done.exit_code:
                     raise RuntimeError(f"modaltouch {words} ended with {done.exit_code}: {done.output}")
                 said[words.partition(" ")[0]].append(json.loads(done.stdout))
             events["events"] += _lines(told)
             told.unlink()
-            reports[protocol] = (out / "report.html").read_bytes()
+            reports[protocol] = Path("report", "report.html").read_bytes()
         for log in one.rglob("session.jsonl"):
             events["log"] += _lines(log)
     return Runs(dict(said), dict(events), reports)
