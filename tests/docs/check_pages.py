@@ -38,7 +38,7 @@ SHORTER = {
 }
 """What is added to the long commands: no averages that no check needs, as few points as tell the modes apart."""
 
-BLOCK = re.compile(r"^```(\{code-block\} )?(\w+)\n((?::\w+:.*\n)*)\n?(.*?)^```", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(r"^```(\{code-block\} )?(\w+)\n((?::\w+:[^\n]*\n)*)\n?(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
 def blocks(page):

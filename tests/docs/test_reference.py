@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jsonschema
 import pytest
+from check_pages import WRITTEN, blocks
 from generator import commands, fields, keys
 from ruamel.yaml import YAML
 
@@ -29,6 +32,29 @@ def test_every_example_is_read_by_the_program(file):
     jsonschema.validate(values, schema)
     if file.stem.startswith("protocol"):
         assert examine(file).problems == ()
+
+
+def unknown(value: Any, path: keys.Path_, known: set[keys.Path_]) -> Iterator[str]:
+    """Yield the keys of a piece of YAML that no file may hold."""
+    for name, each in value.items() if isinstance(value, dict) else (("[]", item) for item in value):
+        below = next((one for one in ((*path, str(name)), (*path, "<name>")) if one in known), None)
+        within = below or next((one for one in ((*path, str(name)), (*path, "<name>")) if _leads(one, known)), None)
+        if within is None:
+            yield ".".join((*path, str(name)))
+        elif isinstance(each, dict | list) and _leads(within, known):
+            yield from unknown(each, within, known)
+
+
+def _leads(path: keys.Path_, known: set[keys.Path_]) -> bool:
+    return any(one[: len(path)] == path and len(one) > len(path) for one in known)
+
+
+@pytest.mark.parametrize("page", WRITTEN, ids=lambda page: page.stem)
+def test_every_key_in_a_piece_of_yaml_on_a_page_is_known(page):
+    """Of a protocol or of an apparatus file; whole files are checked by `make docs-check`."""
+    known = {key.path for kind in ("protocol", "apparatus") for key in keys.keys(kind)}
+    pieces = [YAML(typ="safe", pure=True).load(text) for language, _, text in blocks(page) if language == "yaml"]
+    assert [key for piece in pieces for key in unknown(piece, (), known)] == []
 
 
 def test_every_field_of_json_has_its_meaning():
