@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from io import BytesIO
 
 import numpy as np
-from modaltouch.window.coverage import cover
 from PIL import Image
 
 from modaltouch.protocol import Schedule

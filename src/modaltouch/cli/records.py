@@ -158,11 +158,9 @@ def _measure(rig: str, apparatus: Path, *, json_output: bool) -> None:
         ("clock", measure_clock),
     ):
         try:
-            measured = measure()
+            figures[subject], verdicts[subject] = measure()
         except (WindowError, RigError) as error:
             faults[subject] = str(error)
-        else:
-            figures[subject], verdicts[subject] = measured.as_dict(), measured.verdict
     if rig == "simulated" and "generator" in verdicts:
         verdicts["generator"] = f"On the simulated rig, not on yours (--rig): {verdicts['generator']}"
     if json_output:
@@ -176,7 +174,7 @@ def _measure(rig: str, apparatus: Path, *, json_output: bool) -> None:
         raise typer.Exit(RIG_FAILED)
 
 
-def _measure_generator(rig: str, apparatus: Path) -> Any:
+def _measure_generator(rig: str, apparatus: Path) -> tuple[dict[str, Any], str]:
     from modaltouch.protocol import Apparatus
     from modaltouch.rig import Generator, Simulator
 

@@ -13,7 +13,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Self
+from typing import Any, Self
 
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.catalogue import instrument_of
@@ -25,9 +25,6 @@ from modaltouch.rig.pacing import HELD_UP, PATIENCE, BurstPlayer, Report
 from modaltouch.rig.player import RELAYS_SETTLE, Player, numbers
 from modaltouch.stimulus import Burst
 from modaltouch.system import SYSTEM_CLOCK, Clock
-
-if TYPE_CHECKING:
-    from modaltouch.rig.latency import CommandLatency
 
 UNMEASURED = 1e-3
 """Taken as the longest time from trigger to first sample, where that has not been measured [s]."""
@@ -120,8 +117,10 @@ class Generator:
         """The latest firing; unconfirmed if `stop` found settings or outputs no longer as set."""
         return self._firing
 
-    def command_latency(self, n: int = 50) -> CommandLatency:
-        """Return how soon the instrument does as it is told, from `n` commands of each kind; nothing is played.
+    def command_latency(self, n: int = 50) -> tuple[dict[str, Any], str]:
+        """Return how soon the instrument does as it is told, from `n` commands of each kind, and what that means.
+
+        Nothing is played.
 
         Raises
         ------

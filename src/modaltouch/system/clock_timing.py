@@ -4,92 +4,67 @@ from __future__ import annotations
 
 import statistics
 import time
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
 from typing import Any
 
-_WAIT = 1e-3
-"""What a window rests between two polls [s]."""
-_LATE = 5e-3
-"""A machine that oversleeps by more is busy, or saves power [s]."""
+_WAIT_MS = 1.0
+"""What a window rests between two polls [ms]."""
+_LATE_MS = 5.0
+"""A machine that oversleeps by more is busy, or saves power [ms]."""
 
 
-@dataclass(frozen=True)
-class ClockTiming:
-    """What was measured of the clock.
-
-    Attributes
-    ----------
-    name : str
-        Of the system's clock behind `time.perf_counter`.
-    is_monotonic : bool
-        Whether it can never be set back.
-    step : float
-        Smallest step that was seen [s].
-    wait_median, wait_p95, wait_max : float
-        How long a wait of 1 ms takes [s].
-    drift_ppm : float
-        How much faster the time of day ran than the clock meanwhile [ppm]; large while the network sets it right.
-    """
-
-    name: str
-    is_monotonic: bool
-    step: float
-    wait_median: float
-    wait_p95: float
-    wait_max: float
-    drift_ppm: float
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the figures as plain values, times in milliseconds."""
-        values = asdict(self)
-        for name in ("step", "wait_median", "wait_p95", "wait_max"):
-            values[f"{name}_ms"] = round(values.pop(name) * 1e3, 6)
-        return values
-
-    @property
-    def verdict(self) -> str:
-        """What the figures mean for an experiment, and what to do."""
-        lines = []
-        if not self.is_monotonic or self.step > 1e-4:
-            lines.append(
-                f"The clock {self.name} steps by {self.step * 1e3:.2g} ms or can be set: state this with every "
-                "reaction time, or use another machine."
-            )
-        said = f"A wait of 1 ms takes {self.wait_median * 1e3:.2f} ms, 95 % of them under {self.wait_p95 * 1e3:.1f} ms"
-        if self.wait_p95 > _WAIT + _LATE:
-            lines.append(f"{said}: close other programs, and switch power saving off.")
-        else:
-            lines.append(f"{said}: good.")
-        if abs(self.drift_ppm) > 500:
-            lines.append("The time of day is just being set: wait some minutes.")
-        return " ".join(lines)
-
-
-def measure_clock(n: int = 500) -> ClockTiming:
-    """Return how exactly this machine keeps time; takes about as many milliseconds.
+def measure_clock(n: int = 500) -> tuple[dict[str, Any], str]:
+    """Return how exactly this machine keeps time, and what that means; takes about as many milliseconds.
 
     Parameters
     ----------
     n : int
         Waits of a millisecond.
+
+    Returns
+    -------
+    figures : dict
+        ``name`` of the system's clock behind `time.perf_counter`; ``is_monotonic``, whether it can never be set back;
+        ``drift_ppm``, how much faster the time of day ran meanwhile, large while the network sets it right; the
+        smallest step that was seen (``step_ms``), and how long a wait of 1 ms takes (``wait_median_ms``,
+        ``wait_p95_ms``, ``wait_max_ms``).
+    verdict : str
+        What they mean for an experiment, and what to do.
     """
     about = time.get_clock_info("perf_counter")
     day, began = time.time(), time.perf_counter()
     waits = []
     for _ in range(n):
         started = time.perf_counter()
-        time.sleep(_WAIT)
-        waits.append(time.perf_counter() - started)
+        time.sleep(_WAIT_MS / 1e3)
+        waits.append((time.perf_counter() - started) * 1e3)
     passed = time.perf_counter() - began
-    return ClockTiming(
-        name=about.implementation,
-        is_monotonic=about.monotonic and not about.adjustable,
-        step=min(_step() for _ in range(100)),
-        wait_median=statistics.median(waits),
-        wait_p95=statistics.quantiles(waits, n=20)[-1],
-        wait_max=max(waits),
-        drift_ppm=round((time.time() - day - passed) / passed * 1e6, 1),
-    )
+    figures = {
+        "name": about.implementation,
+        "is_monotonic": about.monotonic and not about.adjustable,
+        "drift_ppm": round((time.time() - day - passed) / passed * 1e6, 1),
+        "step_ms": round(min(_step() for _ in range(100)) * 1e3, 6),
+        "wait_median_ms": round(statistics.median(waits), 6),
+        "wait_p95_ms": round(statistics.quantiles(waits, n=20)[-1], 6),
+        "wait_max_ms": round(max(waits), 6),
+    }
+    return figures, judge_clock(figures)
+
+
+def judge_clock(figures: Mapping[str, Any]) -> str:
+    """Return what the figures of a clock mean for an experiment, and what to do."""
+    lines = []
+    if not figures["is_monotonic"] or figures["step_ms"] > 0.1:
+        lines.append(
+            f"The clock {figures['name']} steps by {figures['step_ms']:.2g} ms or can be set: state this with every "
+            "reaction time, or use another machine."
+        )
+    median, p95 = figures["wait_median_ms"], figures["wait_p95_ms"]
+    advice = "close other programs, and switch power saving off" if p95 > _WAIT_MS + _LATE_MS else "good"
+    lines.append(f"A wait of 1 ms takes {median:.2f} ms, 95 % of them under {p95:.1f} ms: {advice}.")
+    if abs(figures["drift_ppm"]) > 500:
+        lines.append("The time of day is just being set: wait some minutes.")
+    return " ".join(lines)
 
 
 def _step() -> float:

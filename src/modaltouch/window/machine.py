@@ -9,9 +9,8 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -33,8 +32,8 @@ _F12 = 0xFFC9
 """X's number for the key F12, which no program minds."""
 _LETTERS = {"\u0915": "fonts-noto-core", "\u4e2d": "fonts-wqy-microhei"}
 """A letter of Devanagari and an ideograph, and the Debian package that has those of their kind."""
-_NO_RETRACE = 4e-3
-"""Frames shorter than this do not wait for a monitor: none refreshes so fast [s]."""
+_NO_RETRACE_MS = 4.0
+"""Frames shorter than this do not wait for a monitor: none refreshes so fast [ms]."""
 
 
 class WindowCheck(NamedTuple):
@@ -147,84 +146,8 @@ def _sound(*, quick: bool) -> WindowCheck:
     return WindowCheck("sound", "ok", found)
 
 
-@dataclass(frozen=True)
-class WindowTiming:
-    """What was measured of a window.
-
-    Attributes
-    ----------
-    display : str
-        What it was measured on, in words.
-    n_frames, n_dropped : int
-        Frames shown, and those that took 1.5 times the usual time or more.
-    frame_median, frame_p95 : float
-        Time from one frame to the next [s].
-    waits_for_monitor : bool
-        Whether frames follow a monitor's refresh.
-    n_keys, n_lost : int
-        Keys injected, and those never seen.
-    key_path : str
-        ``display server`` (as from a keyboard) or ``event queue`` (of the window, where nothing else is at hand).
-    key_delay_median, key_delay_p95, key_delay_max : float or None
-        From the injection of a key to its time stamp [s]; None if no key was seen.
-    """
-
-    display: str
-    n_frames: int
-    n_dropped: int
-    frame_median: float
-    frame_p95: float
-    waits_for_monitor: bool
-    n_keys: int
-    n_lost: int
-    key_path: str
-    key_delay_median: float | None
-    key_delay_p95: float | None
-    key_delay_max: float | None
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the figures as plain values, times in milliseconds."""
-        values = asdict(self)
-        for name in ("frame_median", "frame_p95", "key_delay_median", "key_delay_p95", "key_delay_max"):
-            seconds = values.pop(name)
-            values[f"{name}_ms"] = None if seconds is None else round(seconds * 1e3, 3)
-        return values
-
-    @property
-    def verdict(self) -> str:
-        """What the figures mean for an experiment, and what to do."""
-        lines = [f"On {self.display}:"]
-        if self.n_lost:
-            lines.append(
-                f"{self.n_lost} of {self.n_keys} keys were lost: let the window have the keyboard, and do not run "
-                "participants here before none is."
-            )
-        if self.key_delay_p95 is None:
-            return " ".join(lines)
-        if self.key_delay_p95 > 5e-3:
-            lines.append(
-                f"Keys are stamped up to {self.key_delay_p95 * 1e3:.0f} ms late (95 %): close other programs, and "
-                "state this with every reaction time."
-            )
-        else:
-            lines.append(f"Keys are stamped within {self.key_delay_p95 * 1e3:.1f} ms (95 %): good.")
-        if not self.waits_for_monitor:
-            lines.append(
-                "Frames do not wait for a monitor, so the time at which one shows them is unknown: measure on the "
-                "participants' own screen, and switch vertical retrace on there."
-            )
-        elif self.n_dropped > 0.01 * self.n_frames:
-            lines.append(
-                f"{self.n_dropped} of {self.n_frames} frames came late: run full screen, without a compositor, and "
-                "close other programs."
-            )
-        else:
-            lines.append(f"Frames follow the monitor at {1 / self.frame_median:.0f} Hz: good.")
-        return " ".join(lines)
-
-
-def measure_timing() -> WindowTiming:
-    """Return how exactly a window of this machine shows pictures and sees keys; takes some seconds.
+def measure_timing() -> tuple[dict[str, Any], str]:
+    """Return how exactly a window of this machine shows pictures and sees keys, as `time_window`; takes some seconds.
 
     Raises
     ------
@@ -239,27 +162,75 @@ def measure_timing() -> WindowTiming:
             screen.close()
 
 
-def time_window(screen: Screen, *, n_frames: int = 120, n_keys: int = 60, display: str = "the screen") -> WindowTiming:
-    """Return how exactly an open window, which has the keyboard, shows pictures and sees keys."""
-    frames = _measure_frames(screen, n_frames)
+def time_window(
+    screen: Screen, *, n_frames: int = 120, n_keys: int = 60, display: str = "the screen"
+) -> tuple[dict[str, Any], str]:
+    """Return how exactly an open window, which has the keyboard, shows pictures and sees keys, and what that means.
+
+    Returns
+    -------
+    figures : dict
+        ``display``, what it was measured on, in words; ``n_frames``, and ``n_dropped`` that took 1.5 times the usual
+        time or more; ``waits_for_monitor``, whether frames follow a monitor's refresh; ``n_keys`` injected, ``n_lost``
+        that were never seen, and ``key_path``: ``display server`` (as from a keyboard) or ``event queue`` (of the
+        window, where nothing else is at hand); time from one frame to the next (``frame_median_ms``,
+        ``frame_p95_ms``), and from the injection of a key to its time stamp (``key_delay_median_ms``,
+        ``key_delay_p95_ms``, ``key_delay_max_ms``), None if no key was seen.
+    verdict : str
+        What they mean for an experiment, and what to do.
+    """
+    frames = _measure_frames(screen, n_frames) * 1e3
     with _injector(screen) as (press, path):
         delays = [_measure_key(screen, press, number) for number in range(n_keys)]
-    seen = [delay for delay in delays if delay is not None]
+    seen = [delay * 1e3 for delay in delays if delay is not None]
     usual = float(np.median(frames))
-    return WindowTiming(
-        display=display,
-        n_frames=n_frames,
-        n_dropped=int(np.sum(frames > _LATE_FRAME * usual)),
-        frame_median=usual,
-        frame_p95=float(np.quantile(frames, 0.95)),
-        waits_for_monitor=usual > _NO_RETRACE and float(np.quantile(frames, 0.1)) > 0.8 * usual,
-        n_keys=n_keys,
-        n_lost=sum(delay is None for delay in delays),
-        key_path=path,
-        key_delay_median=float(np.median(seen)) if seen else None,
-        key_delay_p95=float(np.quantile(seen, 0.95)) if seen else None,
-        key_delay_max=max(seen, default=None),
-    )
+    figures = {
+        "display": display,
+        "n_frames": n_frames,
+        "n_dropped": int(np.sum(frames > _LATE_FRAME * usual)),
+        "waits_for_monitor": usual > _NO_RETRACE_MS and float(np.quantile(frames, 0.1)) > 0.8 * usual,
+        "n_keys": n_keys,
+        "n_lost": n_keys - len(seen),
+        "key_path": path,
+        "frame_median_ms": round(usual, 3),
+        "frame_p95_ms": round(float(np.quantile(frames, 0.95)), 3),
+        "key_delay_median_ms": round(float(np.median(seen)), 3) if seen else None,
+        "key_delay_p95_ms": round(float(np.quantile(seen, 0.95)), 3) if seen else None,
+        "key_delay_max_ms": round(max(seen), 3) if seen else None,
+    }
+    return figures, judge_window(figures)
+
+
+def judge_window(figures: Mapping[str, Any]) -> str:
+    """Return what the figures of a window mean for an experiment, and what to do."""
+    lines, delay = [f"On {figures['display']}:"], figures["key_delay_p95_ms"]
+    if figures["n_lost"]:
+        lines.append(
+            f"{figures['n_lost']} of {figures['n_keys']} keys were lost: let the window have the keyboard, and do not "
+            "run participants here before none is."
+        )
+    if delay is None:
+        return " ".join(lines)
+    if delay > 5:
+        lines.append(
+            f"Keys are stamped up to {delay:.0f} ms late (95 %): close other programs, and state this with every "
+            "reaction time."
+        )
+    else:
+        lines.append(f"Keys are stamped within {delay:.1f} ms (95 %): good.")
+    if not figures["waits_for_monitor"]:
+        lines.append(
+            "Frames do not wait for a monitor, so the time at which one shows them is unknown: measure on the "
+            "participants' own screen, and switch vertical retrace on there."
+        )
+    elif figures["n_dropped"] > 0.01 * figures["n_frames"]:
+        lines.append(
+            f"{figures['n_dropped']} of {figures['n_frames']} frames came late: run full screen, without a compositor, "
+            "and close other programs."
+        )
+    else:
+        lines.append(f"Frames follow the monitor at {1e3 / figures['frame_median_ms']:.0f} Hz: good.")
+    return " ".join(lines)
 
 
 def _measure_frames(screen: Screen, n_frames: int) -> np.ndarray[Any, np.dtype[np.float64]]:
