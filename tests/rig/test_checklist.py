@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import re
+from typing import Any
 
 import pytest
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig import checklist
-from modaltouch.rig.checklist import Row, check_rig
+from modaltouch.rig.checklist import check_rig
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
@@ -19,7 +20,7 @@ PATIENCE = Patience(reply=0.3, copy=1.0, tries=2, pause=0.02)
 
 
 @pytest.fixture(scope="module")
-def usual(apparatus: Apparatus) -> list[Row]:
+def usual(apparatus: Apparatus) -> list[dict[str, Any]]:
     """Return the rows for an instrument as it is assumed to be."""
     with Simulator(apparatus) as simulator:
         rows = check_rig(simulator.address, apparatus, patience=PATIENCE)
@@ -29,7 +30,7 @@ def usual(apparatus: Apparatus) -> list[Row]:
 
 
 @pytest.fixture(scope="module")
-def odd(apparatus: Apparatus) -> list[Row]:
+def odd(apparatus: Apparatus) -> list[dict[str, Any]]:
     """Return the rows for an instrument that differs wherever it can."""
     behaviour = Behaviour(
         timer_digits=4, copy_time=0.2, limit_violation="clip", block_end=b"xx\n", max_sessions=1, queue_depth=5
@@ -42,12 +43,12 @@ def odd(apparatus: Apparatus) -> list[Row]:
         return rows
 
 
-def test_every_question_is_met(usual: list[Row]) -> None:
+def test_every_question_is_met(usual: list[dict[str, Any]]) -> None:
     """Those that the value of the instrument names, each with something a person can do."""
-    assert [row.number for row in usual] == [0, 1, 2, 3, 6, 7, 8, 10, 12, 13]
-    assert all(row.question and row.answer and row.advice for row in usual)
-    assert [row.number for row in usual if row.state == "person"] == [1, 6, 10, 13]
-    json.dumps([vars(row) for row in usual])
+    assert [row["number"] for row in usual] == [0, 1, 2, 3, 6, 7, 8, 10, 12, 13]
+    assert all(row["question"] and row["answer"] and row["advice"] for row in usual)
+    assert [row["number"] for row in usual if row["state"] == "person"] == [1, 6, 10, 13]
+    json.dumps(usual)
 
 
 @pytest.mark.parametrize(
@@ -61,11 +62,13 @@ def test_every_question_is_met(usual: list[Row]) -> None:
         (12, "still on", "still on"),
     ],
 )
-def test_answer_follows_the_instrument(usual: list[Row], odd: list[Row], number: int, usually: str, oddly: str) -> None:
+def test_answer_follows_the_instrument(
+    usual: list[dict[str, Any]], odd: list[dict[str, Any]], number: int, usually: str, oddly: str
+) -> None:
     """Each question that software can answer tells two instruments apart."""
     for rows, said in ((usual, usually), (odd, oddly)):
-        (row,) = (row for row in rows if row.number == number)
-        assert re.search(said, row.answer)
+        (row,) = (row for row in rows if row["number"] == number)
+        assert re.search(said, row["answer"])
 
 
 def test_fault_in_a_question_leaves_the_others(apparatus: Apparatus) -> None:
@@ -73,7 +76,7 @@ def test_fault_in_a_question_leaves_the_others(apparatus: Apparatus) -> None:
     with Simulator(apparatus) as simulator:
         simulator.faults.inject("lost_reply", when=r"TRIG:TIM\?")
         rows = check_rig(simulator.address, apparatus, patience=PATIENCE)
-    assert [row.number for row in rows if row.state == "unanswered"] == [2]
+    assert [row["number"] for row in rows if row["state"] == "unanswered"] == [2]
 
 
 def test_scope_measures_the_latency_of_a_trigger(apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -84,8 +87,8 @@ def test_scope_measures_the_latency_of_a_trigger(apparatus: Apparatus, monkeypat
     facts["twin"]["generator"]["trigger_latency_ms"] = {"low": low, "high": high}
     with Simulator(Apparatus.model_validate(facts)) as simulator:
         (row,) = check_rig(simulator.address, apparatus, patience=PATIENCE, scope=simulator.scope())
-    assert row.state == "found"
-    found = re.search(r"trigger_latency_ms: \{low: ([\d.]+), high: ([\d.]+)\}", row.answer)
+    assert row["state"] == "found"
+    found = re.search(r"trigger_latency_ms: \{low: ([\d.]+), high: ([\d.]+)\}", row["answer"])
     assert found
     least, most = float(found[1]), float(found[2])
     # The instrument takes a trigger after the driver sent it and before the driver hears so: the low bound holds as it

@@ -367,15 +367,15 @@ def test_checklist_asks_what_applies(apparatus: Apparatus) -> None:
     with Simulator(apparatus) as simulator:
         rows = check_rig(simulator.address, apparatus, patience=patience)
         assert simulator.outputs == (False, False)
-    answers = {row.number: row.answer for row in rows}
+    answers = {row["number"]: row["answer"] for row in rows}
     assert sorted(answers) == [0, 1, 6, 7, 8, 10, 12, 13, 14]
-    assert not [row.number for row in rows if row.state == "unanswered"]
+    assert not [row["number"] for row in rows if row["state"] == "unanswered"]
     assert "33522B" in answers[0]
     assert "refused with -221" in answers[7]
     assert "20 entries" in answers[8]
     assert "*TRG is taken" in answers[13]
     assert answers[14] == "a record of half the codes reaches 10 Vpp, where all codes reach 20 Vpp"
-    assert "the record, from its lowest code to its highest, as the driver takes it" in rows[-1].advice
+    assert "the record, from its lowest code to its highest, as the driver takes it" in rows[-1]["advice"]
 
 
 def test_checklist_notices_an_amplitude_of_another_meaning(
@@ -386,8 +386,8 @@ def test_checklist_notices_an_amplitude_of_another_meaning(
     monkeypatch.setattr("modaltouch.rig.checklist.QUESTIONS", QUESTIONS[-1:])
     with Simulator(apparatus) as simulator:
         (row,) = check_rig(simulator.address, apparatus, patience=Patience(reply=0.3, copy=1.0, tries=2, pause=0.02))
-    assert row.answer == "a record of half the codes reaches 20 Vpp, where all codes reach 20 Vpp"
-    assert "EVERY LEVEL WOULD BE WRONG" in row.advice
+    assert row["answer"] == "a record of half the codes reaches 20 Vpp, where all codes reach 20 Vpp"
+    assert "EVERY LEVEL WOULD BE WRONG" in row["advice"]
 
 
 def test_what_the_twin_plays_is_the_stimulus_to_its_prediction(

@@ -65,10 +65,10 @@ def check(
             listens = stack.enter_context(Scope.open(parts, lambda position: None))
         rows = check_rig(address, parts, scope=listens)
         if json_output:
-            print_json({"address": address, "rows": [vars(row) for row in rows]})
+            print_json({"address": address, "rows": rows})
         else:
             for row in rows:
-                print(row)
+                print(f"{row['number']:2d}  {row['question']}\n    {row['answer']}\n    -> {row['advice']}")
 
 
 @rig.command("simulate")

@@ -8,9 +8,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -244,34 +243,6 @@ QUESTIONS: tuple[tuple[int, str, Callable[[Connection], Finding]], ...] = (
 )
 
 
-@dataclass(frozen=True)
-class Row:
-    """One question and what became of it.
-
-    Attributes
-    ----------
-    number : int
-        Of the question; 0 asks whether the instrument takes the driver's settings at all.
-    question : str
-        What is to be known.
-    state : str
-        ``found`` by software, for a ``person`` to see, or ``unanswered``.
-    answer : str
-        What was found.
-    advice : str
-        What to do, or what it means for a session.
-    """
-
-    number: int
-    question: str
-    state: State
-    answer: str
-    advice: str
-
-    def __str__(self) -> str:
-        return f"{self.number:2d}  {self.question}\n    {self.answer}\n    -> {self.advice}"
-
-
 def check_rig(
     address: str,
     apparatus: Apparatus,
@@ -279,7 +250,7 @@ def check_rig(
     log: Log = lambda event, **facts: None,
     patience: Patience | None = None,
     scope: Scope | None = None,
-) -> list[Row]:
+) -> list[dict[str, Any]]:
     """Return the answers to every open question about the generator at an address that its value names.
 
     Parameters
@@ -297,8 +268,10 @@ def check_rig(
 
     Returns
     -------
-    list of Row
-        In the order of the questions.
+    list of dict
+        In the order of the questions, each with its ``number`` (0 asks whether the instrument takes the driver's
+        settings at all), the ``question``, its ``state`` (``found`` by software, for a ``person`` to see, or
+        ``unanswered``), the ``answer``, and as ``advice`` what to do, or what it means for a session.
 
     Raises
     ------
@@ -327,10 +300,12 @@ def check_rig(
     return rows
 
 
-def _ask(connection: Connection, number: int, question: str, find: Callable[[Connection], Finding]) -> Row:
+def _ask(connection: Connection, number: int, question: str, find: Callable[[Connection], Finding]) -> dict[str, Any]:
     """Answer one question; whatever it breaks is mended before the next."""
     try:
-        return Row(number, question, *find(connection))
+        state, answer, advice = find(connection)
     except (LinkError, Unconfirmed) as error:
         connection.restore(f"question {number}", (), lambda: None)
-        return Row(number, question, "unanswered", str(error), "ask again; if it stays so, look at the instrument")
+        state, answer = "unanswered", str(error)
+        advice = "ask again; if it stays so, look at the instrument"
+    return {"number": number, "question": question, "state": state, "answer": answer, "advice": advice}
