@@ -59,21 +59,29 @@ RESULTS = Annotated[Path, typer.Option(help="Folder where sessions are recorded.
 SEED = Annotated[int, typer.Option(min=0, help="Seed of the study; the same for all its participants.")]
 MODE = Annotated[str | None, typer.Option(help="Which sessions of a results folder: real, pilot or simulated.")]
 
-FULLSCREEN = Annotated[bool, typer.Option("--fullscreen/--windowed", help="Answer window over the whole screen.")]
-_SIZE = "Size of the answer window in pixels, where it is not full screen."
-SIZE = Annotated[str, typer.Option(help=_SIZE)]
-_THEME = "Colours of the answer window."
-THEME = Annotated[ThemeChoice, typer.Option(help=_THEME)]
-_SCREEN = "Which screen shows the answer window."
-SCREEN = Annotated[int, typer.Option(min=0, help=_SCREEN)]
-_AS_IT_WAS = "as it was"
-FULLSCREEN_AGAIN = Annotated[
+FULLSCREEN = Annotated[
     bool | None,
-    typer.Option("--fullscreen/--windowed", help="Answer window over the whole screen.", show_default=_AS_IT_WAS),
+    typer.Option(
+        "--fullscreen/--windowed",
+        help="Answer window over the whole screen.",
+        show_default="windowed, or as it was when resumed",
+    ),
 ]
-SIZE_AGAIN = Annotated[str | None, typer.Option("--size", help=_SIZE, show_default=_AS_IT_WAS)]
-THEME_AGAIN = Annotated[ThemeChoice | None, typer.Option("--theme", help=_THEME, show_default=_AS_IT_WAS)]
-SCREEN_AGAIN = Annotated[int | None, typer.Option("--screen", min=0, help=_SCREEN, show_default=_AS_IT_WAS)]
+SIZE = Annotated[
+    str | None,
+    typer.Option(
+        help="Size of the answer window in pixels, where it is not full screen.",
+        show_default="1280x800, or as it was when resumed",
+    ),
+]
+THEME = Annotated[
+    ThemeChoice | None,
+    typer.Option(help="Colours of the answer window.", show_default="dark, or as it was when resumed"),
+]
+SCREEN = Annotated[
+    int | None,
+    typer.Option(min=0, help="Which screen shows the answer window.", show_default="0, or as it was when resumed"),
+]
 SCREENSHOTS = Annotated[Path | None, typer.Option(help="Folder for a picture of each kind of screen.")]
 
 EVENTS = Annotated[

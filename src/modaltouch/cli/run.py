@@ -9,7 +9,7 @@ from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -18,20 +18,16 @@ from modaltouch.cli.options import (
     CALIBRATION,
     EVENTS,
     FULLSCREEN,
-    FULLSCREEN_AGAIN,
     JSON,
     PLAIN,
     PROTOCOL,
     RESULTS,
     SCREEN,
-    SCREEN_AGAIN,
     SCREENSHOTS,
     SEED,
     SESSION,
     SIZE,
-    SIZE_AGAIN,
     THEME,
-    THEME_AGAIN,
     WITH_MARKED,
     ThemeChoice,
 )
@@ -109,10 +105,10 @@ def run(
     pilot: PILOT = False,
     seed: SEED = 1,
     results: RESULTS = Path("results"),
-    fullscreen: FULLSCREEN = False,
-    size: SIZE = "1280x800",
-    theme: THEME = ThemeChoice.dark,
-    screen: SCREEN = 0,
+    fullscreen: FULLSCREEN = None,
+    size: SIZE = None,
+    theme: THEME = None,
+    screen: SCREEN = None,
     screenshots: SCREENSHOTS = None,
     events: EVENTS = None,
     plain: PLAIN = False,
@@ -135,11 +131,13 @@ def run(
     """
     from modaltouch.cli.prompts import ask_participant, ask_rig, can_ask, wait_for_start
     from modaltouch.preflight import check_legibility, examine
+    from modaltouch.window import WindowOptions
 
     may_ask = can_ask() and not yes and not json_output
     with reporting(json_output=json_output):
         _refuse_people(people, answers)
-        window_options = _window_options(fullscreen, size, theme, screen, screenshots)
+        chosen = _chosen(size, theme, fullscreen=fullscreen, screen=screen, screenshots=screenshots)
+        window_options = WindowOptions(**chosen)
         preflight = examine(protocol, calibration, marked=with_marked_calibration)
         if answers is not AnswersChoice.simulated:
             preflight = check_legibility(preflight, None if fullscreen else window_options.size)
@@ -195,10 +193,10 @@ def resume(
     restart: Annotated[
         bool, typer.Option("--restart", help="Close it, its answers kept, and begin it anew as the next session.")
     ] = False,
-    fullscreen: FULLSCREEN_AGAIN = None,
-    size: SIZE_AGAIN = None,
-    theme: THEME_AGAIN = None,
-    screen: SCREEN_AGAIN = None,
+    fullscreen: FULLSCREEN = None,
+    size: SIZE = None,
+    theme: THEME = None,
+    screen: SCREEN = None,
     screenshots: SCREENSHOTS = None,
     events: EVENTS = None,
     plain: PLAIN = False,
@@ -215,27 +213,20 @@ def resume(
     from modaltouch.session import wire_resume
 
     with reporting(json_output=json_output):
-        given = {
-            "fullscreen": fullscreen,
-            "size": None if size is None else _read_size(size),
-            "theme": None if theme is None else theme.value,
-            "screen": screen,
-            "screenshots": screenshots,
-        }
         setup = wire_resume(
             session,
             rig=rig,
             answers=answers.value if answers else None,
             restart=restart,
-            window={name: value for name, value in given.items() if value is not None},
+            window=_chosen(size, theme, fullscreen=fullscreen, screen=screen, screenshots=screenshots),
         )
         _conduct(go_on, setup, events, plain=plain, json_output=json_output)
 
 
 def demo(
     results: RESULTS = Path("results"),
-    size: SIZE = "1280x800",
-    theme: THEME = ThemeChoice.dark,
+    size: SIZE = None,
+    theme: THEME = None,
     seed: SEED = 1,
     json_output: JSON = False,
 ) -> None:
@@ -243,8 +234,10 @@ def demo(
 
     A simulated participant answers by typing into the window. Without a screen a virtual one is started.
     """
+    from modaltouch.window import WindowOptions
+
     with reporting(json_output=json_output):
-        window_options = _window_options(False, size, theme, 0, None)
+        window_options = WindowOptions(**_chosen(size, theme))
         with progress("trials answered") as on_progress:
             places = demonstrate(
                 results,
@@ -306,16 +299,23 @@ def demonstrate(
     return {"session": session.path.parent, "screenshots": screenshots, "report": analysis.files["report.html"]}
 
 
-def _window_options(
-    fullscreen: bool,
-    size: str,
-    theme: ThemeChoice,
-    screen: int,
-    screenshots: Path | None,
-) -> WindowOptions:
-    from modaltouch.window import WindowOptions
-
-    return WindowOptions(_read_size(size), fullscreen, theme.value, screen, screenshots)
+def _chosen(
+    size: str | None,
+    theme: ThemeChoice | None,
+    *,
+    fullscreen: bool | None = None,
+    screen: int | None = None,
+    screenshots: Path | None = None,
+) -> dict[str, Any]:
+    """Return those options of the answer window that were given."""
+    given = {
+        "fullscreen": fullscreen,
+        "size": None if size is None else _read_size(size),
+        "theme": None if theme is None else theme.value,
+        "screen": screen,
+        "screenshots": screenshots,
+    }
+    return {name: value for name, value in given.items() if value is not None}
 
 
 def _read_size(size: str) -> tuple[int, int]:
