@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,10 +13,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from modaltouch.lab.comparison.contest import Contest, DriveAssessment, contest, learn
-from modaltouch.lab.comparison.methods import MethodDrive
 from modaltouch.lab.laboratory import UNTOLD, MeasurementProgress, TooFewPointsError
 from modaltouch.lab.output import DARK, MIDDLE, rounded
-from modaltouch.preflight import examine, finite
+from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
 from modaltouch.report import (
     FAINT,
@@ -114,62 +113,44 @@ def _wanted(rows: Sequence[Row], key: str) -> str:
     return "high" if rows[0]["focus"] in key.split("_")[-2:] else "none"
 
 
-def method_row(
-    designed: MethodDrive, verdict: DriveAssessment, changed: Sequence[DriveAssessment], contest: Contest, focus: str
-) -> Row:
-    """Return all of a method's figures."""
+def rows_of(contest: Contest) -> list[Row]:
+    """Return the figures of every method."""
     limit = contest.known.amplifier.limit
     n_channels, n_points = contest.known.responses.response.shape[:2]
-    row: Row = {
-        "method": designed.method.key,
-        "name": designed.method.name,
-        "idea": designed.method.idea,
-        "focus": focus,
-        "at_focus_mm_s": verdict.at_focus * 1e3,
-        "rms_error_mm_s": verdict.rms_error * 1e3,
-        "max_error_mm_s": verdict.max_error * 1e3,
-        "rms_from_selected_mm_s": verdict.rms_from_selected * 1e3,
-        "outside_mm_s": verdict.outside * 1e3,
-        "width_50_mm": finite(verdict.width_50 * 1e3),
-        "width_80_mm": finite(verdict.width_80 * 1e3),
-        "highest_at_focus_mm_s": verdict.zone_peak[focus] * 1e3,
-        "highest_mm_s": None if verdict.highest is None else verdict.highest * 1e3,
-        "zone_peak_mm_s": {zone: peak * 1e3 for zone, peak in verdict.zone_peak.items()},
-        **{f"contrast_{left}_{right}": finite(value) for (left, right), value in verdict.contrasts.items()},
-        **{
-            f"finger_contrast_{left}_{right}": finite(value)
-            for (left, right), value in verdict.finger_contrasts.items()
-        },
-        "peak_voltage_V": designed.peak_voltage,
-        "energy_V2_s": designed.energy,
-        "reach_mm_s": verdict.at_focus * 1e3 * limit / designed.peak_voltage,
-        "computing_time_s": designed.computing_time,
-        "recordings": designed.method.recordings(n_points, n_channels),
-        "further_recordings": designed.method.further_recordings(n_channels),
-    }
-    return row | _changed(verdict, changed)
+    parts = zip(contest.designed, contest.verdicts, contest.changed, strict=True)
+    return [
+        {
+            "method": designed.method.key,
+            "name": designed.method.name,
+            "idea": designed.method.idea,
+            "focus": contest.task.focus,
+            **verdict.row,
+            "peak_voltage_V": designed.peak_voltage,
+            "energy_V2_s": designed.energy,
+            "reach_mm_s": verdict.row["at_focus_mm_s"] * limit / designed.peak_voltage,
+            "computing_time_s": designed.computing_time,
+            "recordings": designed.method.recordings(n_points, n_channels),
+            "further_recordings": designed.method.further_recordings(n_channels),
+            **_changed(verdict, changed),
+        }
+        for designed, verdict, changed in parts
+    ]
 
 
 def _changed(verdict: DriveAssessment, changed: Sequence[DriveAssessment]) -> Row:
     if not changed:
         keys = ("at_focus_low_mm_s", "at_focus_high_mm_s", "at_focus_spread_mm_s", "rms_error_mm_s", "drift_mm_s")
         return {f"changed_{key}": None for key in keys}
-    at_focus = np.array([each.at_focus for each in changed]) * 1e3
+    at_focus = [each.row["at_focus_mm_s"] for each in changed]
     low, high = np.percentile(at_focus, [5, 95])
     drift = [float(np.sqrt(np.mean((each.field - verdict.field) ** 2))) * 1e3 for each in changed]
     return {
         "changed_at_focus_low_mm_s": float(low),
         "changed_at_focus_high_mm_s": float(high),
         "changed_at_focus_spread_mm_s": float(high - low),
-        "changed_rms_error_mm_s": float(np.median([each.rms_error for each in changed])) * 1e3,
+        "changed_rms_error_mm_s": float(np.median([each.row["rms_error_mm_s"] for each in changed])),
         "changed_drift_mm_s": float(np.median(drift)),
     }
-
-
-def rows_of(contest: Contest, focus: str) -> list[Row]:
-    """Return the figures of every method; `focus` is the zone in which the focus lies."""
-    parts = zip(contest.designed, contest.verdicts, contest.changed, strict=True)
-    return [method_row(designed, verdict, changed, contest, focus) for designed, verdict, changed in parts]
 
 
 COMMAND = "compare"
@@ -252,14 +233,14 @@ def draw_robustness(contest: Contest) -> Figure:
     names = [each.method.name for each in contest.designed]
     with house_style(7.6, 0.42 * len(names) + 1.1, 1, 3, sharey=True) as (figure, [panels]):
         pair = contest.task.pairs[0]
-        columns: tuple[tuple[str, Callable[[DriveAssessment], float]], ...] = (
-            ("velocity at the focus [mm/s]", lambda verdict: verdict.at_focus * 1e3),
-            ("distance from the target, rms [mm/s]", lambda verdict: verdict.rms_error * 1e3),
-            (f"contrast of ({pair[0]}, {pair[1]})", lambda verdict: verdict.contrasts[pair]),
+        columns = (
+            ("velocity at the focus [mm/s]", "at_focus_mm_s"),
+            ("distance from the target, rms [mm/s]", "rms_error_mm_s"),
+            (f"contrast of ({pair[0]}, {pair[1]})", f"contrast_{pair[0]}_{pair[1]}"),
         )
-        for axes, (label, value) in zip(panels, columns, strict=True):
+        for axes, (label, key) in zip(panels, columns, strict=True):
             for place, (verdict, changed) in enumerate(zip(contest.verdicts, contest.changed, strict=True)):
-                _draw_dots(axes, place, [value(each) for each in changed], value(verdict))
+                _draw_dots(axes, place, [each.row[key] for each in changed], verdict.row[key])
             axes.set_xlabel(label)
             axes.grid(axis="x", color="#e3e7ec", linewidth=0.7)
             axes.set_axisbelow(True)
@@ -283,8 +264,6 @@ class ComparisonReport:
     ----------
     contest : Contest
         The comparison.
-    focus : str
-        Zone of the focus.
     about : dict
         Title, protocol, apparatus, seed, records at each point (``n_records``) and commit, plain values.
     folder : Path
@@ -292,14 +271,13 @@ class ComparisonReport:
     """
 
     contest: Contest
-    focus: str
     about: dict[str, Any]
     folder: Path
 
     @cached_property
     def rows(self) -> list[Row]:
         """The figures of every method."""
-        return rows_of(self.contest, self.focus)
+        return rows_of(self.contest)
 
     @property
     def table(self) -> list[dict[str, Any]]:
@@ -423,7 +401,7 @@ def compare(
         "n_records": averages,
         "commit": commit(),
     }
-    return ComparisonReport(found, experiment.protocol.stimulus.focus, about, folder)
+    return ComparisonReport(found, about, folder)
 
 
 def _table(rows: Sequence[Row], level: float) -> list[dict[str, Any]]:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import FrequencyResponses, responses_of
 from modaltouch.lab.laboratory import UNTOLD, MeasurementProgress, open_laboratory
 from modaltouch.lab.validation.evidence import contrast, root_mean_square, spot_width
-from modaltouch.preflight import Preflight
+from modaltouch.preflight import Preflight, finite
 from modaltouch.protocol import Apparatus
 from modaltouch.rig import RigError, Simulator
 from modaltouch.stimulus import ModalModel, TargetField
@@ -55,6 +56,8 @@ class Task:
         The focusing instant asked for, from the start of the burst [s].
     zones : dict of str to float
         Zones and their centres [m].
+    focus : str
+        Zone in which the focus lies.
     pairs : tuple of (str, str)
         Zones that two fingers touch together.
     selected : callable
@@ -64,6 +67,7 @@ class Task:
     target_field: TargetField
     instant: float
     zones: dict[str, float]
+    focus: str
     pairs: tuple[tuple[str, str], ...]
     selected: Callable[[FloatArray], FloatArray]
 
@@ -76,39 +80,13 @@ class DriveAssessment:
     ----------
     position, field : (POINTS,) arrays
         The true field at the focusing instant [m, m/s].
-    at_focus : float
-        Velocity at the focus then [m/s].
-    rms_error, max_error : float
-        From the target field, along the beam [m/s].
-    rms_from_selected : float
-        From the field that the selected modes would make of the target field, along the beam [m/s].
-    outside : float
-        Highest speed then where the target is rest [m/s].
-    width_50, width_80 : float
-        Of the spot [m].
-    zone_peak : dict of str to float
-        Highest speed at the centre of each zone, throughout [m/s].
-    contrasts : dict of (str, str) to float
-        Of the highest speeds at the centres, by the pair's zones [1].
-    finger_contrasts : dict of (str, str) to float
-        Of the highest speeds anywhere under a finger, FINGER wide; empty where it was not looked for [1].
-    highest : float or None
-        Highest speed anywhere on the beam, throughout [m/s]; None where it was not looked for.
+    row : dict
+        The figures, by the names that they have in the tables; plain values.
     """
 
     position: FloatArray
     field: FloatArray
-    at_focus: float
-    rms_error: float
-    max_error: float
-    rms_from_selected: float
-    outside: float
-    width_50: float
-    width_80: float
-    zone_peak: dict[str, float]
-    contrasts: dict[tuple[str, str], float]
-    finger_contrasts: dict[tuple[str, str], float]
-    highest: float | None
+    row: dict[str, Any]
 
 
 def judge(rig: Simulator, task: Task, *, everywhere: bool = True) -> DriveAssessment:
@@ -133,23 +111,30 @@ def judge(rig: Simulator, task: Task, *, everywhere: bool = True) -> DriveAssess
     velocity = np.concatenate([state.velocity, state.unlisted_velocity])
     field = velocity @ twin.beam.shapes(position)
     miss = field - task.target_field.velocity * task.target_field.profile(position)
-    zone_peak = dict(zip(task.zones, twin.felt(playbacks, list(task.zones.values())).tolist(), strict=True))
+    felt = twin.felt(playbacks, list(task.zones.values())) * 1e3
+    zone_peak = dict(zip(task.zones, felt.tolist(), strict=True))
     places = np.linspace(-half, half, PLACES).tolist()
-    return DriveAssessment(
-        position=position,
-        field=field,
-        at_focus=float(velocity @ twin.beam.shapes(task.target_field.centre)[:, 0]),
-        rms_error=root_mean_square(miss),
-        max_error=float(np.abs(miss).max()),
-        rms_from_selected=root_mean_square(field - task.selected(position)),
-        outside=float(np.abs(field[task.target_field.profile(position) < REST]).max(initial=0.0)),
-        width_50=spot_width(position, field, task.target_field.centre, 0.5),
-        width_80=spot_width(position, field, task.target_field.centre, 0.8),
-        zone_peak=zone_peak,
-        contrasts={(a, b): contrast(zone_peak[a], zone_peak[b]) for a, b in task.pairs},
-        finger_contrasts=_finger_contrasts(rig, task) if everywhere else {},
-        highest=float(twin.felt(playbacks, places).max()) if everywhere else None,
-    )
+    centre = task.target_field.centre
+    row = {
+        "at_focus_mm_s": float(velocity @ twin.beam.shapes(centre)[:, 0]) * 1e3,
+        "rms_error_mm_s": root_mean_square(miss) * 1e3,
+        "max_error_mm_s": float(np.abs(miss).max()) * 1e3,
+        "rms_from_selected_mm_s": root_mean_square(field - task.selected(position)) * 1e3,
+        "outside_mm_s": float(np.abs(field[task.target_field.profile(position) < REST]).max(initial=0.0)) * 1e3,
+        "width_50_mm": finite(spot_width(position, field, centre, 0.5) * 1e3),
+        "width_80_mm": finite(spot_width(position, field, centre, 0.8) * 1e3),
+        "highest_at_focus_mm_s": zone_peak[task.focus],
+        "highest_mm_s": float(twin.felt(playbacks, places).max()) * 1e3 if everywhere else None,
+        "zone_peak_mm_s": zone_peak,
+        **_contrasts(zone_peak, task, "contrast"),
+    }
+    if everywhere:
+        row |= _contrasts(_finger_peaks(rig, task), task, "finger_contrast")
+    return DriveAssessment(position, field, row)
+
+
+def _contrasts(peak: dict[str, float], task: Task, name: str) -> dict[str, float | None]:
+    return {f"{name}_{a}_{b}": finite(contrast(peak[a], peak[b])) for a, b in task.pairs}
 
 
 def true_delay(rig: Simulator) -> float:
@@ -158,14 +143,13 @@ def true_delay(rig: Simulator) -> float:
     return rig.twin.amplifier.delay + (0.0 if bandwidth is None else 1 / (2 * math.pi * bandwidth))
 
 
-def _finger_contrasts(rig: Simulator, task: Task) -> dict[tuple[str, str], float]:
-    """Return the contrasts of what whole fingers meet, by the pair's zones [1]."""
+def _finger_peaks(rig: Simulator, task: Task) -> dict[str, float]:
+    """Return the highest speed that a whole finger meets at each zone [m/s]."""
     half = rig.twin.beam.table.length / 2
     under = np.linspace(-FINGER / 2, FINGER / 2, FINGER_POINTS)
     places = np.clip([centre + under for centre in task.zones.values()], -half, half)
     speeds = rig.twin.felt(rig.playbacks, places.ravel().tolist()).reshape(places.shape).max(axis=1)
-    peak = dict(zip(task.zones, speeds.tolist(), strict=True))
-    return {(left, right): contrast(peak[left], peak[right]) for left, right in task.pairs}
+    return dict(zip(task.zones, speeds.tolist(), strict=True))
 
 
 VOLTAGE = 10.0
@@ -259,8 +243,15 @@ def contend(
     centre = without_mismatch(apparatus)
     designed = design_all(known, stimulus.release, stimulus.load_factor)
     zones = {name: zone.centre_mm * 1e-3 for name, zone in apparatus.zones.items()}
-    pairs = preflight.experiment.protocol.conditions.pairs
-    task = Task(stimulus.target_field, stimulus.timing.focusing_instant, zones, pairs, stimulus.projection.field)
+    protocol = preflight.experiment.protocol
+    task = Task(
+        target_field=stimulus.target_field,
+        instant=stimulus.timing.focusing_instant,
+        zones=zones,
+        focus=protocol.stimulus.focus,
+        pairs=protocol.conditions.pairs,
+        selected=stimulus.projection.field,
+    )
     sent = _play(centre, designed, stimulus.target_field.velocity, progress)
     verdicts = [judge(each.on_beam(centre, seed), task) for each in sent]
     changed: list[list[DriveAssessment]] = [[] for _ in designed]
