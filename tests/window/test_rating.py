@@ -12,11 +12,14 @@ from modaltouch.planning.observer import Participant
 from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.questions import QuestionSection, ScaleSection
 from modaltouch.protocol.trial import Response, Trial
+from modaltouch.window.buttons import typesetter_of
 from modaltouch.window.interface import Event, Progress, SessionStopped
 from modaltouch.window.layout import lay_out
-from modaltouch.window.rating import Entry
+from modaltouch.window.rating import Entry, draw_scale
 from modaltouch.window.robot import Robot
+from modaltouch.window.shapes import Words
 from modaltouch.window.simulated import Answerer
+from modaltouch.window.theme import DARK
 
 PROGRESS = Progress(5, 12)
 VAS = {"kind": "vas", "words": ["not at all", "extremely"]}
@@ -234,3 +237,16 @@ def test_no_part_of_a_scale_covers_another(experiment: Any, size: tuple[int, int
         for other in boxes[place + 1 :]:
             apart = box.right <= other.left or other.right <= box.left or box.bottom >= other.top
             assert apart or other.bottom >= box.top
+
+
+@pytest.mark.parametrize("size", [(800, 600), (1280, 800)])
+def test_the_words_of_all_points_have_one_size_and_are_legible(experiment: Any, size: tuple[int, int]) -> None:
+    """Seven points, the longest words of three: on two lines, a capital of 1.3 % of the window's height and more."""
+    words = ["very unpleasant indeed", "unpleasant", "rather unpleasant", "neither", "rather pleasant", "pleasant"]
+    points = ScaleSection.model_validate({"kind": "likert", "words": [*words, "very pleasant indeed"]})
+    layout = lay_out(*size, ("A", "B", "C"), AnswerList.of({}), points)
+    marks = draw_scale(layout, DARK, experiment.texts, points, "", confirmed=False, keys=True)
+    drawn = [mark for mark in marks if isinstance(mark, Words) and mark.text in points.words]
+    (height,) = {typesetter_of(experiment.texts).set_type(mark, size[1]).size / size[1] for mark in drawn}
+    assert len(drawn) == 7
+    assert 0.714 * height >= 0.013

@@ -105,7 +105,7 @@ class Buttons:
 
     def _common_size(self, labels: list[str], box: Box, size: float) -> float:
         """Return the size of type, up to an intended one, at which every label fits a box."""
-        return size * _common_share(typesetter_of(self.texts), tuple(labels), box, size)
+        return size * common_share(typesetter_of(self.texts), tuple(labels), box, size)
 
 
 def key_caps(texts: Texts, theme: Theme, keys: Sequence[str], box: Box) -> tuple[Mark, ...]:
@@ -130,7 +130,7 @@ def key_caps(texts: Texts, theme: Theme, keys: Sequence[str], box: Box) -> tuple
 
 
 @cache
-def _common_share(typesetter: Typesetter, labels: tuple[str, ...], box: Box, size: float) -> float:
+def common_share(typesetter: Typesetter, labels: tuple[str, ...], box: Box, size: float) -> float:
     """Return the share of the intended size at which every label fits a box [1]; drawn again with every question."""
     words = (Words(label, box, size, "", bold=True) for label in labels)
     return min(typesetter.set_type(each, _REFERENCE).share for each in words)

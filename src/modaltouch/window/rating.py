@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 from modaltouch.protocol import ScaleSection, Texts
-from modaltouch.window.buttons import key_caps, key_name, typesetter_of
+from modaltouch.window.buttons import common_share, key_caps, key_name, typesetter_of
 from modaltouch.window.interface import Event
 from modaltouch.window.layout import Layout
 from modaltouch.window.shapes import Box, Mark, Words, capsule, framed, rectangle, triangle
 from modaltouch.window.theme import Theme
+from modaltouch.window.typesetting import Typesetter
 
 _MOVES = {"lower": -1, "higher": 1, "ten_lower": -10, "ten_higher": 10}
 _BEFORE_CREEPING, _CREEP = 0.4, 0.03
@@ -130,7 +130,7 @@ def draw_scale(
     parts = {"vas": _draw_line, "likert": _draw_points, "number": _draw_keypad}
     marks = parts[scale.kind](layout, theme, entered, [f"{point:.10g}" for point in scale.points], confirmed)
     words = tuple(texts.answers.get(each, each) for each in scale.words)
-    marks += _draw_words(layout, theme, words, typesetter_of(texts).measure)
+    marks += _draw_words(layout, theme, words, typesetter_of(texts))
     if scale.kind == "number" and math.isfinite(scale.high) and not entered:
         field = _field(layout)
         marks.append(Words(f"{scale.low:g} – {scale.high:g}", field.inset(0.008), 0.03, theme.dim))
@@ -194,16 +194,17 @@ def _draw_keypad(layout: Layout, theme: Theme, entered: str, names: list[str], c
     return marks
 
 
-def _draw_words(layout: Layout, theme: Theme, words: tuple[str, ...], measure: Callable[[str], float]) -> list[Mark]:
+def _draw_words(layout: Layout, theme: Theme, words: tuple[str, ...], typesetter: Typesetter) -> list[Mark]:
     """Return the words under the points, or under the two ends and turned towards the middle."""
     if not words:
         return []
     boxes = [box for name, box in layout.buttons.items() if name != "confirm"]
-    y, height, size = min(box.bottom for box in boxes) - 0.028, 0.05, 0.03 * layout.type_scale
+    under, size = min(box.bottom for box in boxes), 0.03 * layout.type_scale
     if len(words) == len(boxes):
-        places = [Box(box.x, y, box.width * 1.12, height) for box in boxes]
-        size = min(size, *(place.width / max(measure(text), 1) for text, place in zip(words, places, strict=True)))
+        places = [Box(box.x, under - 0.043, box.width * 1.12, 0.07) for box in boxes]
+        size *= common_share(typesetter, words, places[0], size)
     else:
+        y, height, measure = under - 0.028, 0.05, typesetter.measure
         left, right = min(box.left for box in boxes), max(box.right for box in boxes)
         widths = [min(0.36 * (right - left), (measure(text) + 1) * size) for text in words]
         reach = [max(width / 2 - 0.02, 0.02) for width in widths]
