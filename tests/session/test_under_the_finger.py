@@ -83,10 +83,10 @@ def test_levels_are_equalised_in_a_band(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("band", "words"),
     [
-        ("[1000, 20]", "given 1000 to 20 Hz; allowed: a band that rises"),
+        ("[1000, 20]", "given 1000 to 20 Hz, with fingers mine.yaml; allowed: a band that rises"),
         (
             "[20, 1000]\n  priority: level",
-            "given a band, on an untouched beam or with the level first; allowed: fingers",
+            "given level, with the equalise_band_Hz (20.0, 1000.0); allowed: field",
         ),
     ],
 )

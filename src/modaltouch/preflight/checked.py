@@ -143,9 +143,7 @@ class Preflight:
         return replace(
             self,
             findings=findings,
-            inputs=replace(
-                self.inputs, levels={key: level * self.inputs.share for key, level in findings.levels.items()}
-            ),
+            inputs=replace(self.inputs, levels={key: v * self.inputs.share for key, v in findings.levels.items()}),
             variants={name: part.with_levels(levels_mm_s) for name, part in self.variants.items()},
             placed={name: part.with_levels(levels_mm_s) for name, part in self.placed.items()},
         )

@@ -23,17 +23,14 @@ def equalised(inputs: DesignInputs, stimulus: Stimulus, first: tuple[DesignInput
     first : (DesignInputs, Stimulus)
         Of the first placement.
     """
-    if inputs.section.equalise_band_Hz is None:
-        return inputs
     share = round(_band_velocity(*first) / _band_velocity(inputs, stimulus), 4)
     return replace(inputs, levels={key: level * share for key, level in inputs.levels.items()}, share=share)
 
 
 def _band_velocity(inputs: DesignInputs, stimulus: Stimulus) -> float:
     """Return the root mean square velocity at the focus in the band, over the level [1]."""
-    level, band = inputs.reference * 1e-3, inputs.section.equalise_band_Hz
+    level, (low, high) = inputs.reference * 1e-3, inputs.section.equalise_band_Hz or (0.0, np.inf)
     velocity = stimulus.velocity_history([inputs.centre_mm * 1e-3], level, whole_period=True)[0]
     frequency = np.fft.rfftfreq(velocity.size, 1 / stimulus.timing.sampling_rate)
     size = np.abs(np.fft.rfft(velocity)) / velocity.size
-    inside = (0.0, np.inf) if band is None else band
-    return float(np.sqrt(2 * (size[(frequency >= inside[0]) & (frequency <= inside[1])] ** 2).sum())) / level
+    return float(np.sqrt(2 * (size[(frequency >= low) & (frequency <= high)] ** 2).sum())) / level

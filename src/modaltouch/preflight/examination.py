@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from modaltouch.preflight.checked import Preflight
 from modaltouch.preflight.design_inputs import DesignInputs, design, find_ground
-from modaltouch.preflight.equalised import equalised
 from modaltouch.protocol import Apparatus, Findings, Problem, Schedule
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Burst, Release, Stimulus
@@ -262,11 +261,11 @@ def _examine_placements(findings: Findings, inputs: DesignInputs) -> Preflight:
         if same is not None and same.inputs is not None:
             placed[name] = replace(same, inputs=replace(same.inputs, fingers=fingers))
             continue
-        examined = placed[name] = _examine_one(findings, own)
-        first = next(iter(placed.values()))
-        if examined is not first and not {*examined.problems, *first.problems}:
-            scaled = equalised(*examined.sound, first.sound)
-            placed[name] = examined if scaled is examined.inputs else _examine_one(findings, scaled)
+        placed[name], first = _examine_one(findings, own), next(iter(placed.values()), None)
+        if own.section.equalise_band_Hz and first and not {*placed[name].problems, *first.problems}:
+            from modaltouch.preflight.equalised import equalised
+
+            placed[name] = _examine_one(findings, equalised(*placed[name].sound, first.sound))
     first = next(iter(placed.values()))
     problems = {
         replace(problem, given=f"{problem.given} under fingers at {name}")

@@ -96,7 +96,8 @@ def _designed(part: Preflight, place: str, by_zone: Mapping[str, Finger], modes:
     own = replace(own, levels=part.sound[0].levels, share=1.0)
     own = own if on_focus is None else replace(own, centre_mm=on_focus.position * 1e3)
     stimulus = design_to_fit(own)
-    if (scaled := equalised(own, stimulus, part.sound)) is not own:
-        own, stimulus = scaled, design_to_fit(scaled)
+    if own.section.equalise_band_Hz:
+        own = equalised(own, stimulus, part.sound)
+        stimulus = design_to_fit(own)
     designed = replace(part.placed[place], inputs=own, designed=stimulus, attainable=attainable_level(own, stimulus))
     return replace(part, placed=part.placed | {place: designed})

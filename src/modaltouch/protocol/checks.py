@@ -166,18 +166,15 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
         if (other := reading.sound(*section, key)) not in (None, value):
             given = f"{other}, which the paper's law does not know"
             yield reading.problem((*section, key), given, f"{value}, or the law exact", "leave it out")
-    usual = {"law": "exact", "design": "least_energy"}
-    for key, value in usual.items() if reading.sound(*section, "priority") == "level" else ():
-        if (other := reading.sound(*section, key)) not in (None, value):
-            given, allowed = f"level, with the {key} {other}", "field, or the law exact of least energy"
+    usual = {"law": "exact", "design": "least_energy", "equalise_band_Hz": None}
+    for key, known in usual.items() if reading.sound(*section, "priority") == "level" else ():
+        if (other := reading.sound(*section, key)) not in (None, known):
+            given, allowed = f"level, with the {key} {other}", "field, or the law exact of least energy without a band"
             yield reading.problem((*section, "priority"), given, allowed, "leave one of them out")
-    if (band := reading.sound(*section, "equalise_band_Hz")) is not None:
-        if band[0] >= band[1]:
-            given = f"{band[0]:g} to {band[1]:g} Hz"
-            yield reading.problem((*section, "equalise_band_Hz"), given, "a band that rises", "turn it round")
-        if reading.sound(*section, "fingers") == "none" or reading.sound(*section, "priority") == "level":
-            given, allowed = "a band, on an untouched beam or with the level first", "fingers, the field first"
-            yield reading.problem((*section, "equalise_band_Hz"), given, allowed, "leave it out")
+    band, fingers = (reading.sound(*section, key) for key in ("equalise_band_Hz", "fingers"))
+    if band is not None and (band[0] >= band[1] or fingers == "none"):
+        given = f"{band[0]:g} to {band[1]:g} Hz, with fingers {fingers}"
+        yield reading.problem((*section, "equalise_band_Hz"), given, "a band that rises, with fingers", "leave it out")
     yield from _doubled(reading, (*section, "selected_modes"), "mode")
     n_decomposed = reading.sound(*section, "decomposed_modes")
     for index, label in reading.items(*section, "selected_modes"):
