@@ -195,8 +195,18 @@ def test_other_fingers_in_the_record_are_noticed(session: Session, tmp_path: Pat
     assert any("the fingers found in its burst give a delivered speed_left_mm_s of" in each for each in problems)
 
 
-def test_an_interrupted_session_measures_anew(session: Session, tmp_path: Path) -> None:
-    """Cut before its last answer: hands off again, the fingers measured again, and a record that holds."""
+def test_an_interrupted_session_measures_anew(
+    session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cut before its last answer: hands off again, the fingers measured again, and a record that holds.
+
+    A scope that fails by then is said, and ends no session.
+    """
+
+    def lost(self: Prober, *_: Any) -> None:
+        raise RigError("the PicoScope refuses RunBlock")
+
+    monkeypatch.setattr(Prober, "arm", lost)
     copied = Path(shutil.copytree(session.path.parents[5], tmp_path / "copy"))
     log = copied / session.path.relative_to(session.path.parents[5])
     log.write_bytes(b"".join(log.read_bytes().splitlines(keepends=True)[: session.trials[-2]["n"]]))
@@ -205,6 +215,7 @@ def test_an_interrupted_session_measures_anew(session: Session, tmp_path: Path) 
     done = resume(wire_resume(log))
     assert done.complete
     assert len(events(done, "hands_off")) == 2
+    assert done.trials[-1]["delivered"] == {"refused": "the PicoScope refuses RunBlock"}
     assert audit_session(Session.find(done.path)).problems == ()
 
 

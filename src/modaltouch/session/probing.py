@@ -45,7 +45,7 @@ class Probing:
         What the latest look at a burst took, which the pause after its trial makes up for [s].
     """
 
-    busy, _listens = 0.0, False
+    busy = 0.0
 
     def __init__(
         self, preflight: Preflight, prober: Prober, rig: Rig, window: AnswerWindow, log: SessionLog, clock: Clock
@@ -54,6 +54,7 @@ class Probing:
         self._prober, self._rig, self._window, self._log, self._clock = prober, rig, window, log, clock
         self._block: int | None = None
         self._loaded: list[str] = []
+        self._heard: dict[str, Any] = {}
 
     def which(self, trial: Trial) -> int:
         """Return which of the loaded bursts a trial is presented with."""
@@ -112,37 +113,36 @@ class Probing:
         self._window.tell_measuring(max(GAP - (self._clock.now() - ended), 0.0))
 
     def listen(self, trial: Trial) -> None:
-        """Have the first burst of a trial, if it has any, recorded at the vibrometer's spot.
-
-        Raises
-        ------
-        RigError
-            If the scope fails.
-        """
-        condition, self.busy, self._listens = trial.condition, 0.0, not trial.condition.is_catch
-        if self._listens:
-            part = self.preflight.designs[self.preflight.design_of(condition)]
-            self._prober.arm(*part.sound, self.preflight.played(condition, condition.velocity_mm_s))
+        """Have the first burst of a trial, if it has any, recorded at the vibrometer's spot."""
+        condition, self.busy, self._heard = trial.condition, 0.0, {}
+        if condition.is_catch:
+            return
+        try:
+            inputs, stimulus = self.preflight.designs[self.preflight.design_of(condition)].sound
+            self._prober.arm(inputs, stimulus, self.preflight.played(condition, condition.velocity_mm_s))
+            self._heard = {"delivered": {}}
+        except RigError as error:
+            self._heard = {"delivered": {"refused": str(error)}}
 
     def delivered(self, trial: Trial) -> dict[str, Any]:
         """Return what the record of that burst says: the speeds that the fingers got, with their 95 % intervals.
 
-        Fingers that drifted are not measured anew before the next placement.
+        Fingers that drifted are not measured anew before the next placement. A scope that fails ends no session.
         """
-        if not self._listens:
-            return {}
+        if self._heard != {"delivered": {}}:
+            return self._heard
         began = self._clock.now()
         try:
             found = self._prober.delivered()
+            widths, told = found.pop("half_width_mm_s"), delivered_figures(self.preflight, trial, found)
+            for side, zone in zip(trial.condition.sides, trial.condition.zones, strict=True):
+                speed = told[f"speed_{side}_mm_s"]
+                told[f"interval_{side}_mm_s"] = [round(speed + sign * widths[zone], 3) for sign in (-1, 1)]
+            return {"delivered": told | found}
         except (ValueError, RigError) as error:
             return {"delivered": {"refused": str(error)}}
         finally:
             self.busy = self._clock.now() - began
-        widths, told = found.pop("half_width_mm_s"), delivered_figures(self.preflight, trial, found)
-        for side, zone in zip(trial.condition.sides, trial.condition.zones, strict=True):
-            speed = told[f"speed_{side}_mm_s"]
-            told[f"interval_{side}_mm_s"] = [round(speed + sign * widths[zone], 3) for sign in (-1, 1)]
-        return {"delivered": told | found}
 
     @property
     def _settings(self) -> dict[str, float]:
