@@ -65,9 +65,20 @@ def _level(protocol, condition) -> str:
     if condition.is_catch:
         return "nothing"
     if protocol.adaptive is not None:
-        return "as the run says"
-    multiple = protocol.conditions.sensation_levels is not None
-    return f"{condition.velocity_mm_s:g} {'× threshold' if multiple else 'mm/s'}"
+        return "set by the adaptive run"
+    own = protocol.conditions.sensation_levels
+    if own is None:
+        return f"{condition.velocity_mm_s:g} mm/s"
+    # Until a threshold is known, the order is drawn for the highest that can be used.
+    highest = max(protocol.conditions.peak_velocities_mm_s)
+    return f"{condition.velocity_mm_s / highest * max(own.multiples):.3g} × threshold"
+
+
+def _levels(protocol) -> str:
+    levels = [f"{level:g}" for level in protocol.conditions.peak_velocities_mm_s]
+    if protocol.adaptive is None and protocol.conditions.sensation_levels is None:
+        return f"{', '.join(levels)} mm/s"
+    return f"{levels[0]} to {levels[-1]} mm/s"
 
 
 def _screens(preflight, name: str, static: Path) -> str:
@@ -96,11 +107,7 @@ def write_gallery(folder: Path, static: Path) -> None:
         facts = [
             ("trials", f"{values['n_trials']}, and {values['n_practice_trials']} for practice"),
             ("length", f"about {values['estimated_duration_min']:.0f} min"),
-            (
-                "levels",
-                ", ".join(f"{level:g}" for level in preflight.experiment.protocol.conditions.peak_velocities_mm_s)
-                + " mm/s",
-            ),
+            ("levels", _levels(preflight.experiment.protocol)),
             ("answers", answers),
             ("modes", ", ".join(map(str, values["stimuli"][-1]["selected_modes"]))),
         ]
