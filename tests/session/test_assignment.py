@@ -42,12 +42,12 @@ def sit(
 ) -> tuple[int, SessionLog]:
     """Record a session as the program does, as far as the assignment reads it; return its turn and its open log."""
     drawn_as = drawn_as or place.session
-    assignment = assign_turn(place, protocol, drawn_as)
-    schedule = Schedule.draw(protocol, place.participant, 1, drawn_as, given=assignment.turn)
+    turn, _ = assign_turn(place, protocol, drawn_as)
+    schedule = Schedule.draw(protocol, place.participant, 1, drawn_as, given=turn)
     about = {"mode": place.mode, "protocol": place.protocol}
     facts = {**about, "participant": place.participant, "session": place.session, "seed": 1}
     log = SessionLog.create(place.log, "start", **facts, schedule={**schedule.as_dict(), "n_trials": int(not complete)})
-    return assignment.turn.number, log
+    return turn.number, log
 
 
 def test_participants_take_the_turns_one_after_the_other(tmp_path: Path) -> None:
@@ -73,18 +73,18 @@ def test_a_gap_left_by_a_dropout_is_filled_next(tmp_path: Path) -> None:
 def test_a_session_that_runs_now_fills_its_turn(tmp_path: Path) -> None:
     """Its log is locked by its process, so it is no dropout; once its process is gone, it is one."""
     first, log = sit(place_of(tmp_path, "p1"), FOUR, complete=False)
-    beside = assign_turn(place_of(tmp_path, "p2"), FOUR, 1)
-    assert (first, beside.turn.number, beside.filled) == (0, 1, {0: 1})
+    beside, balance = assign_turn(place_of(tmp_path, "p2"), FOUR, 1)
+    assert (first, beside.number, balance["filled"]) == (0, 1, {"0": 1})
     log.close()
-    after = assign_turn(place_of(tmp_path, "p2"), FOUR, 1)
-    assert (after.filled, after.left) == ({}, {0: 1})
+    _, after = assign_turn(place_of(tmp_path, "p2"), FOUR, 1)
+    assert (after["filled"], after["left_incomplete"]) == ({}, {"0": 1})
 
 
 def test_an_incomplete_session_decides_between_turns_filled_alike(tmp_path: Path) -> None:
     """It may be resumed yet: as long as others are as empty, its turn comes last."""
     _, log = sit(place_of(tmp_path, "p1"), FOUR, complete=False)
     log.close()
-    assert [assign_turn(place_of(tmp_path, name), FOUR, 1).turn.number for name in ("p2", "p3")] == [1, 1]
+    assert [assign_turn(place_of(tmp_path, name), FOUR, 1)[0].number for name in ("p2", "p3")] == [1, 1]
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -109,11 +109,11 @@ def test_sessions_of_one_participant_take_turns_whatever_others_fill(tmp_path: P
     second, log = sit(place_of(tmp_path, "p1", 2), FOUR, complete=True)
     log.close()
     assert (first, other, second) == (0, 1, 1)
-    third = assign_turn(place_of(tmp_path, "p3"), FOUR, 1)
-    assert third.turn.number == 2
-    assert third.filled == {0: 1, 1: 1}
-    again = assign_turn(place_of(tmp_path, "p1", 3), FOUR, 3)
-    assert (again.turn.number, again.turn.reason) == (2, "the participant's earlier sessions")
+    third, balance = assign_turn(place_of(tmp_path, "p3"), FOUR, 1)
+    assert third.number == 2
+    assert balance["filled"] == {"0": 1, "1": 1}
+    again, _ = assign_turn(place_of(tmp_path, "p1", 3), FOUR, 3)
+    assert (again.number, again.reason) == (2, "the participant's earlier sessions")
 
 
 def test_sessions_drawn_by_number_count_with_their_own_turn(tmp_path: Path) -> None:
@@ -123,13 +123,13 @@ def test_sessions_drawn_by_number_count_with_their_own_turn(tmp_path: Path) -> N
     facts = {"participant": "p02", "session": 1, "seed": 1}
     SessionLog.create(place.log, "start", **facts, schedule={**schedule.as_dict(), "n_trials": 0}).close()
     assert Turn.of("p02", 1, 1).number == 1
-    assert assign_turn(place_of(tmp_path, "p07"), FOUR, 1).filled == {1: 1}
+    assert assign_turn(place_of(tmp_path, "p07"), FOUR, 1)[1]["filled"] == {"1": 1}
 
 
 def test_a_given_turn_is_in_the_record_and_draws_the_same_schedule_again(tmp_path: Path) -> None:
     """Order, placement and reason come from the record alone; without a given turn there is no trace of it."""
-    assignment = assign_turn(place_of(tmp_path, "p9"), FOUR, 1)
-    schedule = Schedule.draw(FOUR, "p9", 1, given=replace(assignment.turn, number=3))
+    turn, _ = assign_turn(place_of(tmp_path, "p9"), FOUR, 1)
+    schedule = Schedule.draw(FOUR, "p9", 1, given=replace(turn, number=3))
     start = {"schedule": schedule.as_dict()}
     assert Schedule.draw(FOUR, "p9", 1, given=Turn.recorded(start)) == schedule
     assert schedule.finger_conditions_by == "least filled in the records"
@@ -212,6 +212,6 @@ def test_completeness_is_read_from_the_last_line_or_else_from_all_of_them(tmp_pa
         logs[name] = log.path
     with logs["torn"].open("ab") as file:
         file.write(b'{"n":2,"event":"st')
-    seen = assign_turn(place_of(tmp_path, "new"), FOUR, 1)
-    assert sum(seen.filled.values()) == 3
-    assert sum(seen.left.values()) == 1
+    _, seen = assign_turn(place_of(tmp_path, "new"), FOUR, 1)
+    assert sum(seen["filled"].values()) == 3
+    assert sum(seen["left_incomplete"].values()) == 1

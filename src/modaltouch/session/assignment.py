@@ -12,7 +12,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -24,39 +24,12 @@ LEAST_FILLED = "least filled in the records"
 """What decides a turn or a group where the records do."""
 
 
-@dataclass(frozen=True)
-class Assignment:
-    """A participant's turn and why it is theirs.
+def assign_turn(
+    place: SessionFolder, protocol: Protocol, drawn_as: int, group: str = ""
+) -> tuple[Turn, dict[str, Any]]:
+    """Return the turn of a participant whose session begins, and for the record why it is theirs.
 
-    Attributes
-    ----------
-    turn : Turn
-        Number and reason.
-    n_turns : int
-        Turns there are before orders, placements and rows repeat.
-    filled, left : dict of int to int
-        How many other participants had filled each turn, and left it incomplete; turns without any are not in it.
-    """
-
-    turn: Turn
-    n_turns: int
-    filled: dict[int, int]
-    left: dict[int, int]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return it as plain values for the record."""
-        return {
-            "rule": "least_filled",
-            "turn": self.turn.number,
-            "reason": self.turn.reason,
-            "n_turns": self.n_turns,
-            "filled": {str(turn): n for turn, n in sorted(self.filled.items())},
-            "left_incomplete": {str(turn): n for turn, n in sorted(self.left.items())},
-        }
-
-
-def assign_turn(place: SessionFolder, protocol: Protocol, drawn_as: int, group: str = "") -> Assignment:
-    """Return the turn of a participant whose session begins; to be called while the dataset is held.
+    To be called while the dataset is held.
 
     Parameters
     ----------
@@ -92,7 +65,15 @@ def assign_turn(place: SessionFolder, protocol: Protocol, drawn_as: int, group: 
     else:
         own = min(range(n_turns), key=lambda turn: (filled[turn], left[turn], turn))
         reason = LEAST_FILLED
-    return Assignment(Turn(own + drawn_as - 1, reason), n_turns, dict(filled), dict(left))
+    turn = Turn(own + drawn_as - 1, reason)
+    return turn, {
+        "rule": "least_filled",
+        "turn": turn.number,
+        "reason": reason,
+        "n_turns": n_turns,
+        "filled": {str(turn): n for turn, n in sorted(filled.items())},
+        "left_incomplete": {str(turn): n for turn, n in sorted(left.items())},
+    }
 
 
 def assign_group(place: SessionFolder, protocol: Protocol, seed: int, given: str | None = None) -> tuple[str, str]:

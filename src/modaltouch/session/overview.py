@@ -88,7 +88,7 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
             for kind in gaps or [""]
         }
         if protocol.schedule.balance == "least_filled":
-            turns[new.participant] = assign_turn(new, protocols[group, kinds[1]], 1, group).turn.number
+            turns[new.participant] = assign_turn(new, protocols[group, kinds[1]], 1, group)[0].number
         else:
             turns[new.participant] = Turn.of(new.participant, int(start["seed"]), 1, protocol.groups).number
     except (InputError, RecordError, LookupError, AttributeError, TypeError, ValueError) as error:

@@ -277,10 +277,10 @@ def _with_assigned_turn(setup: Setup) -> Setup:
                 f"the group {drawn.group} for participant {drawn.participant}, which another session has taken since"
             )
             raise RecordInputError(f"{given}; due is {due}: begin again, or keep it with --group {drawn.group}")
-    assignment = assign_turn(setup.place, protocol, setup.drawn_as, drawn.group)
-    turn = replace(assignment.turn, group=drawn.group, group_by=drawn.group_by)
+    turn, balance = assign_turn(setup.place, protocol, setup.drawn_as, drawn.group)
+    turn = replace(turn, group=drawn.group, group_by=drawn.group_by)
     schedule = Schedule.draw(protocol, drawn.participant, drawn.seed, drawn.session, given=turn)
-    return replace(setup, schedule=schedule, facts={**setup.facts, "balance": assignment.as_dict()})
+    return replace(setup, schedule=schedule, facts={**setup.facts, "balance": balance})
 
 
 def _of_generator(setup: Setup, rig: Rig) -> Setup:
