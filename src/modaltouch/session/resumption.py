@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -31,36 +31,12 @@ CLOCK_TOLERANCE = 60.0
 """A clock this far off is being kept right by the network, not set back [s]."""
 
 
-@dataclass(frozen=True)
-class SessionInterruption:
-    """How a session ended before its end.
+def examine_interruption(session: Session, *, now: datetime, clock: float, boot: str) -> dict[str, Any]:
+    """Return how a session was interrupted, as its record will say it.
 
-    Attributes
-    ----------
-    reason : str
-        As its stop record says, or ``killed`` where there is none.
-    last_line : int
-        Number of the last sound line.
-    last_time : str
-        Latest time of day in the record (UTC).
-    age_s : float
-        Time since then, at least [s].
-    clock_set_back_s : float
-        How far the clock of this machine is known to be behind, at least; 0 if it is not known to be [s].
-    cut_trial : dict or None
-        The trial whose stimulus had begun and that got no answer.
-    """
-
-    reason: str
-    last_line: int
-    last_time: str
-    age_s: float
-    clock_set_back_s: float
-    cut_trial: dict[str, Any] | None
-
-
-def examine_interruption(session: Session, *, now: datetime, clock: float, boot: str) -> SessionInterruption:
-    """Return how a session was interrupted.
+    The reason is that of its stop record, or ``killed`` where there is none; the age is the least that it can be, and
+    so is how far the clock of this machine is behind (0 if it is not known to be); the trial that was cut is the one
+    whose stimulus had begun and that got no answer.
 
     Parameters
     ----------
@@ -80,17 +56,17 @@ def examine_interruption(session: Session, *, now: datetime, clock: float, boot:
     boots = [event["boot"] for event in events if event.get("boot")]
     counted = clock - last["clock"] if boot and boots and boots[-1] == boot else 0.0
     behind = max(counted, 0.0) - passed
-    return SessionInterruption(
-        reason=str(last["reason"]) if last["event"] == "stop" else "killed",
-        last_line=int(last["n"]),
-        last_time=latest.isoformat(timespec="milliseconds"),
-        age_s=round(max(passed, counted, 0.0), 1),
-        clock_set_back_s=round(behind, 1) if behind > CLOCK_TOLERANCE else 0.0,
-        cut_trial=_cut_trial(session),
-    )
+    return {
+        "reason": str(last["reason"]) if last["event"] == "stop" else "killed",
+        "last_line": int(last["n"]),
+        "last_time": latest.isoformat(timespec="milliseconds"),
+        "age_s": round(max(passed, counted, 0.0), 1),
+        "clock_set_back_s": round(behind, 1) if behind > CLOCK_TOLERANCE else 0.0,
+        "cut_trial": _cut_trial(session),
+    }
 
 
-def refuse_failed(session: Session, interruption: SessionInterruption) -> None:
+def refuse_failed(session: Session, interruption: dict[str, Any]) -> None:
     """Raise if a session ended because its practice was not passed: it would only end again.
 
     Raises
@@ -98,14 +74,14 @@ def refuse_failed(session: Session, interruption: SessionInterruption) -> None:
     RecordInputError
         With the way to begin it anew.
     """
-    if interruption.reason == PRACTICE_FAILED:
+    if interruption["reason"] == PRACTICE_FAILED:
         raise RecordInputError(
             f"{session.path}: practice was not passed, and the protocol then ends the session "
             f"(schedule.after_failed_practice); {way_on(PRACTICE_FAILED, session.path.parent)}"
         )
 
 
-def refuse_old(session: Session, interruption: SessionInterruption, within_hours: float | None) -> None:
+def refuse_old(session: Session, interruption: dict[str, Any], within_hours: float | None) -> None:
     """Raise if the protocol does not let a session go on after so long a time.
 
     Raises
@@ -117,13 +93,13 @@ def refuse_old(session: Session, interruption: SessionInterruption, within_hours
         return
     anew = f"`modaltouch resume --restart {session.path.parent}` begins it anew, and keeps what was answered"
     limit = f"the protocol allows it to go on within {within_hours:g} h"
-    if interruption.clock_set_back_s:
+    if interruption["clock_set_back_s"]:
         raise RecordInputError(
-            f"{session.path}: the clock of this machine is at least {interruption.clock_set_back_s / 3600:.2g} h "
+            f"{session.path}: the clock of this machine is at least {interruption['clock_set_back_s'] / 3600:.2g} h "
             f"behind the record, so the age of the interruption is unknown, and {limit}; set the clock right, or: "
             f"{anew}"
         )
-    hours = interruption.age_s / 3600
+    hours = interruption["age_s"] / 3600
     ago = f"{hours:.1f} h" if hours >= 1 else f"{60 * hours:.1f} min"
     if hours > within_hours:
         raise RecordInputError(
@@ -146,7 +122,7 @@ def go_on(
     place: SessionFolder,
     schedule: Schedule,
     at: str,
-    cut: SessionInterruption,
+    cut: dict[str, Any],
     facts: dict[str, Any],
     clock: Clock = SYSTEM_CLOCK,
 ) -> SessionLog:
@@ -160,7 +136,7 @@ def go_on(
         Its trials.
     at : str
         ``schedule.resume.at``: where it goes on.
-    cut : SessionInterruption
+    cut : dict
         How it was interrupted.
     facts : dict
         What else the resume record says.
@@ -173,9 +149,9 @@ def go_on(
         If the log is damaged, in use, or cannot be written.
     """
     log = SessionLog.reopen(place.log, timed_by=clock)
-    log.append("resume", at=at, interruption=asdict(cut), **facts)
-    if cut.cut_trial is not None:
-        log.append("trial_cut", trial=cut.cut_trial, reason=f"interrupted ({cut.reason})")
+    log.append("resume", at=at, interruption=cut, **facts)
+    if cut["cut_trial"] is not None:
+        log.append("trial_cut", trial=cut["cut_trial"], reason=f"interrupted ({cut['reason']})")
     lines = answers_to_ask_again(log.session, schedule, at)
     if lines:
         log.append("withdrawn", lines=list(lines), reason="the block that was interrupted begins anew")
@@ -185,7 +161,7 @@ def go_on(
 def begin_anew(
     old: SessionFolder,
     place: SessionFolder,
-    cut: SessionInterruption,
+    cut: dict[str, Any],
     facts: dict[str, Any],
     clock: Clock = SYSTEM_CLOCK,
 ) -> SessionLog:
@@ -195,7 +171,7 @@ def begin_anew(
     ----------
     old, place : SessionFolder
         Where the interrupted session is recorded, and where the new one will be.
-    cut : SessionInterruption
+    cut : dict
         How the old one was interrupted.
     facts : dict
         What else the start record of the new one says.
@@ -209,9 +185,9 @@ def begin_anew(
     """
     with SessionLog.reopen(old.log) as log:
         if log.session.begun_anew_as is None:
-            log.append("closed", begun_anew_as=place.session, interruption=asdict(cut))
+            log.append("closed", begun_anew_as=place.session, interruption=cut)
         log.write_view(old)
-    begun = {"session": old.session, "interruption": asdict(cut)}
+    begun = {"session": old.session, "interruption": cut}
     return SessionLog.create(place.log, "start", timed_by=clock, **facts, begins_anew=begun)
 
 
