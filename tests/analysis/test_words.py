@@ -8,6 +8,7 @@ import pandas as pd
 import pytest
 from modaltouch.analysis.certificates import REASONS, certificates, certificates_of, say_certificates
 
+from modaltouch.analysis.certificates import REASONS, certificates, certificates_of, say_certificates
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.report import list_questions, speed_rows
 from modaltouch.analysis.statistics import find
