@@ -9,13 +9,13 @@ from typing import Any
 
 import pandas as pd
 
-from modaltouch.analysis.certificates import certificates_of, say_certificates, say_own
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.covariates import has_values
 from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.responses import cell_of
 from modaltouch.analysis.scale import OWN_THRESHOLD
+from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.analysis.strips import participant_strips
 from modaltouch.analysis.tables import PAPER_TEXT, zone_table
 from modaltouch.analysis.words import answer_question, headings, say_condition, say_interval, say_scope, state_families
@@ -70,7 +70,6 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
         tables={condition: _zone_rows(answers, condition) for condition in answers.finger_conditions},
         strips=participant_strips(answers),
         values=analysis.design.rows if analysis.design else [],
-        certified=say_own(analysis.design.rows) if analysis.design else "",
         speeds=speed_rows(analysis.responses.frame),
         delivered=delivered_rows(analysis.responses.frame),
         tests=list_questions(analysis.findings, answers),
@@ -260,7 +259,7 @@ def _part(name: str, rows: Sequence[Finding], answers: AnswerCounts) -> dict[str
     tested, corrected = any(row.p == row.p for row in rows), any(row.family for row in rows)
     return {
         "name": name + (" (exploratory, not corrected)" if tested and not corrected else ""),
-        "certificate": say_certificates(certificates_of(rows[0])),
+        "certificate": certificate_of(rows[0]),
         "tested": tested,
         "corrected": corrected,
         "folded": len(rows) > MOST_ROWS,
@@ -279,3 +278,18 @@ def _part(name: str, rows: Sequence[Finding], answers: AnswerCounts) -> dict[str
             for row in rows
         ],
     }
+
+
+_CERTIFICATES = {
+    "leaning": "leaning", "agreement": "agreement", "prevalence": "prevalence", "share of answers": "share",
+    "paired difference": "paired difference", "odds ratio": "odds ratio", "reaction times": "time", "false": "share",
+    "misses": "share", "bounded mean": "c mean", "d' over": "d'", "sign flips": "time", "signed ranks": "rank",
+    "permutation": "group", "Friedman": "friedman",
+}  # fmt: skip
+"""Certificates of what stands in no family, by a part of its name; the first that fits counts."""
+
+
+def certificate_of(finding: Finding) -> str:
+    """Return the word under which ``make certify`` certifies a test or interval; empty where it does not."""
+    known = (word for part, word in _CERTIFICATES.items() if part in finding.name)
+    return finding.family if finding.family in STATISTICS else next(known, "")
