@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from modaltouch.analysis.counts import AnswerCounts
-from modaltouch.analysis.ratings import Question, questions_of
-from modaltouch.analysis.responses import Responses
 from modaltouch.report import render_page
+
+if TYPE_CHECKING:
+    from modaltouch.analysis.ratings import Question
+    from modaltouch.analysis.responses import Responses
 
 
 def model_table(answers: AnswerCounts, frame: pd.DataFrame, asked: Sequence[Question] = ()) -> pd.DataFrame:
@@ -60,7 +62,11 @@ def terms_of_model(answers: AnswerCounts) -> list[str]:
 
 def model_files(answers: AnswerCounts, responses: Responses) -> dict[str, Any]:
     """Return the tidy table and the R script of the models, by file name."""
-    asked = questions_of(responses.design, responses.frame)
+    asked: Sequence[Question] = ()
+    if responses.tells_of_each:
+        from modaltouch.analysis.ratings import questions_of
+
+        asked = questions_of(responses.design, responses.frame)
     table, terms = model_table(answers, responses.frame, asked), terms_of_model(answers)
     if responses.groups:
         table.insert(1, "group", table["participant"].map(responses.groups))
