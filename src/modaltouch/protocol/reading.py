@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -212,7 +212,8 @@ def _translate(reading: Reading[Any], details: Any) -> Problem:
     if kind == "modaltouch":
         return reading.problem(path, context["given"], context["allowed"], context["remedy"])
     if kind == "extra_forbidden":
-        return reading.unknown(path, "a key here", keys_of(reading.model, path[:-1]), at_key=True)
+        problem = reading.unknown(path, "a key here", keys_of(reading.model, path[:-1]), at_key=True)
+        return problem if problem.remedy else replace(problem, remedy=_home_of(reading.model, path))
     if details["loc"] and details["loc"][-1] == "[key]":
         allowed = context.get("expected") or "a word of letters, digits, _ and -"
         return reading.problem(path, f"{path[-1]!r} as a key", allowed.replace(" or ", ", "), at_key=True)
@@ -225,6 +226,13 @@ def _translate(reading: Reading[Any], details: Any) -> Problem:
     given = _in_words(node) + (", which is not finite" if kind == "finite_number" else "")
     allowed = describe(reading.model, path) + _beyond_all(details["input"])
     return reading.problem(path, given, allowed, _remedy(reading, path, node))
+
+
+def _home_of(model: type[BaseModel], path: tuple[Step, ...]) -> str:
+    """Return where a key belongs that stands in another section, if anywhere."""
+    homes = ["the top of the file, not indented"] * (len(path) > 1 and path[-1] in model.model_fields)
+    homes += [f"the section {name}" for name in model.model_fields if path[-1] in keys_of(model, (name,))]
+    return f"it belongs to {' or '.join(homes[:2])}" if homes else ""
 
 
 def _beyond_all(value: object) -> str:

@@ -43,6 +43,8 @@ def faults(text: str) -> list[str]:
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
+        (GOOD + "  n_things: 1\n", "flag; it belongs to the top of the file, not indented"),
+        (GOOD + "law: paper\n", "pairs; it belongs to the section inner"),
         (GOOD + "  sped: 1\n", "x:4:3: inner.sped: given 'sped', which is not a key here; allowed: speed_mm_s, law"),
         (GOOD + "  speed_cm_s: 1\n", "did you mean 'speed_mm_s'?"),
         ("name: a\ninner: {}\n", "x:2:1: inner.speed_mm_s: given nothing; allowed: a number [mm/s] above 0; add the"),
