@@ -74,6 +74,9 @@ def test_the_record_is_whole_and_its_speeds_are_those_under_each_finger(answered
     rows = list(csv.DictReader(table.read_text(encoding="utf-8").splitlines(), delimiter="\t"))
     described = json.loads(table.with_suffix(".json").read_text(encoding="utf-8"))
     assert set(rows[0]) <= set(described)
+    # BIDS: where a column has levels, its values are among them.
+    levels = {name: {*column["Levels"], "n/a"} for name, column in described.items() if "Levels" in column}
+    assert [(name, row[name]) for row in rows for name in levels if row[name] not in levels[name]] == []
     assert sum(row["catch"] == "1" for row in rows) == 1
     (driven,) = (row for row in rows if row["trial"] == "1" and row["practice"] == "0")
     peaks = preflight.zone_peaks("", float(driven["velocity_mm_s"]))

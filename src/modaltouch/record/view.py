@@ -226,8 +226,11 @@ def form_text(session: Session) -> str:
 def _columns(session: Session) -> dict[str, dict[str, Any]]:
     """Return the columns of a session's table: those for catch trials and the answer none only where it has them."""
     design = session.start.get("design", {})
+    laid = COLUMNS["finger_condition"]
+    for name, fingers in design.get("conditions", {}).get("fingers", {}).items():
+        laid = laid | {"Levels": laid["Levels"] | {name: ", ".join(fingers)}}
     known = (
-        (True, COLUMNS | {"response": _describe_answers(design.get("answers", {}))}),
+        (True, COLUMNS | {"response": _describe_answers(design.get("answers", {})), "finger_condition": laid}),
         (session.start.get("schema", 1) > 1, COUNTED),
         (True, LINE),
         (design.get("schedule", {}).get("catch_trials"), {"catch": CATCH}),
