@@ -16,11 +16,13 @@ def test_person_is_asked_for_each_position(monkeypatch, capsys):
     monkeypatch.setattr("builtins.input", lambda: "")
     with bars() as showing:
         showing.show("field", 1, 2)
-        showing.aim(-0.0125)
+        showing.aim(-0.0125, 0.0)
+        showing.aim(-0.0125, 0.0025)
         showing.show("field", 2, 2)
     out, err = capsys.readouterr()
     assert out == ""
-    assert "-12.50 mm from mid-beam" in err
+    assert "-12.50 mm from mid-beam, then" in err
+    assert "-12.50 mm from mid-beam, +2.50 mm across from the mid-line, then" in err
     assert "2/2" in err
 
 
@@ -30,7 +32,7 @@ def test_interrupting_while_aiming_ends_it(monkeypatch):
     noting = signal.signal(signal.SIGINT, lambda *_: None)
     try:
         with bars() as showing, pytest.raises(KeyboardInterrupt):
-            showing.aim(0.0)
+            showing.aim(0.0, 0.0)
         assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, noting)
@@ -44,7 +46,7 @@ def test_nobody_there_is_said(monkeypatch):
 
     monkeypatch.setattr("builtins.input", closed)
     with bars() as showing, pytest.raises(typer.BadParameter, match="nobody is there to aim"):
-        showing.aim(0.0)
+        showing.aim(0.0, 0.0)
 
 
 def test_a_spot_moved_by_hand_is_asked_for_once_a_place(monkeypatch, capsys):
@@ -52,5 +54,5 @@ def test_a_spot_moved_by_hand_is_asked_for_once_a_place(monkeypatch, capsys):
     monkeypatch.setattr("builtins.input", lambda: "")
     with bars() as showing:
         for position in (0.01, 0.01, -0.01, 0.01):
-            showing.aim(position)
+            showing.aim(position, 0.0)
     assert re.findall(r"at ([+-][\d.]+) mm", capsys.readouterr().err) == ["+10.00", "-10.00", "+10.00"]

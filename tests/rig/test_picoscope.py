@@ -72,12 +72,6 @@ class Library:
                 buffer[index] = self.counts[channel]
 
 
-@pytest.fixture
-def aimed() -> list[float]:
-    """Positions that the vibrometer was brought to."""
-    return []
-
-
 TRANSCRIPT: list[tuple[Any, ...]] = [
     ("SetChannel", 0, 1, 1, 8, 0.0),  # A: on, DC, 5 V, for 200 mm/s at 50 mm/s per V
     ("SetChannel", 1, 1, 1, 7, 0.0),  # B: 2 V, for 180 V through a probe of 100 : 1
@@ -94,10 +88,10 @@ TRANSCRIPT: list[tuple[Any, ...]] = [
 ]
 
 
-def test_calls_are_those_of_the_transcript(apparatus: Apparatus, aimed: list[float]) -> None:
+def test_calls_are_those_of_the_transcript(apparatus: Apparatus) -> None:
     """Settings, trigger and one record, in the order and with the numbers of the maker's header and example."""
     library = Library()
-    with PicoScope(apparatus, aimed.append, driver=library) as scope:
+    with PicoScope(apparatus, driver=library) as scope:
         library.calls.clear()
         library.polls = 2
         scope.configure(
@@ -106,7 +100,6 @@ def test_calls_are_those_of_the_transcript(apparatus: Apparatus, aimed: list[flo
         seen = scope.measure(0.015)
         assert library.calls == TRANSCRIPT
     assert library.calls[-2:] == [("Stop",), ("CloseUnit",)]
-    assert aimed == [0.015]
     assert scope.identity == "PicoScope 3404D, serial GQ123/0042"
     assert seen.time[[0, 20]] == pytest.approx([-40e-6, 0.0], abs=1e-12)
     # A quarter of 5 V at 50 mm/s per V; minus half of 2 V through 100 : 1.
@@ -114,10 +107,10 @@ def test_calls_are_those_of_the_transcript(apparatus: Apparatus, aimed: list[flo
     np.testing.assert_allclose(seen.drive, np.full((1, 1, 100), -100.0))
 
 
-def test_a_burst_is_recorded_without_waiting_for_it(apparatus: Apparatus, aimed: list[float]) -> None:
+def test_a_burst_is_recorded_without_waiting_for_it(apparatus: Apparatus) -> None:
     """Armed at once, fetched later, where the vibrometer aims anyway; armed anew where that burst never came."""
     library = Library()
-    with PicoScope(apparatus, aimed.append, driver=library) as scope:
+    with PicoScope(apparatus, driver=library) as scope:
         scope.configure(Acquisition(n_samples=100, drives=()))
         library.calls.clear()
         scope.arm()
@@ -126,10 +119,10 @@ def test_a_burst_is_recorded_without_waiting_for_it(apparatus: Apparatus, aimed:
         assert [call[0] for call in library.calls] == ["RunBlock", "Stop", "RunBlock"]
         seen = scope.fetch(0.049)
         assert [call[0] for call in library.calls[3:]] == ["IsReady", "SetDataBuffer", "GetValues"]
-    assert (seen.velocity.shape, seen.position, aimed) == ((1, 100), 0.049, [])
+    assert (seen.velocity.shape, seen.position) == ((1, 100), 0.049)
 
 
-def test_every_call_names_the_scope(apparatus: Apparatus, aimed: list[float]) -> None:
+def test_every_call_names_the_scope(apparatus: Apparatus) -> None:
     """The handle that OpenUnit gave is the first argument of every other call."""
     handles = []
 
@@ -138,16 +131,16 @@ def test_every_call_names_the_scope(apparatus: Apparatus, aimed: list[float]) ->
             call = super().__getattr__(name)
             return lambda *arguments: handles.append(arguments[0]) or call(*arguments)
 
-    with PicoScope(apparatus, aimed.append, driver=Watching()):
+    with PicoScope(apparatus, driver=Watching()):
         pass
     assert all(isinstance(handle, ctypes.c_int16) and handle.value == HANDLE for handle in handles[1:])
 
 
-def test_both_drives_and_several_records_are_kept_apart(apparatus: Apparatus, aimed: list[float]) -> None:
+def test_both_drives_and_several_records_are_kept_apart(apparatus: Apparatus) -> None:
     """Input B is drive 1 and C is drive 2; an overload bit of any record names its input."""
     library = Library()
     library.overflow = 0b100
-    with PicoScope(apparatus, aimed.append, driver=library) as scope:
+    with PicoScope(apparatus, driver=library) as scope:
         scope.configure(Acquisition(n_samples=10, n_records=3, drives=(1, 2)))
         seen = scope.measure(0.0)
     assert seen.velocity.shape == (3, 10)
@@ -156,10 +149,10 @@ def test_both_drives_and_several_records_are_kept_apart(apparatus: Apparatus, ai
     assert seen.overloaded == ("drive 2",)
 
 
-def test_later_start_is_a_delay_of_the_trigger(apparatus: Apparatus, aimed: list[float]) -> None:
+def test_later_start_is_a_delay_of_the_trigger(apparatus: Apparatus) -> None:
     """24 ms at 1.25 MS/s are 30,000 samples of delay, and the time says so."""
     library = Library()
-    with PicoScope(apparatus, aimed.append, driver=library) as scope:
+    with PicoScope(apparatus, driver=library) as scope:
         library.calls.clear()
         scope.configure(Acquisition(sampling_rate=1.25e6, n_samples=50, start=0.024, drives=()))
         seen = scope.measure(0.0)
@@ -169,10 +162,10 @@ def test_later_start_is_a_delay_of_the_trigger(apparatus: Apparatus, aimed: list
     assert seen.drive.shape == (1, 0, 50)
 
 
-def test_scope_on_usb_power_goes_on(apparatus: Apparatus, aimed: list[float]) -> None:
+def test_scope_on_usb_power_goes_on(apparatus: Apparatus) -> None:
     """Status 282 at opening is answered by ChangePowerSource with the same number, as in the maker's example."""
     library = Library(OpenUnit=282)
-    with PicoScope(apparatus, aimed.append, driver=library):
+    with PicoScope(apparatus, driver=library):
         assert ("ChangePowerSource", 282) in library.calls
 
 
@@ -185,20 +178,18 @@ def test_scope_on_usb_power_goes_on(apparatus: Apparatus, aimed: list[float]) ->
         ({"GetTimebase2": 21}, r"refuses GetTimebase2 \(status 21.*131072 samples of 2 channels do not fit its memory"),
     ],
 )
-def test_failures_at_opening_say_what_to_do(
-    apparatus: Apparatus, aimed: list[float], statuses: dict[str, int], words: str
-) -> None:
+def test_failures_at_opening_say_what_to_do(apparatus: Apparatus, statuses: dict[str, int], words: str) -> None:
     """Every status but success is a `RigError`, and what was opened is closed."""
     library = Library(**statuses)
     with pytest.raises(RigError, match=words):
-        PicoScope(apparatus, aimed.append, driver=library)
+        PicoScope(apparatus, driver=library)
     assert ("OpenUnit" in statuses) != (("CloseUnit",) in library.calls)
 
 
-def test_trigger_that_never_comes_is_an_error(apparatus: Apparatus, aimed: list[float]) -> None:
+def test_trigger_that_never_comes_is_an_error(apparatus: Apparatus) -> None:
     """The scope is stopped, and the wiring named."""
     library = Library()
-    with PicoScope(apparatus, aimed.append, driver=library, trigger_wait=0.01) as scope:
+    with PicoScope(apparatus, driver=library, trigger_wait=0.01) as scope:
         scope.configure(Acquisition(n_samples=10))
         library.polls = 10**9
         with pytest.raises(RigError, match="no trigger came within 0.01.* wire the generator's trigger output"):
@@ -207,16 +198,16 @@ def test_trigger_that_never_comes_is_an_error(apparatus: Apparatus, aimed: list[
 
 
 def test_missing_library_is_said_only_when_a_scope_is_opened(
-    apparatus: Apparatus, aimed: list[float], monkeypatch: pytest.MonkeyPatch
+    apparatus: Apparatus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Importing the adapter loads nothing of Pico's; opening without it names what to install."""
     assert "picosdk" not in sys.modules
     monkeypatch.setitem(sys.modules, "picosdk.ps3000a", None)
     with pytest.raises(RigError, match="cannot be used here .* install the package picosdk"):
-        PicoScope(apparatus, aimed.append)
+        PicoScope(apparatus)
 
 
-def test_trigger_is_timed_between_two_questions(apparatus: Apparatus, aimed: list[float]) -> None:
+def test_trigger_is_timed_between_two_questions(apparatus: Apparatus) -> None:
     """A trigger that comes 30 ms after the command lies in the interval, which is as long as one question takes."""
     library = Library()
     began: list[float] = []
@@ -228,21 +219,21 @@ def test_trigger_is_timed_between_two_questions(apparatus: Apparatus, aimed: lis
     def is_ready(handle: Any, ready: Any) -> None:
         ready._obj.value = bool(began) and SYSTEM_CLOCK.now() >= began[0] + 100e-6
 
-    with PicoScope(apparatus, aimed.append, driver=library) as scope:
+    with PicoScope(apparatus, driver=library) as scope:
         library.on_IsReady = is_ready  # type: ignore[method-assign]
         early, late = scope.time_trigger(send)
     assert early <= began[0] <= late
     assert ("RunBlock", 0, 100, 127, 1, None, 0, None, None) in library.calls  # 1 MHz: 125 MHz / (127 - 2)
 
 
-def test_trigger_that_fails_to_be_sent_is_an_error(apparatus: Apparatus, aimed: list[float]) -> None:
+def test_trigger_that_fails_to_be_sent_is_an_error(apparatus: Apparatus) -> None:
     """What the generator's link raises reaches the caller, not a wait without end."""
 
     def send() -> None:
         raise RigError("the link is gone")
 
     library = Library()
-    with PicoScope(apparatus, aimed.append, driver=library, trigger_wait=0.01) as scope:
+    with PicoScope(apparatus, driver=library, trigger_wait=0.01) as scope:
         library.polls = 10**9
         with pytest.raises(RigError, match="the link is gone"):
             scope.time_trigger(send)

@@ -14,6 +14,7 @@ from modaltouch.cli.options import APPARATUS, JSON, MEASURED_RIG, SHIPPED_APPARA
 
 Quantity = Literal["velocity", "displacement", "acceleration"]
 Excitation = Literal["multisine", "chirp"]
+Estimator = Literal["H1", "H2", "Hv"]
 
 FILES = Annotated[
     list[Path] | None,
@@ -35,6 +36,10 @@ HIGHEST = Annotated[
     typer.Option("--highest-kHz", help="Highest frequency.", show_default="1.25 times the highest mode, at most 120"),
 ]
 MARGIN = Annotated[float, typer.Option("--margin-mm", help="Distance from the beam's ends to the outer points.")]
+ROWS = Annotated[
+    int,
+    typer.Option(min=1, help="Rows of points over the width, an odd number; from 3 on shapes are maps with torsion."),
+]
 SETS = Annotated[list[str] | None, typer.Option("--set", help="Actuator set, repeatable.", show_default="all sets")]
 MODES = Annotated[
     str, typer.Option(help="Modes of the new table: `listed` in the apparatus file, `all`, or labels as 1,3,5.")
@@ -54,6 +59,10 @@ LEAVE_OUT = Annotated[
 USE_CLIPPED = Annotated[
     bool, typer.Option("--use-clipped", help="Use the free decay after the last saturated sample of a record.")
 ]
+ESTIMATOR = Annotated[
+    Estimator,
+    typer.Option(help="H1; H2 where the measured drive is noisy; Hv lies between."),
+]
 SEED = Annotated[
     int | None, typer.Option(min=0, help="Seed of the simulated rig, instead of that in the apparatus file.")
 ]
@@ -72,6 +81,7 @@ def identify(
     out: OUT = Path("identification"),
     points: POINTS = 41,
     averages: AVERAGES = 4,
+    rows: ROWS = 1,
     drive_V: DRIVE = 50.0,
     excitation: EXCITATION = "multisine",
     highest_kHz: HIGHEST = None,
@@ -86,6 +96,7 @@ def identify(
     export: EXPORT = None,
     leave_out: LEAVE_OUT = None,
     use_clipped: USE_CLIPPED = False,
+    estimator: ESTIMATOR = "H1",
     json_output: JSON = False,
 ) -> None:
     """Identify natural frequencies, damping ratios, gains and shapes of a beam, each with its 95 % interval.
@@ -118,6 +129,8 @@ def identify(
             export=export,
             leave_out=tuple(place * 1e-3 for place in leave_out or ()),
             use_clipped=use_clipped,
+            rows=rows,
+            estimator=estimator,
         )
         try:
             with bars() as progress:
@@ -141,7 +154,11 @@ def _show(result: dict[str, Any]) -> None:
         console.print("[dim]Gains in mm/s^2 per V at the beam[/]")
     for reason, names in _unresolved(listed).items():
         console.print(f"[yellow]No half-power damping of {', '.join(names)}: {reason}[/]")
-    others = [f"{mode['natural_frequency_Hz']['value']:.0f}" for mode in result["modes"] if mode not in listed]
+    others = [
+        f"{mode['natural_frequency_Hz']['value']:.0f}" + (f" (torsion {mode['torsion']})" if mode["torsion"] else "")
+        for mode in result["modes"]
+        if mode not in listed
+    ]
     if others:
         console.print(f"[dim]Also seen, and kept out of the table: {', '.join(others)} Hz[/]")
     console.print(f"[dim]M{result['misfit_verdict'][1:]}[/]")

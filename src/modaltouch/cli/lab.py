@@ -40,7 +40,7 @@ def bars() -> Iterator[MeasurementProgress]:
 
     shown = make_bars()
     tasks: dict[str, TaskID] = {}
-    aimed: list[float] = []
+    aimed: list[tuple[float, float]] = []
 
     def show(what: str, done: int, total: int) -> None:
         shown.start()
@@ -48,12 +48,13 @@ def bars() -> Iterator[MeasurementProgress]:
             tasks[what] = shown.add_task(what, total=total)
         shown.update(tasks[what], completed=done, total=total)
 
-    def aim(position: float) -> None:
+    def aim(position: float, across: float) -> None:
         """Ask once for a place, however many records follow each other there."""
-        if aimed != [position]:
+        if aimed != [(position, across)]:
+            row = f", {across * 1e3:+.2f} mm across from the mid-line" if across else ""
             with _aside(shown):
-                ask_for(f"Aim the vibrometer at {position * 1e3:+.2f} mm from mid-beam")
-            aimed[:] = [position]
+                ask_for(f"Aim the vibrometer at {position * 1e3:+.2f} mm from mid-beam{row}")
+            aimed[:] = [(position, across)]
 
     try:
         yield MeasurementProgress(show=show, say=shown.print, aim=aim)
@@ -251,6 +252,9 @@ def validate(
     ] = None,
     points: Annotated[int, typer.Option(min=3, max=1001, help="Points along the beam, from end to end.")] = 41,
     averages: Annotated[int, typer.Option(min=1, max=1000, help="Records at each point.")] = 10,
+    rows: Annotated[
+        int, typer.Option(min=1, help="Rows of points over the width, an odd number; from 3 on Fig. 7 is a map too.")
+    ] = 1,
     record: RECORD = None,
     json_output: JSON = False,
 ) -> None:
@@ -270,6 +274,7 @@ def validate(
                 scan=scan,
                 points=points,
                 averages=averages,
+                rows=rows,
                 record=record,
                 progress=progress,
             )

@@ -62,7 +62,7 @@ def check(
             simulator = stack.enter_context(Simulator(parts))
             address, listens = simulator.address, simulator.scope()
         elif scope:
-            listens = stack.enter_context(Scope.open(parts, lambda position: None))
+            listens = stack.enter_context(Scope.open(parts))
         rows = check_rig(address, parts, scope=listens)
         if json_output:
             print_json({"address": address, "rows": rows})

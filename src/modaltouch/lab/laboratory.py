@@ -48,7 +48,7 @@ def quiet(*_: object, **__: object) -> None:
 
 
 class TooFewPointsError(ValueError):
-    """Points along the beam that cannot tell the modelled modes apart."""
+    """Points along the beam that cannot tell the modelled modes apart, or rows over its width without the mid-line."""
 
     @classmethod
     def check(cls, points: int, labels: tuple[int, ...]) -> None:
@@ -73,14 +73,15 @@ class MeasurementProgress:
     say : callable
         Called with a line of text.
     aim : callable
-        Called with a position [m from mid-beam]; returns when the vibrometer's spot is there.
+        Called with a place, along the beam from its middle and across it from its mid-line [m]; returns when the
+        vibrometer's spot is there.
     check : callable
         Called between records; may raise to stop.
     """
 
     show: Callable[[str, int, int], None] = quiet
     say: Callable[[str], None] = quiet
-    aim: Callable[[float], None] = quiet
+    aim: Callable[[float, float], None] = quiet
     check: Callable[[], None] = quiet
 
     @contextmanager
@@ -109,8 +110,8 @@ class Laboratory:
     mode : str
         ``simulated`` as soon as one of them is, else ``real``.
     aim : callable
-        Brings the vibrometer's spot to a position [m from mid-beam] and returns when it is there; called with the
-        outputs off.
+        Brings the vibrometer's spot to a place, along the beam from its middle and across it from its mid-line [m], and
+        returns when it is there; called with the outputs off.
     settling_time : float
         Wait between the first burst and the first record [s].
     simulator : Simulator or None
@@ -121,7 +122,7 @@ class Laboratory:
     rig: Rig
     scope: Scope
     mode: Mode
-    aim: Callable[[float], None] = quiet
+    aim: Callable[[float, float], None] = quiet
     settling_time: float = 0.0
     simulator: Simulator | None = None
 
@@ -129,7 +130,7 @@ class Laboratory:
         """Load a burst into the generator, verified; the outputs are off."""
         self.rig.load(burst)
 
-    def record(self, position: float, velocity: float, acquisition: Acquisition) -> Recording:
+    def record(self, position: float, velocity: float, acquisition: Acquisition, across: float = 0.0) -> Recording:
         """Return velocity and drive at a position while the loaded burst repeats; the outputs are off again then.
 
         Parameters
@@ -140,6 +141,8 @@ class Laboratory:
             Level at which the burst is played [m/s].
         acquisition : Acquisition
             What is asked of the scope.
+        across : float
+            Where across the beam, from its mid-line [m].
 
         Raises
         ------
@@ -148,9 +151,9 @@ class Laboratory:
             spoilt by a stall of this computer is taken again, three times at most.
         """
         self.scope.configure(acquisition)
-        self.aim(position)
+        self.aim(position, across)
         for _ in range(ATTEMPTS):
-            recording, firing = self._record_once(position, velocity, acquisition)
+            recording, firing = self._record_once(position, across, velocity, acquisition)
             if firing is not None and firing.confirmed and recording is not None:
                 return recording
             if firing is None or not firing.stalled:
@@ -163,7 +166,7 @@ class Laboratory:
         raise RigError(f"at {position * 1e3:g} mm the record is void: {reason}; the outputs are off; {remedy}")
 
     def _record_once(
-        self, position: float, velocity: float, acquisition: Acquisition
+        self, position: float, across: float, velocity: float, acquisition: Acquisition
     ) -> tuple[Recording | None, Firing | None]:
         """Return a record, None if the bursts ended within it, and what was played."""
         firing = self.rig.fire(velocity)
@@ -177,7 +180,7 @@ class Laboratory:
             longest = acquisition.n_records * acquisition.n_samples / acquisition.sampling_rate
             with suppress(StimulusLost), self._alive(self.settling_time + longest + self.scope.slowest):
                 time.sleep(self.settling_time)
-                recording = self.scope.measure(position)
+                recording = self.scope.measure(position, across)
         finally:
             self.rig.stop()
         return recording, self.rig.firing
@@ -214,7 +217,7 @@ def open_laboratory(
     *,
     seed: int | None = None,
     repetition: Literal["single", "timer", "continuous", "wired"] | None = None,
-    aim: Callable[[float], None] = quiet,
+    aim: Callable[[float, float], None] = quiet,
     scope: Scope | None = None,
     **options: Any,
 ) -> Iterator[Laboratory]:
@@ -260,7 +263,7 @@ def open_laboratory(
             yield Laboratory(apparatus, rig, scope, "simulated", simulator=simulator)
             return
         # The scope first: without it there is nothing to play for.
-        scope = stack.enter_context(scope or Scope.open(apparatus, quiet))
+        scope = stack.enter_context(scope or Scope.open(apparatus))
         rig = open_generator(address)
         mode: Mode = "simulated" if instrument_of(apparatus).is_simulated(rig.identity) else "real"
         yield Laboratory(apparatus, rig, scope, mode, aim, SETTLING_TIME)

@@ -2,10 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+from modaltouch.lab.arrays import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import Collection
 
 DARK, MIDDLE, LIGHT = "#0b3c8c", "#5bb8e8", "#dbe3ee"
 """Measured, predicted, asked for: far apart in lightness, so that they differ without colour."""
+
+SIGNED = "cividis"
+"""Colours of signed values: lightness rises evenly with the value, for every kind of colour vision."""
+
+
+def draw_map(axes: Axes, along: FloatArray, across: FloatArray, values: FloatArray, highest: float) -> Collection:
+    """Draw values at points of the beam [m] over its length and width [mm], and return what a colour bar reads."""
+    look: dict[str, Any] = {"cmap": SIGNED, "vmin": -highest, "vmax": highest, "rasterized": True}
+    drawn = axes.tripcolor(along * 1e3, across * 1e3, values, shading="gouraud", **look)
+    axes.set(xlim=(along.min() * 1e3, along.max() * 1e3), ylim=(across.min() * 1e3, across.max() * 1e3))
+    return drawn
 
 
 def rounded(value: Any, digits: int) -> Any:

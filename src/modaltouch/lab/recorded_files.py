@@ -92,11 +92,11 @@ class RecordedFiles(Scope):
         self._asked = acquisition
         return acquisition
 
-    def measure(self, position: float) -> Recording:
+    def measure(self, position: float, across: float = 0.0) -> Recording:
         """Ask for a record, and return it as soon as a file holds what is asked for."""
         taken = [int(each.stem) for each in self._folder.iterdir() if each.stem.isdecimal()]
         name = f"{max(taken, default=0) + 1:04d}"
-        self._ask(name, position)
+        self._ask(name, position, across)
         before = refused = None
         deadline = time.monotonic() + self.slowest
         while time.monotonic() < deadline:
@@ -109,7 +109,7 @@ class RecordedFiles(Scope):
                 except (OSError, ValueError) as error:
                     refused = seen
                     self._progress.say(f"{error}; write it again")
-                    self._ask(name, position, str(error))
+                    self._ask(name, position, across, str(error))
             before = seen
             time.sleep(POLL)
         raise RigError(
@@ -125,7 +125,7 @@ class RecordedFiles(Scope):
         """Await nothing more."""
         (self._folder / "wanted.json").unlink(missing_ok=True)
 
-    def _ask(self, name: str, position: float, refused: str = "") -> None:
+    def _ask(self, name: str, position: float, across: float, refused: str = "") -> None:
         """Say on the screen and in ``wanted.json`` what is awaited."""
         asked = self._asked
         first, last = asked.start, asked.start + (asked.n_samples - 1) / asked.sampling_rate
@@ -133,6 +133,7 @@ class RecordedFiles(Scope):
         wanted = {
             "file": name,
             "position_mm": position * 1e3,
+            "across_mm": across * 1e3,
             "n_records": asked.n_records,
             "sampling_rate_Hz": asked.sampling_rate,
             "first_s": first,
@@ -145,9 +146,10 @@ class RecordedFiles(Scope):
         replace_file(self._folder / "wanted.json", (json.dumps(wanted, indent=1) + "\n").encode(), REMEDY)
         if not refused:
             also = "".join(f", drive {number}" for number in asked.drives)
+            where = f"{position * 1e3:+.2f} mm" + (f", {across * 1e3:+.2f} mm across," if across else "")
             self._progress.say(
-                f"waiting for {self._folder / name}.csv or .npz: {asked.n_records} records at {position * 1e3:+.2f} mm "
-                f"of velocity{also}, {first * 1e3:.6g} to {last * 1e3:.6g} ms after the trigger, at least "
+                f"waiting for {self._folder / name}.csv or .npz: {asked.n_records} records at {where} of "
+                f"velocity{also}, {first * 1e3:.6g} to {last * 1e3:.6g} ms after the trigger, at least "
                 f"{asked.sampling_rate * 1e-3:.6g} kHz, up to {highest * 1e3:.4g} mm/s"
             )
 

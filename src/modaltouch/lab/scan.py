@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.laboratory import Laboratory, quiet
+from modaltouch.lab.laboratory import Laboratory, TooFewPointsError, quiet
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.record import RecordError, RecordInputError, replace_file
 from modaltouch.rig import Acquisition, Recording
@@ -50,6 +50,8 @@ class ScanPlan:
         What is asked of the scope at each of them.
     about : mapping
         What else is to be known of the scan, plain values: the name of the stimulus, the actuator set, ...
+    across : float
+        Where the row of positions lies across the beam, from its mid-line [m].
     """
 
     burst: Burst
@@ -57,6 +59,7 @@ class ScanPlan:
     positions: Sequence[float]
     acquisition: Acquisition
     about: Mapping[str, Any] = field(default_factory=dict)
+    across: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse positions that are none, or one twice."""
@@ -78,6 +81,11 @@ class ScanPlan:
                 raise ValueError(
                     f"the position {place * 1e3:g} mm is not on the beam: it reaches from {-half:g} to {half:g} mm"
                 )
+        half = apparatus.beam.width_mm / 2
+        if not abs(self.across) * 1e3 <= half:
+            raise ValueError(
+                f"the row {self.across * 1e3:g} mm across is not on the beam: allowed {-half:g} to {half:g}"
+            )
 
     def settings(self) -> dict[str, Any]:
         """Return everything that must be the same when a scan goes on, as plain values."""
@@ -93,8 +101,34 @@ class ScanPlan:
             },
             "velocity_mm_s": self.velocity * 1e3,
             "positions_mm": [place * 1e3 for place in self.positions],
+            **({"across_mm": self.across * 1e3} if self.across else {}),
             "acquisition": {**asdict(self.acquisition), "drives": list(self.acquisition.drives)},
         }
+
+
+EDGE = 0.5e-3
+"""From the long edges of the beam to the outer rows [m]."""
+
+
+def rows_over(apparatus: Apparatus, n_rows: int) -> tuple[float, ...]:
+    """Return where rows of positions lie across a beam, evenly from edge to edge; one lies on the mid-line [m].
+
+    Raises
+    ------
+    TooFewPointsError
+        If their number is even, so that none does.
+    """
+    if n_rows < 1 or n_rows % 2 == 0:
+        raise TooFewPointsError(
+            f"given --rows {n_rows}; allowed: odd numbers, 1 for the mid-line alone; 3 show torsion"
+        )
+    half = apparatus.beam.width_mm * 0.5e-3 - EDGE
+    return tuple(float(each) for each in np.round(np.linspace(-half, half, n_rows), 9)) if n_rows > 1 else (0.0,)
+
+
+def row_name(name: str, across: float) -> str:
+    """Return the name of a row's folder; that of the mid-line is the name that is given."""
+    return f"{name}_{across * 1e3:+g}_mm" if across else name
 
 
 SCHEMA = "modaltouch scan 1"
@@ -129,6 +163,11 @@ class Scan:
     def complete(self) -> bool:
         """Whether every planned position was recorded."""
         return len(self.arrays) == len(self.facts["settings"]["positions_mm"])
+
+    @property
+    def across(self) -> float:
+        """Where the row of positions lies across the beam, from its mid-line [m]."""
+        return float(self.facts["settings"].get("across_mm", 0.0)) * 1e-3
 
     @property
     def mode(self) -> str:
@@ -342,7 +381,7 @@ def take_scan(
     try:
         for index in range(len(kept), len(places)):
             check()
-            recording = laboratory.record(float(places[index]), plan.velocity, plan.acquisition)
+            recording = laboratory.record(float(places[index]), plan.velocity, plan.acquisition, plan.across)
             arrays = {**_kept_of(recording, float(places[index])), **reduction(recording)}
             if folder is not None:
                 save_arrays(position_file(folder, index), arrays)

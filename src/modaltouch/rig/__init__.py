@@ -8,7 +8,7 @@ A session opens the driver at an address; the simulator is one more address::
         speeds = simulator.felt_velocity(["A", "C"])
 
 What a generator is and can play is a value, `instrument_of` an apparatus. What measures the beam is an instrument of
-its own: ``simulator.scope()``, or ``Scope.open(apparatus, aim)``.
+its own: ``simulator.scope()``, or ``Scope.open(apparatus)``.
 """
 
 from __future__ import annotations

@@ -34,15 +34,15 @@ class Scope(abc.ABC):
     slowest = 120.0
 
     @staticmethod
-    def open(apparatus: Apparatus, aim: Callable[[float], None]) -> Scope:
-        """Return the scope of an apparatus, a PicoScope; `aim` brings the vibrometer's spot to a position [m].
+    def open(apparatus: Apparatus) -> Scope:
+        """Return the scope of an apparatus, a PicoScope.
 
         Raises
         ------
         RigError
             If its library or the scope is not found.
         """
-        return PicoScope(apparatus, aim)
+        return PicoScope(apparatus)
 
     @property
     @abc.abstractmethod
@@ -60,8 +60,8 @@ class Scope(abc.ABC):
         """
 
     @abc.abstractmethod
-    def measure(self, position: float) -> Recording:
-        """Return velocity and drive at a position [m from mid-beam].
+    def measure(self, position: float, across: float = 0.0) -> Recording:
+        """Return velocity and drive at a place: along the beam from its middle, across it from its mid-line [m].
 
         Raises
         ------
@@ -143,9 +143,6 @@ class PicoScope(Scope):
     ----------
     apparatus : Apparatus
         Its section ``acquisition`` says what a volt stands for.
-    aim : callable
-        Brings the vibrometer's spot to a position [m from mid-beam] and returns when it is there: a stage, or a person
-        who is asked.
     trigger_wait : float
         Longest wait for the generator's trigger [s].
     driver : object, optional
@@ -160,13 +157,11 @@ class PicoScope(Scope):
     def __init__(
         self,
         apparatus: Apparatus,
-        aim: Callable[[float], None],
         *,
         trigger_wait: float = 2.0,
         driver: Any = None,
     ) -> None:
         self._driver = load_driver() if driver is None else driver
-        self._aim = aim
         self._trigger_wait = trigger_wait
         knobs = apparatus.acquisition
         self._inputs = Inputs(knobs.sensitivity_mm_s_per_V * 1e-3, knobs.range_mm_s * 1e-3, knobs.probe_attenuation)
@@ -218,9 +213,8 @@ class PicoScope(Scope):
         self._asked, self._time_base, self._ranges, self._rate = acquisition, time_base, wanted, rate
         return acquisition
 
-    def measure(self, position: float) -> Recording:
-        """Return velocity and drive at a position [m from mid-beam]."""
-        self._aim(position)
+    def measure(self, position: float, across: float = 0.0) -> Recording:
+        """Return velocity and drive where the vibrometer's spot is."""
         counts = []
         for _ in range(self._asked.n_records):
             self.arm()

@@ -242,7 +242,7 @@ class SessionParts:
                 yield Prober(Laboratory(apparatus, rig, scope, "simulated", simulator=self.simulator), expected)
             else:
                 # The spot stays where it is in a session: nobody is asked to aim.
-                scope = stack.enter_context(Scope.open(apparatus, lambda position: None))
+                scope = stack.enter_context(Scope.open(apparatus))
                 yield Prober(Laboratory(apparatus, rig, scope, "real", settling_time=SETTLING_TIME), expected)
 
     def open_window(self, tick: Tick, log: Callable[..., None]) -> AnswerWindow:

@@ -36,8 +36,8 @@ class Bench:
     def configure(self, acquisition: Acquisition) -> None:
         self.done.append("configure")
 
-    def aim(self, position: float) -> None:
-        self.done.append(f"aim {position:g}")
+    def aim(self, position: float, across: float) -> None:
+        self.done.append(f"aim {position:g} {across:g}")
 
     def fire(self, velocity: float, **options: Any) -> Firing:
         self.done.append(f"fire {velocity:g}")
@@ -50,7 +50,7 @@ class Bench:
             self.lost -= 1
             raise StimulusLost("the bursts ended before the stimulus did")
 
-    def measure(self, position: float) -> Recording:
+    def measure(self, position: float, across: float) -> Recording:
         self.done.append("measure")
         return Recording(position, np.zeros(2), np.zeros((1, 2)), np.zeros((1, 1, 2)), 500e3, ())
 
@@ -72,7 +72,7 @@ def test_record_spoilt_by_a_stall_is_taken_again(n_stalls: int) -> None:
     """Where the spot is, as often as it takes, three times at most; the sound record is what is returned."""
     bench = Bench([*[STALLED] * n_stalls, SOUND, SOUND])
     assert record(bench).position == 0.02
-    assert bench.done == ["configure", "aim 0.02", *TAKEN * (n_stalls + 1)]
+    assert bench.done == ["configure", "aim 0.02 0", *TAKEN * (n_stalls + 1)]
 
 
 def test_third_stall_is_an_error_that_names_it() -> None:
@@ -81,7 +81,7 @@ def test_third_stall_is_an_error_that_names_it() -> None:
     bench = Bench([STALLED] * 4)
     with pytest.raises(RigError, match="at 20 mm the record is void: this computer was held up for 1.4 s; the outputs"):
         record(bench)
-    assert bench.done == ["configure", "aim 0.02", *TAKEN * 3]
+    assert bench.done == ["configure", "aim 0.02 0", *TAKEN * 3]
 
 
 @pytest.mark.parametrize(("before", "n_taken"), [([], 1), ([STALLED], 2)])

@@ -120,9 +120,27 @@ def test_stopped_scan_goes_on_where_it_was(laboratory: Laboratory, tmp_path: Pat
     np.testing.assert_array_equal(whole.velocity, read_scan(folder).velocity)
 
 
+def test_a_row_beside_the_mid_line_is_measured_there(laboratory: Laboratory, tmp_path: Path) -> None:
+    """The spot is sent 2.5 mm across, the file says so; there the twin's torsion has the other sign."""
+    seen: list[tuple[float, float]] = []
+    aimed = replace(laboratory, aim=lambda *place: seen.append(place))
+    rows = [take_scan(aimed, plan(positions=(0.05,), across=y), tmp_path / f"{y}") for y in (-2.5e-3, 2.5e-3)]
+    assert seen == [(0.05, -2.5e-3), (0.05, 2.5e-3)]
+    assert read_scan(tmp_path / "0.0025").across == 2.5e-3
+    assert laboratory.simulator is not None
+    beam = laboratory.simulator.twin.beam
+    low, high = (beam.shapes(0.05, y + 0.2e-3)[:, 0] for y in (-2.5e-3, 2.5e-3))
+    np.testing.assert_allclose(low[:-3], high[:-3])
+    np.testing.assert_allclose(low[-3:] / high[-3:], -2.3 / 2.7)
+    assert not np.array_equal(rows[0].velocity, rows[1].velocity)
+    with pytest.raises(ValueError, match=r"the row 3.5 mm across is not on the beam: allowed -3 to 3"):
+        take_scan(laboratory, plan(across=3.5e-3))
+
+
 @pytest.mark.parametrize(
     ("changes", "named"),
     [
+        ({"across": 1e-3}, r"across_mm was None, now 1.0"),
         ({"velocity": 0.1}, r"velocity_mm_s was 200.0, now 100.0"),
         ({"positions": (0.0, 0.01)}, r"positions_mm was"),
         ({"acquisition": Acquisition(250e3, 5000, 3, (1, 2))}, r"acquisition.n_records was 2, now 3"),
@@ -181,7 +199,7 @@ def test_outputs_are_off_while_the_spot_is_moved(laboratory: Laboratory) -> None
     assert laboratory.simulator is not None
     found: list[tuple[bool, ...]] = []
     outputs = laboratory.simulator
-    aimed = replace(laboratory, aim=lambda place: found.append(outputs.outputs))
+    aimed = replace(laboratory, aim=lambda *place: found.append(outputs.outputs))
     take_scan(aimed, plan())
     assert found == [(False, False)] * 4
 
@@ -193,10 +211,10 @@ def test_record_is_void_if_the_generator_was_touched_meanwhile(
     assert laboratory.simulator is not None
     panel, measure = laboratory.simulator.front_panel, laboratory.scope.measure
 
-    def meddled(position: float) -> Any:
+    def meddled(position: float, across: float) -> Any:
         if position > 0:
             panel("SOUR1:VOLT 1.5")
-        return measure(position)
+        return measure(position, across)
 
     monkeypatch.setattr(laboratory.scope, "measure", meddled)
     with pytest.raises(RigError, match="at 20 mm the record is void: .* the outputs are off"):
@@ -211,10 +229,10 @@ def test_slow_scope_does_not_let_the_watchdog_trip(laboratory: Laboratory, monke
     simulator, measure = laboratory.simulator, laboratory.scope.measure
     found: list[tuple[bool, ...]] = []
 
-    def slow(position: float) -> Any:
+    def slow(position: float, across: float) -> Any:
         time.sleep(1.6)
         found.append(simulator.outputs)
-        return measure(position)
+        return measure(position, across)
 
     monkeypatch.setattr(laboratory.scope, "measure", slow)
     take_scan(laboratory, plan(positions=(0.0,)))

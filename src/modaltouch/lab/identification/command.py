@@ -32,11 +32,17 @@ from modaltouch.lab.identification.report import (
     identified_apparatus,
     write_identification,
 )
-from modaltouch.lab.identification.responses import FrequencyResponses, Quantity, ResponseFormat, responses_of
+from modaltouch.lab.identification.responses import (
+    Estimator,
+    FrequencyResponses,
+    Quantity,
+    ResponseFormat,
+    responses_of,
+)
 from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.identification.verdict import check_all, check_gains, check_modes
 from modaltouch.lab.laboratory import SIMULATED, UNTOLD, MeasurementProgress, open_laboratory
-from modaltouch.lab.scan import Scan, read_scan
+from modaltouch.lab.scan import Scan, read_scan, rows_over
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.report import refuse_other
 
@@ -88,6 +94,10 @@ class IdentifyOptions:
         Positions whose responses are not used [m].
     use_clipped : bool
         Whether the free decay after the last saturated sample of a record is used.
+    rows : int
+        Rows of points over the width, an odd number; from 3 on torsion shows.
+    estimator : str
+        ``H1``; ``H2`` where the measured drive is noisy; ``Hv`` between both.
     """
 
     apparatus: Path
@@ -110,6 +120,8 @@ class IdentifyOptions:
     export: Path | None = None
     leave_out: tuple[float, ...] = ()
     use_clipped: bool = False
+    rows: int = 1
+    estimator: Estimator = "H1"
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,23 +222,24 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress = UNTOLD) -
         return beam.fit(beam.chosen(responses), facts, progress)
     beam = _Beam(options)
     measured = [beam.read(folder) for folder in folders] or [beam.measure(progress)]
-    first = next(iter(measured[0].values())).facts
+    first = next(iter(measured[0][0].values())).facts
     facts = {
         "date": first["begun"],
         "mode": first["mode"],
         "source": ", ".join(folder.as_posix() for folder in folders or (options.out,)),
         "generator": first["settings"]["generator"],
         "scope": first["settings"]["scope"],
-        "method": f"{first['settings']['about']['stimulus']}, H1 by the measured drive, joint fit of all responses",
+        "method": f"{first['settings']['about']['stimulus']}, {options.estimator} by the measured drive, "
+        "joint fit of all responses",
     }
-    responses = FrequencyResponses.of_repeats([responses_of(scans, beam.bandwidth) for scans in measured])
+    responses = FrequencyResponses.of_repeats([beam.responses_of(rows) for rows in measured])
     return beam.fit(responses.between(1.5 * LOWEST, float(responses.frequency[-1])), facts, progress)
 
 
 def _read(options: IdentifyOptions) -> FrequencyResponses:
     """Return the responses of files, within the band that is asked for."""
     how = ResponseFormat(options.quantity, options.conjugated, options.spacing, options.averages, options.use_clipped)
-    responses = read_responses(options.files, how)
+    responses = read_responses(options.files, how).by(options.estimator)
     if options.lowest is None and options.highest is None:
         return responses
     end = float(responses.frequency[-1]) if options.highest is None else options.highest
@@ -272,14 +285,15 @@ class _Beam:
             raise ValueError(f"--modes is '{modes}': give `listed`, `all`, or labels from 1 on, as 1,3,5")
         return labels
 
-    def measure(self, progress: MeasurementProgress) -> dict[str, Scan]:
-        """Return the scans of a rig, new or gone on with."""
+    def measure(self, progress: MeasurementProgress) -> list[dict[str, Scan]]:
+        """Return the scans of a rig, new or gone on with, of each row."""
         options, out = self.options, self.options.out
         refuse_other(out, COMMAND)
         positions = evenly(self.length, options.points, options.margin)
         check_points(np.array(positions), self.labels, self.length)
         highest = highest_needed(self.apparatus) if options.highest is None else options.highest
         campaign = Campaign(positions, options.averages, options.voltage, highest, self.sets, options.excitation)
+        rows = rows_over(self.apparatus, options.rows)
         for name in self.sets:
             excite(self.apparatus, name, options.voltage, highest, "chirp")
         with (
@@ -288,18 +302,30 @@ class _Beam:
                 self.apparatus, options.rig, seed=options.seed, repetition="continuous", aim=heard.aim
             ) as laboratory,
         ):
-            show = partial(heard.show, "points measured")
-            return campaign.scan(laboratory, self.source, out, on_progress=show, check=heard.check)
+            found = []
+            for across in rows:
+                row = replace(campaign, across=across)
+                show = partial(heard.show, f"points measured{f' {across * 1e3:+g} mm across' if across else ''}")
+                found.append(row.scan(laboratory, self.source, out, on_progress=show, check=heard.check))
+            return found
 
-    def read(self, folder: Path) -> dict[str, Scan]:
-        """Return the scans of a folder."""
+    def responses_of(self, rows: list[dict[str, Scan]]) -> FrequencyResponses:
+        """Return the responses of a scan, row by row."""
+        return FrequencyResponses.of_rows([responses_of(scans, self.bandwidth) for scans in rows]).by(
+            self.options.estimator
+        )
+
+    def read(self, folder: Path) -> list[dict[str, Scan]]:
+        """Return the scans of a folder, of each row."""
         for name in self.sets:
             if not (folder / f"scan_{name}").is_dir():
                 raise ValueError(
                     f"{folder}: holds no scan of the actuator set {name} (scan_{name} is missing); measure it, or "
                     "name the sets that were measured with --set"
                 )
-        return {name: read_scan(folder / f"scan_{name}") for name in self.sets}
+        first = f"scan_{self.sets[0]}"
+        rows = ["", *sorted(path.name.removeprefix(first) for path in folder.glob(f"{first}_*_mm"))]
+        return [{name: read_scan(folder / f"scan_{name}{row}") for name in self.sets} for row in rows]
 
     def chosen(self, responses: FrequencyResponses) -> FrequencyResponses:
         """Return the responses to the actuator sets that are asked for, as a file names them."""

@@ -55,7 +55,7 @@ class IdentifiedMode:
     gain : tuple of Estimate
         Modal acceleration per unit of each excitation [m/s^2 per V]; empty where no shape was measured.
     shape : (n_points,) array or None
-        Of unit mean square, positive at the right end [1].
+        Of unit mean square, positive at the right end; of torsion over the points, on its positive side [1].
     mac : float
         Likeness of the shape with that of a uniform free-free beam [1]; NaN where no shape was measured.
     half_power : HalfPower
@@ -71,6 +71,8 @@ class IdentifiedMode:
         residues may be complex [m/s^2 per V].
     n_repeats : int
         Measurements whose scatter the intervals hold; with one, repeatability is unknown.
+    torsion : int or None
+        Which torsional mode it is, told by rows over the width; None for what is none.
     """
 
     label: int | None
@@ -85,6 +87,13 @@ class IdentifiedMode:
     rest: Rest
     residue: ComplexArray
     n_repeats: int = 1
+    torsion: int | None = None
+
+    @property
+    def name(self) -> str:
+        """Its label, as `T1` of torsion; its natural frequency where it has none."""
+        torsion = f"T{self.torsion}" if self.torsion else f"{self.natural_frequency.value:.6g} Hz"
+        return str(self.label or torsion)
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +125,11 @@ class Identification:
     length: float | None
     fitted: ComplexArray
     poles: Poles | None = None
+
+    @property
+    def shaped(self) -> list[tuple[IdentifiedMode, FloatArray]]:
+        """The modes with a shape, and that: of bending, and of torsion where rows over the width show it."""
+        return [(mode, mode.shape) for mode in self.modes if mode.shape is not None]
 
     def mode(self, label: int) -> IdentifiedMode:
         """Return the mode of a label.

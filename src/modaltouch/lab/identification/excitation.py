@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.identification.responses import Spectra
 from modaltouch.lab.laboratory import Laboratory
-from modaltouch.lab.scan import DESCRIPTION, Scan, ScanPlan, read_facts, take_scan
+from modaltouch.lab.scan import DESCRIPTION, Scan, ScanPlan, read_facts, row_name, take_scan
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.rig import Acquisition, RigError, instrument_of
 from modaltouch.stimulus import Burst
@@ -141,6 +141,8 @@ class Campaign:
         Actuator sets, one after the other.
     excitation : str
         ``multisine`` or ``chirp``.
+    across : float
+        Where the row of positions lies across the beam, from its mid-line [m].
     """
 
     positions: tuple[float, ...]
@@ -149,6 +151,7 @@ class Campaign:
     highest: float
     sets: tuple[str, ...]
     excitation: Excitation = "multisine"
+    across: float = 0.0
 
     def scan(
         self,
@@ -182,7 +185,7 @@ class Campaign:
         scans: dict[str, Scan] = {}
         n_positions = len(self.positions)
         for index, name in enumerate(self.sets):
-            place = None if folder is None else folder / f"scan_{name}"
+            place = None if folder is None else folder / row_name(f"scan_{name}", self.across)
             plan = self._plan(laboratory, name, place)
             before = index * n_positions
 
@@ -217,7 +220,7 @@ class Campaign:
             "voltage_V": self.voltage,
             "highest_Hz": self.highest,
         }
-        plan = ScanPlan(burst, burst.velocity, self.positions, asked, about)
+        plan = ScanPlan(burst, burst.velocity, self.positions, asked, about, self.across)
         if place is not None and (place / DESCRIPTION).exists():
             # A scan that goes on keeps the range it was begun with.
             recorded = read_facts(place)["settings"]["acquisition"]["velocity_range"]
@@ -230,7 +233,7 @@ def _with_range(laboratory: Laboratory, plan: ScanPlan, name: str, voltage: floa
     asked = plan.acquisition
     laboratory.load(plan.burst)
     end = max(plan.positions, key=abs)
-    seen = laboratory.record(end, plan.velocity, replace(asked, n_records=1))
+    seen = laboratory.record(end, plan.velocity, replace(asked, n_records=1), plan.across)
     wave = plan.burst.converter.signed(plan.burst.codes) / plan.burst.converter.mid_code
     measured = float(np.sqrt((seen.drive**2).mean() / (wave**2).sum(axis=0).mean()))
     if not 0.5 * voltage <= measured <= 2 * voltage:

@@ -71,14 +71,16 @@ def export(identification: Identification, path: Path) -> None:
 def _lines(identification: Identification) -> Iterator[str]:
     """Yield a line for each number, under the header that `identify` reads again."""
     responses = identification.responses
-    coherence = responses.coherence
-    yield ",".join((*CSV_COLUMNS, *(() if coherence is None else ("coherence",)))) + "\n"
+    coherence, rows = responses.coherence, bool(np.any(responses.across))
+    further = ("coherence", "across_mm") if rows else ("coherence",)
+    yield ",".join((*CSV_COLUMNS, *further[coherence is None :])) + "\n"
     for s, name in enumerate(responses.sets):
         for p in range(responses.n_points):
             place = "" if responses.positions is None else f"{responses.positions[p] * 1e3:.9g}"
+            row = f",{responses.places[p].across * 1e3:.9g}" if rows else ""
             for k, (frequency, value) in enumerate(zip(responses.frequency, responses.response[s, p], strict=True)):
                 certain = "" if coherence is None else f",{coherence[s, p, k]:.6g}"
-                yield f"{frequency:.12g},{name},{place},{value.real:.9g},{value.imag:.9g}{certain}\n"
+                yield f"{frequency:.12g},{name},{place},{value.real:.9g},{value.imag:.9g}{certain}{row}\n"
 
 
 def _sets(identification: Identification) -> Iterator[dict[str, Any]]:
@@ -92,7 +94,7 @@ def _sets(identification: Identification) -> Iterator[dict[str, Any]]:
     if responses.positions is not None:
         yield {
             "type": 2411, "node_nums": nodes, "def_cs": nodes * 0, "disp_cs": nodes * 0, "color": nodes * 0 + 11,
-            "x": responses.positions, "y": origin, "z": origin,
+            "x": responses.positions, "y": origin + responses.across, "z": origin,
         }  # fmt: skip
     for s, name in enumerate(responses.sets):
         for p in range(responses.n_points):
@@ -107,7 +109,7 @@ def _sets(identification: Identification) -> Iterator[dict[str, Any]]:
     for number, mode in enumerate(identification.modes, start=1):
         if mode.shape is not None:
             yield {
-                "type": 55, "id1": f"mode {mode.label or 'without a label'}, of unit mean square", "id2": "NONE",
+                "type": 55, "id1": f"mode {mode.name}, of unit mean square", "id2": "NONE",
                 "id3": "NONE", "id4": "NONE", "id5": "NONE", "model_type": 1, "analysis_type": 2, "data_ch": 2,
                 "spec_data_type": 8, "data_type": 2, "n_data_per_node": 3, "load_case": 1,
                 "mode_n": mode.label or number, "freq": mode.natural_frequency.value, "modal_m": 1.0,

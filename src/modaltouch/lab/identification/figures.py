@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.shapes import phase_collinearity, phase_deviation
-from modaltouch.lab.output import DARK, LIGHT, MIDDLE
+from modaltouch.lab.output import DARK, LIGHT, MIDDLE, draw_map
 from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
 from modaltouch.stimulus import mode_shapes
 
@@ -73,7 +73,7 @@ def draw_fits(identification: Identification) -> Figure:
         for column, (index, rank) in zip(panels.T, shown.items(), strict=True):
             _draw_fit(column, identification, flat[index], fitted[index])
             s, p = divmod(index, responses.n_points)
-            place = "" if responses.positions is None else f" at {responses.positions[p] * 1e3:.4g} mm"
+            place = f" at {responses.places[p]}" if responses.places else ""
             words = f"{rank}{responses.sets[s]}{place},\n{left[index]:.2%} left"
             column[0].set_title(words, fontsize=8.5)
             _frequency_axis(column[1], responses.frequency)
@@ -150,7 +150,7 @@ def draw_complexity(identification: Identification) -> Figure:
             axes.axvline(0, color=LIGHT, lw=0.8)
             axes.plot([0 * straight.real, straight.real], [0 * straight.imag, straight.imag], color=DARK, lw=0.7)
             axes.plot(straight.real, straight.imag, "o", ms=2.2, color=DARK)
-            name = f"mode {mode.label}" if mode.label else f"{mode.natural_frequency.value / 1e3:.4g} kHz"
+            name = f"mode {mode.name}" if mode.label or mode.torsion else mode.name
             collinearity, deviation = phase_collinearity(mode.residue), math.degrees(phase_deviation(mode.residue))
             axes.set_title(f"{name}\n{_rounded_down(collinearity)}, {deviation:.2g}°", fontsize=7.5)
             axes.set(xlim=(-1.1, 1.1), ylim=(-0.6, 0.6))
@@ -197,6 +197,23 @@ def draw_shapes(identification: Identification) -> Figure:
             axes.tick_params(labelbottom=True)
         figure.supxlabel("position along the beam [mm]", fontsize=9)
         figure.suptitle("Mode shapes of unit mean square: dots measured, lines a uniform free-free beam", fontsize=10)
+    return figure
+
+
+def draw_shape_maps(identification: Identification) -> Figure:
+    """Return the measured shapes over length and width, torsion with them, as in Fig. 4."""
+    n_rows = math.ceil(len(identification.shaped) / 3)
+    x, y = np.array(identification.responses.places).T
+    with house_style(7.6, 0.7 + 0.95 * n_rows, n_rows, 3, sharex=True, sharey=True) as (figure, panels):
+        for axes in panels.ravel()[len(identification.shaped) :]:
+            axes.set_axis_off()
+        for axes, (mode, shape) in zip(panels.ravel(), identification.shaped, strict=False):
+            drawn = draw_map(axes, x, y, shape, 2.0)
+            axes.set_title(f"mode {mode.name}, {mode.natural_frequency.value / 1e3:.4g} kHz", fontsize=8)
+        figure.colorbar(drawn, ax=panels, label="shape", shrink=0.9, pad=0.02)
+        figure.supxlabel("position along the beam [mm]", fontsize=9)
+        figure.supylabel("across it [mm]", fontsize=9)
+        figure.suptitle("Measured mode shapes; T: torsion", fontsize=10)
     return figure
 
 

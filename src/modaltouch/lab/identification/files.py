@@ -19,6 +19,7 @@ from modaltouch.lab.identification.responses import (
     Key,
     MeasuredResponse,
     Part,
+    Place,
     Quantity,
     ResponseFormat,
     as_velocity,
@@ -35,7 +36,8 @@ _QUANTITIES: dict[int, Quantity] = {8: "displacement", 11: "velocity", 12: "acce
 def _read_universal(path: Path, how: ResponseFormat) -> Part:
     """Return the responses of a universal file, or those of its records over time.
 
-    Positions are those of the response nodes along the axis in which the nodes spread most, from their middle.
+    Places are those of the response nodes, from their middle: along the axis in which the nodes spread most, and across
+    it along the one in which they spread second most.
     """
     sets = _read_sets(path)
     functions = [each for each in sets if each["type"] == _FUNCTION and each["func_type"] in (_TIME, _RESPONSE)]
@@ -102,8 +104,8 @@ def _read_sets(path: Path) -> list[dict[str, Any]]:
     return [read] if isinstance(read, dict) else list(read)
 
 
-def _places(sets: list[dict[str, Any]], functions: list[dict[str, Any]]) -> dict[int, float]:
-    """Return where the response nodes lie along the beam, from their middle [m]; nothing without coordinates."""
+def _places(sets: list[dict[str, Any]], functions: list[dict[str, Any]]) -> dict[int, Place]:
+    """Return where the response nodes lie on the beam, from their middle; nothing without coordinates."""
     measured = {int(each["rsp_node"]) for each in functions}
     place = {
         int(number): [float(each[axis][i]) for axis in ("x", "y", "z")]
@@ -114,9 +116,9 @@ def _places(sets: list[dict[str, Any]], functions: list[dict[str, Any]]) -> dict
     if not measured <= set(place) or len(measured) < 2:
         return {}
     coordinates = np.array(list(place.values()))
-    along = int(np.ptp(coordinates, axis=0).argmax())
-    middle = (coordinates[:, along].max() + coordinates[:, along].min()) / 2
-    return {node: (place[node][along] - middle) / _size(sets) for node in measured}
+    axes = np.argsort(-np.ptp(coordinates, axis=0), kind="stable")[:2]
+    middle = (coordinates.max(axis=0) + coordinates.min(axis=0)) / 2
+    return {node: Place(*((np.array(place[node]) - middle)[axes] / _size(sets)).tolist()) for node in measured}
 
 
 def _size(sets: list[dict[str, Any]]) -> float:
@@ -126,7 +128,8 @@ def _size(sets: list[dict[str, Any]]) -> float:
 
 
 CSV_COLUMNS = ("frequency_Hz", "set", "position_mm", "real", "imag")
-"""Columns of responses as CSV; ``coherence`` may follow. Repeats follow each other, or stand in several files."""
+"""Columns of responses as CSV; ``coherence`` and ``across_mm``, from the mid-line, may follow. Repeats follow each
+other, or stand in several files."""
 
 TIME_COLUMNS = ("time_s", "set", "position_mm", "drive", "motion")
 """Columns of records over time as CSV, in SI units."""
@@ -206,7 +209,7 @@ def _assemble(
     usable = frequency > 0
     for (name, place), values in response.items():
         if not np.isfinite(values[usable]).all():
-            where = "" if place is None else f" at {place * 1e3:g} mm"
+            where = "" if place is None else f" at {place}"
             raise ValueError(f"{path}: the response to {name}{where} holds what is no finite number; measure it again")
     sets = tuple(dict.fromkeys(name for name, _ in response))
     places = sorted({place for _, place in response if place is not None})
@@ -214,8 +217,7 @@ def _assemble(
     if not whole and places and len(places) > 1:
         name, place = next((s, p) for s in sets for p in places if (s, p) not in response)
         raise ValueError(
-            f"{path}: {name} has no response at {place * 1e3:g} mm, where another has; give every excitation at every "
-            "position"
+            f"{path}: {name} has no response at {place}, where another has; give every excitation at every position"
         )
     keys = [[(name, place) for place in places] for name in sets] if whole else [[key] for key in response]
     certain = [[coherence[key] for key in row] for row in keys]
@@ -223,7 +225,8 @@ def _assemble(
     return FrequencyResponses(
         frequency=frequency[usable],
         response=np.array([[response[key][usable] for key in row] for row in keys]),
-        positions=np.array(places) if whole else None,
+        positions=np.array([place.along for place in places]) if whole else None,
+        across=np.array([place.across for place in places]) if whole else 0.0,
         sets=sets if whole else tuple(row[0][0] for row in keys),
         coherence=np.array(certain)[..., usable] if known else None,
         n_averages=n_averages if known else 1,
@@ -274,7 +277,8 @@ def _read_csv(path: Path, how: ResponseFormat) -> Part:
             continue
         try:
             cells = {name: row[index].strip() for index, name in enumerate(header)}
-            key = (cells["set"], float(cells["position_mm"]) * 1e-3 if cells["position_mm"] else None)
+            place = [float(cells.get(name) or 0) * 1e-3 for name in ("position_mm", "across_mm")]
+            key = (cells["set"], Place(*place) if cells["position_mm"] else None)
             number = complex(float(cells[needed[3]]), float(cells[needed[4]]))
             certain = float(cells["coherence"]) if "coherence" in cells else math.nan
             read.setdefault(key, []).append((float(cells[needed[0]]), number, certain))
@@ -299,7 +303,7 @@ def _read_csv(path: Path, how: ResponseFormat) -> Part:
     odd = next((key for key, axis, *_ in repeats if not np.array_equal(axis, first, equal_nan=True)), None)
     if odd is not None:
         what = "times" if needed is TIME_COLUMNS else "frequencies"
-        raise ValueError(f"{path}: the set {odd[0]} at {odd[1]} m has other {what} than the first response")
+        raise ValueError(f"{path}: the set {odd[0]} at {odd[1]} has other {what} than the first response")
     if needed is TIME_COLUMNS:
         step = float(first[-1] - first[0]) / max(first.size - 1, 1)
         return part_of(path, [TimeRecord(key, n.real, n.imag, step) for key, _, n, _ in repeats], None, how)
@@ -316,7 +320,10 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
         values = arrays["drive"] + 1j * arrays["motion"] if over_time else np.asarray(arrays["response"], dtype=complex)
         sets = [str(name) for name in arrays["sets"]]
         n_points = values.shape[-2]
-        places = [float(each) for each in arrays["positions"]] if "positions" in arrays else [None] * n_points
+        places: list[Place | None] = [None] * n_points
+        if "positions" in arrays:
+            across = np.broadcast_to(arrays.get("across", 0.0), n_points)
+            places = [Place(*map(float, each)) for each in zip(arrays["positions"], across, strict=True)]
         if values.shape[-3:] != (len(sets), len(places), axis.size) or values.ndim > 4:
             raise ValueError(f"{'drive' if over_time else 'response'} has the form {values.shape}")
         values = values.reshape(-1, *values.shape[-3:])
@@ -325,7 +332,8 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
     except Exception as error:
         raise ValueError(
             f"{path}: cannot be read ({error}); needed are frequency [Hz] and response (sets, positions, bins), or "
-            "time [s], drive and motion (sets, positions, samples), sets, and positions [m]; repeats may stand in front"
+            "time [s], drive and motion (sets, positions, samples), sets, positions [m] and, of rows, across [m]; "
+            "repeats may stand in front"
         ) from None
     quantity = str(arrays["quantity"]) if "quantity" in arrays else None
     if quantity is not None and quantity not in QUANTITIES:

@@ -16,7 +16,13 @@ from modaltouch.lab.identification.kernel import N_REST, Evaluation, LeastSquare
 from modaltouch.lab.identification.peaks import HalfPower, Poles, half_power
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.lab.identification.rest import rest_about
-from modaltouch.lab.identification.shapes import label_shapes, refuse_odd_point, unit_shape
+from modaltouch.lab.identification.shapes import (
+    label_shapes,
+    label_torsion,
+    refuse_odd_point,
+    torsion_shapes,
+    unit_shape,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,9 +43,18 @@ class ModalParameters:
         local = np.sqrt(self._local_misfit(variance) / variance)
         residue = self._scaled(fit.residue[: fit.n_modes])
         argand = self._scaled(complex_residue(self.problem, fit))
-        labels, likeness = self._labels(residue)
+        labels, torsion, likeness = self._labels(residue)
         modes = tuple(
-            self._mode(k, residue[k], argand[k], labels[k], float(likeness[k]), deviation, float(local[k]), variance)
+            self._mode(
+                k,
+                residue[k],
+                argand[k],
+                (labels[k], torsion[k]),
+                float(likeness[k]),
+                deviation,
+                float(local[k]),
+                variance,
+            )
             for k in range(fit.n_modes)
             # A pole beyond the band stands for all modes there, and is none of them.
             if fit.n_modes == 1
@@ -63,13 +78,13 @@ class ModalParameters:
         k: int,
         residue: FloatArray,
         argand: ComplexArray,
-        label: int | None,
+        which: tuple[int | None, int | None],
         likeness: float,
         deviation: FloatArray,
         local: float,
         variance: float,
     ) -> IdentifiedMode:
-        fit, n = self.fit, self.fit.n_modes
+        fit, n, (label, torsion) = self.fit, self.fit.n_modes, which
         frequency, ratio = float(fit.natural_frequency[k]), float(fit.damping_ratio[k])
         gain: tuple[Estimate, ...] = ()
         shape = None
@@ -78,6 +93,10 @@ class ModalParameters:
             values = residue @ shape / (shape @ shape)
             spread = self._gain_deviation(k, shape, variance) * local
             gain = tuple(Estimate.of(float(v), float(d)) for v, d in zip(values, spread, strict=True))
+        elif torsion is not None and self.length is not None:
+            expected = torsion_shapes([torsion], self.responses.places, self.length)[0]
+            common = np.linalg.svd(residue, full_matrices=False)[2][0]
+            shape = common * np.sqrt(common.size) * np.sign(common @ expected)
         driver, point = np.unravel_index(int(np.abs(residue).argmax()), residue.shape)
         magnitude = np.abs(self.responses.response[driver, point])
         peak = half_power(self.responses.frequency, magnitude, frequency, ratio * frequency)
@@ -91,10 +110,11 @@ class ModalParameters:
             shape=shape,
             mac=likeness if shape is not None else float("nan"),
             half_power=peak,
-            half_power_gain=self._half_power_gain(peak, residue, shape, int(driver), int(point)),
+            half_power_gain=self._half_power_gain(peak, residue, shape if gain else None, int(driver), int(point)),
             coherence=self._coherence(residue, frequency),
             rest=rest_about(self.problem, fit, k, self.responses.response.shape[0]),
             residue=argand.ravel() if self.responses.n_points == 1 else argand[driver],
+            torsion=torsion,
         )
 
     def _scaled(self, residue: NDArray[Any]) -> NDArray[Any]:
@@ -108,14 +128,16 @@ class ModalParameters:
         """Noise of each set, by which the problem scales its responses, (n_sets,) array."""
         return np.asarray(np.median(self.responses.noise, axis=1))
 
-    def _labels(self, residue: FloatArray) -> tuple[Sequence[int | None], FloatArray]:
+    def _labels(self, residue: FloatArray) -> tuple[Sequence[int | None], Sequence[int | None], FloatArray]:
         positions, n_modes = self.responses.positions, self.fit.n_modes
         if positions is None or self.length is None or positions.size < 3:
-            return [None] * n_modes, np.full(n_modes, np.nan)
+            return [None] * n_modes, [None] * n_modes, np.full(n_modes, np.nan)
         scaled = residue / np.sqrt(self._level)[None, :, None]
-        refuse_odd_point(scaled, positions, self.length, self.responses.sets)
+        refuse_odd_point(scaled, self.responses.places, self.length, self.responses.sets)
         common = np.array([np.linalg.svd(each, full_matrices=False)[2][0] for each in scaled])
-        return label_shapes(common, positions, self.length)
+        labels, likeness = label_shapes(common, positions, self.length)
+        torsion, twisted = label_torsion(common, labels, self.responses.places, self.length)
+        return labels, torsion, np.where([order is None for order in torsion], likeness, twisted)
 
     def _gain_deviation(self, k: int, shape: FloatArray, variance: float) -> FloatArray:
         """Return the standard deviation of a mode's gains: of its residues, and of what moves them with the poles."""

@@ -219,7 +219,7 @@ class _Peak:
 def _shares(responses: FrequencyResponses, length: float | None) -> list[ComplexArray]:
     """Return shares of the responses over their noise, each an (n, n_bins) array."""
     white = responses.response / np.sqrt(responses.noise)[:, None, :]
-    n_labels = responses.n_points * 2 // 3
+    n_labels = responses.n_along * 2 // 3
     if responses.positions is None or length is None or n_labels < FEWEST_LABELS:
         return [white.reshape(-1, white.shape[-1])]
     shapes = mode_shapes(range(1, n_labels + 1), responses.positions, length)

@@ -8,8 +8,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
-from modaltouch.lab.identification.shapes import phase_collinearity, phase_deviation, recognise
+from modaltouch.lab.identification.responses import along
+from modaltouch.lab.identification.shapes import over_width, phase_collinearity, phase_deviation, recognise
 from modaltouch.lab.identification.verdict import misfit_verdict, repeatability, warnings
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.report import figure_files, refuse_other, write_files
@@ -24,6 +27,7 @@ def mode_values(mode: IdentifiedMode, sets: Sequence[str]) -> dict[str, Any]:
     gains = {name: _pair(estimate, 1e3) for name, estimate in zip(sets, mode.gain, strict=False)}
     return {
         "label": mode.label,
+        "torsion": mode.torsion,
         "n_repeats": mode.n_repeats,
         "natural_frequency_Hz": _pair(mode.natural_frequency),
         "damping_ratio": _pair(mode.damping_ratio),
@@ -72,7 +76,7 @@ def table_rows(identification: Identification) -> list[dict[str, Any]]:
     rows = []
     for mode in identification.modes:
         values = mode_values(mode, identification.responses.sets)
-        row: dict[str, Any] = {"mode": values["label"] or ""}
+        row: dict[str, Any] = {"mode": mode.name if mode.label or mode.torsion else ""}
         quantities = {name: values[name] for name in ("natural_frequency_Hz", "damping_ratio")}
         gains = values["gain_mm_s2_per_V"]
         quantities |= {f"gain_{name}_mm_s2_per_V": gains.get(name, {}) for name in identification.responses.sets}
@@ -96,13 +100,24 @@ _ENDS = (("", "value"), ("_low", "low"), ("_high", "high"))
 
 
 def shape_rows(identification: Identification) -> list[dict[str, str]]:
-    """Return the measured shapes as the stimulus reads them."""
+    """Return the measured shapes as the stimulus reads them, the mean over the rows of each."""
     positions = identification.responses.positions
-    modes = [mode for mode in identification.modes if mode.label is not None]
+    if positions is None:
+        return []
+    shapes = {mode.label: over_width(shape, positions) for mode, shape in identification.shaped if mode.label}
     return [
         {"position_mm": f"{place * 1e3:.6g}"}
-        | {f"mode_{mode.label}": f"{mode.shape[index]:.6g}" for mode in modes if mode.shape is not None}
-        for index, place in enumerate([] if positions is None else positions)
+        | {f"mode_{label}": f"{shape[index]:.6g}" for label, shape in shapes.items()}
+        for index, place in enumerate(along(positions)[0])
+    ]
+
+
+def map_rows(identification: Identification) -> list[dict[str, str]]:
+    """Return the measured shapes over length and width, torsion with them."""
+    return [
+        {"position_mm": f"{place.along * 1e3:.6g}", "across_mm": f"{place.across * 1e3:.6g}"}
+        | {f"mode_{mode.name}": f"{shape[index]:.6g}" for mode, shape in identification.shaped}
+        for index, place in enumerate(identification.responses.places)
     ]
 
 
@@ -139,12 +154,13 @@ def write_identification(
         figures["complexity"] = draw.draw_complexity(identification)
     if identification.responses.coherence is not None:
         figures["coherence"] = draw.draw_coherence(identification)
-    shaped = any(mode.shape is not None for mode in identification.modes)
-    if shaped:
-        figures["fig_4"] = draw.draw_shapes(identification)
     files: dict[str, Any] = {"table_1.csv": table_rows(identification), "identification.json": as_dict(identification)}
-    if shaped:
+    if identification.shaped:
+        figures["fig_4"] = draw.draw_shapes(identification)
         files["shapes.csv"] = shape_rows(identification)
+    if identification.shaped and np.any(identification.responses.across):
+        figures["fig_4_map"] = draw.draw_shape_maps(identification)
+        files["shapes_map.csv"] = map_rows(identification)
     if apparatus is not None:
         files[apparatus[0]] = apparatus[1]
     return write_files(folder, files | figure_files(figures), {"version": version(), **about}, COMMAND)

@@ -18,8 +18,25 @@ from modaltouch.rig import Recording
 Quantity = Literal["velocity", "displacement", "acceleration"]
 QUANTITIES: tuple[Quantity, ...] = ("velocity", "displacement", "acceleration")
 
-Key = tuple[str, float | None]
-"""Excitation and position [m] of a response; no position where a file does not say it."""
+
+Estimator = Literal["H1", "H2", "Hv"]
+ESTIMATORS: dict[Estimator, float] = {"H1": 0.0, "Hv": 0.5, "H2": 1.0}
+"""Power of the coherence over which H1 is each estimator: all noise at the motion, equal shares, all at the drive."""
+
+
+class Place(NamedTuple):
+    """A point of a beam: along it from its middle, across it from its mid-line [m]."""
+
+    along: float
+    across: float = 0.0
+
+    def __str__(self) -> str:
+        """Return it in millimetres, as messages name it."""
+        return f"{self.along * 1e3:.6g} mm" + (f", {self.across * 1e3:.6g} mm across" if self.across else "")
+
+
+Key = tuple[str, Place | None]
+"""Excitation and place of a response; no place where a file does not say it."""
 
 NOISE_WINDOW = 33
 """Bins over which the noise is pooled: it varies slowly where the excitation does [1]."""
@@ -105,6 +122,8 @@ class FrequencyResponses:
         What a result of them has to say, a sentence each.
     repeats : tuple of FrequencyResponses
         The measurements of which these are the mean, or one by one; none where there was but one.
+    across : (n_points,) array or float
+        Where each point lies across the beam, from its mid-line [m].
     """
 
     frequency: FloatArray
@@ -117,6 +136,20 @@ class FrequencyResponses:
     offset: float = 0.0
     marks: tuple[str, ...] = ()
     repeats: tuple[FrequencyResponses, ...] = ()
+    across: FloatArray | float = 0.0
+
+    @classmethod
+    def of_rows(cls, rows: Sequence[FrequencyResponses]) -> FrequencyResponses:
+        """Return the responses of rows of points over the width of a beam as one."""
+        known = [row.coherence for row in rows if row.coherence is not None]
+        places = np.array([place for row in rows for place in row.places])
+        return replace(
+            rows[0],
+            response=np.concatenate([row.response for row in rows], axis=1),
+            positions=places[:, 0],
+            coherence=np.concatenate(known, axis=1) if known else None,
+            across=places[:, 1],
+        )
 
     @classmethod
     def of_repeats(cls, repeats: Sequence[FrequencyResponses]) -> FrequencyResponses:
@@ -135,6 +168,19 @@ class FrequencyResponses:
     def n_points(self) -> int:
         """Number of points."""
         return int(self.response.shape[1])
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """Where the points are; none where a file does not say."""
+        if self.positions is None:
+            return ()
+        across = np.broadcast_to(self.across, self.positions.shape)
+        return tuple(Place(*each) for each in np.stack([self.positions, across], axis=1).tolist())
+
+    @property
+    def n_along(self) -> int:
+        """Number of points along the beam, those of rows beside each other counted once."""
+        return self.n_points if self.positions is None else int(along(self.positions)[0].size)
 
     @property
     def spacing(self) -> float:
@@ -191,22 +237,41 @@ class FrequencyResponses:
     def without(self, places: Sequence[float]) -> FrequencyResponses:
         """Return the responses but those at some places [m], and the mark that says so."""
         positions = np.array([]) if self.positions is None else self.positions
-        left_out = np.zeros(positions.size, dtype=bool)
+        left_out, across = np.zeros(positions.size, dtype=bool), np.broadcast_to(self.across, positions.shape)
         for place in places:
             at = np.isclose(positions, place, rtol=0.0, atol=SAME_PLACE)
             if not at.any():
-                held = ", ".join(f"{each * 1e3:g}" for each in positions) or "none"
+                held = ", ".join(f"{each * 1e3:g}" for each in np.unique(positions)) or "none"
                 raise ValueError(f"--leave-out {place * 1e3:g} is no measured position; allowed are {held} mm")
             left_out |= at
-        named = ", ".join(f"{place * 1e3:g}" for place in positions[left_out])
+        named = ", ".join(f"{place * 1e3:g}" for place in np.unique(positions[left_out]))
         return replace(
             self,
             response=self.response[:, ~left_out],
             positions=positions[~left_out],
+            across=across[~left_out],
             coherence=None if self.coherence is None else self.coherence[:, ~left_out],
             marks=(*self.marks, f"the responses at {named} mm were left out"),
             repeats=tuple(each.without(places) for each in self.repeats),
         )
+
+    def by(self, estimator: Estimator) -> FrequencyResponses:
+        r"""Return responses that are H1 by another estimator: :math:`H_2 = H_1 / \gamma^2`, :math:`H_v = H_1 / \gamma`.
+
+        Raises
+        ------
+        ValueError
+            If there is no coherence.
+        """
+        if estimator == "H1":
+            return self
+        if self.coherence is None:
+            raise ValueError(
+                f"--estimator is {estimator}, which needs a coherence: single records and impacts have none: "
+                "average several records, or leave it out"
+            )
+        response = self.response / np.maximum(self.coherence, 1e-9) ** ESTIMATORS[estimator]
+        return replace(self, response=response, repeats=tuple(each.by(estimator) for each in self.repeats))
 
     def between(self, lowest: float, highest: float) -> FrequencyResponses:
         """Return the responses of a band [Hz]."""
@@ -289,10 +354,14 @@ def responses_of(scans: Mapping[str, Scan], bandwidth: float | None = None) -> F
     """
     response: list[ComplexArray] = []
     coherence: list[FloatArray] = []
-    positions = next(iter(scans.values())).positions
+    positions, across = next(iter(scans.values())).positions, next(iter(scans.values())).across
     for name, scan in scans.items():
         scan.require_complete().refuse_overloaded()
-        if scan.positions.shape != positions.shape or not np.allclose(scan.positions, positions):
+        if (
+            scan.positions.shape != positions.shape
+            or not np.allclose(scan.positions, positions)
+            or scan.across != across
+        ):
             raise RecordInputError(f"the scan of the set {name} is at other positions than the first: scan it again")
         drive, velocity = scan.stacked("drive_power"), scan.stacked("velocity_power")
         cross = np.stack([np.asarray(each["cross_power"], dtype=complex) for each in scan.arrays])
@@ -309,7 +378,14 @@ def responses_of(scans: Mapping[str, Scan], bandwidth: float | None = None) -> F
         coherence=np.stack(coherence)[:, order] if n_averages > 1 else None,
         n_averages=n_averages,
         bandwidth=bandwidth,
+        across=across,
     )
+
+
+def along(positions: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Return the places along a beam, those of rows beside each other once, and which of them each point has."""
+    _, first, which = np.unique(np.round(positions / SAME_PLACE), return_index=True, return_inverse=True)
+    return positions[first], which
 
 
 def as_velocity(frequency: FloatArray, response: ComplexArray, quantity: Quantity) -> ComplexArray:

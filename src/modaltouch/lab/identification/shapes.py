@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.identification.responses import Place, along
 from modaltouch.stimulus import MeasuredShapes, characteristic_root, mode_shapes
 
 ALIKE = 0.5
@@ -66,7 +67,7 @@ def check_points(positions: FloatArray, labels: Sequence[int], length: float) ->
     ValueError
         With the pair that looks alike, and how many points are enough.
     """
-    highest = max(labels)
+    highest, positions = max(labels), along(positions)[0]
     needed = int(np.ceil(1.5 * highest))
     shapes = mode_shapes(range(1, highest + 1), positions, length)
     likeness = mac(shapes, shapes) - np.eye(highest)
@@ -98,11 +99,52 @@ def label_shapes(shapes: FloatArray, positions: FloatArray, length: float) -> tu
     length : float
         Length of the beam [m].
     """
-    n_labels = positions.size * 2 // 3
-    likeness = mac(shapes, mode_shapes(range(1, n_labels + 1), positions, length))
+    n_labels = along(positions)[0].size * 2 // 3
+    return _in_order(mac(shapes, mode_shapes(range(1, n_labels + 1), positions, length)))
+
+
+def label_torsion(
+    shapes: FloatArray, labels: Sequence[int | None], places: Sequence[Place], length: float
+) -> tuple[list[int | None], FloatArray]:
+    """Return which torsional mode of a uniform free-free beam each shape without a label is, and its MAC with it.
+
+    On one row alone it looks like bending, and none is named.
+
+    Parameters
+    ----------
+    shapes : (n_modes, n_points) array
+        In order of frequency.
+    labels : sequence of (int or None)
+        Which bending mode each is.
+    places : sequence of Place
+        Of the points.
+    length : float
+        Length of the beam [m].
+    """
+    n_along, n_rows = (len(set(each)) for each in zip(*places, strict=True))
+    if n_rows == 1:
+        return [None] * len(labels), np.zeros(len(labels))
+    n_orders = max(1, n_along * 2 // 3)
+    likeness = mac(shapes, torsion_shapes(range(1, n_orders + 1), places, length))
+    return _in_order(np.where([[label is None] for label in labels], likeness, 0.0))
+
+
+def torsion_shapes(orders: Sequence[int], places: Sequence[Place], length: float) -> FloatArray:
+    r"""Return torsion shapes of a uniform free-free beam, of unit mean square over the points, (n_orders, n_points).
+
+    By Saint-Venant :math:`\varphi_n \propto y \cos(n \pi (x / L + 1/2))`, here positive where x and y end.
+    """
+    x, y = np.array(places).T
+    order = np.array(orders)[:, None]
+    shape = y * (-1.0) ** order * np.cos(order * np.pi * (x / length + 0.5))
+    return np.asarray(shape / np.maximum(np.sqrt((shape**2).mean(axis=1, keepdims=True)), 1e-300))
+
+
+def _in_order(likeness: FloatArray) -> tuple[list[int | None], FloatArray]:
+    """Return labels in increasing order, and the likeness of each shape with its own."""
     # The most likeness in all that labels in increasing order can have.
     gain = np.where(likeness >= BELONGS, likeness**4, 0.0)
-    n_modes = shapes.shape[0]
+    n_modes, n_labels = likeness.shape
     best = np.zeros((n_modes + 1, n_labels + 1))
     for k in range(n_modes):
         for label in range(1, n_labels + 1):
@@ -128,16 +170,24 @@ def unit_shape(residue: FloatArray, positions: FloatArray, label: int, length: f
     residue : (n_sets, n_points) array
         Of one mode; gain of each set times the shape, with equal noise.
     positions : (n_points,) array
-        Origin at mid-beam [m].
+        Origin at mid-beam [m]; the mean over rows beside each other is what has a unit mean square.
     label : int
         Of the mode.
     length : float
         Length of the beam [m].
     """
     common = np.linalg.svd(residue, full_matrices=False)[2][0]
-    measured = MeasuredShapes((label,), positions, common[None], length)
+    mean = over_width(common, positions)
+    measured = MeasuredShapes((label,), along(positions)[0], mean[None], length)
     at_end = float(measured.at([length / 2])[0, 0])
-    return np.asarray(measured.shape[0] * (1.0 if at_end >= 0 else -1.0))
+    size = float(measured.shape[0] @ mean / (mean @ mean))
+    return np.asarray(common * size * (1.0 if at_end >= 0 else -1.0))
+
+
+def over_width(shape: FloatArray, positions: FloatArray) -> FloatArray:
+    """Return the mean of a shape over the rows at each place along the beam, (n_along,) array."""
+    which = along(positions)[1]
+    return np.asarray(np.bincount(which, shape) / np.bincount(which))
 
 
 FEWEST_MODES = 3
@@ -150,7 +200,7 @@ EXPLAINED, STANDS_OUT = 0.25, 3.0
 """What a factor leaves at most of the misfit of its point, and that misfit over the median one at least [1]."""
 
 
-def refuse_odd_point(residue: FloatArray, positions: FloatArray, length: float, sets: Sequence[str]) -> None:
+def refuse_odd_point(residue: FloatArray, places: Sequence[Place], length: float, sets: Sequence[str]) -> None:
     """Refuse responses of which one point is inverted, or too large or too small, beside the others.
 
     Each point is predicted from the shapes of a uniform free-free beam that the others fit. Its responses over all
@@ -160,8 +210,8 @@ def refuse_odd_point(residue: FloatArray, positions: FloatArray, length: float, 
     ----------
     residue : (n_modes, n_sets, n_points) array
         Gain times shape.
-    positions : (n_points,) array
-        Origin at mid-beam [m].
+    places : sequence of Place
+        Of the points.
     length : float
         Length of the beam [m].
     sets : sequence of str
@@ -172,6 +222,7 @@ def refuse_odd_point(residue: FloatArray, positions: FloatArray, length: float, 
     ValueError
         With the point, its factor and the remedy.
     """
+    positions = np.array(places)[:, 0]
     size = np.linalg.norm(residue, axis=(1, 2), keepdims=True)
     measured = residue / np.maximum(size, 1e-300)
     seen = [_without(measured, positions, length, point) for point in range(positions.size)]
@@ -183,7 +234,7 @@ def refuse_odd_point(residue: FloatArray, positions: FloatArray, length: float, 
     if not odd.any():
         return
     set_index, point = divmod(int(np.where(odd.T, before.T, 0.0).argmax()), positions.size)
-    place, times = positions[point] * 1e3, float(factor[point, set_index])
+    place, times = places[point], float(factor[point, set_index])
     whose = "" if odd[point].all() else f" to {sets[set_index]}"
     what = (
         "inverted" if times < 0 else f"{times:.3g} times too large" if times > 1 else f"{1 / times:.3g} times too small"
@@ -191,8 +242,8 @@ def refuse_odd_point(residue: FloatArray, positions: FloatArray, length: float, 
     if times < 0 and abs(times + 1) > OFF:
         what += f" and {-times:.3g} times too large" if times < -1 else f" and {-1 / times:.3g} times too small"
     raise ValueError(
-        f"the response{whose} at {place:.6g} mm is {what} beside the other points, in all modes: see the sensor "
-        f"and its sign there and measure that point again, or leave it out with --leave-out {place:.6g}"
+        f"the response{whose} at {place} is {what} beside the other points, in all modes: see the sensor "
+        f"and its sign there and measure that point again, or leave it out with --leave-out {place.along * 1e3:.6g}"
     )
 
 

@@ -68,7 +68,7 @@ def _split(modes: Sequence[IdentifiedMode]) -> str:
     for one, other in pairwise(modes):
         apart = other.natural_frequency.value - one.natural_frequency.value
         width = 2 * one.natural_frequency.value * one.damping_ratio.value
-        if apart < width and None in (one.label, other.label):
+        if apart < width and not all(each.label or each.torsion for each in (one, other)):
             return (
                 f"the resonances at {one.natural_frequency.value:.6g} and {other.natural_frequency.value:.6g} Hz are "
                 "within one width, as those of one mode that moved: the most probable cause is drift or nonlinearity: "
@@ -174,7 +174,7 @@ def warnings(identification: Identification) -> list[str]:
     badly = [mode for mode in identification.modes if mode.rest.share > MOST_LEFT and mode not in marked]
     for chosen in (marked, badly):
         if chosen:
-            names = ", ".join(str(each.label or f"{each.natural_frequency.value:.6g} Hz") for each in chosen)
+            names = ", ".join(each.name for each in chosen)
             left = max(max(each.rest.smooth, each.rest.share) for each in chosen)
             said.append(
                 f"up to {left:.1%} of the response about {names} is left, and the intervals may not hold it: "

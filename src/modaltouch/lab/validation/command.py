@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from modaltouch.lab.laboratory import SIMULATED, UNTOLD, MeasurementProgress, TooFewPointsError
 from modaltouch.lab.output import rounded
 from modaltouch.lab.recorded_files import open_measurement
-from modaltouch.lab.scan import Scan
+from modaltouch.lab.scan import Scan, rows_over
 from modaltouch.lab.validation.evidence import Evidence, evaluate
 from modaltouch.lab.validation.figures import (
     PAPER_WORST,
@@ -24,6 +24,7 @@ from modaltouch.lab.validation.figures import (
     draw_drives,
     draw_fields,
     draw_maps,
+    draw_over_width,
     draw_spectrograms,
     draw_zones,
     spectrogram_of,
@@ -123,6 +124,7 @@ def validate(
     scan: Path | None = None,
     points: int = 41,
     averages: int = 10,
+    rows: int = 1,
     record: Path | None = None,
     progress: MeasurementProgress = UNTOLD,
 ) -> ValidationReport:
@@ -142,6 +144,8 @@ def validate(
         Folder that keeps the recordings: a scan that was stopped goes on there, a complete one needs no rig.
     points, averages : int
         Points along the beam, and records at each.
+    rows : int
+        Rows of points over the width, an odd number; from 3 on torsion shows.
     record : Path, optional
         Folder where another scope leaves its records as files, instead of a PicoScope.
     progress : MeasurementProgress, optional
@@ -162,7 +166,8 @@ def validate(
     folder = out or Path("validation") / preflight.experiment.protocol.protocol
     refuse_other(folder, COMMAND)
     TooFewPointsError.check(points, preflight.stimulus.model.label)
-    observed = _observe(preflight, rig, scan, points, averages, record, progress)
+    beside = [across for across in rows_over(preflight.experiment.apparatus, rows) if across]
+    observed = _observe(preflight, rig, scan, points, averages, beside, record, progress)
     context = _context(preflight, protocol, observed[0].field)
     return ValidationReport(evaluate(observed), preflight.experiment.protocol.conditions.pairs, context, folder)
 
@@ -173,13 +178,14 @@ def _observe(
     folder: Path | None,
     points: int,
     averages: int,
+    rows: Sequence[float],
     record: Path | None,
     progress: MeasurementProgress,
 ) -> list[Observation]:
     """Return what was recorded, now or before."""
     experiment, (inputs, stimulus) = preflight.experiment, preflight.sound
-    if folder is not None and complete(folder):
-        return read_laws(inputs, folder)
+    if folder is not None and complete(folder, rows):
+        return read_laws(inputs, folder, rows)
     with open_measurement(experiment.apparatus, rig, record, progress) as (laboratory, heard):
         return record_laws(
             inputs,
@@ -187,6 +193,7 @@ def _observe(
             stimulus.target_field.velocity,
             n_points=points,
             n_records=averages,
+            rows=rows,
             folder=folder,
             source=experiment.sources.apparatus,
             progress=heard,
@@ -238,6 +245,12 @@ def _draw(evidences: Sequence[Evidence], limit: float) -> dict[str, tuple[Figure
             "modelled modes, the selected ones bold.",
         ),
     }
+    if evidences[0].observation.rows:
+        drawn["fig_7_map"] = (
+            draw_over_width(evidences),
+            "Fig. 7 over the width: measured velocity at the focusing instant, the highest speed within 1 ms of it, "
+            "and torsion, which grows in proportion across the beam.",
+        )
     for evidence in evidences:
         drawn[f"zones_{evidence.law}"] = (
             draw_zones(evidence),
@@ -260,6 +273,8 @@ def _tables(evidences: Sequence[Evidence]) -> dict[str, list[dict[str, Any]]]:
         "fig_7.csv": [line for each in evidences for line in _field_lines(each)],
         "fig_8.csv": [line for each in evidences for line in _spectrum_lines(each)],
     }
+    if first.observation.rows:
+        tables["fig_7_map.csv"] = [line for each in evidences for line in _width_lines(each)]
     return tables | {f"fig_5_{each.law}.csv": _map_lines(each) for each in evidences}
 
 
@@ -282,6 +297,23 @@ def _field_lines(evidence: Evidence) -> list[dict[str, Any]]:
             "standard_error_mm_s": _round(evidence.points_error[i]),
         }
         for i in range(place.size)
+    ]
+
+
+def _width_lines(evidence: Evidence) -> list[dict[str, Any]]:
+    """Return field and highest speed over length and width."""
+    return [
+        {
+            "law": evidence.law,
+            "position_mm": round(float(place) * 1e3, 6),
+            "across_mm": round(scan.across * 1e3, 6),
+            "velocity_mm_s": _round(velocity),
+            "highest_speed_mm_s": _round(speed),
+        }
+        for scan, *row in zip(
+            evidence.rows, evidence.field_over_width.mean(axis=1), evidence.speed_over_width, strict=True
+        )
+        for place, velocity, speed in zip(scan.positions, *row, strict=True)
     ]
 
 

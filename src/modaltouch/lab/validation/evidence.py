@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.scan import Scan
 from modaltouch.lab.validation.recording import Observation
 from modaltouch.record import RecordInputError
 from modaltouch.stimulus import mode_shapes
@@ -215,10 +216,10 @@ class Evidence:
         """Field at the focusing instant, record by record, (n_records, n_positions) array [m/s]."""
         return np.asarray(self._at(self.instant))
 
-    def _at(self, instant: float) -> FloatArray:
+    def _at(self, instant: float, scan: Scan | None = None) -> FloatArray:
         from scipy.interpolate import CubicSpline
 
-        scan = self.observation.field
+        scan = scan or self.observation.field
         time = scan.time - self.lag
         near = np.abs(time - instant) < 2e-5
         return np.asarray(CubicSpline(time[near], scan.velocity[:, :, near], axis=2)(instant).T)
@@ -228,10 +229,34 @@ class Evidence:
         """Mean field at the focusing instant, (n_positions,) array [m/s]."""
         return np.asarray(self.snapshots.mean(axis=0))
 
+    @cached_property
+    def rows(self) -> list[Scan]:
+        """The field's scans on the mid-line and, where there are more, on rows beside it, from edge to edge."""
+        return sorted((self.observation.field, *self.observation.rows), key=lambda scan: scan.across)
+
+    @cached_property
+    def field_over_width(self) -> FloatArray:
+        """Velocity of each row at the focusing instant, record by record, (n_rows, n_records, n_positions) [m/s]."""
+        return np.array([self._at(self.instant, scan) for scan in self.rows])
+
+    @cached_property
+    def speed_over_width(self) -> FloatArray:
+        """Highest speed of each row within the field's scan, (n_rows, n_positions) array [m/s]."""
+        return np.array([np.abs(scan.velocity.mean(axis=1)).max(axis=1) for scan in self.rows])
+
+    @property
+    def torsion(self) -> FloatArray:
+        """What grows in proportion across the beam, by least squares over the rows: that of the outer rows [m/s].
+
+        Record by record, (n_records, n_positions) array.
+        """
+        across = np.array([scan.across for scan in self.rows])
+        return np.asarray(np.tensordot(across, self.field_over_width, 1) * (across[-1] / (across @ across)))
+
     @property
     def points_error(self) -> FloatArray:
         """Standard error of `measured_points` from record to record, (n_positions,) array [m/s]."""
-        return _standard_error(self.snapshots)
+        return standard_error(self.snapshots)
 
     @cached_property
     def fitted_labels(self) -> tuple[int, ...]:
@@ -265,7 +290,7 @@ class Evidence:
     @property
     def coefficient_error(self) -> FloatArray:
         """Standard error of `achieved_coefficient` from record to record, (n_modes,) array [m/s]."""
-        return np.asarray(_standard_error(self._projections)[self._modelled])
+        return np.asarray(standard_error(self._projections)[self._modelled])
 
     @property
     def further_coefficient(self) -> dict[int, float]:
@@ -344,7 +369,7 @@ AROUND_PEAK = 0.1e-3
 """Around the focusing instant, where the peak is looked for [s]."""
 
 
-def _standard_error(records: FloatArray) -> FloatArray:
+def standard_error(records: FloatArray) -> FloatArray:
     """Return the standard error of the mean over the records; NaN of a single one."""
     n = records.shape[0]
     return np.asarray(records.std(axis=0, ddof=1) / np.sqrt(n)) if n > 1 else np.full(records.shape[1:], np.nan)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.output import DARK, LIGHT, MIDDLE
+from modaltouch.lab.output import DARK, LIGHT, MIDDLE, SIGNED, draw_map
 from modaltouch.lab.validation.evidence import Evidence
 from modaltouch.lab.validation.key_figures import coefficients, key_figures
 from modaltouch.lab.validation.recording import AROUND
@@ -148,6 +148,31 @@ def _draw_difference(axes: Axes, evidence: Evidence) -> None:
     axes.set(xlabel="position along the beam [mm]", xlim=(place[0], place[-1]))
 
 
+def draw_over_width(evidences: Sequence[Evidence]) -> Figure:
+    """Return velocity at the focus, the highest speed around it, and torsion, over length and width, as in Fig. 7."""
+    fields = [_over_width(each) for each in evidences]
+    highest = np.array([[float(np.abs(values).max()) * 1e3 for values in each] for each in fields]).max(axis=0)
+    with house_style(7.6, 4.4, 3, len(evidences), sharex=True, sharey=True) as (figure, panels):
+        for column, evidence, each in zip(panels.T, evidences, fields, strict=True):
+            across = np.array([scan.across for scan in evidence.rows])
+            y, x = (grid.ravel() for grid in np.meshgrid(across, evidence.observation.field.positions, indexing="ij"))
+            for axes, values, limit in zip(column, each, highest.tolist(), strict=True):
+                drawn = draw_map(axes, x, y, values.ravel() * 1e3, limit)
+                if evidence is evidences[-1]:
+                    figure.colorbar(drawn, ax=panels[list(column).index(axes)], label="[mm/s]", pad=0.02)
+            column[0].set_title(LAW_TITLES[evidence.law], loc="left")
+            column[-1].set_xlabel("position along the beam [mm]")
+        for axes, name in zip(panels[:, 0], ("at the focus", "highest speed", "torsion at the focus"), strict=True):
+            axes.set_ylabel(f"{name}:\nacross [mm]", fontsize=8)
+    return figure
+
+
+def _over_width(evidence: Evidence) -> tuple[FloatArray, FloatArray, FloatArray]:
+    across = np.array([scan.across for scan in evidence.rows])
+    torsion = np.outer(across / across[-1], evidence.torsion.mean(axis=0))
+    return evidence.field_over_width.mean(axis=1), evidence.speed_over_width, torsion
+
+
 WINDOW = 4e-3
 """Length of the Hann window: a mode of 229 Hz swings about once within it [s]."""
 
@@ -199,9 +224,6 @@ def spectrogram(time: FloatArray, velocity: FloatArray, highest: float) -> tuple
     middle = time[0] + (np.arange(len(parts)) * n_step + (n_window - 1) / 2) * step
     return middle, frequency[kept], amplitude.T
 
-
-SIGNED = "cividis"
-"""Colours of signed velocities: lightness rises evenly with the value, for every kind of colour vision."""
 
 MAP_STEP = 2e-6
 """From one drawn instant of a map to the next: a sixth of the shortest period [s]."""

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.validation.evidence import Evidence, contrast, root_mean_square, spot_width
+from modaltouch.lab.validation.evidence import Evidence, contrast, root_mean_square, spot_width, standard_error
 from modaltouch.preflight import finite
 from modaltouch.report import say_number
 
@@ -46,6 +46,7 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
             "measured_from_predicted": _distance(evidence.measured_field, evidence.predicted_field),
             "predicted_from_wished": _distance(evidence.predicted_field, evidence.target_field),
         },
+        "torsion_on_outer_rows_mm_s": _torsion(evidence) if observation.rows else None,
         "width_50_mm": _widths(evidence, 0.5),
         "width_80_mm": _widths(evidence, 0.8),
         "time_above_90_us": {
@@ -110,6 +111,12 @@ def _distance(one: FloatArray, other: FloatArray) -> dict[str, float]:
     return {"rms_mm_s": root_mean_square(one - other) * 1e3, "max_mm_s": float(np.abs(one - other).max()) * 1e3}
 
 
+def _torsion(evidence: Evidence) -> dict[str, float | None]:
+    """Return the torsion of the outer rows at the focusing instant, and what noise alone would show of it."""
+    measured, noise = evidence.torsion.mean(axis=0), standard_error(evidence.torsion)
+    return {"rms": root_mean_square(measured) * 1e3, "noise": finite(root_mean_square(noise) * 1e3)}
+
+
 def _widths(evidence: Evidence, fraction: float) -> dict[str, float | None]:
     fields = {
         "measured": evidence.measured_field,
@@ -166,6 +173,11 @@ def summary(figures: Sequence[Figures]) -> list[dict[str, Any]]:
     ]
     table = [{"quantity": name, "unit": unit, "cells": [cell(f) for f in figures]} for name, unit, cell in rows]
     first, both = figures[0], ("measured", "predicted")
+    if first["torsion_on_outer_rows_mm_s"] is not None:
+        cells = [_joined(f["torsion_on_outer_rows_mm_s"], 2) for f in figures]
+        table.append(
+            {"quantity": "torsion on the outer rows, rms: measured, by noise alone", "unit": "mm/s", "cells": cells}
+        )
     further = [
         *((f"peak speed at {zone}", "mm/s", [_joined(f["zone_peak_mm_s"][zone], 0) for f in figures])
           for zone in first["zone_peak_mm_s"]),

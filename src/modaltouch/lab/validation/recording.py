@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.laboratory import UNTOLD, Laboratory, MeasurementProgress
-from modaltouch.lab.scan import Scan, ScanPlan, read_scan, take_scan
+from modaltouch.lab.scan import Scan, ScanPlan, read_scan, row_name, take_scan
 from modaltouch.preflight import DesignInputs, design
 from modaltouch.protocol import Source
 from modaltouch.record import RecordError, RecordInputError
@@ -21,7 +22,7 @@ from modaltouch.stimulus import Law, Stimulus
 LAWS: tuple[Law, ...] = ("exact", "paper")
 
 WHAT = ("field", "course")
-"""What is scanned of each law, in this order; each scan has a folder ``<law>_<what>``."""
+"""What is scanned of each law, in this order; each scan has a folder ``<law>_<what>``, with its row if off mid-line."""
 
 AROUND = 1.0e-3
 """How much is shown before and after the focusing instant: 24 to 26 ms in Fig. 5 [s]."""
@@ -57,6 +58,8 @@ class Observation:
         Velocity along the beam around the focusing instant.
     course : Scan
         Velocity at the centres of the zones throughout the burst.
+    rows : tuple of Scan
+        The field on further rows over the width.
     """
 
     stimulus: Stimulus
@@ -65,6 +68,7 @@ class Observation:
     focus: str
     field: Scan
     course: Scan
+    rows: tuple[Scan, ...] = ()
 
 
 def plans(
@@ -122,6 +126,7 @@ def record_laws(
     *,
     n_points: int,
     n_records: int,
+    rows: Sequence[float] = (),
     folder: Path | None = None,
     source: Source | None = None,
     progress: MeasurementProgress = UNTOLD,
@@ -138,6 +143,8 @@ def record_laws(
         Level [m/s].
     n_points, n_records : int
         Points along the beam, and records at each.
+    rows : sequence of float
+        Where the field is scanned off the mid-line too [m].
     folder : Path, optional
         Where the scans are kept, each in a folder of its own; one that was stopped goes on.
     source : Source, optional
@@ -149,8 +156,9 @@ def record_laws(
     for law in LAWS:
         stimulus = design(inputs, law=law)
         scans = []
-        for plan in plans(inputs, stimulus, velocity, n_points, n_records):
-            name = f"{law}_{plan.about['what']}"
+        field, course = plans(inputs, stimulus, velocity, n_points, n_records)
+        for plan in (field, course, *(replace(field, across=across) for across in rows)):
+            name = row_name(f"{law}_{plan.about['what']}", plan.across)
             scan = take_scan(
                 laboratory,
                 plan,
@@ -161,11 +169,11 @@ def record_laws(
                 check=progress.check,
             )
             scans.append(scan.refuse_overloaded())
-        observed.append(_observation(inputs, stimulus, velocity, scans[0], scans[1]))
+        observed.append(_observation(inputs, stimulus, velocity, scans))
     return observed
 
 
-def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
+def read_laws(inputs: DesignInputs, folder: Path, rows: Sequence[float] = ()) -> list[Observation]:
     """Return what each law did, from the scans in a folder; no rig is touched.
 
     Parameters
@@ -174,6 +182,8 @@ def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
         What the stimuli were designed from.
     folder : Path
         Where `record_laws` kept the scans.
+    rows : sequence of float
+        Rows off the mid-line [m].
 
     Raises
     ------
@@ -184,8 +194,7 @@ def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
     for law in LAWS:
         stimulus = design(inputs, law=law)
         scans = []
-        for what in WHAT:
-            place = folder / f"{law}_{what}"
+        for place in _folders(folder, law, rows):
             scan = read_scan(place).require_complete().refuse_overloaded()
             played = scan.facts["settings"]["burst"]["sha256"]
             if played != stimulus.burst.content_hash:
@@ -195,18 +204,24 @@ def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
                 )
             scans.append(scan)
         velocity = float(scans[0].facts["settings"]["velocity_mm_s"]) * 1e-3
-        observed.append(_observation(inputs, stimulus, velocity, scans[0], scans[1]))
+        observed.append(_observation(inputs, stimulus, velocity, scans))
     return observed
 
 
-def complete(folder: Path) -> bool:
+def _folders(folder: Path, law: Law, rows: Sequence[float]) -> list[Path]:
+    """Return where the scans of a law lie: field and course of the mid-line, then the field on further rows."""
+    names = [f"{law}_{what}" for what in WHAT]
+    return [folder / name for name in (*names, *(row_name(names[0], across) for across in rows))]
+
+
+def complete(folder: Path, rows: Sequence[float] = ()) -> bool:
     """Return whether a folder holds every scan, so that no rig is needed."""
     try:
-        return all(read_scan(folder / f"{law}_{what}").complete for law in LAWS for what in WHAT)
+        return all(read_scan(place).complete for law in LAWS for place in _folders(folder, law, rows))
     except RecordError:
         return False
 
 
-def _observation(inputs: DesignInputs, stimulus: Stimulus, velocity: float, field: Scan, course: Scan) -> Observation:
+def _observation(inputs: DesignInputs, stimulus: Stimulus, velocity: float, scans: Sequence[Scan]) -> Observation:
     zones = {name: zone.centre_mm * 1e-3 for name, zone in inputs.apparatus.ordered_zones.items()}
-    return Observation(stimulus, velocity, zones, inputs.section.focus, field, course)
+    return Observation(stimulus, velocity, zones, inputs.section.focus, scans[0], scans[1], tuple(scans[2:]))

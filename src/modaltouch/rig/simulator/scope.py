@@ -96,13 +96,13 @@ class SimulatedScope(Scope):
         self._rate = clock / self._divider
         return acquisition
 
-    def measure(self, position: float) -> Recording:
+    def measure(self, position: float, across: float = 0.0) -> Recording:
         """Return velocity and drive while the generator plays.
 
         Parameters
         ----------
-        position : float
-            Where the vibrometer aims, origin at mid-beam [m].
+        position, across : float
+            Where the vibrometer aims, from mid-beam and from the mid-line [m].
 
         Raises
         ------
@@ -117,7 +117,7 @@ class SimulatedScope(Scope):
                 "no trigger came from the generator: neither of its outputs plays; load a record and fire it, then "
                 "measure again"
             )
-        return self._recorded(position, playbacks, self._asked.n_records)
+        return self._recorded(position, across, playbacks, self._asked.n_records)
 
     def arm(self) -> None:
         """Have the next burst recorded, without waiting for it."""
@@ -128,10 +128,12 @@ class SimulatedScope(Scope):
         if self._timeline.caught is None:
             raise RigError("no trigger came from the generator since the scope was armed")
         alone = [each and replace(each, period=math.inf) for each in self._timeline.caught]
-        return self._recorded(position, alone, 1)
+        return self._recorded(position, 0.0, alone, 1)
 
-    def _recorded(self, position: float, playbacks: Sequence[Playback | None], n_records: int) -> Recording:
-        """Return velocity and drive at a position while outputs send what they send."""
+    def _recorded(
+        self, position: float, across: float, playbacks: Sequence[Playback | None], n_records: int
+    ) -> Recording:
+        """Return velocity and drive at a place while outputs send what they send."""
         asked, true = self._asked, self._twin.apparatus.twin
         self._twin.n_measured += 1
         nominal = asked.start + np.arange(asked.n_samples) / self._rate
@@ -144,7 +146,7 @@ class SimulatedScope(Scope):
         motions = self._twin.motions(
             playbacks,
             position,
-            offset=true.vibrometer.offset_mm * 1e-3,
+            offset=across + true.vibrometer.offset_mm * 1e-3,
             bandwidth=None if true.vibrometer.bandwidth_kHz is None else true.vibrometer.bandwidth_kHz * 1e3,
             touched=self._touched(),
             span=(float(elapsed[0] - reach), float(elapsed[-1] + reach)),

@@ -1,0 +1,109 @@
+"""Rows of points over the width: torsion is told from bending, and shapes are maps, as the paper's Fig. 4."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from identification.conftest import BANDWIDTH, DELAY, LENGTH, PERIOD
+
+from modaltouch.lab.identification.estimates import Identification
+from modaltouch.lab.identification.export import export
+from modaltouch.lab.identification.figures import draw_shape_maps
+from modaltouch.lab.identification.files import ResponseFormat, read_responses
+from modaltouch.lab.identification.joint_fit import identify
+from modaltouch.lab.identification.report import as_dict, map_rows, shape_rows, table_rows
+from modaltouch.lab.identification.responses import FrequencyResponses, Place
+from modaltouch.lab.identification.shapes import label_torsion, mac, torsion_shapes
+from modaltouch.lab.laboratory import TooFewPointsError
+from modaltouch.lab.scan import rows_over
+from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.rig.simulator.true_beam import TrueBeam
+
+ROWS = (-2.5e-3, 0.0, 2.5e-3)
+POSITIONS = np.linspace(-LENGTH / 2, LENGTH / 2, 13)
+
+
+def row_of(beam: TrueBeam, across: float) -> FrequencyResponses:
+    """Return the responses of a row from 6 to 14 kHz in closed form, with a noise of a thousandth of their median."""
+    rng = np.random.default_rng(round(across * 1e6) + 9999)
+    frequency = np.arange(int(6e3 * PERIOD / 2) + 1, int(14e3 * PERIOD / 2)) * 2 / PERIOD
+    omega, own = 2 * np.pi * frequency, 2 * np.pi * beam.natural_frequency[:, None]
+    dynamic = 1j * omega / (own**2 - omega**2 + 2j * beam.damping_ratio[:, None] * own * omega)
+    dynamic = dynamic * np.exp(-1j * omega * DELAY) / (1 + 1j * frequency / BANDWIDTH)
+    response = np.einsum("ks,kp,kf->spf", beam.modal_gain, beam.shapes(POSITIONS, across), dynamic, optimize=True)
+    scatter = rng.standard_normal(response.shape) + 1j * rng.standard_normal(response.shape)
+    response = response + 1e-3 * np.median(np.abs(response)) * scatter
+    return FrequencyResponses(frequency, response, POSITIONS, ("centre", "side"), bandwidth=BANDWIDTH, across=across)
+
+
+@pytest.fixture(scope="module")
+def found(beam: TrueBeam) -> Identification:
+    """Return the identification of three rows."""
+    return identify(FrequencyResponses.of_rows([row_of(beam, across) for across in ROWS]), LENGTH)
+
+
+def test_torsion_is_named_between_the_bending_modes(found: Identification, beam: TrueBeam) -> None:
+    """The twin's torsion at 8.7 kHz; all natural frequencies within 20 ppm, and all else keeps its label."""
+    assert [mode.name for mode in found.modes] == ["5", "T1", "6", "7"]
+    for mode in found.modes:
+        own = beam.natural_frequency[np.abs(beam.natural_frequency - mode.natural_frequency.value).argmin()]
+        assert mode.natural_frequency.value == pytest.approx(own, rel=2e-5)
+    assert [row["mode"] for row in table_rows(found)] == [mode.name for mode in found.modes]
+    assert [mode["torsion"] for mode in as_dict(found)["modes"] if mode["torsion"]] == [1]
+
+
+def test_gains_are_those_of_the_mid_line(found: Identification, beam: TrueBeam) -> None:
+    """Rows beside it change no gain: within two thousandths of the twin's."""
+    for label in (5, 7):
+        k, gain = beam.table.label.index(label), [each.value for each in found.mode(label).gain]
+        np.testing.assert_allclose(gain, beam.table.modal_gain[k], rtol=2e-3)
+
+
+def test_shapes_over_the_width_are_those_of_the_twin(found: Identification, beam: TrueBeam) -> None:
+    """MAC of T1 with its shape above 0.99; of unit mean square, positive at the corner where x and y end."""
+    x, y = np.array(found.responses.places).T
+    true = beam.shapes(x, y)[[-3]]
+    twisted = np.array([shape for mode, shape in found.shaped if mode.torsion])
+    assert mac(twisted, true) > 0.99
+    assert (twisted**2).mean(axis=1) == pytest.approx([1.0])
+    assert (twisted[:, -1] > 1).all()
+
+
+def test_tables_hold_the_map_and_the_mid_line(found: Identification) -> None:
+    """A line for each of 39 points with torsion, and one for each of 13 places, which the stimulus reads."""
+    rows, line = map_rows(found), shape_rows(found)
+    assert (len(rows), rows[0]["across_mm"], rows[-1]["across_mm"]) == (39, "-2.5", "2.5")
+    assert "mode_T1" in rows[0]
+    np.testing.assert_allclose([float(row["position_mm"]) for row in line], POSITIONS * 1e3, rtol=1e-5)
+    assert "mode_T1" not in line[0]
+    panels = [axes.get_title() for axes in draw_shape_maps(found).axes]
+    assert "mode T1, 8.7 kHz" in panels
+
+
+@pytest.mark.parametrize("name", ["beam.csv", "beam.uff"])
+def test_rows_are_read_back_from_an_export(tmp_path: Path, found: Identification, name: str) -> None:
+    """Points beside each other are no repeats of one point."""
+    few = found.responses.between(8e3, 8.5e3)
+    export(replace(found, modes=(), responses=few), tmp_path / name)
+    read = read_responses([tmp_path / name], ResponseFormat("velocity" if name.endswith("csv") else None))
+    assert not read.repeats
+    order = sorted(range(few.n_points), key=lambda point: few.places[point])
+    np.testing.assert_allclose(read.places, np.array(few.places)[order], atol=1e-9)
+    np.testing.assert_allclose(read.response, few.response[:, order], rtol=1e-8)
+
+
+def test_one_row_alone_shows_no_torsion(beam: TrueBeam) -> None:
+    """A row that lies 0.2 mm off sees what moves at 8.7 kHz, but cannot tell it from bending."""
+    places = [Place(place, 0.2e-3) for place in POSITIONS]
+    assert label_torsion(beam.shapes(POSITIONS, 0.2e-3)[[-3]], [None], places, LENGTH)[0] == [None]
+    assert torsion_shapes([1], [Place(0.05)], LENGTH) == pytest.approx(0.0)
+
+
+def test_an_even_number_of_rows_is_refused(apparatus: Apparatus) -> None:
+    """None of them would be the mid-line, on which gains rest."""
+    assert rows_over(apparatus, 5) == pytest.approx((-2.5e-3, -1.25e-3, 0.0, 1.25e-3, 2.5e-3))
+    with pytest.raises(TooFewPointsError, match="given --rows 2; allowed: odd numbers"):
+        rows_over(apparatus, 2)

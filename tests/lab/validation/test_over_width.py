@@ -1,0 +1,57 @@
+"""Rows over the width: the torsion that was put in comes out, with what noise alone would show (the paper's Fig. 7)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from modaltouch.lab.validation.evidence import Evidence
+from modaltouch.lab.validation.figures import draw_over_width
+from modaltouch.lab.validation.key_figures import key_figures, summary
+
+TORSION = 0.004
+
+
+@pytest.fixture(scope="module")
+def twisted(evidences: list[Evidence]) -> Evidence:
+    """Return the evidence of a beam that turns as a cosine along it, by 4 mm/s on rows 2.5 mm off the mid-line."""
+    evidence = evidences[0]
+    observation, field = evidence.observation, evidence.observation.field
+    course = TORSION * np.cos(np.pi * (field.positions / 0.1 + 0.5))
+    rows = []
+    for sign in (1, -1):
+        arrays = [
+            {**each, "velocity": each["velocity"] + sign * turn}
+            for each, turn in zip(field.arrays, course, strict=True)
+        ]
+        facts = {**field.facts, "settings": {**field.facts["settings"], "across_mm": sign * 2.5}}
+        rows.append(replace(field, facts=facts, arrays=tuple(arrays)))
+    return replace(evidence, observation=replace(observation, rows=tuple(rows)))
+
+
+def test_torsion_is_what_grows_across_the_beam(twisted: Evidence) -> None:
+    """The same noise on every row leaves the cosine alone: its root mean square over 41 points from end to end."""
+    place = twisted.observation.field.positions
+    expected = TORSION * np.cos(np.pi * (place / 0.1 + 0.5))
+    np.testing.assert_allclose(twisted.torsion.mean(axis=0), expected, atol=1e-6)
+    assert [scan.across for scan in twisted.rows] == [-2.5e-3, 0.0, 2.5e-3]
+    figures = key_figures(twisted, ())
+    assert figures["torsion_on_outer_rows_mm_s"]["rms"] == pytest.approx(4 * np.sqrt(21 / 41), rel=1e-3)
+    assert figures["torsion_on_outer_rows_mm_s"]["noise"] < 1e-3
+    cells = [row["cells"] for row in summary([figures]) if row["quantity"].startswith("torsion")]
+    assert cells == [["2.86, 0.00"]]
+
+
+def test_the_map_shows_field_speed_and_torsion(twisted: Evidence) -> None:
+    """Three panels to a law; the mid-line's values are those of the field."""
+    figure = draw_over_width([twisted])
+    names = [axes.get_ylabel().split(":")[0] for axes in figure.axes]
+    assert names[:3] == ["at the focus", "highest speed", "torsion at the focus"]
+    np.testing.assert_allclose(twisted.field_over_width[1].mean(axis=0), twisted.measured_points)
+
+
+def test_the_mid_line_alone_says_nothing_of_torsion(evidences: list[Evidence]) -> None:
+    """No figure of it rather than a zero that nobody measured."""
+    assert key_figures(evidences[0], ())["torsion_on_outer_rows_mm_s"] is None
