@@ -87,11 +87,12 @@ def simulate(
 ) -> None:
     """Run a simulated rig for other programs, on this machine alone, until it is interrupted.
 
-    The first line on standard output is its VISA address. `--played` tells what it really played: `start_s` and
-    `end_s` on this machine's monotonic clock, whether the burst is `whole`, `amplitude_Vpp` of both outputs, the peak
-    speed `zone_peak_mm_s` at each zone's centre, and the `link` that triggered it: 0 for the front panel, null for a
-    burst that came by itself. With `--follow FOLDER/session.jsonl`, which may begin later, fingers lie where that
-    session places them, and `finger_peak_mm_s` is the peak speed under each.
+    The first line on standard output is its VISA address, the second that of its raw socket. `--played` tells what it
+    really played: `start_s` and `end_s` on this machine's monotonic clock, whether the burst is `whole`,
+    `amplitude_Vpp` of both outputs, the peak speed `zone_peak_mm_s` at each zone's centre, and the `link` that
+    triggered it: 0 for the front panel, null for a burst that came by itself. With `--follow FOLDER/session.jsonl`,
+    which may begin later, fingers lie where that session places them, and `finger_peak_mm_s` is the peak speed under
+    each.
     """
     from modaltouch.protocol import Apparatus
     from modaltouch.rig import Simulator

@@ -134,10 +134,13 @@ def visa(simulator: Simulator) -> Iterator[Any]:
     resource.close()
 
 
-@pytest.fixture
-def stranger(simulator: Simulator) -> Iterator[AFG3152C]:
-    """Return PyMeasure's driver of the AFG3000 series at the simulator."""
-    adapter = VISAAdapter(simulator.address, visa_library="@py", timeout=1000)
+@pytest.fixture(params=["VXI-11", "raw socket"])
+def stranger(simulator: Simulator, request: pytest.FixtureRequest) -> Iterator[AFG3152C]:
+    """Return PyMeasure's driver of the AFG3000 series at the simulator, over each of its transports."""
+    raw = request.param == "raw socket"
+    address = simulator.socket_address if raw else simulator.address
+    lines = {"read_termination": "\n", "write_termination": "\n"} if raw else {}
+    adapter = VISAAdapter(address, visa_library="@py", timeout=1000, **lines)
     # PyMeasure warns of every driver whose authors do not know whether it speaks SCPI.
     with pytest.warns(FutureWarning, match="not known whether this device support SCPI"):
         instrument = AFG3152C(adapter)
@@ -176,8 +179,10 @@ def test_pymeasure_switches_outputs(stranger: AFG3152C, simulator: Simulator) ->
     """By the command that its `enable` means to send, which fails before it is sent in PyMeasure 0.16."""
     stranger.write("output1:state on")
     stranger.write("output2:state on")
+    assert int(stranger.complete) == 1  # over a raw socket a command is on its way until it is asked for
     assert simulator.outputs == (True, True)
     stranger.write("output2:state off")
+    assert int(stranger.complete) == 1
     assert simulator.outputs == (True, False)
 
 
@@ -269,3 +274,37 @@ def test_tm_devices_finds_what_it_sends(simulator: Simulator) -> None:
     assert [sent for sent, reply in replies.items() if bool(reply) != sent.endswith("?")] == []
     assert replies["SOURCE1:FUNCTION:RAMP:SYMMETRY?"] == "5.0000E+01"
     assert replies["SYSTEM:ERROR?"] == '0,"No error"'
+
+
+@pytest.fixture
+def raw(simulator: Simulator) -> Iterator[Any]:
+    """Return PyVISA's own client at the simulator's raw socket."""
+    how = {"read_termination": "\n", "write_termination": "\n", "timeout": 1000}
+    resource = pyvisa.ResourceManager("@py").open_resource(simulator.socket_address, **how)
+    yield resource
+    resource.close()
+
+
+def test_a_block_over_a_raw_socket_may_hold_line_feeds(raw: Any, simulator: Simulator) -> None:
+    """Codes of 2570 are two line feeds each: the message ends where its length says (IEEE 488.2, 7.7.6), not before."""
+    codes = b"\n\n" * 1000
+    raw.write_raw(b"DATA:DEF EMEM,1000;:DATA EMEM,#42000" + codes + b"\n*IDN?;:DATA:POIN? EMEM\r\n")
+    assert raw.read().endswith(";1000")
+    assert raw.query("SYST:ERR?") == '0,"No error"'
+    raw.write("DATA EMEM,#4x")
+    assert raw.query("SYST:ERR?").startswith("-1")
+    raw.write_raw(b"DATA? EMEM\n")
+    assert raw.read_bytes(6 + len(codes) + 1) == b"#42000" + codes + b"\n"
+
+
+def test_raw_sockets_and_links_reach_one_instrument(raw: Any, visa: Any, simulator: Simulator) -> None:
+    """Several messages at once are answered in their order; each connection is one of those that it takes."""
+    raw.write_raw(b"SOUR1:FREQ 1234\nSOUR1:FREQ?\nOUTP1?\n")
+    assert (float(raw.read()), raw.read()) == (1234.0, "0")
+    assert float(visa.query("SOUR1:FREQ?")) == 1234.0
+    assert simulator.server.n_links == 2
+    simulator.faults.inject("dropped_connection", when="FREQ")
+    raw.write("SOUR1:FREQ?")
+    with pytest.raises((pyvisa.VisaIOError, ConnectionError)):
+        raw.read()
+    assert float(visa.query("SOUR1:FREQ?")) == 1234.0

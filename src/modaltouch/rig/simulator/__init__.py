@@ -129,6 +129,11 @@ class Simulator:
         return self.server.address
 
     @property
+    def socket_address(self) -> str:
+        """VISA address of its raw socket."""
+        return f"TCPIP::127.0.0.1::{self.server.port}::SOCKET"
+
+    @property
     def driver_options(self) -> dict[str, Any]:
         """What `Generator` is to be given for this twin: its clock, and in virtual time no watchdog process."""
         clock = self.afg.clock
@@ -245,12 +250,12 @@ class Simulator:
             self._played = None
 
     def serve(self) -> None:
-        """Serve until SIGINT or SIGTERM, and close; the address is the first line on standard output."""
+        """Serve until SIGINT or SIGTERM, and close; its addresses are the first lines on standard output."""
         ended = threading.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: ended.set())
         with self:
-            sys.stdout.write(self.address + "\n")
+            sys.stdout.write(f"{self.address}\n{self.socket_address}\n")
             sys.stdout.flush()
             while not ended.wait(0.5):  # Windows hears of Ctrl-C between two waits alone
                 pass

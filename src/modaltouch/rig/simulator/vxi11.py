@@ -1,7 +1,8 @@
-"""A VXI-11 server on the loopback interface, for one simulated instrument.
+"""A VXI-11 server on the loopback interface, for one simulated instrument, which takes raw sockets too.
 
 Serves the core channel (`links`) over ONC RPC (RFC 5531) without a portmapper: clients name
-the port in their address, ``TCPIP::127.0.0.1,<port>::inst0::INSTR``.
+the port in their address, ``TCPIP::127.0.0.1,<port>::inst0::INSTR``. A connection that begins with text sends SCPI line
+by line, ``TCPIP::127.0.0.1::<port>::SOCKET``: no record of a call that is accepted begins with such a byte.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import io
 import itertools
+import re
 import socket
 import struct
 import sys
@@ -17,7 +19,7 @@ import time
 import typing
 from dataclasses import dataclass, field
 
-from modaltouch.rig.simulator.instrument import SimulatedInstrument
+from modaltouch.rig.simulator.instrument import Reply, SimulatedInstrument
 from modaltouch.rig.simulator.scpi import ScpiError
 
 SUCCESS, PROGRAM_UNAVAILABLE = 0, 1
@@ -48,6 +50,21 @@ def _exactly(stream: io.BufferedIOBase, length: int) -> bytes:
     if len(data) < length:
         raise EOFError
     return data
+
+
+_BLOCK = re.compile(rb"#(?:" + b"|".join(b"%d(\\d{%d})" % (n, n) for n in range(1, 10)) + rb")")
+
+
+def read_message(stream: io.BufferedIOBase) -> bytes:
+    """Return one program message up to its line feed; those within a definite-length block (IEEE 488.2) are of it."""
+    message, searched = bytearray(stream.readline(LARGEST_MESSAGE)), 0
+    while found := _BLOCK.search(message, searched):
+        searched = found.end() + int(found[found.lastindex or 0])
+        if len(message) <= searched:
+            message += _exactly(stream, searched - len(message)) + stream.readline(LARGEST_MESSAGE)
+    if not message.endswith(b"\n"):
+        raise EOFError
+    return bytes(message[:-1] if len(message) == searched + 1 else message.rstrip(b"\r\n"))
 
 
 def as_record(body: bytes) -> bytes:
@@ -162,6 +179,17 @@ class Links:
             for number in numbers:
                 self._links.pop(number, None)
 
+    def open(self, own: set[int], *, panel: bool = False) -> _Link:
+        """Return a new link of a connection."""
+        with self._guard:
+            n_links = sum(link.panel == panel for link in self._links.values())
+            if n_links >= (PEOPLE_AT_THE_PANEL if panel else self._device.afg.behaviour.max_sessions):
+                raise _Refused(_OUT_OF_RESOURCES)
+            link = _Link(next(self._numbers), panel)
+            self._links[link.number] = link
+            own.add(link.number)
+        return link
+
     def _of(self, number: int, own: set[int]) -> _Link:
         """Return a link of the connection that calls; those of others are not to be had."""
         if number not in own or number not in self._links:
@@ -175,13 +203,7 @@ class Links:
             raise _Refused(_NOT_ACCESSIBLE)
         if lock:
             raise _Refused(_NOT_SUPPORTED)
-        with self._guard:
-            n_links = sum(link.panel == (name == PANEL) for link in self._links.values())
-            if n_links >= (PEOPLE_AT_THE_PANEL if name == PANEL else self._device.afg.behaviour.max_sessions):
-                raise _Refused(_OUT_OF_RESOURCES)
-            link = _Link(next(self._numbers), panel=name == PANEL)
-            self._links[link.number] = link
-            own.add(link.number)
+        link = self.open(own, panel=name == PANEL)
         return struct.pack(">iII", link.number, 0, LARGEST_MESSAGE)
 
     def _destroy_link(self, parameters: bytes, own: set[int]) -> bytes:
@@ -337,6 +359,8 @@ class Vxi11Server:
         own: set[int] = set()
         try:
             with connection, connection.makefile("rb") as stream:
+                if b"\t" <= connection.recv(1, socket.MSG_PEEK) < b"\x80":
+                    self._serve_text(connection, stream, self._links.open(own).number)
                 while True:
                     call = read_record(stream, 4 * LARGEST_MESSAGE)
                     # What still arrives over a connection that is being reset, from either side, is not heard.
@@ -345,12 +369,24 @@ class Vxi11Server:
                         return
                     body = self._answer(call, own)
                     connection.sendall(as_record(body))
-        except (HangUp, struct.error, OSError, EOFError, ValueError):
+        except (HangUp, _Refused, struct.error, OSError, EOFError, ValueError):
             return
         finally:
             with self._guard:
                 self._connections.discard(connection)
             self._links.forget(own)
+
+    def _serve_text(self, connection: socket.socket, stream: io.BufferedIOBase, link: int) -> None:
+        """Carry out lines of SCPI until the connection ends."""
+        while True:
+            message = read_message(stream)
+            # A web browser that strays onto the port would leave an error to others.
+            reply = Reply(hang_up=True) if b" HTTP/1." in message else self.device.execute(message, link)
+            if reply.hang_up:
+                raise HangUp
+            if reply.delay <= LONGEST_WAIT:
+                self._closing.wait(reply.delay)
+                connection.sendall(reply.data)
 
     def _answer(self, call: bytes, own: set[int]) -> bytes:
         """Return the RPC reply to an RPC call."""
