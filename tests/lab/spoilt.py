@@ -175,7 +175,7 @@ def calibration_of(name: str, seed: int) -> dict[str, bool]:
     mark = mark_of(outcome, preflight.experiment.protocol)
     if mark["missed"]:
         return refused(name, "; ".join(mark["causes"]))
-    wrong = bool((np.abs(off) > 2 * outcome.best.state.half_width).any())
+    wrong = bool((np.abs(off) > 2 * outcome.best.state.true_half_width).any())
     return {"marked": False, "refused": False, "right": False, "silently_wrong": wrong}
 
 

@@ -131,7 +131,8 @@ def _show_calibration(calibration: Calibration, out: Path, protocol: Path) -> No
     amplifier = calibration.amplifier
     corner = "not known" if amplifier.bandwidth_kHz is None else f"{amplifier.bandwidth_kHz:.0f} kHz"
     console.print(
-        f"Amplifier: delay {amplifier.delay_us:.2f} us, corner {corner}; errors are known to {noise:.2f} mm/s (95 %)"
+        f"Amplifier: delay {amplifier.delay_us:.2f} us, corner {corner}; errors are known to {noise:.2f} mm/s (95 %), "
+        "the vibrometer's sensitivity counted"
     )
     if calibration.mark:
         console.print(f"[yellow]Marked: {escape(calibration.mark)}[/]")

@@ -175,7 +175,9 @@ class AcquisitionSection(Section):
         "What a volt of the vibrometer's output stands for [mm/s per V].", default=50.0
     )
     sensitivity_uncertainty_percent: NotNegative = described(
-        "Half width of its 95 % interval, part of a calibration's uncertainty [%].", default=0.0
+        "Half width of its 95 % interval, by data sheet or certificate [%]. It is part of the uncertainty that a "
+        "calibration states; it scales all speeds alike, so the limits judge them as this vibrometer shows them.",
+        default=1.0,
     )
     range_mm_s: Positive = described("Highest velocity in the vibrometer's range [mm/s, peak].", default=500.0)
     vibrometer_bandwidth_kHz: Positive | None = described(  # noqa: N815

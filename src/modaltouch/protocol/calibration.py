@@ -79,7 +79,8 @@ class CalibratedMode(Section):
     )
     error_after_mm_s: tuple[Number, Number] = described("The same after [mm/s].")
     uncertainty_mm_s: NotNegative = described(
-        "Half width of the 95 % interval of each error: noise, disagreement of the points, vibrometer, trigger [mm/s]."
+        "Half width of the 95 % interval of each error: noise, disagreement of the points, vibrometer and its "
+        "sensitivity, trigger [mm/s]."
     )
 
 
@@ -92,7 +93,9 @@ class CalibratedLevel(Section):
     )
     amplitude_Vpp: tuple[NotNegative, ...] = described("Amplitude of each output [V peak to peak, open circuit].")  # noqa: N815
     at_focus_mm_s: Number = described("Velocity measured at the focusing instant [mm/s].")
-    uncertainty_mm_s: NotNegative = described("Half width of its 95 % interval, from noise [mm/s].")
+    uncertainty_mm_s: NotNegative = described(
+        "Half width of its 95 % interval, from noise and the vibrometer's sensitivity [mm/s]."
+    )
     highest_mm_s: NotNegative = described("Highest speed over the whole burst there [mm/s].")
 
 

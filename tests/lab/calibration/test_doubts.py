@@ -10,6 +10,7 @@ import pytest
 
 from modaltouch.lab.calibration.file import corrected_inputs
 from modaltouch.lab.calibration.loop import calibrate
+from modaltouch.lab.calibration.proof import mark_of
 from modaltouch.preflight import Preflight
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
@@ -110,23 +111,28 @@ def test_a_range_too_small_is_told(preflight: Preflight, shipped_apparatus: Appa
         calibrate(bench, small, preflight.inputs)
 
 
-def test_a_sensitivity_that_is_known_to_half_a_percent_is_part_of_the_interval(
-    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
+@pytest.mark.parametrize("reads", [0.995, 1.005])
+def test_a_gain_that_reads_half_a_percent_off_is_within_what_is_stated(
+    preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, reads: float
 ) -> None:
-    """Read 0.4 % low, a mode of 59 mm/s is stated 0.24 mm/s off: within its interval, as is the level."""
-    knobs = shipped_apparatus.acquisition.model_copy(update={"sensitivity_uncertainty_percent": 0.5})
-    listed = shipped_apparatus.model_copy(update={"acquisition": knobs})
-    bench = make_bench(listed, 1)
-    outcome = calibrate(Spoilt(bench, changed(velocity=0.996)), listed, preflight.inputs)
+    """A true stimulus is made worse by 0.29 mm/s in a mode of 59 mm/s: the file says so, and the limits still hold.
+
+    A vibrometer is known to 1 % where the apparatus file does not say it better, as data sheets do.
+    """
+    assert shipped_apparatus.acquisition.sensitivity_uncertainty_percent == 1.0
+    bench = make_bench(shipped_apparatus, 1)
+    outcome = calibrate(Spoilt(bench, changed(velocity=reads)), shipped_apparatus, preflight.inputs)
     correction = replace(outcome.correction, corrections=())
     played = design_to_fit(corrected_inputs(preflight.inputs, outcome.refined, correction), release="free")
     true = bench.true_state(played.burst, played.target_field.velocity, played.timing.focusing_instant)
     state, (*_, level) = outcome.best.state, outcome.levels
     off = np.abs(state.velocity - true.velocity)
-    assert off.max() > 0.2e-3
-    assert (off <= state.half_width).all()
-    assert level.at_focus == pytest.approx(0.2, rel=1e-3)
-    assert 1.96 * level.spread / level.at_focus > 0.005
+    assert off.max() > 0.28e-3
+    assert (off > state.half_width).any()
+    assert (off <= state.true_half_width[0]).all()
+    assert 0.01 < level.true_half_width / level.at_focus < 0.011
+    assert level.at_focus == pytest.approx(0.2, rel=2e-3)
+    assert mark_of(outcome, preflight.experiment.protocol)["missed"] == []
 
 
 @pytest.mark.parametrize("microseconds", [30.0, 60.0])

@@ -74,9 +74,11 @@ class Level:
     at_focus : float
         Velocity at the focusing instant [m/s].
     spread : float
-        Its standard error [m/s].
+        Its standard error as this vibrometer shows it [m/s].
     highest : float
         Highest speed over the burst [m/s].
+    sensitivity_doubt : float
+        Half width of the 95 % interval of the vibrometer's sensitivity, as a part of it [1].
     """
 
     velocity: float
@@ -85,6 +87,12 @@ class Level:
     at_focus: float
     spread: float
     highest: float
+    sensitivity_doubt: float = 0.0
+
+    @property
+    def true_half_width(self) -> float:
+        """Half width of the 95 % interval of the true velocity [m/s]."""
+        return float(np.hypot(INTERVAL * self.spread, self.sensitivity_doubt * self.at_focus))
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,7 +301,7 @@ def _own(outcome: CalibrationResult) -> dict[str, Any]:
                 "amplitude_factor": level.factor,
                 "amplitude_Vpp": level.amplitude,
                 "at_focus_mm_s": round(level.at_focus * 1e3, 3),
-                "uncertainty_mm_s": round(INTERVAL * level.spread * 1e3, 3),
+                "uncertainty_mm_s": round(level.true_half_width * 1e3, 3),
                 "highest_mm_s": round(level.highest * 1e3, 2),
             }
             for level in outcome.levels
@@ -321,7 +329,7 @@ def _modes(outcome: CalibrationResult) -> list[dict[str, Any]]:
                 "target_displacement_mm_s": round(corrected_target.displacement[row] * 1e3, DIGITS),
                 "error_before_mm_s": errors[0],
                 "error_after_mm_s": errors[1],
-                "uncertainty_mm_s": round(float(after.half_width[row]) * 1e3, 4),
+                "uncertainty_mm_s": round(float(after.true_half_width[:, row].max()) * 1e3, 4),
             }
         )
     return rows

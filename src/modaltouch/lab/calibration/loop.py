@@ -343,13 +343,13 @@ class _Loop:
         at_focus = float((fitted.residue[:, 0] / vibrometer).real.sum())
         noise = float(np.sqrt(np.sum((fitted.spread / np.abs(vibrometer)) ** 2)))
         missed = missed_swing(fitted.residue[:, 0], fitted.spread, fitted.pole, fitted.pole_error)
-        unknown = np.append(missed, plant.sensitivity_doubt * at_focus) / INTERVAL
         return Level(
             velocity=level,
             factor=factor,
             amplitude=stimulus.amplitude_for(level),
             at_focus=at_focus,
-            spread=float(np.hypot(noise, np.linalg.norm(unknown))),
+            spread=float(np.hypot(noise, np.linalg.norm(missed) / INTERVAL)),
+            sensitivity_doubt=plant.sensitivity_doubt,
             highest=highest,
         )
 

@@ -255,14 +255,16 @@ class ModalState:
     spread : (n_modes,) array
         Standard error of each, from the noise of the records [m/s].
     half_width : (n_modes,) array
-        Of the 95 % interval of each: noise, or what the points disagree by where noise does not explain that, with what
-        vibrometer, trigger and natural frequencies leave unknown, in quadrature [m/s].
+        Of the 95 % interval of each as this vibrometer shows it: noise, or what the points disagree by where noise does
+        not explain that, with what vibrometer, trigger and natural frequencies leave unknown, in quadrature [m/s].
     change : (n_modes,) array
         How far the natural frequencies lie from the identified ones, as a part of them [1].
     disagreement : (n_modes,) array
         Standard error of each by what the points disagree by [m/s].
     slip : (n_modes,) array
         What that, and another damping, do to each: swing times error of the pole, over its decay rate [m/s].
+    sensitivity_doubt : float
+        Half width of the 95 % interval of the vibrometer's sensitivity, as a part of it [1].
     """
 
     velocity: FloatArray
@@ -272,6 +274,12 @@ class ModalState:
     change: FloatArray = field(default_factory=lambda: np.zeros(1))
     disagreement: FloatArray = field(default_factory=lambda: np.zeros(1))
     slip: FloatArray = field(default_factory=lambda: np.zeros(1))
+    sensitivity_doubt: float = 0.0
+
+    @property
+    def true_half_width(self) -> FloatArray:
+        """Half widths of the 95 % intervals of the true velocity and w eta, (2, n_modes) array [m/s]."""
+        return np.hypot(self.half_width, self.sensitivity_doubt * np.stack([self.velocity, self.displacement]))
 
     @property
     def shown_slip(self) -> FloatArray:
@@ -345,7 +353,6 @@ class Plant:
         either = np.hypot(shown, np.abs(swing) * self.vibrometer.spread(pole))
         # Another time of the trigger turns velocity into displacement and back.
         late = self.model.angular_frequency * np.abs(swing) * self.latency_doubt
-        scale = self.sensitivity_doubt * np.abs(swing)
         error = decay.pole_error[:n]
         turned = self.model.angular_frequency * swing / pole
         state = ModalState(
@@ -355,9 +362,10 @@ class Plant:
             change=error.imag / pole.imag,
             disagreement=by_points,
             slip=np.abs(swing * error / pole.real),
+            sensitivity_doubt=self.sensitivity_doubt,
         )
         missed = missed_swing(swing, spread, pole, error)
-        return replace(state, half_width=np.sqrt((INTERVAL * either) ** 2 + late**2 + scale**2 + missed**2))
+        return replace(state, half_width=np.sqrt((INTERVAL * either) ** 2 + late**2 + missed**2))
 
 
 def modal_swings(decay: Decay, shapes: FloatArray) -> ComplexArray:
