@@ -75,14 +75,19 @@ def test_beam_that_drifts_in_a_scan_is_marked(beam: TrueBeam) -> None:
 
 
 def test_gains_between_two_units_are_named(clean: FrequencyResponses, apparatus: Apparatus) -> None:
-    """In g for m/s^2, and differentiated once too often."""
+    """In g for m/s^2, differentiated once too often, and one output behind a probe of 10 : 1."""
     turn = 2 * np.pi * clean.frequency
     small = identify(replace(clean, response=clean.response / 9.80665), 0.1, most=0)
-    with pytest.raises(ValueError, match=r"the gains are 0\.10. times those of beam_100x6x2: an acceleration in g"):
+    with pytest.raises(
+        ValueError, match=r"the gains of centre and side are 0\.10. times those of beam_100x6x2: an acceleration in g"
+    ):
         check_gains(small, apparatus)
     steep = identify(replace(clean, response=clean.response * turn), 0.1, most=0)
-    with pytest.raises(ValueError, match=r"the gains are .* times 2 pi f times those of .*: another motion than"):
+    with pytest.raises(ValueError, match=r"the gains of .* are .* times 2 pi f times those of .*: another motion than"):
         check_gains(steep, apparatus)
+    probed = identify(replace(clean, response=clean.response * np.array([1.0, 10.0])[:, None, None]), 0.1, most=0)
+    with pytest.raises(ValueError, match=r"the gains of side are (9|10).* times those of .* or a probe of 10 : 1"):
+        check_gains(probed, apparatus)
 
 
 def test_low_coherence_over_the_band_is_said(beam: TrueBeam) -> None:

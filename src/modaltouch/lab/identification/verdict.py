@@ -86,7 +86,10 @@ def check_all(identification: Identification) -> None:
         raise ValueError("\n".join([*(line for each in faults for line in each), *cause]))
 
 
-FACTORS = {9.80665: "an acceleration in g taken for m/s^2, or the other way round", 1e3: "milli taken for a whole unit"}
+FACTORS = {
+    9.80665: "an acceleration in g taken for m/s^2, or the other way round, or a probe of 10 : 1 taken for 1 : 1",
+    1e3: "milli taken for a whole unit",
+}
 """Factors between units that are taken for each other, and what they mean."""
 
 SPREAD = 0.1
@@ -97,7 +100,7 @@ MOST_GAINS = 0.75
 
 
 def check_gains(identification: Identification, apparatus: Apparatus) -> None:
-    """Refuse gains that are all those of the apparatus file times a factor between two units.
+    """Refuse gains, of all sets or of one, that are those of the apparatus file times a factor between two units.
 
     Parameters
     ----------
@@ -113,12 +116,21 @@ def check_gains(identification: Identification, apparatus: Apparatus) -> None:
     """
     found = {mode.label: mode for mode in identification.modes}
     sets = identification.responses.sets
-    listed = [
-        (found[mode.label].gain[sets.index(name)].value * 1e3 / value, found[mode.label].natural_frequency.value)
+    listed = {
+        (name, mode.label): (
+            found[mode.label].gain[sets.index(name)].value * 1e3 / value,
+            found[mode.label].natural_frequency.value,
+        )
         for mode in apparatus.modes
         for name, value in mode.gain_mm_s2_per_V.items()
         if mode.label in found and found[mode.label].gain and name in sets and value
-    ]
+    }
+    for chosen in (sets, *((name,) for name in sets)):
+        _refuse_factor([each for (name, _), each in listed.items() if name in chosen], chosen, apparatus)
+
+
+def _refuse_factor(listed: Sequence[tuple[float, float]], sets: Sequence[str], apparatus: Apparatus) -> None:
+    """Refuse gains over the listed ones, each with its natural frequency, that are one factor between units."""
     if len(listed) < FEWEST_GAINS:
         return
     ratio, frequency = np.abs(np.array(listed)).T
@@ -131,8 +143,8 @@ def check_gains(identification: Identification, apparatus: Apparatus) -> None:
                 meaning = units
         if meaning and (np.abs(each / factor - 1) < SPREAD).mean() >= MOST_GAINS:
             raise ValueError(
-                f"the gains are {factor:.3g}{quantity} times those of {apparatus.apparatus}: {meaning}; see the units "
-                "of the measurement, or name the file of this beam with --apparatus"
+                f"the gains of {' and '.join(sets)} are {factor:.3g}{quantity} times those of {apparatus.apparatus}: "
+                f"{meaning}; see the units of the measurement, or name the file of this beam with --apparatus"
             )
 
 
