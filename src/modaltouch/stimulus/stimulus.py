@@ -144,20 +144,18 @@ class Stimulus:
     @cached_property
     def drive(self) -> Drive:
         """Voltages before rounding, and how well they were solved for."""
-        if self.law == "paper":
-            from modaltouch.stimulus.paper_drive import paper_drive
+        if (self.law, self.priority, self.design) == ("exact", "field", "least_energy"):
+            return exact_drive(self._steering)
+        from modaltouch.stimulus.other_drives import least_norm, least_peak, level_first_drive, paper_drive
 
+        if self.law == "paper":
             return paper_drive(self._steering)
         if self.priority == "level":
-            from modaltouch.stimulus.level_first import level_first_drive
-
             focus = self.model.shapes([self.target_field.centre])[:, 0]
             return level_first_drive(self._steering, focus, self.amplifier.limit)
-        if self.design == "least_energy":
-            return exact_drive(self._steering)
-        from modaltouch.stimulus.alternative_designs import alternative_drive
-
-        return alternative_drive(self._steering, self.design)
+        if self.design == "least_peak":
+            return least_peak(self._steering)
+        return least_norm(self._steering, {"norm_4": 4.0, "norm_8": 8.0}[self.design])
 
     @property
     def voltage(self) -> FloatArray:
@@ -175,7 +173,7 @@ class Stimulus:
         Each is a dict of ``name``, ``peak_voltage`` [V], ``energy`` [V^2 s], ``residual`` [m/s] and
         ``unmodelled_speed``, the largest ``|velocity|`` or ``|w eta|`` of those modes at the focusing instant [m/s].
         """
-        from modaltouch.stimulus.alternative_designs import compare_designs
+        from modaltouch.stimulus.other_drives import compare_designs
 
         return compare_designs(self._steering, self.amplifier, unmodelled)
 

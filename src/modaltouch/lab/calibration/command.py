@@ -8,9 +8,9 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from modaltouch.lab.calibration.doubts import mark_of
 from modaltouch.lab.calibration.file import calibration_of, write_calibration
 from modaltouch.lab.calibration.loop import calibrate_each
-from modaltouch.lab.calibration.proof import mark_of
 from modaltouch.lab.laboratory import SIMULATED, UNTOLD, MeasurementProgress
 from modaltouch.lab.recorded_files import open_measurement
 from modaltouch.preflight import DesignInputs, Preflight, examine

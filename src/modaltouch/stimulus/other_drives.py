@@ -1,4 +1,4 @@
-r"""Other voltages that reach the same states: less peak voltage for more energy, and what that does to other modes.
+r"""Drives other than the exact law of least energy: of less peak voltage, of the level first, of the paper.
 
 The least p-norm under :math:`R v = x_F` is :math:`v = D\,\mathrm{sign}(g)|g|^{1/(p-1)}` with :math:`g =
 R^T\lambda`; its dual in the few multipliers is smooth and convex, and is solved by Newton's method. The least
@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from modaltouch.stimulus.drive import Drive, Steering, exact_drive, polished
+from modaltouch.stimulus.drive import Drive, Steering, check_drivable, exact_drive, polished
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import FloatArray
 from modaltouch.stimulus.reachability import ReachabilityGramian
-from modaltouch.stimulus.synthesis import decay
+from modaltouch.stimulus.synthesis import decay, synthesise
 
 MAX_HELD_STEPS = 8192
 """Most steps of the linear programme: beyond, it takes minutes and gains nothing."""
@@ -23,13 +23,6 @@ _NEWTON_STEPS = 60
 _CONVERGED = 1e-11
 _FLOOR = 1e-9
 """Smallest |g|, relative to the largest, whose curvature counts: p > 2 has infinite curvature at g = 0."""
-
-
-def alternative_drive(steering: Steering, design: str) -> Drive:
-    """Return the voltages of a design, ``norm_4``, ``norm_8`` or ``least_peak``."""
-    if design == "least_peak":
-        return least_peak(steering)
-    return least_norm(steering, {"norm_4": 4.0, "norm_8": 8.0}[design])
 
 
 def least_norm(steering: Steering, p: float) -> Drive:
@@ -170,3 +163,94 @@ def compare_designs(steering: Steering, amplifier: Amplifier, unmodelled: ModalM
         }
         for name, drive in drives.items()
     ]
+
+
+_HALVINGS = 14
+"""Of the bracket of the logarithm of mu, which spans sixteen decades: to 0.2 % of mu."""
+
+_BRACKET = -10.0, 6.0
+"""Powers of ten of mu, over the mean of the Gramian's diagonal."""
+
+
+def level_first_drive(steering: Steering, shape: FloatArray, limit: float) -> Drive:
+    r"""Return voltages that meet the level at the focus exactly, within a limit if any field allows it.
+
+    Minimise :math:`v^T D^{-1} v + \mu^{-1} |x(t_F) - x_F|^2` over all modal states, under the level's condition: with
+    the level as a further row of the reachability, :math:`(W + \mu\,\mathrm{diag}(0, 1, \ldots)) y = b`. The larger
+    :math:`\mu`, the lower the voltage and the farther the field; it is bisected until the peak meets the limit.
+
+    Parameters
+    ----------
+    steering : Steering
+        What the whole field would be.
+    shape : (n_modes,) array
+        Mode shapes at the focus [1].
+    limit : float
+        Highest voltage at the beam [V].
+    """
+    whole = exact_drive(steering)
+    if np.abs(whole.before_focus).max() <= limit:
+        return whole
+    n = steering.driven.size
+    level = np.concatenate([shape[steering.driven], np.zeros(n)])
+    rows = np.concatenate([level[None], np.eye(2 * n)])
+    gram, goal = rows @ steering.reach.gramian() @ rows.T, rows @ steering.goal
+    ridge = np.diag(np.append(0.0, np.ones(2 * n))) * np.trace(gram[1:, 1:]) / (2 * n)
+    voltage = np.zeros_like(whole.voltage)
+    before = voltage[:, : whole.n_before]
+
+    def write(power: float) -> float:
+        """Write the voltages of a mu, scaled to the level, and return their peak."""
+        multiplier = np.linalg.lstsq(gram + 10.0**power * ridge, goal, rcond=None)[0]
+        steering.reach.write(rows.T @ multiplier, before)
+        short, _ = steering.short(before)
+        before[:] *= goal[0] / (goal[0] - level @ short)
+        return float(np.abs(before).max())
+
+    low, high = _BRACKET
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if write(middle) > limit else (low, middle)
+    write(high)
+    short, state = steering.short(before)
+    steering.end(voltage, state)
+    return Drive(voltage, whole.condition_number, float(np.abs(short).max()), whole.n_before)
+
+
+def paper_drive(steering: Steering) -> Drive:
+    r"""Return the voltages of the paper, :math:`v = \sum_k 4 a_k \dot\eta_k(t) / G_k` until the focus.
+
+    With :math:`\dot\eta_k = \dot\eta_k(t_F) e^{a_k (t - t_F)} \cos b_k (t - t_F)`, each mode on the channel
+    that drives it best, sampled at the middle of each hold. Sample 0 is set to 0 V, where the generator idles.
+    The amplifier is not taken into account.
+
+    Parameters
+    ----------
+    steering : Steering
+        Modes with a velocity of 0 are left alone; displacements have no meaning.
+
+    References
+    ----------
+    Section II-C, equations (6) and (7), errata in the docstring of `drive`.
+    """
+    model, system, timing, target = steering.model, steering.system, steering.timing, steering.velocity
+    check_drivable(model, target, timing)
+    asked = np.flatnonzero(target)
+    # Each mode by the channel that drives it best, the paper's assignment.
+    channel = np.abs(model.modal_gain).argmax(axis=1)[asked]
+    exponent = model.exponent[asked]
+    n_before = min(int(timing.focusing_instant * timing.sampling_rate + 0.5), timing.n_samples - 1)
+    to_focus = timing.focusing_instant - (n_before - 0.5) * timing.hold
+    amplitude = np.zeros((model.n_channels, asked.size), dtype=complex)
+    force = -4 * exponent.real * target[asked] * np.exp(exponent * to_focus)
+    amplitude[channel, np.arange(asked.size)] = force / model.modal_gain[asked, channel]
+    voltage = np.zeros((model.n_channels, timing.n_samples))
+    synthesise(amplitude, exponent, timing.hold, voltage[:, :n_before])
+    voltage[:, 0] = 0.0
+    instant, arrival = timing.focusing_instant, n_before * timing.hold + system.delay
+    state = system.state_at(voltage, timing, instant)
+    if steering.release == "braked":
+        late = abs(arrival - instant) > 1e-9 * timing.hold
+        steering.brake(voltage, n_before, system.state_at(voltage, timing, arrival) if late else state)
+    reached, displacement = system.read(state)
+    return Drive(voltage, 1.0, float(np.abs([reached - target, displacement]).max()), n_before)
