@@ -16,7 +16,7 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.twin import TrueAmplifier
 from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.simulator.scope import SimulatedScope
-from modaltouch.rig.simulator.timeline import Playback
+from modaltouch.rig.simulator.timeline import Delays, Playback, Timeline
 from modaltouch.rig.simulator.twin import TrueState, Twin
 from modaltouch.stimulus.burst import Burst
 
@@ -39,7 +39,7 @@ class TwinBench:
         self.highest_voltage = 0.0
         self.asked: list[Acquisition] = []
         self._error = amplitude_error or (lambda amplitude: 1.0)
-        self._scope = SimulatedScope(self.twin, lambda: self.playing, lambda: ())
+        self._scope = SimulatedScope(self.twin, lambda: self.playing, lambda: (), Timeline(Delays()))
 
     def load(self, burst: Burst) -> None:
         self._burst = burst
