@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from modaltouch.analysis.certificates import REASONS, certificates, certificates_of, say_certificates
 
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.report import certificate_of, list_questions, speed_rows

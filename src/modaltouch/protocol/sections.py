@@ -48,8 +48,8 @@ class CalibrationSection(Section):
         strict=True, default=False, description="Whether a session without a calibration is refused."
     )
     limits: CalibrationLimits = described(
-        "Largest errors that a calibration may leave, uncertainty but for the vibrometer's sensitivity included; one that "
-        "misses them is marked.",
+        "Largest errors that a calibration may leave, with their uncertainty but without that of the vibrometer's "
+        "sensitivity; one that misses them is marked.",
         default=CalibrationLimits(),
     )
 
