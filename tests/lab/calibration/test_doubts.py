@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from modaltouch.lab.calibration.proof import mark_of
 
+from modaltouch.lab.calibration.doubts import mark_of
 from modaltouch.lab.calibration.file import corrected_inputs
 from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.preflight import Preflight
