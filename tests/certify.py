@@ -381,6 +381,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--dask", metavar="ADDRESS", help="scheduler of a Dask cluster that does the work")
     parser.add_argument("--out", type=Path, default=Path("results/benchmarks/certify.json"))
+    parser.add_argument("--brief", type=Path, default=Path("src/modaltouch/analysis/certificates.json"))
     asked = parser.parse_args()
     began = time.perf_counter()
     if asked.dask:
@@ -394,8 +395,15 @@ def main() -> None:
     about = {"version": version(), "minutes": round(minutes, 1), "limits": LIMITS}
     asked.out.write_text(compact(about, told, populations) + "\n", encoding="utf-8")
     draw(told, asked.out.with_suffix(".png"))
+    asked.brief.write_text("{\n" + ",\n".join(map(brief_of, told, told.values())) + "\n}\n", encoding="utf-8")
     for name, each in told.items():
         print(f"{name:20} worst {each['worst_rate']:.4f}  mean {each['mean_rate']:.4f}  fails {len(each['fails'])}")
+
+
+def brief_of(name, each):
+    """Return what the report says of a certificate, a line: its mean and worst rate, and why it fails, if it does."""
+    why = certified_measures.REASONS[name] if each["fails"] else ""
+    return f"{json.dumps(name)}: {json.dumps([each['mean_rate'], each['worst_rate'], why])}"
 
 
 def compact(about, told, populations):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,6 +10,7 @@ from itertools import combinations
 from typing import Any
 
 from modaltouch.analysis.catches import CatchRow, catch_findings, catch_rows
+from modaltouch.analysis.certificates import say_certificates
 from modaltouch.analysis.counts import Pair
 from modaltouch.analysis.detection import sensitivities
 from modaltouch.analysis.findings import Finding
@@ -19,6 +21,13 @@ from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import LevelScale, scale_of
 from modaltouch.analysis.task import TrialTask
 from modaltouch.analysis.thresholds.constant import FittedCell, fit_cells, measures_of_fits
+
+_CERTIFICATES = {
+    "differencing": "same and different of one", "2AFC": "d' of one", "AFC": "a1 share", "triangular": "a1 share",
+    "d'": "d' of one", "criterion": "criterion of one", "threshold": "threshold of one", "PSE": "PSE of one",
+    "JND": "JND of one", "exponent": "exponent of one",
+}  # fmt: skip
+"""Certificates of one participant's intervals, by a part of the model or the name; the first that fits counts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +67,14 @@ class DesignAnalysis:
     def rows(self) -> list[dict[str, Any]]:
         """The values as rows of the table ``measures.csv``."""
         return [each.as_dict(self.scale, self.groups) for each in self.values]
+
+    @property
+    def certified(self) -> str:
+        """How often the intervals of one participant err, of those that are told."""
+        bounded = (each for each in self.values if not math.isnan(each.interval.low))
+        told = dict.fromkeys(f"{each.note} {each.measure.name}" for each in bounded)
+        names = (next((name for part, name in _CERTIFICATES.items() if part in each), "") for each in told)
+        return say_certificates(dict.fromkeys(names))
 
 
 def analyse_design(responses: Responses) -> DesignAnalysis:

@@ -9,13 +9,13 @@ from typing import Any
 
 import pandas as pd
 
+from modaltouch.analysis.certificates import certificates_of, say_certificates
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.covariates import has_values
 from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.responses import cell_of
 from modaltouch.analysis.scale import OWN_THRESHOLD
-from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.analysis.strips import participant_strips
 from modaltouch.analysis.tables import PAPER_TEXT, zone_table
 from modaltouch.analysis.words import answer_question, headings, say_condition, say_interval, say_scope, state_families
@@ -31,8 +31,12 @@ def _cautions(answers: AnswerCounts) -> dict[str, str]:
     """Return what a reader of a question's numbers should know, by question."""
     felt = [answers.answers[place].name for place in answers.felt]
     return {
-        "a1": f"Cells are tested against an even split over {', '.join(felt[:-1])} and {felt[-1]}; "
-        "an answer that nothing was felt is left out of this test, and counts in every share.",
+        "a1": f"Cells are tested against an even split over {', '.join(felt[:-1])} and {felt[-1]}"
+        + (
+            "; an answer that nothing was felt is left out of this test, and counts in every share."
+            * answers.offers_none
+            or "."
+        ),
         "b": "A lack of information is not evidence that the level does not matter."
         if len(answers.levels) > 1
         else "One level only: a trend needs two.",
@@ -70,6 +74,7 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
         tables={condition: _zone_rows(answers, condition) for condition in answers.finger_conditions},
         strips=participant_strips(answers),
         values=analysis.design.rows if analysis.design else [],
+        certified=analysis.design.certified if analysis.design else "",
         speeds=speed_rows(analysis.responses.frame),
         delivered=delivered_rows(analysis.responses.frame),
         tests=list_questions(analysis.findings, answers),
@@ -240,6 +245,7 @@ def list_questions(findings: Sequence[Finding], answers: AnswerCounts) -> list[d
     tables, cautions = [], _cautions(answers)
     for question, (heading, claim) in headings(answers).items():
         own = [finding for finding in findings if finding.question == question]
+        is_shown = question in ("b", "c") and all(row.p_holm <= ALPHA for row in own)
         groups: dict[str, list[Finding]] = {}
         for finding in own:
             groups.setdefault(finding.name, []).append(finding)
@@ -248,7 +254,8 @@ def list_questions(findings: Sequence[Finding], answers: AnswerCounts) -> list[d
                 "question": question,
                 "heading": heading,
                 "answer": answer_question(own, claim, answers),
-                "caution": cautions.get(question, ""),
+                # What is missing where nothing is shown needs no caution where everything is.
+                "caution": "" if is_shown else cautions.get(question, ""),
                 "parts": [_part(name, rows, answers) for name, rows in groups.items()],
             })  # fmt: skip
     return tables
@@ -259,7 +266,7 @@ def _part(name: str, rows: Sequence[Finding], answers: AnswerCounts) -> dict[str
     tested, corrected = any(row.p == row.p for row in rows), any(row.family for row in rows)
     return {
         "name": name + (" (exploratory, not corrected)" if tested and not corrected else ""),
-        "certificate": certificate_of(rows[0]),
+        "certificate": say_certificates(certificates_of(rows[0])),
         "tested": tested,
         "corrected": corrected,
         "folded": len(rows) > MOST_ROWS,
@@ -278,18 +285,3 @@ def _part(name: str, rows: Sequence[Finding], answers: AnswerCounts) -> dict[str
             for row in rows
         ],
     }
-
-
-_CERTIFICATES = {
-    "leaning": "leaning", "agreement": "agreement", "prevalence": "prevalence", "share of answers": "share",
-    "paired difference": "paired difference", "odds ratio": "odds ratio", "reaction times": "time", "false": "share",
-    "misses": "share", "bounded mean": "c mean", "d' over": "d'", "sign flips": "time", "signed ranks": "rank",
-    "permutation": "group", "Friedman": "friedman",
-}  # fmt: skip
-"""Certificates of what stands in no family, by a part of its name; the first that fits counts."""
-
-
-def certificate_of(finding: Finding) -> str:
-    """Return the word under which ``make certify`` certifies a test or interval; empty where it does not."""
-    known = (word for part, word in _CERTIFICATES.items() if part in finding.name)
-    return finding.family if finding.family in STATISTICS else next(known, "")

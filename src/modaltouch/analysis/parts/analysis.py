@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
+from modaltouch.analysis.certificates import certificates_of, say_certificates
 from modaltouch.analysis.counts import AnswerCounts, count_answers
 from modaltouch.analysis.findings import ALPHA, Finding, correct, to_frame
 from modaltouch.analysis.models import model_table, zone_files
@@ -254,6 +255,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         n_pictures=len(pictures),
         most_pictures=MOST_FIGURES,
         values=values,
+        certified=analysis.design.certified if analysis.design else "",
         limits=analysis.design.limits if analysis.design else (),
         groups=responses.groups,
         stimuli=responses.stimuli,
@@ -275,7 +277,9 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
 
 def _line(finding: Finding) -> dict[str, Any]:
     numbers = {name: say_number(getattr(finding, name), 2) for name in ("p", "p_holm")}
-    return {**vars(finding), "said": say_interval(finding), **numbers, "significant": finding.p_holm <= ALPHA}
+    certified = say_certificates(certificates_of(finding))
+    said = {"said": say_interval(finding), "certificate": certified}
+    return {**vars(finding), **said, **numbers, "significant": finding.p_holm <= ALPHA}
 
 
 def _models(analysis: PartsAnalysis) -> dict[str, Any]:

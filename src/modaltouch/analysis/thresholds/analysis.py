@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from modaltouch.analysis.certificates import say_certificates
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.thresholds.runs import Run, find_runs, in_words, is_forced, over_participants
@@ -118,6 +119,8 @@ def _report_files(
         named=() if nothing and design["adaptive"]["success"] == "felt" else responses.answers.names,
         task=responses.task,
         is_forced=is_forced(responses),
+        certified=[say_certificates([f"{of}, {'forced choice' if is_forced(responses) else 'felt'}"])
+                   for of in ("mean of runs", "run of one")],
         rule=responses.start.get("adaptive", {}),
         scale=scale_of(responses.frame.columns),
         focus=" or ".join(sorted(set(responses.foci.values()) or {responses.focus})),
