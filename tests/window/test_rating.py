@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from modaltouch.planning.observer import Participant
+from modaltouch.protocol import AnswersSection, Findings
 from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.questions import QuestionSection, ScaleSection
 from modaltouch.protocol.trial import Response, Trial
 from modaltouch.window.buttons import typesetter_of
 from modaltouch.window.interface import Event, Progress, SessionStopped
 from modaltouch.window.layout import lay_out
-from modaltouch.window.rating import Entry, draw_scale
+from modaltouch.window.rating import Entry, as_read, draw_scale
 from modaltouch.window.robot import Robot
 from modaltouch.window.shapes import Words
 from modaltouch.window.simulated import Answerer
@@ -250,3 +252,46 @@ def test_the_words_of_all_points_have_one_size_and_are_legible(experiment: Any, 
     (height,) = {typesetter_of(experiment.texts).set_type(mark, size[1]).size / size[1] for mark in drawn}
     assert len(drawn) == 7
     assert 0.714 * height >= 0.013
+
+
+@pytest.mark.parametrize(("given", "share", "clicked"), [(VAS, 0.25, 75), (LIKERT, None, 5)])
+def test_a_scale_read_from_the_right_begins_at_the_right(
+    paper_room: Callable[..., Any], trial: Trial, given: dict[str, Any], share: float | None, clicked: float
+) -> None:
+    """The left arrow goes up; the left end is the highest number, on a line as among points, and so are its words."""
+    section = {"keys": {}, "scale": ScaleSection.model_validate(given).from_right()}
+    room = paper_room(answers=section)
+    room.script = [("question", 0.5, press(room, "left", "left", "right", "left", "enter"))]
+    middle = 50 if share else 3
+    assert rate(room, trial).value == middle + 1
+    room = paper_room(answers=section)
+    pictures = room.window._first.pictures
+    box = pictures.layout.buttons["line" if share else "5"]
+    at = box.left + (share or 0.5) * box.width, box.y
+    assert share or box.x == min(button.x for button in pictures.layout.buttons.values())
+
+    def click() -> None:
+        room.display.events += [Event(room.clock.now(), "click", "", *at), Event(room.clock.now(), "key", "enter")]
+
+    room.script = [("question", 0.5, click)]
+    assert rate(room, trial).value == clicked
+    words = [mark for mark in pictures.question(trial, PROGRESS).marks if isinstance(mark, Words)]
+    places = {mark.text: mark.box.x for mark in words if mark.text in given["words"]}
+    assert sorted(given["words"], key=places.__getitem__) == given["words"][::-1]
+
+
+def test_scales_run_as_the_texts_are_read(experiment: Any) -> None:
+    """Arabic from right to left, with further questions and form; English as it is."""
+    file = Path(__file__).parents[2] / "protocols" / "magnitude.yaml"
+    protocol = Findings.read(file).experiment().protocol
+    asked = AnswersSection.model_validate({"scale": VAS, "then": {"sure": {"question": "Sure?", "scale": LIKERT}}})
+    protocol = protocol.model_copy(update={"answers": asked})
+    assert as_read(protocol, experiment.texts) is protocol
+    turned = as_read(protocol, experiment.texts.model_copy(update={"question": "ما قوة الاهتزاز؟"}))
+    scales = [
+        turned.answers.scale,
+        turned.answers.further["sure"].scale,
+        *(each.scale for each in turned.form.values()),
+    ]
+    assert [scale.is_from_right for scale in scales] == [True] * (2 + len(protocol.form))
+    assert turned.answers.scale.actions["higher"] == ("left", "up")

@@ -7,7 +7,7 @@ import string
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
 from modaltouch.protocol.keys import KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.problems import Problem, fault, suggest
@@ -73,6 +73,8 @@ class ScaleSection(Section):
         default={},
     )
 
+    _is_from_right: bool = PrivateAttr(default=False)
+
     @model_validator(mode="after")
     def _fits(self) -> Self:
         low, high, step = self.low, self.high, self.step or 1.0
@@ -93,6 +95,17 @@ class ScaleSection(Section):
             many = " or ".join(map(str, sorted(allowed - {0})))
             raise fault(f"{len(self.words)} words of a {self.kind} scale", f"{many}, or none", "add or remove words")
         return self
+
+    @property
+    def is_from_right(self) -> bool:
+        """Whether its lowest number stands at the right, for a reader from right to left."""
+        return self._is_from_right
+
+    def from_right(self) -> Self:
+        """Return the scale for a reader from right to left."""
+        turned = self.model_copy()
+        turned._is_from_right = True
+        return turned
 
     @property
     def low(self) -> float:
@@ -121,7 +134,8 @@ class ScaleSection(Section):
             usual |= digits | {".": ("period", "comma", "num_decimal", ".", ","), "back": ("backspace", "delete")}
             usual |= {"-": ("minus", "num_subtract", "-")} if self.low < 0 else {}
         else:
-            usual |= {"lower": ("left", "down"), "higher": ("right", "up"), "lowest": ("home",), "highest": ("end",)}
+            back, on = ("right", "left") if self._is_from_right else ("left", "right")
+            usual |= {"lower": (back, "down"), "higher": (on, "up"), "lowest": ("home",), "highest": ("end",)}
             usual |= {"ten_lower": ("pagedown",), "ten_higher": ("pageup",)} if self.kind == "vas" else digits
         return usual | {name: keys for name, keys in self.keys.items() if name in usual}
 

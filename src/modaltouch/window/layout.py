@@ -130,7 +130,7 @@ def _scale_parts(scale: ScaleSection, across: float, unit: float) -> dict[str, A
     if scale.kind == "vas":
         return {"buttons": {"confirm": confirm, "line": line}, "answer_width": line.width}
     signs = [*"0123456789", ".", *(["-"] if "-" in scale.actions else []), "back"]
-    names = tuple(f"{point:.10g}" for point in scale.points) or tuple(signs)
+    names = tuple(f"{point:.10g}" for point in scale.points)[:: -1 if scale.is_from_right else 1] or tuple(signs)
     step = across / max(len(names), 5)
     middle = Box(0, -0.185, 0.86 * step, 0.07) if scale.points else Box(0, -0.268, 0.86 * step, 0.05)
     return {"buttons": {"confirm": confirm, **_row(names, middle, 0.14 * step)}, "answer_width": middle.width}

@@ -115,11 +115,12 @@ def open_window(
         return _simulated(answerer, protocol, tick, log, clock)
     from modaltouch.window.buttons import typesetter_of
     from modaltouch.window.participant import ParticipantWindow
+    from modaltouch.window.rating import as_read
     from modaltouch.window.robot import Robot
     from modaltouch.window.screen import Screen
     from modaltouch.window.theme import THEMES
 
-    options = options or WindowOptions()
+    protocol, options = as_read(protocol, texts), options or WindowOptions()
     theme = THEMES[options.theme]
     robot = None if answerer is None else Robot(answerer, protocol)
     display = Screen(

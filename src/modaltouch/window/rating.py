@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
-from modaltouch.protocol import ScaleSection, Texts
+from modaltouch.protocol import Protocol, ScaleSection, Texts
 from modaltouch.window.buttons import common_share, key_caps, key_name, typesetter_of
 from modaltouch.window.interface import Event
 from modaltouch.window.layout import Layout
 from modaltouch.window.shapes import Box, Mark, Words, capsule, framed, rectangle, triangle
 from modaltouch.window.theme import Theme
-from modaltouch.window.typesetting import Typesetter
+from modaltouch.window.typesetting import Typesetter, first_letter_is_rtl
 
 _MOVES = {"lower": -1, "higher": 1, "ten_lower": -10, "ten_higher": 10}
 _BEFORE_CREEPING, _CREEP = 0.4, 0.03
@@ -64,6 +65,7 @@ class Entry:
             self._type(action)
         elif action == "line" and self._line is not None:
             share = (event.x - self._line.left) / self._line.width
+            share = 1 - share if self._scale.is_from_right else share
             self.text = self._names[round(min(max(share, 0.0), 1.0) * (len(self._names) - 1))]
         elif action in _MOVES:
             self._move(action)
@@ -109,6 +111,20 @@ class Entry:
             self.text += sign
 
 
+def as_read(protocol: Protocol, texts: Texts) -> Protocol:
+    """Return a protocol whose scales run as its texts are read, from right to left where these are."""
+    if not first_letter_is_rtl(texts.question):
+        return protocol
+
+    def turned(asked: Any) -> Any:
+        return asked.model_copy(update={"scale": asked.scale and asked.scale.from_right()})
+
+    answers = turned(protocol.answers)
+    then = {name: turned(question) for name, question in answers.then.items()}
+    form = {name: turned(question) for name, question in protocol.form.items()}
+    return protocol.model_copy(update={"answers": answers.model_copy(update={"then": then}), "form": form})
+
+
 def draw_scale(
     layout: Layout, theme: Theme, texts: Texts, scale: ScaleSection, entered: str, *, confirmed: bool, keys: bool
 ) -> tuple[Mark, ...]:
@@ -128,8 +144,9 @@ def draw_scale(
         Whether the participant has keys to be told of.
     """
     parts = {"vas": _draw_line, "likert": _draw_points, "number": _draw_keypad}
-    marks = parts[scale.kind](layout, theme, entered, [f"{point:.10g}" for point in scale.points], confirmed)
-    words = tuple(texts.answers.get(each, each) for each in scale.words)
+    way = -1 if scale.is_from_right else 1
+    marks = parts[scale.kind](layout, theme, entered, [f"{point:.10g}" for point in scale.points][::way], confirmed)
+    words = tuple(texts.answers.get(each, each) for each in scale.words)[::way]
     marks += _draw_words(layout, theme, words, typesetter_of(texts))
     if scale.kind == "number" and math.isfinite(scale.high) and not entered:
         field = _field(layout)
@@ -142,7 +159,7 @@ def draw_scale(
     ink = theme.text if entered else theme.dim
     marks += framed(box, 0.016, theme.button_edge, theme.button, 0.003)
     marks.append(Words(label.rstrip(" :：(（)）"), box.inset(0.008), size, ink))
-    for action, side in (("lower", -1), ("higher", 1)) if keys and scale.points else ():
+    for action, side in (("lower", -way), ("higher", way)) if keys and scale.points else ():
         beside = Box(side * (box.width / 2 + 0.07 * layout.unit), box.y, 0.1, 0.042)
         marks += key_caps(texts, theme, scale.actions[action][:1], beside)
     return tuple(marks)

@@ -265,7 +265,7 @@ class Typesetter:
     def measure(self, text: str, *, bold: bool = False) -> float:
         """Return the width of a text in one line [em]."""
         size = 100.0
-        return self._line(text, size, bold=bold, is_rtl=_first_letter_is_rtl(text)).width / size
+        return self._line(text, size, bold=bold, is_rtl=first_letter_is_rtl(text)).width / size
 
     def cover(self, words: Words, window: tuple[int, int]) -> Coverage:
         """Return the pixels of a text, centred in its box.
@@ -314,7 +314,7 @@ class Typesetter:
 
     def _fill(self, paragraph: str, size: float, width: float, *, bold: bool) -> list[Line]:
         """Return lines that each take as many words as have room."""
-        is_rtl = _first_letter_is_rtl(paragraph)
+        is_rtl = first_letter_is_rtl(paragraph)
         lines, begun = [self._line("", size, bold=bold, is_rtl=is_rtl)], ""
         for piece in _pieces(paragraph):
             longer = self._line((begun + piece).rstrip(" "), size, bold=bold, is_rtl=is_rtl)
@@ -363,7 +363,7 @@ def _pieces(text: str) -> Iterator[str]:
     yield text[start:]
 
 
-def _first_letter_is_rtl(text: str) -> bool:
+def first_letter_is_rtl(text: str) -> bool:
     """Return the direction of a paragraph by rules P2 and P3 of UAX 9."""
     strong = (way for way in map(unicodedata.bidirectional, text) if way in ("L", "R", "AL"))
     return next(strong, "L") != "L"
