@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from modaltouch.planning.observer import Participant
-from modaltouch.protocol import AnswersSection, Findings
 from modaltouch.protocol.answers import AnswerList
 from modaltouch.protocol.questions import QuestionSection, ScaleSection
 from modaltouch.protocol.trial import Response, Trial
 from modaltouch.window.buttons import typesetter_of
 from modaltouch.window.interface import Event, Progress, SessionStopped
 from modaltouch.window.layout import lay_out
-from modaltouch.window.rating import Entry, as_read, draw_scale
+from modaltouch.window.rating import Entry, draw_scale
 from modaltouch.window.robot import Robot
 from modaltouch.window.shapes import Words
 from modaltouch.window.simulated import Answerer
@@ -202,20 +200,26 @@ def test_a_question_of_the_form_needs_no_trial(paper_room: Callable[..., Any], e
     assert room.display.drawn.texts[0] == "How tired?"
 
 
+@pytest.mark.parametrize("question", ["Where?", "أين؟"])
 @pytest.mark.parametrize("given", [VAS, LIKERT, NUMBER, VAS | {"step": 0.1}])
 def test_the_robot_reaches_what_the_observer_answers(
-    paper_room: Callable[..., Any], experiment: Any, trial: Trial, given: dict[str, Any]
+    paper_room: Callable[..., Any], experiment: Any, trial: Trial, given: dict[str, Any], question: str
 ) -> None:
-    """It types into the window as a hand does, and gives the number that no window would have given."""
+    """It types into the window as a hand does, whichever way the texts are read; so for a question of the form."""
     section = scale(given)
     answers = AnswerList.of({"scale": given})
     answerer = Answerer(Participant(), lambda trial: (0.08, 0.05), np.random.default_rng(4), answers, section["scale"])
+    form = {"tired": QuestionSection.model_validate({"question": question, "scale": given})}
     protocol = experiment.protocol
-    protocol = protocol.model_copy(update={"answers": protocol.answers.model_copy(update=section)})
-    room = paper_room(answers=section, robot=Robot(answerer, protocol, patience=0.1), seconds=60)
+    protocol = protocol.model_copy(update={"answers": protocol.answers.model_copy(update=section), "form": form})
+    texts = experiment.texts.model_copy(update={"question": question})
+    robot = Robot(answerer, protocol, patience=0.1, texts=texts)
+    room = paper_room(answers=section, robot=robot, seconds=60, texts=texts)
     response = rate(room, trial)
     assert response.value == pytest.approx(answerer.first(trial)[1])
     assert response.answered_by == "simulated"
+    assert protocol.closing["tired"].takes("rated", room.window.ask_further("tired", protocol.closing["tired"]).value)
+    assert room.window._first.pictures.answers.scale.is_from_right is (question != "Where?")
 
 
 def test_an_entry_says_what_to_do_next() -> None:
@@ -278,20 +282,3 @@ def test_a_scale_read_from_the_right_begins_at_the_right(
     words = [mark for mark in pictures.question(trial, PROGRESS).marks if isinstance(mark, Words)]
     places = {mark.text: mark.box.x for mark in words if mark.text in given["words"]}
     assert sorted(given["words"], key=places.__getitem__) == given["words"][::-1]
-
-
-def test_scales_run_as_the_texts_are_read(experiment: Any) -> None:
-    """Arabic from right to left, with further questions and form; English as it is."""
-    file = Path(__file__).parents[2] / "protocols" / "magnitude.yaml"
-    protocol = Findings.read(file).experiment().protocol
-    asked = AnswersSection.model_validate({"scale": VAS, "then": {"sure": {"question": "Sure?", "scale": LIKERT}}})
-    protocol = protocol.model_copy(update={"answers": asked})
-    assert as_read(protocol, experiment.texts) is protocol
-    turned = as_read(protocol, experiment.texts.model_copy(update={"question": "ما قوة الاهتزاز؟"}))
-    scales = [
-        turned.answers.scale,
-        turned.answers.further["sure"].scale,
-        *(each.scale for each in turned.form.values()),
-    ]
-    assert [scale.is_from_right for scale in scales] == [True] * (2 + len(protocol.form))
-    assert turned.answers.scale.actions["higher"] == ("left", "up")

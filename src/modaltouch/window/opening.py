@@ -115,14 +115,13 @@ def open_window(
         return _simulated(answerer, protocol, tick, log, clock)
     from modaltouch.window.buttons import typesetter_of
     from modaltouch.window.participant import ParticipantWindow
-    from modaltouch.window.rating import as_read
     from modaltouch.window.robot import Robot
     from modaltouch.window.screen import Screen
     from modaltouch.window.theme import THEMES
 
-    protocol, options = as_read(protocol, texts), options or WindowOptions()
+    options = options or WindowOptions()
     theme = THEMES[options.theme]
-    robot = None if answerer is None else Robot(answerer, protocol)
+    robot = None if answerer is None else Robot(answerer, protocol, texts=texts)
     display = Screen(
         size=options.size, fullscreen=options.fullscreen, monitor=options.screen, ground=theme.ground,
         title=protocol.title, typesetter=typesetter_of(texts), clock=clock,

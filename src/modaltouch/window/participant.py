@@ -18,6 +18,7 @@ from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import AnswerWindow, Event, Log, Presentation, Progress, Tick, TrialInterrupted
 from modaltouch.window.layout import lay_out
 from modaltouch.window.pictures import Illustrator
+from modaltouch.window.rating import as_read
 from modaltouch.window.shapes import Picture
 from modaltouch.window.theme import THEMES, Theme
 
@@ -258,6 +259,7 @@ class ParticipantWindow(AnswerWindow):
 
     def _asking(self, answers: AnswersSection) -> AskedQuestion:
         """Return what asks by a list of answers, or on a scale."""
+        answers = as_read(answers, self._texts)
         layout = lay_out(*self._display.size, self._zones, answers.offered, answers.scale)
         design = self._design
         pictures = Illustrator(layout, self._colours, self._texts, answers, design.hand, design.fingers)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
-from modaltouch.protocol import Protocol, ScaleSection, Texts
+from modaltouch.protocol import AnswersSection, ScaleSection, Texts
 from modaltouch.window.buttons import common_share, key_caps, key_name, typesetter_of
 from modaltouch.window.interface import Event
 from modaltouch.window.layout import Layout
@@ -111,18 +110,11 @@ class Entry:
             self.text += sign
 
 
-def as_read(protocol: Protocol, texts: Texts) -> Protocol:
-    """Return a protocol whose scales run as its texts are read, from right to left where these are."""
-    if not first_letter_is_rtl(texts.question):
-        return protocol
-
-    def turned(asked: Any) -> Any:
-        return asked.model_copy(update={"scale": asked.scale and asked.scale.from_right()})
-
-    answers = turned(protocol.answers)
-    then = {name: turned(question) for name, question in answers.then.items()}
-    form = {name: turned(question) for name, question in protocol.form.items()}
-    return protocol.model_copy(update={"answers": answers.model_copy(update={"then": then}), "form": form})
+def as_read(asked: AnswersSection, texts: Texts) -> AnswersSection:
+    """Return a question whose scale runs as the texts are read, from right to left where these are."""
+    if asked.scale is None or not first_letter_is_rtl(texts.question):
+        return asked
+    return asked.model_copy(update={"scale": asked.scale.from_right()})
 
 
 def draw_scale(

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from modaltouch.protocol import Protocol
+from modaltouch.protocol import Protocol, Texts
 from modaltouch.window.display_loop import Moment, Sitter
 from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import WindowError
-from modaltouch.window.rating import Entry
+from modaltouch.window.rating import Entry, as_read
 from modaltouch.window.simulated import Answerer
 
 _HOLD = 0.06
@@ -36,12 +36,17 @@ class Robot(Sitter):
         Which key gives which answer, and which one goes on.
     patience : float
         Time it takes to read a screen [s].
+    texts : Texts, optional
+        What it reads: where from right to left, scales run so.
     """
 
-    def __init__(self, answerer: Answerer, protocol: Protocol, *, patience: float = 0.6) -> None:
+    def __init__(
+        self, answerer: Answerer, protocol: Protocol, *, patience: float = 0.6, texts: Texts | None = None
+    ) -> None:
         answers = protocol.answers
         self._answerer = answerer
-        self._asked = {"": answers, **answers.further, **protocol.closing}
+        asked = {"": answers, **answers.further, **protocol.closing}
+        self._asked = {name: each if texts is None else as_read(each, texts) for name, each in asked.items()}
         self._continue_key = canonical_key(answers.continue_keys[0])
         self._counts_from_question = answers.stimulus_until == "question"
         self._patience = patience
