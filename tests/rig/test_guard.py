@@ -19,8 +19,7 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
-from modaltouch.rig.interface import RigError
-from modaltouch.rig.link import LinkError
+from modaltouch.rig.interface import LinkError, RigError
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.watchdog_client import WatchdogClient
 from modaltouch.rig.watchdog_process import LIMIT

@@ -9,7 +9,8 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from modaltouch.rig.link import InUse, Link, LinkError, describe_block, split_reply
+from modaltouch.rig.interface import LinkError
+from modaltouch.rig.link import InUse, Link, describe_block, split_reply
 
 
 class Transport:

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.controls import Unconfirmed
 from modaltouch.rig.instrument import Commands, Desk, Instrument, Setting
-from modaltouch.rig.link import LinkError
+from modaltouch.rig.interface import LinkError, Unconfirmed
 from modaltouch.stimulus import Converter
 
 N_SPOTS = 64

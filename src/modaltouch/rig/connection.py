@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.catalogue import instrument_of, instruments
-from modaltouch.rig.controls import Controls, Unconfirmed
+from modaltouch.rig.controls import Controls
 from modaltouch.rig.instrument import Setting
-from modaltouch.rig.interface import RigError
-from modaltouch.rig.link import InUse, LinkError, Log
+from modaltouch.rig.interface import LinkError, RigError, Unconfirmed
+from modaltouch.rig.link import InUse, Log
 from modaltouch.rig.pacing import BurstPlayer
 from modaltouch.system import SYSTEM_CLOCK, Clock
 

@@ -9,25 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.rig.instrument import Instrument, Setting
+from modaltouch.rig.interface import Unconfirmed
 from modaltouch.rig.link import Link, Transport, split_reply
 
 NO_ERROR, UNDEFINED_HEADER = 0, -113
 QUERIES_PER_MESSAGE = 12
 MOST_ERRORS = 64
-
-
-class Unconfirmed(Exception):  # noqa: N818
-    """The instrument answered, but not that it does what was asked.
-
-    Attributes
-    ----------
-    read_back : tuple of str
-        What the settings read instead, where they were read.
-    """
-
-    def __init__(self, reason: str, read_back: tuple[str, ...] = ()) -> None:
-        super().__init__(reason)
-        self.read_back = read_back
 
 
 class Controls(Link):

@@ -20,6 +20,24 @@ class RigError(Exception):
     """The rig failed; its outputs are off, or everything possible was done to switch them off."""
 
 
+class LinkError(Exception):
+    """An exchange failed; what the instrument has done is unknown, and so is what it will answer next."""
+
+
+class Unconfirmed(Exception):  # noqa: N818
+    """The instrument answered, but not that it does what was asked.
+
+    Attributes
+    ----------
+    read_back : tuple of str
+        What the settings read instead, where they were read.
+    """
+
+    def __init__(self, reason: str, read_back: tuple[str, ...] = ()) -> None:
+        super().__init__(reason)
+        self.read_back = read_back
+
+
 class StimulusLost(RigError):  # noqa: N818
     """The stimulus ended before anybody ended it: stop, and offer it again."""
 

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.controls import Unconfirmed
 from modaltouch.rig.instrument import Commands, Desk, Instrument, Setting
-from modaltouch.rig.link import LinkError, block_bounds
+from modaltouch.rig.interface import LinkError, Unconfirmed
+from modaltouch.rig.link import block_bounds
 from modaltouch.stimulus import Converter
 
 ZERO = 32767

@@ -8,13 +8,11 @@ import time
 import typing
 from collections.abc import Callable
 
+from modaltouch.rig.interface import LinkError
+
 if typing.TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-
-class LinkError(Exception):
-    """An exchange failed; what the instrument has done is unknown, and so is what it will answer next."""
 
 
 class InUse(LinkError):  # noqa: N818

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.controls import Controls, Unconfirmed
+from modaltouch.rig.controls import Controls
 from modaltouch.rig.instrument import Limits, Setting
-from modaltouch.rig.interface import Repetition, RigError
+from modaltouch.rig.interface import Repetition, RigError, Unconfirmed
 from modaltouch.rig.pacing import Order
 from modaltouch.stimulus import Burst
 from modaltouch.system import Clock
