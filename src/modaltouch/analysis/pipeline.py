@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from modaltouch.analysis.outcome import Analysis
     from modaltouch.analysis.parts import PartsAnalysis
-    from modaltouch.analysis.responses import Responses, TableFormat
+    from modaltouch.analysis.responses import AnswerSource, Responses, TableFormat
     from modaltouch.analysis.thresholds import ThresholdAnalysis
 
 
@@ -45,8 +45,7 @@ def analyse(
     out : Path or str, optional
         Folder for what is written; by default ``analysis`` in the tree, or ``<name>_analysis`` beside the CSV.
     labs : sequence of Path or str
-        Trees of other labs that ran the same protocol; `out` is needed then. The lab is a factor: participants of
-        labs are compared as those of groups are.
+        Trees of other labs that ran the same protocol, compared as groups are; `out` is needed then.
     mode : {"real", "pilot", "simulated"}, optional
         Which sessions of a tree to take.
     stimulus : str, optional
@@ -60,14 +59,12 @@ def analyse(
     model : bool
         Whether the mixed logistic model is fitted, too, for which statsmodels is loaded.
     speed : {"nominal", "predicted", "delivered"}
-        What levels are told by: the speed asked at the focus, or the one predicted or delivered under the faster
-        finger.
+        What tells levels: the speed asked at the focus, or that predicted or delivered under the faster finger.
 
     Returns
     -------
     Analysis, ThresholdAnalysis or PartsAnalysis
-        The second for adaptive sessions, whose levels followed from the answers; the last for designs that are not
-        crossed.
+        The second for adaptive sessions, the last for designs that are not crossed.
 
     Raises
     ------
@@ -82,11 +79,13 @@ def analyse(
     responses = read_responses(path, *labs, mode=mode, stimulus=stimulus, table_format=table_format)
     responses = responses if speed == "nominal" else responses.by_speed(speed)
     folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
-    source = responses.source
-    about = {"version": version(), "source": source.path, "sha256": source.sha256, "mode": source.mode}
     asked |= {"--speed": speed != "nominal"} if responses.scheduled is not None else {}
     found, files = _results(responses, path, asked)
-    return replace(found, files=write_files(folder, files, about))
+    return replace(found, files=write_files(folder, files, _about(responses.source)))
+
+
+def _about(source: AnswerSource) -> dict[str, str]:
+    return {"version": version(), "source": source.path, "sha256": source.sha256, "mode": source.mode}
 
 
 def _results(

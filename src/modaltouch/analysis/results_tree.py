@@ -243,12 +243,9 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
     _only(place, "protocols", [f"of {item.protocol!r}" for item in of_mode if item.mode], _ONE)
     taken = _sort(of_mode, left_out, lambda item: item.reason)
     levels = _only(place, "kinds of levels", [item.levels for item in taken], _ONE_NAMED)
-    if not (is_crossed := levels == "adaptive"):
-        held, seen = Counter((item.participant, item.kind) for item in taken), Counter[object]()
-        fewest = {kind: min(n for (_, own), n in held.items() if own == kind) for _, kind in held}
-        taken = _sort(taken, left_out, lambda item: _surplus(item, fewest[item.kind], seen))
-        is_one = stimulus is not None or len({row[_STIMULUS] for item in taken for row in item.rows}) < 2
-        is_crossed = is_one and all(item.is_crossed for item in taken) and len({item.kind for item in taken}) == 1
+    if levels != "adaptive":
+        taken = _as_many(taken, left_out)
+    is_crossed = levels == "adaptive" or _is_crossed(taken, stimulus)
     _refuse_nothing(place, taken, left_out)
     answers = _one_list(place, taken)
     frame = _join(place, taken, levels, answers, stimulus, is_crossed=is_crossed)
@@ -404,6 +401,19 @@ def _other_mode(item: SessionAnswers, chosen: str) -> str:
     if not item.mode or item.mode == chosen:
         return ""
     return f"{item.mode}, not {chosen} (choose with --mode {item.mode})"
+
+
+def _is_crossed(taken: Sequence[SessionAnswers], stimulus: str | None) -> bool:
+    """Return whether all sessions together hold every pair at every level equally often, of one stimulus and kind."""
+    is_one = stimulus is not None or len({row[_STIMULUS] for item in taken for row in item.rows}) < 2
+    return is_one and all(item.is_crossed for item in taken) and len({item.kind for item in taken}) == 1
+
+
+def _as_many(taken: Sequence[SessionAnswers], left_out: list[ExcludedSource]) -> list[SessionAnswers]:
+    """Return as many sessions of each kind from every participant; what is beyond stays out."""
+    held, seen = Counter((item.participant, item.kind) for item in taken), Counter[object]()
+    fewest = {kind: min(n for (_, own), n in held.items() if own == kind) for _, kind in held}
+    return _sort(taken, left_out, lambda item: _surplus(item, fewest[item.kind], seen))
 
 
 def _surplus(item: SessionAnswers, fewest: int, seen: Counter[object]) -> str:

@@ -81,14 +81,13 @@ def read_csv(
         raise InputError(columns.problems)
     apart = ((practice, "practice trials"), (caught, "catch trials, counted apart"))
     left_out += [ExcludedSource(f"{table.file}: {rows.sum()} rows", why) for rows, why in apart if rows.any()]
-    told = set(fields["mode"]) - set(_EMPTY) if "mode" in fields else set()
     is_crossed = len(scheduled) < 2
     kept = asked if is_crossed else _told_apart(pd.concat(scheduled), table_format.design)
     return Responses(
         kept[kept["response"].notna()],
         (),
         tuple(left_out),
-        AnswerSource(table.file, "csv", table.sha256, str(next(iter(told), ""))),
+        AnswerSource(table.file, "csv", table.sha256, _mode_of(fields)),
         catches=_count_catches(frame[caught & frame["response"].notna()]),
         answers=answers,
         margin=table_format.margin,
@@ -97,6 +96,11 @@ def read_csv(
         scheduled=None if is_crossed else kept,
         design=table_format.design,
     )
+
+
+def _mode_of(fields: pd.DataFrame) -> str:
+    """Return the mode that a table tells, empty where it does not."""
+    return next((mode for mode in fields.get("mode", ()) if mode not in _EMPTY), "")
 
 
 def _with_missing(part: pd.DataFrame, usual: int) -> pd.DataFrame:

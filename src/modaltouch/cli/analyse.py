@@ -38,6 +38,13 @@ _FIGURES = Annotated[
     ),
 ]
 
+_SPEED = Annotated[
+    Literal["nominal", "predicted", "delivered"],
+    typer.Option(
+        help="Speed taken as the level: asked at the focus, predicted or delivered under the faster finger."
+    ),
+]
+
 
 def analyse(
     source: _SOURCE,
@@ -67,12 +74,7 @@ def analyse(
     model: Annotated[
         bool, typer.Option("--model", help="Also fit a mixed logistic model, refused where answers are separated.")
     ] = False,
-    speed: Annotated[
-        Literal["nominal", "predicted", "delivered"],
-        typer.Option(
-            help="What levels are told by: speed asked at the focus, or predicted or delivered under the faster finger."
-        ),
-    ] = "nominal",
+    speed: _SPEED = "nominal",
     json_output: JSON = False,
 ) -> None:
     """Write the tables and bars of Fig. 10 and Fig. 11, exact statistics, and an HTML report."""

@@ -109,29 +109,12 @@ def identify(
 
     with reporting(json_output=json_output):
         options = IdentifyOptions(
-            apparatus=apparatus,
-            files=tuple(files or ()),
-            rig=rig,
-            out=out,
-            points=points,
-            averages=averages,
-            voltage=drive_V,
-            excitation=excitation,
-            lowest=lowest_Hz,
-            highest=None if highest_kHz is None else highest_kHz * 1e3,
-            margin=margin_mm * 1e-3,
-            sets=tuple(sets or ()),
-            modes=modes,
-            quantity=quantity,
-            conjugated=conjugated,
-            spacing=spacing_Hz,
-            seed=seed,
-            export=export,
-            leave_out=tuple(place * 1e-3 for place in leave_out or ()),
-            use_clipped=use_clipped,
-            rows=rows,
-            estimator=estimator,
-        )
+            apparatus, tuple(files or ()), rig, out, points=points, averages=averages, rows=rows, voltage=drive_V,
+            excitation=excitation, lowest=lowest_Hz, highest=None if highest_kHz is None else highest_kHz * 1e3,
+            margin=margin_mm * 1e-3, sets=tuple(sets or ()), modes=modes, quantity=quantity, conjugated=conjugated,
+            spacing=spacing_Hz, seed=seed, export=export, leave_out=tuple(place * 1e-3 for place in leave_out or ()),
+            use_clipped=use_clipped, estimator=estimator,
+        )  # fmt: skip
         try:
             with bars() as progress:
                 report = measure(options, progress)

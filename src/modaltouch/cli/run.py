@@ -124,10 +124,8 @@ def run(
     """Run one participant's session, after a full check of the protocol.
 
     In a terminal it asks for what is missing, shows the check and waits for `start`; then the terminal is the
-    experimenter's console.
-
-    Every answer is on the disk before the next trial. If anything ends the session early, the outputs are off
-    and `modaltouch resume` goes on where it stopped.
+    experimenter's console. Every answer is on the disk before the next trial. If anything ends the session early, the
+    outputs are off and `modaltouch resume` goes on where it stopped.
     """
     from modaltouch.cli.prompts import ask_participant, ask_rig, can_ask, wait_for_start
     from modaltouch.preflight import check_legibility, examine

@@ -324,9 +324,6 @@ class Preflight:
             "apparatus": self.findings.apparatus.sound("apparatus") if self.findings.apparatus else None,
             "calibration": self._calibration(),
             **dict.fromkeys(DESIGN_FIGURES),
-            **(
-                {"occasions": [occasion_figures(each.findings) for each in (self, *self.others)]} if self.others else {}
-            ),
             "problems": [problem.as_dict() for problem in self.problems],
             "warnings": [],
             "defaults": self.findings.defaults(),
@@ -336,6 +333,8 @@ class Preflight:
             "assumed_gains": [],
             "offered_gains": [],
         }
+        if self.others:
+            values["occasions"] = [occasion_figures(each.findings) for each in (self, *self.others)]
         if reading is not None and reading.value is not None:
             values |= design_figures_of(reading.value)
         if self.problems:

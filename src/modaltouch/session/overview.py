@@ -44,17 +44,21 @@ def survey_results(place: Path) -> list[dict[str, Any]]:
     return [_survey_dataset(dataset, logs) for dataset, logs in datasets.items()]
 
 
-def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
+def _survey_logs(logs: list[Path]) -> tuple[list[dict[str, Any]], dict[str, Session], Session]:
+    """Return a row to each session, the start of each participant's first, and the latest of those."""
     rows: list[dict[str, Any]] = []
     begun: dict[str, Session] = {}
-    latest = Session(dataset, ())
     for log in sorted(logs, key=lambda log: (log.parts[:-3], SessionFolder.number_of(log))):
         row, session = _survey_session(log)
         rows.append(row)
         if session.start:
             begun.setdefault(row["participant"], replace(session, events=session.events[:1]))
-            latest = max(latest, begun[row["participant"]], key=lambda each: str(each.start.get("time", "")))
-    start = latest.start
+    latest = max(begun.values(), key=lambda each: str(each.start.get("time", "")), default=Session(logs[0], ()))
+    return rows, begun, latest
+
+
+def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
+    rows, begun, latest = _survey_logs(logs)
     survey: dict[str, Any] = {
         "folder": str(dataset),
         "protocol": latest.protocol,
@@ -68,11 +72,11 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
         "notes": [],
     }
     try:
-        survey["title"] = str(start.get("design", {}).get("title", ""))
+        survey["title"] = str(latest.start.get("design", {}).get("title", ""))
         protocol = _protocol_of(latest, *latest.occasion)
         # Whatever its mode, the dataset is a folder of that name.
         new = SessionFolder(dataset.parent, "real", dataset.name, propose_participant(dataset))
-        group, _ = assign_group(new, protocol, int(start["seed"]))
+        group, _ = assign_group(new, protocol, int(latest.start["seed"]))
         due = [each for name in begun if (each := _next_of(name, rows, protocol.schedule.n_sessions))]
         due.append({"participant": new.participant, "session": 1, "do": "run", "nth": 1})
         turns = {name: first_turn(session) for name, session in begun.items()}
@@ -90,10 +94,9 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
         if protocol.schedule.balance == "least_filled":
             turns[new.participant] = assign_turn(new, protocols[group, kinds[1]], 1, group)[0].number
         else:
-            turns[new.participant] = Turn.of(new.participant, int(start["seed"]), 1, protocol.groups).number
+            turns[new.participant] = Turn.of(new.participant, int(latest.start["seed"]), 1, protocol.groups).number
     except (InputError, RecordError, LookupError, AttributeError, TypeError, ValueError) as error:
         return survey | {"notes": [f"orders and next sessions are not known: {error or type(error).__name__}"]}
-    states = {row["participant"]: row["state"] for row in rows}
     ends = {row["participant"]: row["ended"] for row in rows}
     for each in due:
         who, nth = each["participant"], each.pop("nth")
@@ -101,7 +104,8 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
         each |= _order(Turn(turns[who] + nth - 1, ""), protocols[own[who], kinds[nth]])
         if nth > 1 and (gap := gaps.get(kinds[nth], 0)) and (ended := ends.get(who)):
             each["from"] = (datetime.fromisoformat(ended) + timedelta(days=gap)).isoformat(timespec="minutes")
-    had = _turns_had(turns, rows) if gaps else {who: [("", turns[who], state)] for who, state in states.items()}
+    once = {who: [("", turns[who], row["state"])] for row in rows if (who := row["participant"]) in turns}
+    had = _turns_had(turns, rows) if gaps else once
     orders = [
         _named(name, kind) | row
         for name in dict.fromkeys([*protocol.groups, *own.values()])

@@ -19,7 +19,8 @@ from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import Spectra, responses_of
 from modaltouch.lab.identification.shapes import mac
 from modaltouch.lab.laboratory import Laboratory, open_laboratory
-from modaltouch.lab.scan import ScanPlan, read_scan, take_scan
+from modaltouch.lab.scan import read_scan, take_scan
+from modaltouch.lab.scan_plan import ScanPlan
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.source import Source
 from modaltouch.record.chain import RecordInputError

@@ -42,7 +42,8 @@ from modaltouch.lab.identification.responses import (
 from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.identification.verdict import check_all, check_gains, check_modes
 from modaltouch.lab.laboratory import SIMULATED, UNTOLD, MeasurementProgress, open_laboratory
-from modaltouch.lab.scan import Scan, read_scan, rows_over
+from modaltouch.lab.scan import Scan, read_scan
+from modaltouch.lab.scan_plan import rows_over
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.report import refuse_other
 

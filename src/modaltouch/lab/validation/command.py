@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 from modaltouch.lab.laboratory import SIMULATED, UNTOLD, MeasurementProgress, TooFewPointsError
 from modaltouch.lab.output import rounded
 from modaltouch.lab.recorded_files import open_measurement
-from modaltouch.lab.scan import Scan, rows_over
+from modaltouch.lab.scan import Scan
+from modaltouch.lab.scan_plan import rows_over
 from modaltouch.lab.validation.evidence import Evidence, evaluate
 from modaltouch.lab.validation.figures import (
     PAPER_WORST,

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.laboratory import UNTOLD, Laboratory, MeasurementProgress
-from modaltouch.lab.scan import Scan, ScanPlan, read_scan, row_name, take_scan
+from modaltouch.lab.scan import Scan, read_scan, take_scan
+from modaltouch.lab.scan_plan import ScanPlan, row_name
 from modaltouch.preflight import DesignInputs, design
 from modaltouch.protocol import Source
 from modaltouch.record import RecordError, RecordInputError
