@@ -40,9 +40,7 @@ _FIGURES = Annotated[
 
 _SPEED = Annotated[
     Literal["nominal", "predicted", "delivered"],
-    typer.Option(
-        help="Speed taken as the level: asked at the focus, predicted or delivered under the faster finger."
-    ),
+    typer.Option(help="Speed taken as the level: asked at the focus, predicted or delivered under the faster finger."),
 ]
 
 
