@@ -159,18 +159,34 @@ def test_a_session_sooner_than_its_kind_allows_is_refused(preflight: Preflight, 
     """Where it is begun all the same the record says so."""
     sit(preflight, tmp_path, "p01")
     due = (datetime.now(UTC) + timedelta(days=1)).strftime("%Y-%m-%d")
-    with pytest.raises(RecordInputError, match=f"at least 1 days after it .* from {due} .* --any-gap"):
+    with pytest.raises(RecordInputError, match=f"has min_gap_days: 1 .* from {due} .* --any-gap"):
         sit(preflight, tmp_path, "p01")
     assert survey_results(tmp_path)[0]["next"][0]["from"].startswith(due)
     begun = read_session(next(results.rglob("sub-p01/ses-2/beh/session.jsonl")))
     assert begun.start["any_gap"] is True
-    assert "sooner than the 1 of its kind, as it says" in "".join(audit_session(begun).lines)
+    assert "0.00 days after the session before, where test has min_gap_days: 1, waived by --any-gap" in "".join(audit_session(begun).lines)
     silent = replace(begun, events=({**begun.start, "any_gap": False}, *begun.events[1:]))
-    assert "days after the session before, where the kind test wants 1 days" in audit_session(silent).problems[0]
+    assert "begun 0.00 days after the session before, where test has min_gap_days: 1" in audit_session(silent).problems[0]
     with pytest.raises(
         RecordInputError, match="given session 2, of the kind test, but .* p03 has had 0; allowed: session 1"
     ):
         sit(preflight, tmp_path, "p03", session=2)
+
+
+def test_a_session_begun_anew_keeps_the_gap_of_the_one_it_replaces(preflight: Preflight, tmp_path: Path) -> None:
+    """It begins minutes after that one, which is no session before it; to resume waits for nothing."""
+    sit(preflight, tmp_path, "p01")
+    cut = sit(preflight, tmp_path, "p01", any_gap=True)
+    cut.path.write_bytes(b"".join(cut.path.read_bytes().splitlines(keepends=True)[:-12]))
+    for view in cut.path.parent.glob("sub-*"):
+        view.unlink()
+    due = survey_results(tmp_path)[0]["next"][0]
+    assert (due["do"], due["session"], "from" in due) == ("resume", 2, False)
+    anew = resume(wire_resume(cut.path, restart=True))
+    assert (anew.complete, anew.start["begins_anew"]["session"]) == (True, 2)
+    assert audit_session(anew).problems == ()
+    notes = survey_results(tmp_path)[0]["notes"]
+    assert not [note for note in notes if "p01 session 3" in note]
 
 
 def test_a_group_that_is_given_stays_that_of_the_participant(preflight: Preflight, tmp_path: Path) -> None:

@@ -228,15 +228,15 @@ def _check_gap(session: Session, protocol: Protocol, place: str) -> tuple[bool, 
     logs = SessionFolder.logs_of(session.path.absolute().parents[2])
     before = [log for log in logs if SessionFolder.number_of(log) < int(session.start["session"])]
     times = [event["time"] for event in Session.find(before[-1]).events if event["time"] <= begun] if before else []
-    if kind is None or not kind.min_gap_days or not times:
+    # A session begun anew takes the place of the one before, which had to keep the gap itself.
+    if kind is None or not kind.min_gap_days or not times or "begins_anew" in session.start:
         return True, ""
     days = (datetime.fromisoformat(begun) - datetime.fromisoformat(times[-1])) / timedelta(days=1)
-    said = f"begun {days:.3g} days after the session before"
-    if days < kind.min_gap_days and not session.start.get("any_gap"):
-        return False, f"{place} {said}, where the kind {kind.name} wants {kind.min_gap_days:g} days"
-    return True, said + (
-        f", sooner than the {kind.min_gap_days:g} of its kind, as it says" if days < kind.min_gap_days else ""
-    )
+    said = f"begun {days:.2f} days after the session before"
+    if days >= kind.min_gap_days:
+        return True, said
+    said += f", where {kind.name} has min_gap_days: {kind.min_gap_days:g}"
+    return (True, f"{said}, waived by --any-gap") if session.start.get("any_gap") else (False, f"{place} {said}")
 
 
 def _check_own_levels(session: Session, restored: RestoredExperiment, place: str) -> tuple[bool, str]:

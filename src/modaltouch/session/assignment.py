@@ -138,7 +138,7 @@ def is_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datet
         if now >= due
         else (
             f"{logs[-1]}: the session before ended {ended:%Y-%m-%d %H:%M} UTC, and a session of the kind {kind.name} "
-            f"begins at least {kind.min_gap_days:g} days after it (schedule.sessions), from {due:%Y-%m-%d %H:%M} UTC "
+            f"has min_gap_days: {kind.min_gap_days:g} (schedule.sessions), so it begins from {due:%Y-%m-%d %H:%M} UTC "
             "on; wait, or begin it all the same with --any-gap, which the record then says"
         )
     )

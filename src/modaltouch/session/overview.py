@@ -102,7 +102,7 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
         who, nth = each["participant"], each.pop("nth")
         each |= _named(own[who], kinds[nth])
         each |= _order(Turn(turns[who] + nth - 1, ""), protocols[own[who], kinds[nth]])
-        if nth > 1 and (gap := gaps.get(kinds[nth], 0)) and (ended := ends.get(who)):
+        if nth > 1 and each["do"] == "run" and (gap := gaps.get(kinds[nth], 0)) and (ended := ends.get(who)):
             each["from"] = (datetime.fromisoformat(ended) + timedelta(days=gap)).isoformat(timespec="minutes")
     once = {who: [("", turns[who], row["state"])] for row in rows if (who := row["participant"]) in turns}
     had = _turns_had(turns, rows) if gaps else once
@@ -237,14 +237,14 @@ def _turns_had(turns: dict[str, int], rows: list[dict[str, Any]]) -> dict[str, l
 
 def _early(rows: list[dict[str, Any]], gaps: dict[str, float]) -> Iterator[str]:
     """Yield which sessions began sooner after the one before than their kind wants."""
-    for before, row in pairwise(rows):
+    for before, row in pairwise(row for row in rows if row["state"] != "closed"):
         gap = gaps.get(row.get("session_kind", ""), 0)
         if not gap or before["participant"] != row["participant"] or not (before["ended"] and row["begun"]):
             continue
         days = (datetime.fromisoformat(row["begun"]) - datetime.fromisoformat(before["ended"])) / timedelta(days=1)
         if days < gap:
             who = f"{row['participant']} session {row['session']}"
-            yield f"{who} began {days:.2g} days after the one before, not {gap:g}"
+            yield f"{who} began {days:.2f} days after the one before, where its kind has min_gap_days: {gap:g}"
 
 
 def _notes(begun: dict[str, Session], rows: list[dict[str, Any]]) -> list[str]:
