@@ -164,9 +164,13 @@ def test_a_session_sooner_than_its_kind_allows_is_refused(preflight: Preflight, 
     assert survey_results(tmp_path)[0]["next"][0]["from"].startswith(due)
     begun = read_session(next(results.rglob("sub-p01/ses-2/beh/session.jsonl")))
     assert begun.start["any_gap"] is True
-    assert "0.00 days after the session before, where test has min_gap_days: 1, waived by --any-gap" in "".join(audit_session(begun).lines)
+    assert "0.00 days after the session before, where test has min_gap_days: 1, waived by --any-gap" in "".join(
+        audit_session(begun).lines
+    )
     silent = replace(begun, events=({**begun.start, "any_gap": False}, *begun.events[1:]))
-    assert "begun 0.00 days after the session before, where test has min_gap_days: 1" in audit_session(silent).problems[0]
+    assert (
+        "begun 0.00 days after the session before, where test has min_gap_days: 1" in audit_session(silent).problems[0]
+    )
     with pytest.raises(
         RecordInputError, match="given session 2, of the kind test, but .* p03 has had 0; allowed: session 1"
     ):

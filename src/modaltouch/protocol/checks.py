@@ -172,9 +172,19 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
             given, allowed = f"level, with the {key} {other}", "field, or the law exact of least energy without a band"
             yield reading.problem((*section, "priority"), given, allowed, "leave one of them out")
     band, fingers = (reading.sound(*section, key) for key in ("equalise_band_Hz", "fingers"))
-    if band is not None and (band[0] >= band[1] or fingers == "none"):
-        given = f"{band[0]:g} to {band[1]:g} Hz, with fingers {fingers}"
-        yield reading.problem((*section, "equalise_band_Hz"), given, "a band that rises, with fingers", "leave it out")
+    if band is not None and fingers == "none":
+        remedy = "leave it out, or name the fingers in stimulus.fingers"
+        yield reading.problem((*section, "equalise_band_Hz"), "a band, with fingers none", "none", remedy)
+    if band is not None and band[0] >= band[1]:
+        given = f"{band[0]:g} to {band[1]:g} Hz"
+        yield reading.problem((*section, "equalise_band_Hz"), given, "a band that rises", "swap its ends")
+    elif band is not None and None not in (duration, rate, n_samples):
+        # A repeated burst has velocity at multiples of its rate alone, up to half its sampling rate.
+        highest = min(band[1], n_samples / duration * 500)
+        if math.floor(highest / rate) < math.ceil(band[0] / rate):
+            given = f"{band[0]:g} to {band[1]:g} Hz, in which bursts repeated at {rate:g} Hz have no velocity"
+            allowed = f"a band with a multiple of {rate:g} Hz in it, below {n_samples / duration * 500:g} Hz"
+            yield reading.problem((*section, "equalise_band_Hz"), given, allowed, "widen it")
     yield from _doubled(reading, (*section, "selected_modes"), "mode")
     n_decomposed = reading.sound(*section, "decomposed_modes")
     for index, label in reading.items(*section, "selected_modes"):

@@ -53,7 +53,6 @@ def draw_constrained(
         kinds.setdefault(limits[0].kind_of(cell), []).append(cell)
     if len(limits) > 1 or limits[0].distance > 1 or None in kinds:
         return draw_by_walk(cells, limits, stream, effort)
-    limits[0].refuse_impossible(cells)
     order = draw_order(list(map(len, kinds.values())), limits[0].running, stream, limits[0].key)
     waiting = [stream.shuffled(own) for own in kinds.values()]
     return [waiting[kind].pop() for kind in order]

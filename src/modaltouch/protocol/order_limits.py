@@ -22,6 +22,26 @@ class NoOrderError(ValueError):
         self.key = key
 
 
+def refuse_runs(counts: Sequence[int], limit: int, key: str, n_others: int = 0) -> None:
+    """Raise NoOrderError where no order keeps each kind to so many times running.
+
+    Parameters
+    ----------
+    counts : sequence of int
+        How often each kind comes.
+    limit : int
+        Most times that a kind may come running.
+    key : str
+        Which of `LIMITS` it is.
+    n_others : int
+        Number of trials of no kind, which may come anywhere.
+    """
+    least = least_limit([*counts, *[1] * n_others])
+    if limit < least:
+        said = f"{max(counts)} of {sum(counts) + n_others} trials are alike in this; the least that works is {least}"
+        raise NoOrderError(f"schedule.{key} is {limit}, but {said}", key)
+
+
 def least_limit(counts: Sequence[int]) -> int:
     """Return the smallest limit on runs that the counts allow.
 

@@ -12,10 +12,13 @@ from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
-from modaltouch.protocol.order_limits import NoOrderError, least_limit
+from modaltouch.protocol.order_limits import NoOrderError, refuse_runs
 from modaltouch.protocol.streams import Stream
 
 Item = TypeVar("Item", bound=Hashable)
+
+REPEATS = 10_000
+"""Permutations of equally frequent cells that are drawn where only one repeated keeps the distance."""
 
 SWEEPS = 100
 """Steps for each trial that the walk takes among orders that keep all limits; most designs forget theirs in two."""
@@ -56,10 +59,7 @@ class Limit(Generic[Item]):
                 said = f"{most} of {len(items)} trials are of one cell; the largest that works is {farthest}"
                 raise NoOrderError(f"schedule.{self.key} is {self.distance}, but {said}", self.key)
         elif self.distance == 1 and most:
-            least = least_limit([*counts.values(), *[1] * n_free])
-            if self.running < least:
-                said = f"{most} of {len(items)} trials are alike in this; the least that works is {least}"
-                raise NoOrderError(f"schedule.{self.key} is {self.running}, but {said}", self.key)
+            refuse_runs([*counts.values()], self.running, self.key, n_free)
 
     @property
     def reach(self) -> int:
@@ -116,6 +116,8 @@ def draw_by_walk(
         limit.refuse_impossible(items)
     # What an item is to each limit is looked up, not worked out again.
     limits = [replace(limit, kind_of={item: limit.kind_of(item) for item in items}.__getitem__) for limit in limits]
+    if any(limit.distance == len(set(items)) for limit in limits):
+        return _draw_repeated(items, limits, stream)
     order, n = stream.shuffled(items), len(items)
     reach = max(limit.reach for limit in limits)
     # A weight below 1 / n: an order breaks a few limits for each ten trials, and the walk shall mostly break none.
@@ -140,10 +142,35 @@ def draw_by_walk(
         n_steps[n_broken > 0] += 1
         if n_steps[False] == SWEEPS * n:
             return order
-    often = {limit.key: limit.n_broken(order) for limit in limits}
-    worst = max(often, key=lambda key: often[key])
-    raise NoOrderError(
-        f"orders that keep {' and '.join(f'schedule.{key}' for key in often)} together do not exist or are too rare "
-        f"to find; schedule.{worst} is broken most: ease it, or leave one of them out",
+    raise _too_rare({limit.key: limit.n_broken(order) for limit in limits})
+
+
+def _draw_repeated(items: Sequence[Item], limits: Sequence[Limit[Item]], stream: Stream) -> list[Item]:
+    """Return one permutation of the kinds again and again, which a distance of as many trials as kinds leaves alone.
+
+    The kinds that come once more than others, begun anew at the end, come first in it.
+    """
+    counts = Counter(items)
+    most = max(counts.values())
+    often, others = ([kind for kind, n in counts.items() if (n == most) is is_most] for is_most in (True, False))
+    broken = dict.fromkeys([limit.key for limit in limits], 0)
+    for _ in range(REPEATS):
+        order = ([*stream.shuffled(often), *stream.shuffled(others)] * most)[: len(items)]
+        # No run is longer than two permutations, for limits that one kind alone would break are refused before.
+        if not any(found := [limit.n_broken(order[: 3 * len(counts)]) for limit in limits]):
+            return order
+        broken = {key: n + more for (key, n), more in zip(broken.items(), found, strict=True)}
+    raise _too_rare(broken)
+
+
+def _too_rare(broken: dict[str, int]) -> NoOrderError:
+    """Return that no order was found, from how often each limit was broken."""
+    worst = max(broken, key=lambda key: broken[key])
+    told = f"orders that keep {' and '.join(f'schedule.{key}' for key in broken)}"
+    if len(broken) == 1:
+        return NoOrderError(f"{told} are too rare to find: ease it", worst)
+    return NoOrderError(
+        f"{told} together do not exist or are too rare to find; schedule.{worst} is broken most: ease it, or leave one "
+        "of them out",
         worst,
     )

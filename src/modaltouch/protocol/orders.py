@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from modaltouch.protocol.order_limits import LIMITS, NoOrderError, least_limit
+from modaltouch.protocol.order_limits import LIMITS, refuse_runs
 from modaltouch.protocol.streams import Stream
 
 
@@ -37,13 +37,7 @@ def draw_order(counts: Sequence[int], limit: int | None, stream: Stream, key: st
     """
     if limit is None or limit >= max(counts):
         return stream.shuffled(kind for kind, count in enumerate(counts) for _ in range(count))
-    least = least_limit(counts)
-    if limit < least:
-        raise NoOrderError(
-            f"no order of {sum(counts)} trials keeps the same pair to {limit} times running, since one pair "
-            f"has {max(counts)} of them; the least that works is {least}",
-            key,
-        )
+    refuse_runs(counts, limit, key)
     from modaltouch.protocol.limited_orders import (
         STATE_LIMIT,
         draw_by_rejection,

@@ -166,7 +166,9 @@ def test_the_record_holds_what_an_order_was_drawn_from() -> None:
 def test_a_limit_that_no_order_keeps_is_refused_with_its_reason() -> None:
     """Four trials of the one pair come four times running."""
     protocol = changed("conditions", zone_pairs=(("A", "C"),))
-    with pytest.raises(ValueError, match=r"to 2 times running, since one pair has 4 of them; the least .* is 4"):
+    with pytest.raises(
+        ValueError, match=r"_pair_running is 2, but 4 of 4 trials are alike in this; the least that works is 4"
+    ):
         Schedule.draw(protocol, "p01", 1)
 
 

@@ -166,3 +166,20 @@ def test_a_limit_with_an_order_that_is_not_drawn_is_refused(edit: Any) -> None:
     assert [each.message for each in problems] == [
         "given 2 with the order latin_square; allowed: null, or the order shuffled; remove the limit or shuffle"
     ]
+
+
+@pytest.mark.parametrize(
+    ("counts", "n_orders"), [((3, 3, 3, 3), 8), ((3, 2, 3, 2), 2)], ids=["alike", "two more often"]
+)
+def test_a_distance_of_as_many_trials_as_cells_repeats_one_permutation(counts: tuple[int, ...], n_orders: int) -> None:
+    """The largest distance that is said to work does, with other limits kept, and each permutation alike often."""
+    cells = [cell for cell, n in zip(("A1", "A2", "B1", "B2"), counts, strict=True) for _ in range(n)]
+    limits = [LIMITS["pair"](1), Limit("min_same_cell_distance", lambda cell: cell, 1, 4)]
+    orders = [draw_by_walk(cells, limits, Stream(seed, "p01", 1, "a test")) for seed in range(400)]
+    assert all(
+        Counter(order) == Counter(cells) and not sum(limit.n_broken(order) for limit in limits) for order in orders
+    )
+    # Known by hand: pairs alternate, so 8 of 24 permutations are left, and 2 with A1 and B1 first.
+    drawn = Counter(tuple(order[:4]) for order in orders)
+    assert len(drawn) == n_orders
+    assert max(drawn.values()) < 1.6 * 400 / n_orders
