@@ -58,8 +58,9 @@ def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, 
         found = [node for row in rows if (node := row.child(own)) is not None]
         found = found if own == "pair" else [each for node in found for each in node.children]
         if found:
-            first = {str(node.plain()): node for node in reversed(found)}
-            unlike = [node for node in found if first[str(node.plain())] is node]
+            # 80 and 80.0 are one level.
+            keys = [each if isinstance(each := node.plain(), (int, float)) else str(each) for node in found]
+            unlike = [node for place, node in enumerate(found) if keys[place] not in keys[:place]]
             conditions = conditions.with_child(key, Node(unlike, cells.line, cells.column, file=cells.file))
     return root.with_child("conditions", conditions), problems
 
@@ -104,9 +105,13 @@ def _read_table(source: Source) -> tuple[Node, list[Problem]]:
         if not line.strip() or problems and problems[0].line == 1:
             continue
         if len(fields) != len(names):
-            given, remedy = f"{len(fields)} fields", "mend the line"
+            is_open = line.count('"') % 2
+            given = (
+                "a quotation mark that is not closed" if is_open else f"{len(fields)} field{'s' * (len(fields) != 1)}"
+            )
+            remedy = "mend the line"
             if separator == "," and len(fields) > len(names):
-                remedy += "; a decimal comma makes two fields of one: write 80.5, or separate fields by semicolons"
+                remedy += "; a decimal comma makes two fields of one: write 80.5"
             problems.append(Problem(path, number, 1, "", given, f"{len(names)}, as many as columns", remedy))
             continue
         rows.append(_row(path, number, dict(zip(names, fields, strict=True))))
@@ -172,7 +177,9 @@ def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
         expanded = list(product(*own, [each.pair], each.stimuli or names["stimulus"] or ("",)))
         twice = next((cell for cell in expanded if cell in seen), None)
         if twice is not None:
-            given = f"{'-'.join(twice[2])} at {twice[1]:g} mm/s in {twice[0]}, the cell of cells[{seen[twice]}] again"
+            first = reading.find(("conditions", "cells", seen[twice]))
+            where = f"line {first.line}" if first and first.file else f"cells[{seen[twice]}]"
+            given = f"{'-'.join(twice[2])} at {twice[1]:g} mm/s in {twice[0]}, the cell of {where} again"
             remedy = "remove one of them, and give the other a weight for more trials"
             yield reading.problem(("conditions", "cells", index), given, "each cell once", remedy)
         seen |= dict.fromkeys(expanded, index)

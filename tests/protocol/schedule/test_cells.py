@@ -70,6 +70,12 @@ def test_a_table_gives_levels_by_pair_weights_and_cells_of_one_finger_condition(
     assert sound(findings).conditions.peak_velocities_mm_s == (80.0, 200.0, 150.0, 100.0)
 
 
+def test_one_level_may_be_written_in_two_ways(folder: Path) -> None:
+    """As spreadsheets do: 80 and 80.0."""
+    findings = read(folder, "  table: cells.csv\n", TABLE.replace("B,D,150", "B,D,80.0"))
+    assert sound(findings).conditions.peak_velocities_mm_s == (80.0, 200.0, 100.0)
+
+
 def test_the_record_keeps_the_table_whatever_becomes_of_its_file(folder: Path) -> None:
     """What the record holds draws the same order."""
     findings = read(folder, "  table: cells.csv\n", TABLE)
@@ -135,9 +141,10 @@ def test_every_order_presents_the_same_cells(folder: Path, order: str) -> None:
             TABLE.replace("A,C,80,", "A,C,80,5,"),
             "cells.csv:2:1 given 6 fields; allowed: 5, as many as columns; mend the",
         ),
+        (TABLE.replace("A,C,80,", 'A,"C,80,'), "cells.csv:2:1 given a quotation mark that is not closed; allowed: 5"),
         (
             TABLE + "A,C,80,,\n",
-            "cells.csv:6:1 given A-C at 80 mm/s in one_hand, the cell of cells[0] again; allowed: each",
+            "cells.csv:6:1 given A-C at 80 mm/s in one_hand, the cell of line 2 again; allowed: each",
         ),
         (TABLE.splitlines()[0] + "\n", "cells.csv:1:1 given a table without rows; allowed: at least one cell"),
     ],
