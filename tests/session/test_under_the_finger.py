@@ -70,7 +70,7 @@ def test_levels_are_equalised_in_a_band(tmp_path: Path) -> None:
     share = preflight.placed["B-D"].inputs.share
     assert abs(share - 1) > 0.01
     (said,) = (each for each in preflight.as_dict()["warnings"] if "20 to 1000 Hz" in each)
-    assert said.endswith(f"at these parts of those asked: A-C 1, B-D {share:g}, C-E 1")
+    assert said.endswith(f"levels are multiplied by A-C 1, B-D {share:g}, C-E 1")
     session = simulate_session(preflight, "p01", tmp_path)
     assert audit_session(session).problems == ()
     for event in presented(session):

@@ -64,23 +64,25 @@ FULLSCREEN = Annotated[
     typer.Option(
         "--fullscreen/--windowed",
         help="Answer window over the whole screen.",
-        show_default="windowed, or as it was when resumed",
+        show_default="windowed; a resumed session keeps its own",
     ),
 ]
 SIZE = Annotated[
     str | None,
     typer.Option(
         help="Size of the answer window in pixels, where it is not full screen.",
-        show_default="1280x800, or as it was when resumed",
+        show_default="1280x800; a resumed session keeps its own",
     ),
 ]
 THEME = Annotated[
     ThemeChoice | None,
-    typer.Option(help="Colours of the answer window.", show_default="dark, or as it was when resumed"),
+    typer.Option(help="Colours of the answer window.", show_default="dark; a resumed session keeps its own"),
 ]
 SCREEN = Annotated[
     int | None,
-    typer.Option(min=0, help="Which screen shows the answer window.", show_default="0, or as it was when resumed"),
+    typer.Option(
+        min=0, help="Which screen shows the answer window.", show_default="0; a resumed session keeps its own"
+    ),
 ]
 SCREENSHOTS = Annotated[Path | None, typer.Option(help="Folder for a picture of each kind of screen.")]
 

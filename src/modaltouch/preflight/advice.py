@@ -67,7 +67,7 @@ def placement_warnings(designs: Mapping[str, DesignInputs]) -> list[str]:
     told = ", ".join(f"{name} {inputs.share:g}" for name, inputs in designs.items())
     return [
         f"the velocity from {band[0]:g} to {band[1]:g} Hz at the focus is made the same at every placement: levels are "
-        f"played at these parts of those asked: {told}"
+        f"multiplied by {told}"
     ]
 
 

@@ -350,9 +350,12 @@ def _present_once(sitting: SessionRun, trial: Trial) -> tuple[Response | None, F
         stop()
         over.append(firing := sitting.rig.firing or firing)
         if response is not None:
-            if firing.confirmed and not faults and response.answer != TIME_OUT:
+            counts, found = firing.confirmed and not faults, dict[str, Any]()
+            if counts and response.answer != TIME_OUT:
                 response = _with_further(sitting, trial, response)
-            _write_down(sitting, "trial", trial, response, over, answered=line, **_delivered(sitting, trial))
+            if counts and sitting.probing is not None:
+                found = sitting.probing.delivered(trial)
+            _write_down(sitting, "trial", trial, response, over, answered=line, **found)
             sitting.save_view()
         elif not firing.confirmed:
             _write_cut(sitting, facts, firing.reason, firing)
@@ -361,11 +364,6 @@ def _present_once(sitting: SessionRun, trial: Trial) -> tuple[Response | None, F
         if not firing.confirmed:
             break
     return response, firing
-
-
-def _delivered(sitting: SessionRun, trial: Trial) -> dict[str, Any]:
-    """Return what the vibrometer saw of a trial, where fingers are measured."""
-    return {} if sitting.probing is None else sitting.probing.delivered(trial)
 
 
 def _with_further(sitting: SessionRun, trial: Trial, response: Response) -> Response:

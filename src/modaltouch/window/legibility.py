@@ -40,7 +40,7 @@ def every_picture(pictures: Illustrator, trial: Trial) -> list[Picture]:
         pictures.feel(trial, progress),
         pictures.question(trial, progress),
         pictures.question(trial, progress, chosen=chosen, confirmed=False),
-        *(pictures.feedback(trial, progress, names[0], name) for name in expected),
+        *(pictures.feedback(trial, progress, given, name) for name in expected for given in names[:2]),
         *(pictures.page(name, str(getattr(texts, name)), progress) for name in _PAGES),
         *(pictures.page(name, str(getattr(texts, name)), waits=False) for name in _LAST_PAGES),
         pictures.pause(trial),

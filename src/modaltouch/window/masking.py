@@ -120,8 +120,8 @@ class Masking:
         """Let the device go, whatever happened."""
 
 
-class SimulatedMasking(Masking):
-    """Noise as a simulated participant has it: with all that the record says of it, and without a sound."""
+class _Noise(Masking):
+    """What the record says of a noise, whoever hears it."""
 
     def __init__(self, section: MaskingSection, apparatus: Apparatus) -> None:
         super().__init__()
@@ -146,6 +146,10 @@ class SimulatedMasking(Masking):
             "required": self._section.required,
         }
 
+
+class SimulatedMasking(_Noise):
+    """Noise as a simulated participant has it: with all that the record says of it, and without a sound."""
+
     def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
         """Have it on, or silent."""
         self._is_wanted = on
@@ -156,7 +160,7 @@ class SimulatedMasking(Masking):
         return self._is_wanted
 
 
-class NoiseMasking(SimulatedMasking):
+class NoiseMasking(_Noise):
     """Noise on a sound device; it is loaded with the first."""
 
     def __init__(self, section: MaskingSection, apparatus: Apparatus, log: Log) -> None:
