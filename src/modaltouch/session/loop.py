@@ -350,12 +350,9 @@ def _present_once(sitting: SessionRun, trial: Trial) -> tuple[Response | None, F
         stop()
         over.append(firing := sitting.rig.firing or firing)
         if response is not None:
-            counts, found = firing.confirmed and not faults, dict[str, Any]()
-            if counts and response.answer != TIME_OUT:
-                response = _with_further(sitting, trial, response)
-            if counts and sitting.probing is not None:
-                found = sitting.probing.delivered(trial)
-            _write_down(sitting, "trial", trial, response, over, answered=line, **found)
+            counts = firing.confirmed and not faults
+            response, delivered = _complete(sitting, trial, response) if counts else (response, {})
+            _write_down(sitting, "trial", trial, response, over, answered=line, **delivered)
             sitting.save_view()
         elif not firing.confirmed:
             _write_cut(sitting, facts, firing.reason, firing)
@@ -366,11 +363,16 @@ def _present_once(sitting: SessionRun, trial: Trial) -> tuple[Response | None, F
     return response, firing
 
 
-def _with_further(sitting: SessionRun, trial: Trial, response: Response) -> Response:
-    """Return an answer with those to the further questions; a trial that is cut here is asked again as a whole."""
-    asked = sitting.protocol.answers.further
-    further = {name: _ask_further(sitting, name, how, trial).as_dict() for name, how in asked.items()}
-    return replace(response, further=further)
+def _complete(sitting: SessionRun, trial: Trial, response: Response) -> tuple[Response, dict[str, Any]]:
+    """Return an answer with those to the further questions, and what the vibrometer saw, where fingers are measured.
+
+    A trial that is cut here is asked again as a whole.
+    """
+    if response.answer != TIME_OUT:
+        asked = sitting.protocol.answers.further
+        further = {name: _ask_further(sitting, name, how, trial).as_dict() for name, how in asked.items()}
+        response = replace(response, further=further)
+    return response, {} if sitting.probing is None else sitting.probing.delivered(trial)
 
 
 def _ask_further(sitting: SessionRun, name: str, asked: AnswersSection, trial: Trial | None = None) -> Response:
