@@ -15,13 +15,18 @@ import pytest
 from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.peaks import Poles
-from modaltouch.lab.identification.responses import QUANTITIES, FrequencyResponses, Quantity, as_velocity
+from modaltouch.lab.identification.responses import QUANTITIES, FrequencyResponses, Place, Quantity, as_velocity
 from modaltouch.lab.identification.shapes import check_points, label_shapes, mac
 from modaltouch.rig.simulator.true_beam import TrueBeam
 from modaltouch.stimulus.shapes import mode_shapes
 
 LENGTH = 0.1
 N_SEEDS = int(os.environ.get("MODALTOUCH_IDENTIFIED_SEEDS", "10"))
+
+
+def at(positions: np.ndarray) -> list[Place]:
+    """Return places on the mid-line."""
+    return [Place(each) for each in positions.tolist()]
 
 
 def errors(found: Identification, beam: TrueBeam) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -191,10 +196,10 @@ def test_noise_alone_has_no_resonance(make) -> None:
 def test_too_few_points_are_refused() -> None:
     """Fifteen points show modes 14 and 16 alike; twenty tell all apart but draw no shape of label 17."""
     with pytest.raises(ValueError, match=r"15 points are too few to tell modes 14 and 16 apart.*at least 26"):
-        check_points(np.linspace(-0.05, 0.05, 15), [1, 17], LENGTH)
+        check_points(at(np.linspace(-0.05, 0.05, 15)), [1, 17], LENGTH)
     with pytest.raises(ValueError, match="20 points are too few to draw the shape of mode 17: give at least 26"):
-        check_points(np.linspace(-0.05, 0.05, 20), [1, 17], LENGTH)
-    check_points(np.linspace(-0.0495, 0.0495, 41), [1, 17], LENGTH)
+        check_points(at(np.linspace(-0.05, 0.05, 20)), [1, 17], LENGTH)
+    check_points(at(np.linspace(-0.0495, 0.0495, 41)), [1, 17], LENGTH)
 
 
 def test_labels_increase_with_frequency() -> None:
@@ -203,5 +208,5 @@ def test_labels_increase_with_frequency() -> None:
     bending = mode_shapes([1, 3, 5, 6], positions, LENGTH)
     torsion = np.sin(np.pi * positions / LENGTH)[None]
     shapes = np.concatenate([bending[:3], torsion, bending[3:]])
-    labels, _ = label_shapes(shapes, positions, LENGTH)
+    labels, _ = label_shapes(shapes, at(positions), LENGTH)
     assert labels == [1, 3, 5, None, 6]

@@ -15,7 +15,7 @@ from modaltouch.lab.identification.figures import draw_shape_maps
 from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.report import as_dict, map_rows, shape_rows, table_rows
-from modaltouch.lab.identification.responses import FrequencyResponses, Place
+from modaltouch.lab.identification.responses import FrequencyResponses, Place, along
 from modaltouch.lab.identification.shapes import label_torsion, mac, torsion_shapes
 from modaltouch.lab.laboratory import TooFewPointsError
 from modaltouch.lab.scan_plan import rows_over
@@ -26,17 +26,22 @@ ROWS = (-2.5e-3, 0.0, 2.5e-3)
 POSITIONS = np.linspace(-LENGTH / 2, LENGTH / 2, 13)
 
 
-def row_of(beam: TrueBeam, across: float) -> FrequencyResponses:
-    """Return the responses of a row from 6 to 14 kHz in closed form, with a noise of a thousandth of their median."""
+def row_of(beam: TrueBeam, across: float, scatter: float = 0.0) -> FrequencyResponses:
+    """Return the responses of a row from 6 to 14 kHz in closed form, with a noise of a thousandth of their median.
+
+    Points scatter evenly by up to a distance along the beam, and by a tenth of it across [m].
+    """
     rng = np.random.default_rng(round(across * 1e6) + 9999)
+    x = np.clip(POSITIONS + rng.uniform(-scatter, scatter, POSITIONS.size), -LENGTH / 2, LENGTH / 2)
+    y = across + rng.uniform(-scatter, scatter, POSITIONS.size) / 10
     frequency = np.arange(int(6e3 * PERIOD / 2) + 1, int(14e3 * PERIOD / 2)) * 2 / PERIOD
     omega, own = 2 * np.pi * frequency, 2 * np.pi * beam.natural_frequency[:, None]
     dynamic = 1j * omega / (own**2 - omega**2 + 2j * beam.damping_ratio[:, None] * own * omega)
     dynamic = dynamic * np.exp(-1j * omega * DELAY) / (1 + 1j * frequency / BANDWIDTH)
-    response = np.einsum("ks,kp,kf->spf", beam.modal_gain, beam.shapes(POSITIONS, across), dynamic, optimize=True)
-    scatter = rng.standard_normal(response.shape) + 1j * rng.standard_normal(response.shape)
-    response = response + 1e-3 * np.median(np.abs(response)) * scatter
-    return FrequencyResponses(frequency, response, POSITIONS, ("centre", "side"), bandwidth=BANDWIDTH, across=across)
+    response = np.einsum("ks,kp,kf->spf", beam.modal_gain, beam.shapes(x, y), dynamic, optimize=True)
+    noise = rng.standard_normal(response.shape) + 1j * rng.standard_normal(response.shape)
+    response = response + 1e-3 * np.median(np.abs(response)) * noise
+    return FrequencyResponses(frequency, response, x, ("centre", "side"), bandwidth=BANDWIDTH, across=y)
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +58,21 @@ def test_torsion_is_named_between_the_bending_modes(found: Identification, beam:
         assert mode.natural_frequency.value == pytest.approx(own, rel=2e-5)
     assert [row["mode"] for row in table_rows(found)] == [mode.name for mode in found.modes]
     assert [mode["torsion"] for mode in as_dict(found)["modes"] if mode["torsion"]] == [1]
+
+
+def test_points_of_a_scanned_grid_may_scatter(beam: TrueBeam) -> None:
+    """By 0.5 mm along and 50 um across: still 13 places along the beam, the same modes and no false one."""
+    scattered = FrequencyResponses.of_rows([row_of(beam, across, 0.5e-3) for across in ROWS])
+    assert scattered.n_along == 13
+    found = identify(scattered, LENGTH)
+    assert [mode.name for mode in found.modes] == ["5", "T1", "6", "7"]
+    np.testing.assert_allclose([float(row["position_mm"]) for row in shape_rows(found)], POSITIONS * 1e3, atol=0.5)
+
+
+def test_close_points_of_one_row_are_places_of_their_own() -> None:
+    """However unevenly they lie, and where they scatter across."""
+    near = [Place(x, y) for x, y in zip([-50e-3, -49.9e-3, 0.0, 50e-3], [0.0, 4e-5, -2e-5, 0.0], strict=True)]
+    assert along(near)[0] == pytest.approx([-50e-3, -49.9e-3, 0.0, 50e-3])
 
 
 def test_gains_are_those_of_the_mid_line(found: Identification, beam: TrueBeam) -> None:

@@ -10,8 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.excitation import (
     CLOCK_TOLERANCE,
@@ -35,6 +33,7 @@ from modaltouch.lab.identification.report import (
 from modaltouch.lab.identification.responses import (
     Estimator,
     FrequencyResponses,
+    Place,
     Quantity,
     ResponseFormat,
     responses_of,
@@ -291,7 +290,7 @@ class _Beam:
         options, out = self.options, self.options.out
         refuse_other(out, COMMAND)
         positions = evenly(self.length, options.points, options.margin)
-        check_points(np.array(positions), self.labels, self.length)
+        check_points([Place(each) for each in positions], self.labels, self.length)
         highest = highest_needed(self.apparatus) if options.highest is None else options.highest
         campaign = Campaign(positions, options.averages, options.voltage, highest, self.sets, options.excitation)
         rows = rows_over(self.apparatus, options.rows)
@@ -353,8 +352,8 @@ class _Beam:
         refuse_other(self.options.out, COMMAND)
         if self.options.leave_out:
             responses = responses.without(self.options.leave_out)
-        if responses.positions is not None:
-            check_points(responses.positions, self.labels, self.length)
+        if responses.places:
+            check_points(responses.places, self.labels, self.length)
         with _fitting(progress):
             found = over_repeats(fit_jointly(responses, self.length, clock_tolerance=CLOCK_TOLERANCE))
         check_modes(found, self.labels)

@@ -88,8 +88,8 @@ class ModalParameters:
         frequency, ratio = float(fit.natural_frequency[k]), float(fit.damping_ratio[k])
         gain: tuple[Estimate, ...] = ()
         shape = None
-        if label is not None and self.responses.positions is not None and self.length is not None:
-            shape = unit_shape(residue, self.responses.positions, label, self.length)
+        if label is not None and self.length is not None:
+            shape = unit_shape(residue, self.responses.places, label, self.length)
             values = residue @ shape / (shape @ shape)
             spread = self._gain_deviation(k, shape, variance) * local
             gain = tuple(Estimate.of(float(v), float(d)) for v, d in zip(values, spread, strict=True))
@@ -129,14 +129,14 @@ class ModalParameters:
         return np.asarray(np.median(self.responses.noise, axis=1))
 
     def _labels(self, residue: FloatArray) -> tuple[Sequence[int | None], Sequence[int | None], FloatArray]:
-        positions, n_modes = self.responses.positions, self.fit.n_modes
-        if positions is None or self.length is None or positions.size < 3:
+        places, n_modes = self.responses.places, self.fit.n_modes
+        if self.length is None or len(places) < 3:
             return [None] * n_modes, [None] * n_modes, np.full(n_modes, np.nan)
         scaled = residue / np.sqrt(self._level)[None, :, None]
-        refuse_odd_point(scaled, self.responses.places, self.length, self.responses.sets)
+        refuse_odd_point(scaled, places, self.length, self.responses.sets)
         common = np.array([np.linalg.svd(each, full_matrices=False)[2][0] for each in scaled])
-        labels, likeness = label_shapes(common, positions, self.length)
-        torsion, twisted = label_torsion(common, labels, self.responses.places, self.length)
+        labels, likeness = label_shapes(common, places, self.length)
+        torsion, twisted = label_torsion(common, labels, places, self.length)
         return labels, torsion, np.where([order is None for order in torsion], likeness, twisted)
 
     def _gain_deviation(self, k: int, shape: FloatArray, variance: float) -> FloatArray:

@@ -101,14 +101,14 @@ _ENDS = (("", "value"), ("_low", "low"), ("_high", "high"))
 
 def shape_rows(identification: Identification) -> list[dict[str, str]]:
     """Return the measured shapes as the stimulus reads them, the mean over the rows of each."""
-    positions = identification.responses.positions
-    if positions is None:
+    places = identification.responses.places
+    if not places:
         return []
-    shapes = {mode.label: over_width(shape, positions) for mode, shape in identification.shaped if mode.label}
+    shapes = {mode.label: over_width(shape, places) for mode, shape in identification.shaped if mode.label}
     return [
         {"position_mm": f"{place * 1e3:.6g}"}
         | {f"mode_{label}": f"{shape[index]:.6g}" for label, shape in shapes.items()}
-        for index, place in enumerate(along(positions)[0])
+        for index, place in enumerate(along(places)[0])
     ]
 
 

@@ -50,6 +50,9 @@ CLEAR_LINE = 0.5
 SAME_PLACE = 5e-6
 """Distance within which a position that is named is a measured one [m]."""
 
+ROWS_APART = 0.2e-3
+"""Least distance over the width between two rows of points; what is less is scatter of one [m]."""
+
 FEW_POINTS = 5
 """Points below which a median over them is none."""
 
@@ -180,7 +183,7 @@ class FrequencyResponses:
     @property
     def n_along(self) -> int:
         """Number of points along the beam, those of rows beside each other counted once."""
-        return self.n_points if self.positions is None else int(along(self.positions)[0].size)
+        return int(along(self.places)[0].size) if self.places else self.n_points
 
     @property
     def spacing(self) -> float:
@@ -382,10 +385,26 @@ def responses_of(scans: Mapping[str, Scan], bandwidth: float | None = None) -> F
     )
 
 
-def along(positions: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Return the places along a beam, those of rows beside each other once, and which of them each point has."""
-    _, first, which = np.unique(np.round(positions / SAME_PLACE), return_index=True, return_inverse=True)
-    return positions[first], which
+def along(places: Sequence[Place]) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Return the places along a beam, those of rows beside each other once, and which of them each point has.
+
+    Points of two rows lie beside each other within a quarter of the least spacing in a row: a scanned grid scatters.
+    """
+    x, y = np.array(places).T
+    row = _grouped(y, ROWS_APART)
+    order = np.lexsort((x, row))
+    spacing = np.diff(x[order])[np.diff(row[order]) == 0]
+    spacing = spacing[spacing > SAME_PLACE]
+    which = _grouped(x, max(SAME_PLACE, float(spacing.min()) / 4) if spacing.size else SAME_PLACE)
+    return np.bincount(which, x) / np.bincount(which), which
+
+
+def _grouped(values: FloatArray, apart: float) -> NDArray[np.intp]:
+    """Return a number for each value, in increasing order; one begins where the next value is further apart."""
+    order = np.argsort(values)
+    group = np.empty(values.size, dtype=np.intp)
+    group[order] = np.cumsum(np.diff(values[order], prepend=values[order[0]]) > apart)
+    return group
 
 
 def as_velocity(frequency: FloatArray, response: ComplexArray, quantity: Quantity) -> ComplexArray:

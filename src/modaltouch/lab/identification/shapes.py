@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray
-from modaltouch.lab.identification.responses import Place, along
+from modaltouch.lab.identification.responses import ROWS_APART, Place, along
 from modaltouch.stimulus import MeasuredShapes, characteristic_root, mode_shapes
 
 ALIKE = 0.5
@@ -50,13 +50,13 @@ def phase_deviation(residue: ComplexArray) -> float:
     return float((size * np.arctan2(np.abs(straight.imag), np.abs(straight.real))).sum() / size.sum())
 
 
-def check_points(positions: FloatArray, labels: Sequence[int], length: float) -> None:
+def check_points(places: Sequence[Place], labels: Sequence[int], length: float) -> None:
     """Refuse points on which modes look alike, or too few to draw the highest of them.
 
     Parameters
     ----------
-    positions : (n_points,) array
-        Where the shapes are to be measured [m].
+    places : sequence of Place
+        Where the shapes are to be measured.
     labels : sequence of int
         Modes to be told apart.
     length : float
@@ -67,7 +67,7 @@ def check_points(positions: FloatArray, labels: Sequence[int], length: float) ->
     ValueError
         With the pair that looks alike, and how many points are enough.
     """
-    highest, positions = max(labels), along(positions)[0]
+    highest, positions = max(labels), along(places)[0]
     needed = int(np.ceil(1.5 * highest))
     shapes = mode_shapes(range(1, highest + 1), positions, length)
     likeness = mac(shapes, shapes) - np.eye(highest)
@@ -84,7 +84,7 @@ def check_points(positions: FloatArray, labels: Sequence[int], length: float) ->
         )
 
 
-def label_shapes(shapes: FloatArray, positions: FloatArray, length: float) -> tuple[list[int | None], FloatArray]:
+def label_shapes(shapes: FloatArray, places: Sequence[Place], length: float) -> tuple[list[int | None], FloatArray]:
     """Return which mode of a uniform free-free beam each shape is, and its MAC with it.
 
     Labels increase with frequency, so that a torsion that looks like a low bending mode on the mid-line is told from
@@ -94,13 +94,13 @@ def label_shapes(shapes: FloatArray, positions: FloatArray, length: float) -> tu
     ----------
     shapes : (n_modes, n_points) array
         In order of frequency.
-    positions : (n_points,) array
-        Origin at mid-beam [m].
+    places : sequence of Place
+        Of the points.
     length : float
         Length of the beam [m].
     """
-    n_labels = along(positions)[0].size * 2 // 3
-    return _in_order(mac(shapes, mode_shapes(range(1, n_labels + 1), positions, length)))
+    n_labels = along(places)[0].size * 2 // 3
+    return _in_order(mac(shapes, mode_shapes(range(1, n_labels + 1), np.array(places)[:, 0], length)))
 
 
 def label_torsion(
@@ -121,10 +121,9 @@ def label_torsion(
     length : float
         Length of the beam [m].
     """
-    n_along, n_rows = (len(set(each)) for each in zip(*places, strict=True))
-    if n_rows == 1:
+    if np.ptp(np.array(places)[:, 1]) <= ROWS_APART:
         return [None] * len(labels), np.zeros(len(labels))
-    n_orders = max(1, n_along * 2 // 3)
+    n_orders = max(1, along(places)[0].size * 2 // 3)
     likeness = mac(shapes, torsion_shapes(range(1, n_orders + 1), places, length))
     return _in_order(np.where([[label is None] for label in labels], likeness, 0.0))
 
@@ -162,31 +161,31 @@ def _in_order(likeness: FloatArray) -> tuple[list[int | None], FloatArray]:
     return labels, np.array(worth)
 
 
-def unit_shape(residue: FloatArray, positions: FloatArray, label: int, length: float) -> FloatArray:
+def unit_shape(residue: FloatArray, places: Sequence[Place], label: int, length: float) -> FloatArray:
     """Return the shape that residues of several excitations share: unit mean square, positive at the right end [1].
 
     Parameters
     ----------
     residue : (n_sets, n_points) array
         Of one mode; gain of each set times the shape, with equal noise.
-    positions : (n_points,) array
-        Origin at mid-beam [m]; the mean over rows beside each other is what has a unit mean square.
+    places : sequence of Place
+        Of the points; the mean over rows beside each other is what has a unit mean square.
     label : int
         Of the mode.
     length : float
         Length of the beam [m].
     """
     common = np.linalg.svd(residue, full_matrices=False)[2][0]
-    mean = over_width(common, positions)
-    measured = MeasuredShapes((label,), along(positions)[0], mean[None], length)
+    mean = over_width(common, places)
+    measured = MeasuredShapes((label,), along(places)[0], mean[None], length)
     at_end = float(measured.at([length / 2])[0, 0])
     size = float(measured.shape[0] @ mean / (mean @ mean))
     return np.asarray(common * size * (1.0 if at_end >= 0 else -1.0))
 
 
-def over_width(shape: FloatArray, positions: FloatArray) -> FloatArray:
+def over_width(shape: FloatArray, places: Sequence[Place]) -> FloatArray:
     """Return the mean of a shape over the rows at each place along the beam, (n_along,) array."""
-    which = along(positions)[1]
+    which = along(places)[1]
     return np.asarray(np.bincount(which, shape) / np.bincount(which))
 
 
@@ -222,10 +221,9 @@ def refuse_odd_point(residue: FloatArray, places: Sequence[Place], length: float
     ValueError
         With the point, its factor and the remedy.
     """
-    positions = np.array(places)[:, 0]
     size = np.linalg.norm(residue, axis=(1, 2), keepdims=True)
     measured = residue / np.maximum(size, 1e-300)
-    seen = [_without(measured, positions, length, point) for point in range(positions.size)]
+    seen = [_without(measured, places, length, point) for point in range(len(places))]
     factor, before, after = (np.array(column) for column in zip(*seen, strict=True))
     typical = np.median(before)
     odd = (np.abs(factor - 1) > OFF) & (after < EXPLAINED * before) & (before > STANDS_OUT * typical)
@@ -233,7 +231,7 @@ def refuse_odd_point(residue: FloatArray, places: Sequence[Place], length: float
     odd &= before == before.max(axis=0)
     if not odd.any():
         return
-    set_index, point = divmod(int(np.where(odd.T, before.T, 0.0).argmax()), positions.size)
+    set_index, point = divmod(int(np.where(odd.T, before.T, 0.0).argmax()), len(places))
     place, times = places[point], float(factor[point, set_index])
     whose = "" if odd[point].all() else f" to {sets[set_index]}"
     what = (
@@ -248,17 +246,17 @@ def refuse_odd_point(residue: FloatArray, places: Sequence[Place], length: float
 
 
 def _without(
-    measured: FloatArray, positions: FloatArray, length: float, point: int
+    measured: FloatArray, places: Sequence[Place], length: float, point: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the factor of a point to each set by the others, and its misfit before and after it, (n_sets,) arrays."""
-    others = np.delete(np.arange(positions.size), point)
+    others = np.delete(np.arange(len(places)), point)
     common = np.array([np.linalg.svd(each[:, others], full_matrices=False)[2][0] for each in measured])
-    labels, _ = label_shapes(common, positions[others], length)
+    labels, _ = label_shapes(common, [*places[:point], *places[point + 1 :]], length)
     known = [k for k, label in enumerate(labels) if label is not None]
     n_sets = measured.shape[1]
     if len(known) < FEWEST_MODES:
         return np.ones(n_sets), np.zeros(n_sets), np.zeros(n_sets)
-    shapes = mode_shapes([labels[k] or 0 for k in known], positions, length)
+    shapes = mode_shapes([labels[k] or 0 for k in known], np.array(places)[:, 0], length)
     inside = shapes[:, others]
     gain = (measured[known][:, :, others] * inside[:, None]).sum(axis=2) / (inside**2).sum(axis=1)[:, None]
     predicted, seen = gain * shapes[:, point, None], measured[known, :, point]
