@@ -122,6 +122,21 @@ def test_a_burst_is_recorded_without_waiting_for_it(apparatus: Apparatus) -> Non
     assert (seen.velocity.shape, seen.position) == ((1, 100), 0.049)
 
 
+@pytest.mark.parametrize("probe", ["configure", "time_trigger"])
+def test_a_burst_that_never_came_is_given_up_before_new_settings(apparatus: Apparatus, probe: str) -> None:
+    """A unit that still waits for its trigger is stopped first: a trial that was cut short spoils no other."""
+    library = Library()
+    with PicoScope(apparatus, driver=library) as scope:
+        scope.arm()
+        library.calls.clear()
+        if probe == "configure":
+            scope.configure(Acquisition(n_samples=100))
+        else:
+            scope.time_trigger(lambda: None)
+        assert [call[0] for call in library.calls[:2]] == ["Stop", "SetChannel"]
+        assert library.calls.count(("Stop",)) == 1
+
+
 def test_every_call_names_the_scope(apparatus: Apparatus) -> None:
     """The handle that OpenUnit gave is the first argument of every other call."""
     handles = []

@@ -190,6 +190,7 @@ class PicoScope(Scope):
                 f"{acquisition.sampling_rate:g} samples per second are asked for: at most {CLOCK:g}; lower the "
                 "sampling rate"
             )
+        self._disarm()
         velocity_range, drive_range = self._inputs.ranges(acquisition)
         wanted = {0: velocity_range} | dict.fromkeys(acquisition.drives, drive_range)
         for channel in ALL_INPUTS:
@@ -225,8 +226,7 @@ class PicoScope(Scope):
         """Have the next burst recorded, without waiting for it."""
         n_samples = self._asked.n_samples
         n_before = min(n_samples, max(0, -round(self._asked.start * self._rate)))
-        if self._waits:
-            self._call("Stop")  # the burst that it was armed for never came
+        self._disarm()
         self._waits = True
         self._call("RunBlock", n_before, n_samples - n_before, self._time_base, 1, None, 0, None, None)
 
@@ -260,7 +260,7 @@ class PicoScope(Scope):
     def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
         """Call `send`, and return between which instants the burst began: of two questions whether a record is full."""
         self.configure(SHORT)
-        self._call("RunBlock", 0, SHORT.n_samples, self._time_base, 1, None, 0, None, None)
+        self.arm()
         SYSTEM_CLOCK.sleep(ARMED)
         with ThreadPoolExecutor(1) as beside:
             sent = beside.submit(send)
@@ -304,7 +304,6 @@ class PicoScope(Scope):
         """Return one record, (n_channels, n_samples) array of counts, and which inputs were overloaded."""
         asked = self._asked
         self._wait(self._trigger_wait + abs(asked.start) + asked.n_samples / self._rate)
-        self._waits = False
         counts = np.zeros((asked.n_channels, asked.n_samples), dtype=np.int16)
         for channel, row in zip(self._used, counts, strict=True):
             buffer = row.ctypes.data_as(ctypes.POINTER(ctypes.c_int16))
@@ -323,15 +322,22 @@ class PicoScope(Scope):
             asked = SYSTEM_CLOCK.now()
             self._call("IsReady", ctypes.byref(ready))
             if ready.value:
+                self._waits = False
                 return empty, SYSTEM_CLOCK.now()
             empty = asked
             if empty > deadline:
-                self._call("Stop")
+                self._disarm()
                 raise RigError(
                     f"no trigger came within {longest:g} s: wire the generator's trigger output to the scope's EXT "
                     "input, and let the generator play"
                 )
             time.sleep(pause)
+
+    def _disarm(self) -> None:
+        """Give up a burst that never came: a unit that waits for its trigger takes no settings."""
+        if self._waits:
+            self._waits = False
+            self._call("Stop")
 
     def _call(self, name: str, *arguments: Any, failing: str = "") -> None:
         """Call a function of Pico's library for this scope, and refuse every status but success."""
