@@ -286,9 +286,9 @@ def raw(simulator: Simulator) -> Iterator[Any]:
 
 
 def test_a_block_over_a_raw_socket_may_hold_line_feeds(raw: Any, simulator: Simulator) -> None:
-    """Codes of 2570 are two line feeds each: the message ends where its length says (IEEE 488.2, 7.7.6), not before."""
-    codes = b"\n\n" * 1000
-    raw.write_raw(b"DATA:DEF EMEM,1000;:DATA EMEM,#42000" + codes + b"\n*IDN?;:DATA:POIN? EMEM\r\n")
+    """Codes of 2570 are two line feeds, one of 3338 is CR LF: the length says where data end (IEEE 488.2, 7.7.6)."""
+    codes = b"\n\n" * 999 + b"\r\n"
+    raw.write_raw(b"DATA:DEF EMEM,1000;:DATA EMEM,#42000" + codes + b"\r\n*IDN?;:DATA:POIN? EMEM\r\n")
     assert raw.read().endswith(";1000")
     assert raw.query("SYST:ERR?") == '0,"No error"'
     raw.write("DATA EMEM,#4x")

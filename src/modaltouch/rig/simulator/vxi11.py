@@ -64,7 +64,7 @@ def read_message(stream: io.BufferedIOBase) -> bytes:
             message += _exactly(stream, searched - len(message)) + stream.readline(LARGEST_MESSAGE)
     if not message.endswith(b"\n"):
         raise EOFError
-    return bytes(message[:-1] if len(message) == searched + 1 else message.rstrip(b"\r\n"))
+    return bytes(message[:searched] + message[searched:].rstrip(b"\r\n"))
 
 
 def as_record(body: bytes) -> bytes:
