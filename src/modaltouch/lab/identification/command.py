@@ -31,6 +31,7 @@ from modaltouch.lab.identification.report import (
     write_identification,
 )
 from modaltouch.lab.identification.responses import (
+    NO_COHERENCE,
     Estimator,
     FrequencyResponses,
     Place,
@@ -289,6 +290,8 @@ class _Beam:
         """Return the scans of a rig, new or gone on with, of each row."""
         options, out = self.options, self.options.out
         refuse_other(out, COMMAND)
+        if options.averages < 2 and options.estimator != "H1":
+            raise ValueError(NO_COHERENCE.format(options.estimator))
         positions = evenly(self.length, options.points, options.margin)
         check_points([Place(each) for each in positions], self.labels, self.length)
         highest = highest_needed(self.apparatus) if options.highest is None else options.highest

@@ -24,6 +24,12 @@ ESTIMATORS: dict[Estimator, float] = {"H1": 0.0, "Hv": 0.5, "H2": 1.0}
 """Power of the coherence over which H1 is each estimator: all noise at the motion, equal shares, all at the drive."""
 
 
+NO_COHERENCE = (
+    "--estimator is {}, which needs a coherence: single records and impacts have none: average several records, or "
+    "leave it out"
+)
+
+
 class Place(NamedTuple):
     """A point of a beam: along it from its middle, across it from its mid-line [m]."""
 
@@ -269,10 +275,7 @@ class FrequencyResponses:
         if estimator == "H1":
             return self
         if self.coherence is None:
-            raise ValueError(
-                f"--estimator is {estimator}, which needs a coherence: single records and impacts have none: "
-                "average several records, or leave it out"
-            )
+            raise ValueError(NO_COHERENCE.format(estimator))
         response = self.response / np.maximum(self.coherence, 1e-9) ** ESTIMATORS[estimator]
         return replace(self, response=response, repeats=tuple(each.by(estimator) for each in self.repeats))
 
