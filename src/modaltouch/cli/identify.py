@@ -38,7 +38,9 @@ HIGHEST = Annotated[
 MARGIN = Annotated[float, typer.Option("--margin-mm", help="Distance from the beam's ends to the outer points.")]
 ROWS = Annotated[
     int,
-    typer.Option(min=1, help="Rows of points over the width, an odd number; from 3 on shapes are maps with torsion."),
+    typer.Option(
+        min=1, help="Rows of points over the width to measure, an odd number; from 3 on shapes are maps with torsion."
+    ),
 ]
 SETS = Annotated[list[str] | None, typer.Option("--set", help="Actuator set, repeatable.", show_default="all sets")]
 MODES = Annotated[

@@ -254,7 +254,8 @@ def validate(
     points: Annotated[int, typer.Option(min=3, max=1001, help="Points along the beam, from end to end.")] = 41,
     averages: Annotated[int, typer.Option(min=1, max=1000, help="Records at each point.")] = 10,
     rows: Annotated[
-        int, typer.Option(min=1, help="Rows of points over the width, an odd number; from 3 on Fig. 7 is a map too.")
+        int,
+        typer.Option(min=1, help="Rows of points over the width to measure, an odd number; from 3 on Fig. 7 is a map."),
     ] = 1,
     record: RECORD = None,
     json_output: JSON = False,

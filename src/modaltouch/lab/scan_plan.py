@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -110,3 +111,8 @@ def rows_over(apparatus: Apparatus, n_rows: int) -> tuple[float, ...]:
 def row_name(name: str, across: float) -> str:
     """Return the name of a row's folder; that of the mid-line is the name that is given."""
     return f"{name}_{across * 1e3:+g}_mm" if across else name
+
+
+def kept_rows(folder: Path, name: str) -> list[str]:
+    """Return what the folders of the rows that were measured have after a name: nothing first, for the mid-line."""
+    return ["", *sorted(path.name.removeprefix(name) for path in folder.glob(f"{name}_*_mm"))]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +13,9 @@ import pytest
 from modaltouch.lab.validation.evidence import Evidence
 from modaltouch.lab.validation.figures import draw_over_width
 from modaltouch.lab.validation.key_figures import key_figures, summary
+from modaltouch.lab.validation.recording import complete, read_laws
+from modaltouch.preflight import Preflight
+from modaltouch.record import RecordInputError
 
 TORSION = 0.004
 
@@ -55,3 +61,22 @@ def test_the_map_shows_field_speed_and_torsion(twisted: Evidence) -> None:
 def test_the_mid_line_alone_says_nothing_of_torsion(evidences: list[Evidence]) -> None:
     """No figure of it rather than a zero that nobody measured."""
     assert key_figures(evidences[0], ())["torsion_on_outer_rows_mm_s"] is None
+
+
+def test_rows_that_are_kept_are_read_unasked(
+    preflight: Preflight, kept: Path, evidences: list[Evidence], tmp_path: Path
+) -> None:
+    """As `identify` reads those of its scans: --rows says what is measured. A row that was stopped is no result."""
+    folder = shutil.copytree(kept, tmp_path / "scans")
+    for each in evidences:
+        for across in (-2.5, 2.5):
+            row = shutil.copytree(folder / f"{each.law}_field", folder / f"{each.law}_field_{across:+g}_mm")
+            facts = json.loads((row / "scan.json").read_text(encoding="utf-8"))
+            facts["settings"]["across_mm"] = across
+            (row / "scan.json").write_text(json.dumps(facts), encoding="utf-8")
+    assert complete(folder, ())
+    for observed in read_laws(preflight.inputs, folder):
+        assert sorted(scan.across for scan in observed.rows) == [-2.5e-3, 2.5e-3]
+    (row / "position_040.npz").unlink()
+    with pytest.raises(RecordInputError, match="stopped half way, with 40 of 41 positions"):
+        read_laws(preflight.inputs, folder)

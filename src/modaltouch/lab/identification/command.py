@@ -43,7 +43,7 @@ from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.identification.verdict import check_all, check_gains, check_modes
 from modaltouch.lab.laboratory import SIMULATED, UNTOLD, MeasurementProgress, open_laboratory
 from modaltouch.lab.scan import Scan, read_scan
-from modaltouch.lab.scan_plan import rows_over
+from modaltouch.lab.scan_plan import kept_rows, rows_over
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.report import refuse_other
 
@@ -96,7 +96,8 @@ class IdentifyOptions:
     use_clipped : bool
         Whether the free decay after the last saturated sample of a record is used.
     rows : int
-        Rows of points over the width, an odd number; from 3 on torsion shows.
+        Rows of points over the width that are measured, an odd number; from 3 on torsion shows. Of earlier scans all
+        that are there are read.
     estimator : str
         ``H1``; ``H2`` where the measured drive is noisy; ``Hv`` between both.
     """
@@ -326,8 +327,7 @@ class _Beam:
                     f"{folder}: holds no scan of the actuator set {name} (scan_{name} is missing); measure it, or "
                     "name the sets that were measured with --set"
                 )
-        first = f"scan_{self.sets[0]}"
-        rows = ["", *sorted(path.name.removeprefix(first) for path in folder.glob(f"{first}_*_mm"))]
+        rows = kept_rows(folder, f"scan_{self.sets[0]}")
         return [{name: read_scan(folder / f"scan_{name}{row}") for name in self.sets} for row in rows]
 
     def chosen(self, responses: FrequencyResponses) -> FrequencyResponses:

@@ -146,7 +146,8 @@ def validate(
     points, averages : int
         Points along the beam, and records at each.
     rows : int
-        Rows of points over the width, an odd number; from 3 on torsion shows.
+        Rows of points over the width that are measured, an odd number; from 3 on torsion shows. Of a complete scan
+        all that are there are read.
     record : Path, optional
         Folder where another scope leaves its records as files, instead of a PicoScope.
     progress : MeasurementProgress, optional
@@ -186,7 +187,7 @@ def _observe(
     """Return what was recorded, now or before."""
     experiment, (inputs, stimulus) = preflight.experiment, preflight.sound
     if folder is not None and complete(folder, rows):
-        return read_laws(inputs, folder, rows)
+        return read_laws(inputs, folder)
     with open_measurement(experiment.apparatus, rig, record, progress) as (laboratory, heard):
         return record_laws(
             inputs,

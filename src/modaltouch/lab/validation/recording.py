@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.laboratory import UNTOLD, Laboratory, MeasurementProgress
 from modaltouch.lab.scan import Scan, read_scan, take_scan
-from modaltouch.lab.scan_plan import ScanPlan, row_name
+from modaltouch.lab.scan_plan import ScanPlan, kept_rows, row_name
 from modaltouch.preflight import DesignInputs, design
 from modaltouch.protocol import Source
 from modaltouch.record import RecordError, RecordInputError
@@ -174,8 +174,8 @@ def record_laws(
     return observed
 
 
-def read_laws(inputs: DesignInputs, folder: Path, rows: Sequence[float] = ()) -> list[Observation]:
-    """Return what each law did, from the scans in a folder; no rig is touched.
+def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
+    """Return what each law did, from the scans in a folder, on all rows that are there; no rig is touched.
 
     Parameters
     ----------
@@ -183,8 +183,6 @@ def read_laws(inputs: DesignInputs, folder: Path, rows: Sequence[float] = ()) ->
         What the stimuli were designed from.
     folder : Path
         Where `record_laws` kept the scans.
-    rows : sequence of float
-        Rows off the mid-line [m].
 
     Raises
     ------
@@ -192,10 +190,11 @@ def read_laws(inputs: DesignInputs, folder: Path, rows: Sequence[float] = ()) ->
         If a scan is missing or was stopped, or another stimulus was played.
     """
     observed = []
+    beside = kept_rows(folder, "_".join((LAWS[0], WHAT[0])))[1:]
     for law in LAWS:
         stimulus = design(inputs, law=law)
         scans = []
-        for place in _folders(folder, law, rows):
+        for place in _folders(folder, law, beside):
             scan = read_scan(place).require_complete().refuse_overloaded()
             played = scan.facts["settings"]["burst"]["sha256"]
             if played != stimulus.burst.content_hash:
@@ -209,16 +208,16 @@ def read_laws(inputs: DesignInputs, folder: Path, rows: Sequence[float] = ()) ->
     return observed
 
 
-def _folders(folder: Path, law: Law, rows: Sequence[float]) -> list[Path]:
+def _folders(folder: Path, law: Law, rows: Sequence[str]) -> list[Path]:
     """Return where the scans of a law lie: field and course of the mid-line, then the field on further rows."""
-    names = [f"{law}_{what}" for what in WHAT]
-    return [folder / name for name in (*names, *(row_name(names[0], across) for across in rows))]
+    return [folder / f"{law}_{what}" for what in (*WHAT, *(f"{WHAT[0]}{row}" for row in rows))]
 
 
 def complete(folder: Path, rows: Sequence[float] = ()) -> bool:
     """Return whether a folder holds every scan, so that no rig is needed."""
     try:
-        return all(read_scan(place).complete for law in LAWS for place in _folders(folder, law, rows))
+        beside = [row_name("", across) for across in rows]
+        return all(read_scan(place).complete for law in LAWS for place in _folders(folder, law, beside))
     except RecordError:
         return False
 
