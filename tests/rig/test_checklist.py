@@ -32,9 +32,7 @@ def usual(apparatus: Apparatus) -> list[dict[str, Any]]:
 @pytest.fixture(scope="module")
 def odd(apparatus: Apparatus) -> list[dict[str, Any]]:
     """Return the rows for an instrument that differs wherever it can."""
-    behaviour = Behaviour(
-        timer_digits=4, copy_time=0.2, limit_violation="clip", block_end=b"xx\n", max_sessions=1, queue_depth=5
-    )
+    behaviour = Behaviour(timer_digits=4, copy_time=0.2, limit_violation="clip", queue_depth=5)
     with Simulator(apparatus, behaviour=behaviour) as simulator:
         simulator.front_panel("DATA:COPY USER4,EMEM")
         rows = check_rig(simulator.address, apparatus, patience=PATIENCE)

@@ -220,6 +220,6 @@ KEYSIGHT_33500B = Instrument(
         # Each channel has a timer of its own, and nothing is known to start them together.
     ),
     records=ChannelMemories(n_memories=4),
-    # Those about the timer, the edit memory and the end of its blocks are an AFG3022B's.
+    # Those about the trigger timer and the copy from the edit memory are an AFG3022B's.
     questions=(0, 1, 6, 7, 8, 10, 12, 13, 14),
 )

@@ -289,7 +289,7 @@ def _record_commands(afg: Afg) -> dict[str, Command]:
     def read(channel: int, arguments: Arguments) -> bytes:
         _edit_memory(one(arguments))
         length = str(len(afg.edit))
-        return f"#{len(length)}{length}".encode() + afg.edit + afg.behaviour.block_end.strip(b"\n")
+        return f"#{len(length)}{length}".encode() + afg.edit
 
     return {f"{ROOT}[:DATA]": Command(set=write, get=read)}
 

@@ -32,8 +32,6 @@ class Behaviour:
         How long storing a record in a USER memory takes [s].
     limit_violation : str
         Whether a level beyond VOLTage:LIMit is refused (``error``) or cut (``clip``).
-    block_end : bytes
-        What follows a block reply.
     max_sessions : int
         Links accepted at the same time.
     queue_depth : int
@@ -47,7 +45,6 @@ class Behaviour:
     timer_digits: int = 9
     copy_time: float = 0.0
     limit_violation: Literal["error", "clip"] = "error"
-    block_end: bytes = b"\n"
     max_sessions: int = 16
     queue_depth: int = 32
     retrigger: Retrigger = "ignored"
