@@ -125,7 +125,7 @@ def check_gains(identification: Identification, apparatus: Apparatus) -> None:
         for name, value in mode.gain_mm_s2_per_V.items()
         if mode.label in found and found[mode.label].gain and name in sets and value
     }
-    for chosen in (sets, *((name,) for name in sets)):
+    for chosen in dict.fromkeys((sets, *((name,) for name in sets))):
         _refuse_factor([each for (name, _), each in listed.items() if name in chosen], chosen, apparatus)
 
 
