@@ -50,7 +50,7 @@ def named(events: list[dict[str, Any]], name: str) -> list[dict[str, Any]]:
 def console_of(process: int) -> int:
     """Return the number of the console's process."""
     listed = subprocess.run(
-        ["ps", "-o", "pid=,args=", "--ppid", str(process)], capture_output=True, text=True, check=True
+        ["ps", "-ww", "-o", "pid=,args=", "--ppid", str(process)], capture_output=True, text=True, check=True
     )
     return next(int(line.split()[0]) for line in listed.stdout.splitlines() if "modaltouch.session.console" in line)
 
