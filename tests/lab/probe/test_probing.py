@@ -9,12 +9,14 @@ from ruamel.yaml import YAML
 
 from modaltouch.lab import probe_fingers
 from modaltouch.lab.laboratory import open_laboratory
+from modaltouch.lab.probe.burst_record import BurstRecord
 from modaltouch.lab.probe.excitation import Excitation
 from modaltouch.preflight import design, examine
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.fingers import FingersFile
 from modaltouch.protocol.source import Source
 from modaltouch.record import RecordError
+from modaltouch.rig import Recording, RigError
 from modaltouch.stimulus import Finger
 
 TRUE = {"mass_g": 0.1, "damping_N_s_per_m": 0.7, "stiffness_N_per_mm": 0.9}
@@ -125,3 +127,16 @@ def test_noise_is_that_of_the_records(protocol):
         first, second = excitation.probe(laboratory, 0.049, SPEED, 250e3)
     ratio = np.abs(first.response - second.response) ** 2 / first.deviation**2 / 4
     assert ratio.mean() == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_burst_that_tells_nothing_is_refused_with_figures():
+    """Cut at the end of the range, or without the silence after it that tells the noise."""
+    stimulus = examine("demo").sound[1]
+    burst = BurstRecord(stimulus, 0.02, stimulus.model.natural_frequency)
+    timing, rate = stimulus.timing, 1e6
+    n = round((timing.duration + 0.3 * (1 / timing.repetition_rate - timing.duration)) * rate)
+    seen = Recording(0.049, np.arange(n) / rate, np.full((1, n), 0.2), np.empty((1, 0, n)), rate, ())
+    with pytest.raises(ValueError, match=r"lasts 0 ms, at least 0\.1 are needed: lower repetition_rate_Hz"):
+        burst.probe(seen, None)
+    with pytest.raises(RigError, match=r"is cut at 200 mm/s.*choose a wider range there, and as range_mm_s"):
+        burst.probe(replace(seen, overloaded=("velocity",)), None)

@@ -67,13 +67,21 @@ class BurstRecord:
         from scipy.fft import rfft
 
         if recording.overloaded:
-            raise RigError("the burst overloads the vibrometer: choose a wider range there, and in the apparatus file")
+            highest = float(np.abs(recording.velocity).max()) * 1e3
+            raise RigError(
+                f"the record of the burst is cut at {highest:.0f} mm/s, the end of the vibrometer's range: choose a "
+                "wider range there, and as range_mm_s under acquisition in the apparatus file"
+            )
         hold, rate = self.stimulus.timing.hold, recording.sampling_rate
         held = round(self._until(RINGS) / hold) + np.arange(N_CLOCKS)
         n_held = int(held[np.abs(held * hold * rate - np.round(held * hold * rate)).argmin()])
         seen, silence = np.split(recording.velocity[0], [round(n_held * hold * rate)])
         if silence.size < 4 * N_SILENT:
-            raise ValueError("bursts follow each other without the silence that tells the noise: lower their rate")
+            lasts, least = (n / rate * 1e3 for n in (silence.size, 4 * N_SILENT))
+            raise ValueError(
+                f"the silence after a burst, which tells the noise, lasts {lasts:.2g} ms, at least {least:.2g} are "
+                "needed: lower repetition_rate_Hz"
+            )
         bins = self._bins(n_held * hold)
         frequency = bins / (n_held * hold)
         noise = noise_level(rfft(silence), np.arange(GAP, silence.size // 2), bins * silence.size / seen.size)

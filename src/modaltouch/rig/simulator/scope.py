@@ -126,7 +126,10 @@ class SimulatedScope(Scope):
     def fetch(self, position: float) -> Recording:
         """Return the record of the burst for which the scope was armed: from rest."""
         if self._timeline.caught is None:
-            raise RigError("no trigger came from the generator since the scope was armed")
+            raise RigError(
+                "no trigger came from the generator since the scope was armed: no burst began; arm it before a burst "
+                "is fired, then fetch"
+            )
         alone = [each and replace(each, period=math.inf) for each in self._timeline.caught]
         return self._recorded(position, 0.0, alone, 1)
 
