@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from io import StringIO
 from itertools import product
 
@@ -142,7 +143,8 @@ def test_stimuli_are_parts_and_compared_within_participants() -> None:
     (row,) = dominant.loc[dominant["part"] == "all"].to_dict("records")
     assert list(dominant.index[dominant["part"] == "all"]) == ["one_hand A-C slow - A-C usual"]
     assert (row["estimate"], row["p"], row["family"], row["n"]) == (-1.0, 2 / 2**10, "shares compared", 10)
-    files = render_parts(found)
+    files = render_parts(replace(found, responses=replace(found.responses, notes=("Two sessions each",))))
+    assert "<p>Two sessions each.</p>" in files["report.html"]
     answers = pd.read_csv(StringIO(files["answers.csv"]))
     assert answers["stimulus"].value_counts().to_dict() == {"slow": 20, "usual": 20}
     assert "stimulus" in files["models.R"] and "The answers are to the stimuli slow, usual." in files["report.html"]

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import gc
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -247,3 +248,13 @@ def test_labs_are_told_apart_by_the_names_of_their_folders(record, tmp_path) -> 
         read_responses(tmp_path / "results", tmp_path / "results")
     with pytest.raises(InputError, match=r"given a file among several sources; .*the results folder of each lab"):
         read_responses(tmp_path / "results", path)
+
+
+def test_a_session_that_is_there_twice_is_refused(record, tmp_path) -> None:
+    """A folder within another one's, and a copy beside the original: both places are named."""
+    session = record("p01").parents[1]
+    with pytest.raises(InputError, match=rf"given the same session twice, {session}.* and {session}.*share no session"):
+        read_responses(tmp_path / "results", session.parent)
+    copied = shutil.copytree(session, tmp_path / "results" / "copy" / session.name)
+    with pytest.raises(InputError, match=rf"twice, {copied}.* and {session}"):
+        read_responses(tmp_path / "results")

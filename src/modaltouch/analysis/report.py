@@ -20,7 +20,6 @@ from modaltouch.analysis.strips import participant_strips
 from modaltouch.analysis.tables import PAPER_TEXT, zone_table
 from modaltouch.analysis.words import answer_question, headings, say_condition, say_interval, say_scope, state_families
 from modaltouch.analysis.zones import say_zones, zones_of
-from modaltouch.protocol import AnswerList
 from modaltouch.report import ReportFigure, page_files, say_number
 
 MOST_ROWS = 8
@@ -84,12 +83,11 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
         catch_words=[*(answer.name for answer in answers.answers if answer.says_nothing_felt), *felt]
         if answers.offers_none
         else ["none", *felt],
-        # A table is read as the paper's answers where no protocol is named.
-        is_named=answers.answers != AnswerList.of_words(("none",) if answers.offers_none else ()),
         limits=design_limits(analysis) + list(analysis.design.limits if analysis.design else ()),
         preregistration=analysis.preregistration,
         departures=analysis.departures,
         left_out=analysis.responses.left_out,
+        command=analysis.responses.command,
         notes=analysis.responses.notes,
         record=describe_record(analysis.responses.sessions),
         own_thresholds=answers.scale == OWN_THRESHOLD,

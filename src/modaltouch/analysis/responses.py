@@ -9,6 +9,7 @@ Of sessions with levels calibrated by participant it has ``multiple_of_threshold
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
 from collections.abc import Collection, Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -19,6 +20,8 @@ from modaltouch.analysis.zones import zones_of
 from modaltouch.protocol import AnswerList, InputError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     import pandas as pd
 
     from modaltouch.analysis.counts import AnswerCounts
@@ -129,12 +132,15 @@ class AnswerSource:
         Hash of the file, or of the hashes of the logs.
     mode : str
         ``real``, ``pilot`` or ``simulated``; empty for a CSV, which does not say.
+    labs : tuple of str
+        The folders, where they are those of several labs.
     """
 
     path: str
     kind: str
     sha256: str
     mode: str = ""
+    labs: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,6 +206,18 @@ class Responses:
         return TrialTask.of(self.design)
 
     @property
+    @property
+    def command(self) -> str:
+        """The command that analyses the same answers."""
+        source = self.source
+        words = ["modaltouch", "analyse", *(source.labs or [source.path]), *["--out", "FOLDER"] * bool(source.labs)]
+        words += ["--stimulus", self.stimulus] * bool(self.stimulus)
+        if self.sessions:
+            words += ["--mode", source.mode]
+        elif self.design:
+            words += ["--protocol", "PROTOCOL"]
+        return shlex.join(words)
+
     def tells_of_each(self) -> bool:
         """Whether a participant has more than counts of answers: catch trials, a d', a threshold, ratings, a group."""
         detects = bool(self.catches) or self.answers.naming() is not None or len(self.answers) == 2
@@ -296,6 +314,29 @@ class Responses:
 
 
 def unmirror(frame: pd.DataFrame, answers: AnswerList) -> pd.DataFrame:
+def refuse_unequal(place: Path, frame: pd.DataFrame) -> None:
+    """Refuse participants who met different conditions, as under two versions of a protocol.
+
+    Parameters
+    ----------
+    place : Path
+        Where the answers are from.
+    frame : DataFrame
+        Tidy answers of recorded sessions.
+    """
+    answers = answers_per_cell(frame)
+    usual = int(answers.to_numpy().max())
+    odd = answers.index[(answers != usual).any(axis=1)]
+    if not len(odd):
+        return
+    cells = answers.columns[(answers.loc[odd[0]] != usual).to_numpy()]
+    cell = describe_cell(cells[0], scale_of(frame.columns))
+    shown = f"{odd[0]} has {answers.loc[odd[0], cells[0]]} in {cell}, others up to {usual}"
+    given = f"participants who answered different conditions ({len(odd)} of {len(answers)}; {shown})"
+    remedy = "give a folder with the sessions of one version of the protocol"
+    raise InputError.of(place, given, "the same conditions, equally often, for every participant", remedy)
+
+
     """Return a tidy table with the zones of mirrored rows, and their answers, in the order of the beam.
 
     Someone who felt zone C at the left end of a turned beam answered "left"; beside those who felt it on the right,

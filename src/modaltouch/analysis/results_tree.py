@@ -26,10 +26,10 @@ from modaltouch.analysis.responses import (
     ExcludedSource,
     Responses,
     answers_per_cell,
-    describe_cell,
+    refuse_unequal,
     unmirror,
 )
-from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY, scale_of
+from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY
 from modaltouch.protocol import TIME_OUT, AnswerList, InputError
 from modaltouch.record import RecordError, Session, SessionFolder, audit_session, read_session
 
@@ -242,11 +242,11 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
     of_mode = _sort(found, left_out, lambda item: _other_mode(item, chosen))
     _only(place, "protocols", [f"of {item.protocol!r}" for item in of_mode if item.mode], _ONE)
     taken = _sort(of_mode, left_out, lambda item: item.reason)
+    _check(place, taken, left_out)
     levels = _only(place, "kinds of levels", [item.levels for item in taken], _ONE_NAMED)
     if levels != "adaptive":
         taken = _as_many(taken, left_out)
     is_crossed = levels == "adaptive" or _is_crossed(taken, stimulus)
-    _refuse_nothing(place, taken, left_out)
     answers = _one_list(place, taken)
     frame = _join(place, taken, levels, answers, stimulus, is_crossed=is_crossed)
     asked = int(answers_per_cell(frame).to_numpy().max()) if levels != "adaptive" else None
@@ -260,7 +260,7 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
         frame,
         tuple(item.facts for item in taken if item.facts is not None),
         tuple(sorted(left_out, key=lambda item: Path(item.source))),
-        AnswerSource(", ".join(map(str, (place, *further))), "results", digest, chosen),
+        _source([place, *further], taken, chosen),
         foci.get(stimulus or "", taken[0].focus),
         start,
         _sum_catches(taken),
@@ -297,7 +297,19 @@ def _open_labs(*places: Path) -> list[SessionAnswers]:
     return found
 
 
-def _refuse_nothing(place: Path, taken: Sequence[SessionAnswers], left_out: Sequence[ExcludedSource]) -> None:
+def _source(places: Sequence[Path], taken: Sequence[SessionAnswers], mode: str) -> AnswerSource:
+    names = tuple(map(str, places))
+    digest = hashlib.sha256("".join(item.digest for item in taken).encode()).hexdigest()
+    return AnswerSource(", ".join(names), "results", digest, mode, names if len(names) > 1 else ())
+
+
+def _check(place: Path, taken: Sequence[SessionAnswers], left_out: Sequence[ExcludedSource]) -> None:
+    """Refuse nothing, and a session that is there twice, as in a copy, or in a folder within another lab's."""
+    first: dict[str, Path] = {}
+    for item in taken:
+        if (earlier := first.setdefault(item.digest, item.path)) is not item.path:
+            given = f"the same session twice, {earlier.parent} and {item.path.parent}"
+            raise InputError.of(place, given, "each session once", "give folders that share no session")
     if not taken:
         counted = Counter(item.reason for item in left_out)
         listed = "; ".join(f"{n} session{'s' * (n != 1)}: {reason}" for reason, n in counted.most_common(5))
@@ -338,7 +350,7 @@ def _join(
     if levels != "adaptive" and stimulus is not None:
         frame = _choose_stimulus(place, frame, stimulus)
     if levels != "adaptive" and is_crossed:
-        _refuse_designs(place, frame)
+        refuse_unequal(place, frame)
     if levels == "adaptive" and stimulus is not None:
         given, remedy = f"stimulus {stimulus!r} with adaptive sessions", "leave the option out: each run is of one"
         raise InputError.of(place, given, "all stimuli together", remedy)
@@ -430,18 +442,3 @@ def _choose_stimulus(place: Path, frame: pd.DataFrame, stimulus: str) -> pd.Data
         allowed = ", ".join(names) or "sessions have one alone"
         raise InputError.of(place, f"stimulus {stimulus!r}", allowed, remedy)
     return frame[frame["stimulus"] == stimulus].reset_index(drop=True)
-
-
-def _refuse_designs(place: Path, frame: pd.DataFrame) -> None:
-    """Refuse participants who met different conditions, as under two versions of a protocol."""
-    answers = answers_per_cell(frame)
-    usual = int(answers.to_numpy().max())
-    odd = answers.index[(answers != usual).any(axis=1)]
-    if not len(odd):
-        return
-    cells = answers.columns[(answers.loc[odd[0]] != usual).to_numpy()]
-    cell = describe_cell(cells[0], scale_of(frame.columns))
-    shown = f"{odd[0]} has {answers.loc[odd[0], cells[0]]} in {cell}, others up to {usual}"
-    given = f"participants who answered different conditions ({len(odd)} of {len(answers)}; {shown})"
-    remedy = "give a folder with the sessions of one version of the protocol"
-    raise InputError.of(place, given, "the same conditions, equally often, for every participant", remedy)

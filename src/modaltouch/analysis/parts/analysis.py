@@ -124,7 +124,10 @@ class PartsAnalysis:
             "n_responses": len(self.responses.frame),
             "n_missing": sum(each["n"] for each in missing),
             "missing": missing,
-            "notes": [f"{len(self.parts)} crossed parts of the design are analysed each by itself"],
+            "notes": [
+                *self.responses.notes,
+                f"{len(self.parts)} crossed parts of the design are analysed each by itself",
+            ],
             "mode": self.responses.source.mode or None,
             "source": self.responses.source.path,
             "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
@@ -245,7 +248,6 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         "report",
         shown,
         title=f"Analysis: {design.get('title') or responses.start.get('protocol', '') or 'answers'}",
-        source=responses.source,
         n_participants=responses.frame["participant"].nunique(),
         n_answers=len(responses.frame),
         counts=analysis.counts.to_dict("records"),
@@ -257,11 +259,9 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         values=values,
         certified=analysis.design.certified if analysis.design else "",
         limits=analysis.design.limits if analysis.design else (),
-        groups=responses.groups,
-        stimuli=responses.stimuli,
+        responses=responses,
         whole=[_line(finding) for finding in analysis.whole],
         alpha=ALPHA,
-        left_out=responses.left_out,
         record=describe_record(responses.sessions),
     )
     tests = [{str(key): value for key, value in row.items()} for row in analysis.tests.to_dict("records")]

@@ -130,3 +130,5 @@ def _report_files(
         left_out=responses.left_out,
         record=describe_record(responses.sessions),
     )  # fmt: skip
+        notes=responses.notes,
+        command=responses.command,
