@@ -5,7 +5,8 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.responses import AnswerSource, Responses
 from modaltouch.analysis.thresholds import ThresholdAnalysis, analyse_runs, render_runs
 from modaltouch.analysis.thresholds.psychometric import DROP, REGION, Psychometric, fit_psychometric
+from modaltouch.cli.analyse import tell
 from modaltouch.planning.fitting import fit_answers
 from modaltouch.planning.observer import Observer, Participant
 from modaltouch.planning.presented import designs_for
@@ -28,6 +30,7 @@ from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import AnswerList
 from modaltouch.protocol.levels import follow, to_dB
 from modaltouch.protocol.problems import InputError
+from modaltouch.record.session import Session
 from modaltouch.session.setup import begin
 from modaltouch.session.wiring import wire_run
 
@@ -235,6 +238,50 @@ def test_a_session_ends_in_thresholds_that_the_observer_has(
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "SIMULATED DATA" in report
     assert "http://" not in report.replace("http://www.w3.org", "")
+
+
+def test_thresholds_of_several_labs_are_told_by_lab(results: Path, tmp_path: Path) -> None:
+    """One participant in each of two labs: a mean of each lab, files of plain names, and a note of what is compared."""
+    labs = [tmp_path / name for name in ("north", "south")]
+    for lab, participant in zip(labs, ("p01", "p02"), strict=True):
+        (session,) = results.glob(f"**/sub-{participant}/ses-1")
+        shutil.copytree(session, lab / session.relative_to(results))
+    analyse(labs[0], tmp_path / "out", labs=labs[1:])
+    values = json.loads((tmp_path / "out" / "thresholds.json").read_text(encoding="utf-8"))
+    told = [(row["group"], row["pair"], row["n_runs"]) for row in values["over_participants"]]
+    assert sorted(told) == [("north", "A-C", 1), ("north", "C-E", 1), ("south", "A-C", 1), ("south", "C-E", 1)]
+    report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert (tmp_path / "out" / "runs_sub-north-p01_ses-1.svg").is_file()
+    assert "<p>Groups are labs: north, south.</p>" in report and '<td class="word">south</td>' in report
+    assert f"<code>modaltouch analyse {labs[0]} {labs[1]} --out FOLDER --mode simulated</code>" in report
+
+
+@pytest.mark.parametrize(("late", "n_told"), [({"A"}, 2), ({"A", "C"}, 0)])
+def test_runs_without_any_answer_in_time_are_told(
+    results: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    late: set[str],
+    n_told: int,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Of one pair, or of all: the run is there, without a threshold, and the console says what is missing."""
+    table = Session.table
+
+    def late_table(session: Session) -> Iterator[dict[str, object]]:
+        for row in table(session):
+            is_late = row["zone_left"] in late and not row["catch"]
+            yield row | ({"response": "time_out"} if is_late else {})
+
+    monkeypatch.setattr(Session, "table", late_table)
+    found = analyse(results, tmp_path / "out")
+    assert isinstance(found, ThresholdAnalysis)
+    assert [run.fitted.n_trials for run in found.runs].count(40) == n_told
+    silent = [run for run in found.runs if not run.fitted.n_trials]
+    assert {(run.n_missing, run.fitted.why_not) for run in silent} == {(40, "no trial was answered in time")}
+    assert len(found.runs) == 4 == n_told + len(silent)
+    tell(found)
+    assert f"missing answers, {40 * len(silent)}: p01 session 1, one hand A-C" in capsys.readouterr().err
 
 
 def model_threshold(preflight: Preflight) -> float:

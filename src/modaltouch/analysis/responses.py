@@ -150,7 +150,8 @@ class Responses:
     Attributes
     ----------
     frame : DataFrame
-        Tidy table; ``response`` is categorical over all answers that could be given, ``n`` counts equal answers.
+        Tidy table; ``response`` is categorical over all answers that could be given, ``n`` counts equal answers. Of
+        adaptive sessions it has trials that timed out, too, without a response.
     sessions : tuple of SessionFacts
         What the log of each recorded session tells beside its answers; empty for a CSV.
     left_out : tuple of ExcludedSource
@@ -206,7 +207,6 @@ class Responses:
         return TrialTask.of(self.design)
 
     @property
-    @property
     def command(self) -> str:
         """The command that analyses the same answers."""
         source = self.source
@@ -218,6 +218,7 @@ class Responses:
             words += ["--protocol", "PROTOCOL"]
         return shlex.join(words)
 
+    @property
     def tells_of_each(self) -> bool:
         """Whether a participant has more than counts of answers: catch trials, a d', a threshold, ratings, a group."""
         detects = bool(self.catches) or self.answers.naming() is not None or len(self.answers) == 2
@@ -313,7 +314,6 @@ class Responses:
         return bool(self.start.get("design", {}).get("adaptive"))
 
 
-def unmirror(frame: pd.DataFrame, answers: AnswerList) -> pd.DataFrame:
 def refuse_unequal(place: Path, frame: pd.DataFrame) -> None:
     """Refuse participants who met different conditions, as under two versions of a protocol.
 
@@ -337,6 +337,7 @@ def refuse_unequal(place: Path, frame: pd.DataFrame) -> None:
     raise InputError.of(place, given, "the same conditions, equally often, for every participant", remedy)
 
 
+def unmirror(frame: pd.DataFrame, answers: AnswerList) -> pd.DataFrame:
     """Return a tidy table with the zones of mirrored rows, and their answers, in the order of the beam.
 
     Someone who felt zone C at the left end of a turned beam answered "left"; beside those who felt it on the right,

@@ -248,12 +248,12 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
         taken = _as_many(taken, left_out)
     is_crossed = levels == "adaptive" or _is_crossed(taken, stimulus)
     answers = _one_list(place, taken)
-    frame = _join(place, taken, levels, answers, stimulus, is_crossed=is_crossed)
-    asked = int(answers_per_cell(frame).to_numpy().max()) if levels != "adaptive" else None
-    scheduled = None if is_crossed else frame
-    frame = frame[frame["response"] != TIME_OUT].reset_index(drop=True)
-    frame["response"] = pd.Categorical(frame["response"], categories=list(answers.ranked.names))
-    digest = hashlib.sha256("".join(item.digest for item in taken).encode()).hexdigest()
+    whole = _join(place, taken, levels, answers, stimulus, is_crossed=is_crossed)
+    asked = int(answers_per_cell(whole).to_numpy().max()) if levels != "adaptive" else None
+    in_time = whole["response"] != TIME_OUT
+    frame = whole.assign(response=pd.Categorical(whole["response"].where(in_time), list(answers.ranked.names)))
+    if levels != "adaptive":
+        frame = frame[in_time].reset_index(drop=True)
     foci, start = taken[0].foci, read_session(taken[0].path).start
     design = start.get("design", {})
     return Responses(
@@ -270,7 +270,7 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
         design.get("analysis", {}).get("equivalence_margin"),
         asked,
         notes=(f"Groups are labs: {', '.join(frame['group'].cat.categories)}",) if further else (),
-        scheduled=scheduled,
+        scheduled=None if is_crossed else whole,
         design=design,
     )
 

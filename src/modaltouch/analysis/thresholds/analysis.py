@@ -48,8 +48,14 @@ class ThresholdAnalysis:
             "over_participants": over_participants(self.runs),
             "files": {name: str(path) for name, path in self.files.items()},
             "n_participants": len({run.participant for run in self.runs}),
-            "n_responses": len(self.responses.frame),
+            "n_responses": int(self.responses.frame["response"].count()),
             "n_missing": sum(run.n_missing for run in self.runs),
+            "missing": [
+                {"participant": run.participant, "cell": f"session {run.session}, {run.kind}", "n": run.n_missing}
+                for run in self.runs
+                if run.n_missing
+            ],
+            "notes": list(self.responses.notes),
             "mode": self.responses.source.mode or None,
             "source": self.responses.source.path,
             "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
@@ -83,7 +89,8 @@ def render_runs(analysis: ThresholdAnalysis) -> dict[str, Any]:
     sessions = list(dict.fromkeys((run.participant, run.session) for run in analysis.runs))
     for participant, session in sessions[:MOST_FIGURES]:
         own = [run for run in analysis.runs if (run.participant, run.session) == (participant, session)]
-        pictures.append(ReportFigure(f"runs_sub-{participant}_ses-{session}", draw_runs(own, analysis.bounds)))
+        who = participant.replace("/", "-")
+        pictures.append(ReportFigure(f"runs_sub-{who}_ses-{session}", draw_runs(own, analysis.bounds)))
     return {
         "thresholds.csv": rows,
         "over_participants.csv": together,
@@ -128,7 +135,7 @@ def _report_files(
         n_sessions=n_sessions,
         n_missing=sum(run.n_missing for run in analysis.runs),
         left_out=responses.left_out,
-        record=describe_record(responses.sessions),
-    )  # fmt: skip
         notes=responses.notes,
         command=responses.command,
+        record=describe_record(responses.sessions),
+    )  # fmt: skip

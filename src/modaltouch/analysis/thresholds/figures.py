@@ -142,7 +142,7 @@ def _draw_kind(axes: Axes, runs: Sequence[Run], heights: np.ndarray, k: int, bou
     for run, height in zip(runs, heights, strict=True):
         threshold = run.fitted.threshold
         if threshold is None:
-            succeeded = run.fitted.n_successes == run.fitted.n_trials
+            succeeded = 0 < run.fitted.n_successes == run.fitted.n_trials
             edge = bounds[0] / 1.2 if succeeded else bounds[1] * 1.2
             axes.plot(edge, height, marker=marker, color=colour, markerfacecolor="white", ms=5)
             continue

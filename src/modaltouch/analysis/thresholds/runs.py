@@ -45,6 +45,8 @@ class Run:
         What the answers tell.
     n_missing : int
         Trials that timed out; the level followed from them as from failures, and no fit counts them.
+    group : str
+        Group or lab of the participant; empty where there is one alone.
     """
 
     participant: str
@@ -56,11 +58,18 @@ class Run:
     successes: NDArray[np.bool_]
     fitted: Psychometric
     n_missing: int = 0
+    group: str = ""
 
     @property
     def kind(self) -> str:
-        """Finger condition, pair and stimulus in words: what runs of other participants have alike."""
-        return " ".join(filter(None, (self.finger_condition.replace("_", " "), self.pair, self.stimulus)))
+        """Group, finger condition, pair and stimulus in words: what runs of other participants have alike."""
+        return " ".join(filter(None, (self.group, self.finger_condition.replace("_", " "), self.pair, self.stimulus)))
+
+    @property
+    def factors(self) -> dict[str, str]:
+        """The same by name; without group or stimulus where there are none."""
+        names = ("group", "finger_condition", "pair", "stimulus")
+        return {name: getattr(self, name) for name in names if getattr(self, name)}
 
     @property
     def name(self) -> str:
@@ -81,9 +90,7 @@ class Run:
         return {
             "participant": self.participant,
             "session": self.session,
-            "finger_condition": self.finger_condition,
-            "pair": self.pair,
-            **({"stimulus": self.stimulus} if self.stimulus else {}),
+            **self.factors,
             "n_trials": fitted.n_trials,
             "n_missing": self.n_missing,
             "n_successes": fitted.n_successes,
@@ -110,7 +117,7 @@ def find_runs(responses: Responses) -> tuple[Run, ...]:
     Parameters
     ----------
     responses : Responses
-        Answers of adaptive sessions; catch trials are rows at 0 mm/s.
+        Answers of adaptive sessions; catch trials are rows at 0 mm/s, and trials that timed out have no response.
     """
     rule = responses.start["design"]["adaptive"]
     frame = responses.frame.sort_values(["participant", "session", "trial"], kind="stable")
@@ -125,33 +132,37 @@ def find_runs(responses: Responses) -> tuple[Run, ...]:
 
 def is_forced(responses: Responses) -> bool:
     """Whether the guess rate is that of guessing among the answers, and no catch trials tell another one."""
-    silent = responses.frame[scale_of(responses.frame.columns).column] == 0
+    silent = responses.frame.dropna(subset="response")[scale_of(responses.frame.columns).column] == 0
     return bool(responses.start["design"]["adaptive"]["guess_rate"] >= 1 / len(responses.answers) and not silent.any())
 
 
 def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str, Any], responses: Responses) -> Run:
     participant, session, finger_condition, left, *_ = key
     focus = responses.foci.get(stimulus, responses.focus)
+    names = str(finger_condition), label_zones(part).iloc[0], stimulus
+    part = part[part["response"].notna()]
     succeeds = responses.answers.is_success
     success = np.array([succeeds(str(answer), rule["success"], focus, left) for answer in part["response"]])
     success = (part["correct"] == 1).to_numpy() if rule["success"] == "correct" else success
     level = part[scale_of(part.columns).column].to_numpy(dtype=float)
     driven = level > 0
-    fitted = fit_psychometric(
-        [20 * math.log10(each) for each in level[driven]],
-        success[driven].tolist(),
-        guess_rate=rule["guess_rate"],
-        most_lapse=rule["lapse_rate"],
-        catches=success[~driven].tolist(),
-        flat_rate=rule["guess_rate"] if is_forced(responses) else None,
-    )
-    names = str(finger_condition), label_zones(part).iloc[0], stimulus
-    n_missing = rule["trials"] - int(driven.sum())
-    return Run(str(participant), int(session), *names, level[driven], success[driven], fitted, n_missing)
+    catches, n_missing = success[~driven].tolist(), rule["trials"] - int(driven.sum())
+    fitted = Psychometric(0, 0, len(catches), sum(catches), None, None, 0.0, 0.0, "no trial was answered in time")
+    if driven.any():
+        fitted = fit_psychometric(
+            [20 * math.log10(each) for each in level[driven]],
+            success[driven].tolist(),
+            guess_rate=rule["guess_rate"],
+            most_lapse=rule["lapse_rate"],
+            catches=catches,
+            flat_rate=rule["guess_rate"] if is_forced(responses) else None,
+        )
+    group = responses.groups.get(str(participant), "")
+    return Run(str(participant), int(session), *names, level[driven], success[driven], fitted, n_missing, group)
 
 
 def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """Return the geometric mean threshold of each finger condition, pair and stimulus, over participants.
+    """Return the geometric mean threshold of each group, finger condition, pair and stimulus, over participants.
 
     A participant's sessions are averaged first. Runs that give no threshold are left out and counted: where there
     are any, the mean is one of those who have one.
@@ -167,9 +178,7 @@ def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
         interval = student_interval(means) if len(means) > 1 else None
         rows.append(
             {
-                "finger_condition": own[0].finger_condition,
-                "pair": own[0].pair,
-                **({"stimulus": own[0].stimulus} if own[0].stimulus else {}),
+                **own[0].factors,
                 "n_runs": len(own),
                 "n_without_threshold": sum(run.fitted.threshold is None for run in own),
                 "n_uncertain": sum(run.fitted.is_uncertain for run in own),
