@@ -4,7 +4,7 @@ The probability of success at a level x [dB re 1 mm/s] is g + (1 - g - l) Phi((x
 between guessing and lapsing, s the spread, g the guess rate and l the lapse rate. Everything is read off the
 likelihood on a grid, so nothing diverges where answers are separated. Intervals are the ends of the joint 95 % region
 of m and s, all pairs whose best fit is within 3.00 of the best of all: levels of a run lie where answers led, and its
-likeliest spread is too small, so that an interval of m alone, within 1.92, misses up to a quarter of the thresholds.
+likeliest spread is too small, so that an interval of m alone, within 1.92, misses the threshold too often.
 
 References
 ----------
