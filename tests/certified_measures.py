@@ -32,16 +32,16 @@ START = 16
 LEAST_DB = 0.5
 """Means of levels are of numbers rounded to this [dB], so that sign flips are counted soon."""
 
-MANY = "likelihood ratios are of chi-squared in many trials"
-RUNS = "the trials are few, and lie where answers led"
-BIASED = "of few trials thresholds are biased, and who has none is left out"
+MANY = "its likelihood ratio follows the chi-squared distribution only for large numbers of trials"
+RUNS = "there are few trials, at levels that depend on earlier answers"
+BIASED = "thresholds from few trials are biased, and participants without a threshold are left out"
 REASONS = {
     "d' of one": MANY, "criterion of one": MANY, "same and different of one": MANY, "threshold of one": MANY,
     "PSE of one": MANY, "JND of one": MANY, "run of one, forced choice": RUNS, "run of one, felt": RUNS,
     "mean threshold": BIASED, "mean PSE": BIASED, "mean of runs, forced choice": BIASED, "mean of runs, felt": BIASED,
-    "mean JND": "of few trials the likeliest spread is too small, so that a JND is biased low",
-    "mean d'": "the correction that keeps each d' finite draws it towards zero, the more the fewer trials it has",
-    "exponent of one": "people round their numbers, so that residuals are not normal",
+    "mean JND": "spreads fitted to few trials are too small, which biases every JND downwards",
+    "mean d'": "the correction that keeps every d' finite biases it towards zero, the more so the fewer the trials",
+    "exponent of one": "participants round their numbers, so the residuals are not normal",
 }  # fmt: skip
 """Why intervals err in more than 5 % of the experiments of a population beyond doubt, where they do."""
 

@@ -402,7 +402,7 @@ def main() -> None:
 
 def brief_of(name, each):
     """Return what the report says of a certificate, a line: its mean and worst rate, and why it fails, if it does."""
-    why = certified_measures.REASONS[name] if each["fails"] else ""
+    why = certified_measures.REASONS.get(name, "the reason is not known yet") if each["fails"] else ""
     return f"{json.dumps(name)}: {json.dumps([each['mean_rate'], each['worst_rate'], why])}"
 
 

@@ -53,6 +53,12 @@ def test_a_rate_above_five_percent_beyond_doubt_fails(certify, errors, fails) ->
     assert told["x"]["worst_rate"] == errors / 2000
 
 
+def test_a_new_row_that_fails_is_written_without_a_reason(certify) -> None:
+    """The rows of an hour's work are not lost for want of a sentence."""
+    told = {"mean_rate": 0.1, "worst_rate": 0.2, "fails": [3]}
+    assert certify.brief_of("a new row", told) == '"a new row": [0.1, 0.2, "the reason is not known yet"]'
+
+
 def test_the_populations_are_those_that_are_promised(certify) -> None:
     """Minorities of 5 to 30 %, slopes to 2 logit, lapses to 0.15, gaps to 10 %, 6 to 60 people, 1 to 8 repetitions."""
     drawn = [certify.Population.draw(number) for number in range(210)]

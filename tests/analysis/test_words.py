@@ -9,6 +9,7 @@ import pytest
 
 from modaltouch.analysis.certificates import certificates, certificates_of, say_certificates
 from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.findings import Finding
 from modaltouch.analysis.report import list_questions, speed_rows
 from modaltouch.analysis.statistics import find
 from modaltouch.analysis.words import say_p, say_scope, state_families
@@ -138,4 +139,25 @@ def test_every_test_and_interval_has_its_certificate(paper_frame) -> None:
         assert len(each["errors"]) == len(table["populations"])
         mean, worst, why = certificates()[name]
         assert (mean, worst) == pytest.approx((each["mean_rate"], each["worst_rate"]), abs=1e-5)
-        assert bool(why) == bool(each["fails"]) and say_certificates([name]).endswith(f", since {why}" if why else "%")
+        assert bool(why) == bool(each["fails"])
+        assert say_certificates([name]).endswith(f" %, so not a 95 % interval: {why}" if why else " %")
+    assert "at worst 99.9 %, so not a 95 % interval: spreads fitted to few trials" in say_certificates(["mean JND"])
+
+
+@pytest.mark.parametrize(
+    ("name", "certified"),
+    [
+        ("exponent of magnitude between groups, permutation test of participants", ("group",)),
+        ("JND between groups, permutation test of participants", ("group",)),
+        ("exponent of magnitude compared, sign flips", ()),
+        ("criterion over participants, sign flips", ()),
+        ("agreement over participants, sign flips", ()),
+        ("misses compared, signed ranks", ("rank", "rank interval")),
+        ("d' over participants, sign flips, p by those of the rates", ("d'", "mean d'")),
+        ("false alarms, interval of a bounded mean over participants", ("share",)),
+        ("exact sign-flip test of median reaction times", ("time",)),
+    ],
+)
+def test_only_what_was_counted_is_certified(name, certified) -> None:
+    """By the name of the test or interval; a measure's name, or that of a question, may hold another one's word."""
+    assert certificates_of(Finding("", name, "", "", 0.0, 0.0, 0.0, 8)) == certified

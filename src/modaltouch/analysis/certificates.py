@@ -12,14 +12,17 @@ from modaltouch.analysis.findings import Finding
 from modaltouch.analysis.statistics import STATISTICS
 
 _OF_NAMES = {
-    "leaning": ("leaning", "leaning share"), "agreement": ("agreement",), "prevalence": ("prevalence",),
-    "share of answers": ("share",), "paired difference": ("paired difference",), "odds ratio": ("odds ratio",),
-    "reaction times": ("time",), "false": ("share",), "misses": ("share",), "bounded mean": ("c mean",),
-    "d' over": ("d'", "mean d'"), "threshold over": ("mean threshold",), "PSE over": ("mean PSE",),
-    "JND over": ("mean JND",), "exponent": ("mean exponent",), "sign flips": ("time",),
-    "signed ranks": ("rank", "rank interval"), "permutation": ("group",), "Friedman": ("friedman",),
+    " between groups": ("group",), " compared, sign flips": (), "signed ranks": ("rank", "rank interval"),
+    "Friedman": ("friedman",), "leaning": ("leaning", "leaning share"), "agreement between": ("agreement",),
+    "prevalence of": ("prevalence",), "share of answers": ("share",), "paired difference": ("paired difference",),
+    "odds ratio": ("odds ratio",), "reaction times": ("time",), "false alarms,": ("share",), "misses,": ("share",),
+    "bounded mean": ("c mean",), "d' over": ("d'", "mean d'"), "threshold over": ("mean threshold",),
+    "PSE over": ("mean PSE",), "JND over": ("mean JND",), "exponent of": ("mean exponent",),
 }  # fmt: skip
-"""Certificates of what stands in no family of `STATISTICS`, by a part of its name; the first that fits counts."""
+"""Certificates of what stands in no family of `STATISTICS`, by a part of its name; the first that fits counts.
+
+Nothing is told where nothing was counted, such as of sign flips of criteria or of ratings.
+"""
 
 
 @lru_cache(maxsize=1)
@@ -27,6 +30,11 @@ def certificates() -> dict[str, tuple[float, float, str]]:
     """Return the mean and the worst rate of errors of each, and why one is above 5 % beyond doubt, if it is."""
     held: dict[str, Any] = json.loads(files(__package__).joinpath("certificates.json").read_text(encoding="utf-8"))
     return {name: (mean, worst, why) for name, (mean, worst, why) in held.items()}
+
+
+def why_not_95(name: str) -> str:
+    """Return why an interval is none of 95 %, as what was counted of it shows; empty where nothing shows that."""
+    return certificates().get(name, (0.0, 0.0, ""))[2]
 
 
 def certificates_of(finding: Finding) -> tuple[str, ...]:
@@ -39,6 +47,6 @@ def say_certificates(names: Iterable[str]) -> str:
     """Return rates of errors in words, of what was counted."""
     known = ((name, *certificates()[name]) for name in names if name in certificates())
     return "; ".join(
-        f"{name} {100 * mean:.2g} %, at worst {100 * worst:.2g} %{f', since {why}' if why else ''}"
+        f"{name} {100 * mean:.3g} %, at worst {100 * worst:.3g} %{f', so not a 95 % interval: {why}' if why else ''}"
         for name, mean, worst, why in known
     )

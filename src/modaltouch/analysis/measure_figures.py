@@ -22,7 +22,7 @@ from modaltouch.report import CONDITION_COLOURS, FAINT, ReportFigure, house_styl
 
 PANELS_PER_ROW = 3
 _MARKERS = "os^D"
-_THIN = "Thin: each participant. Bold: mean over participants with its 95 % interval"
+_THIN = "Thin: each participant. Bold: mean over participants with its interval, whose coverage the statistics state"
 
 
 def draw_design(design: DesignAnalysis) -> Iterator[ReportFigure]:

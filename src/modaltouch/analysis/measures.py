@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from modaltouch.analysis.certificates import why_not_95
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.location import Located, by_flips, by_ranks, flip_test, group_test
@@ -149,13 +150,14 @@ def mean_findings(values: Sequence[Own], scale: LevelScale, groups: Mapping[str,
         n_open = sum(math.isinf(each.interval.low) or math.isinf(each.interval.high) for each in own)
         tested = measure.null is not None and n > 0
         way = _FLIPS if own[0].tested is None else f"{_FLIPS}, p by those of the rates"
-        met = {groups.get(each.participant) for each in own}
+        met, why_not = {groups.get(each.participant) for each in own}, why_not_95(f"mean {measure.name}")
         notes = [
             f"met by {', '.join(name for name in names if name in met)} only" if len(met) < len(names) else "",
             *({each.note for each in own} if len({each.note for each in own}) == 1 else ()),
             f"{left_out} participants left out, who have none" if left_out else "",
             f"without a bound of one's own on one side: {n_open}" if n_open else "",
             "" if tested else "described, not tested",
+            f"not a 95 % interval of the true mean: {why_not}" if why_not else "",
         ]
         yield finding_of(
             measure.question, f"{measure.name} over participants, {'bounded mean' if measure.ends else way}", scope,

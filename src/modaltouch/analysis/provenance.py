@@ -21,7 +21,7 @@ FAULTS = {
     "rig": "troubles with the instrument, all overcome or followed by an end",
     "masking_lost": "losses of the masking noise",
     "drifted": "trials that delivered over 5 % more or less than predicted",
-    "unheard": "trials of which the vibrometer tells no delivered speed",
+    "unheard": "trials for which the vibrometer gave no delivered speed",
     "torn": "lines cut while they were written",
 }
 
