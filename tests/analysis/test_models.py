@@ -96,6 +96,26 @@ def test_an_analysis_writes_the_table_and_the_script(paper_csv, tmp_path) -> Non
     assert "What does a mixed model say?" in found.files["report.html"].read_text(encoding="utf-8")
 
 
+def test_a_rating_counts_where_the_answer_named_no_zone(frame) -> None:
+    """One answer in ten is none: its row has no zone in the table, and its rating, for the models of ratings."""
+    answers = AnswerList.of_words(("none",))
+    response = frame["response"].astype(str).where(np.arange(len(frame)) % 10 > 0, "none")
+    rated = frame.assign(sure=3, response=pd.Categorical(response, [*answers.names]))
+    given = Responses(
+        rated, (), (), AnswerSource("", "csv", ""), answers=answers, design={"answers": {"then": {"sure": {}}}}
+    )
+    counts = count_answers(rated, offered=answers)
+    files = model_files(counts, given)
+    rows = list(csv.DictReader(files["answers.csv"].splitlines()))
+    silent = [row for row in rows if row["response"] == "none"]
+    assert (len(rows), len(silent)) == (len(frame), math.ceil(len(frame) / 10))
+    assert {(row["zone"], row["dominant"], row["sure"]) for row in silent} == {("", "", "3")}
+    assert {row["dominant"] for row in rows} - {""} == {"0", "1"}
+    assert "dominant ~" in files["models.R"] and "data = named, family = binomial" in files["models.R"]
+    assert "(1 | participant), data = answers\n" in files["models.R"]
+    assert [row.name for row in model_findings(counts, rated) if math.isfinite(row.estimate)]
+
+
 def test_answers_that_name_no_finger_have_a_table_and_a_script_too() -> None:
     """Of trials of two intervals: what was chosen, where it stood, how sure; a term for group and level, which vary."""
     rows = [

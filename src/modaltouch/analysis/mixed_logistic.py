@@ -32,7 +32,7 @@ def model_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
     ----------
     Albert and Anderson, Biometrika 71 (1984) 1-10; Konis, thesis, Oxford (2007) (separation by linear programming).
     """
-    table = model_table(answers, frame)
+    table = model_table(answers, frame).dropna(subset="dominant")
     columns = {"intercept": np.ones(len(table))}
     for term in terms_of_model(answers):
         if term == "level":
@@ -40,7 +40,7 @@ def model_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
             continue
         first, *others = sorted(set(table[term]))
         columns |= {f"{other} - {first}": (table[term] == other).to_numpy(dtype=float) for other in others}
-    predictors, chosen = np.column_stack(list(columns.values())), table["dominant"].to_numpy()
+    predictors, chosen = np.column_stack(list(columns.values())), table["dominant"].to_numpy(np.int64)
     names, n = list(columns), answers.n_participants
     reason, fitted = _separation(predictors, chosen, names), None
     if n < 2:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def model_table(answers: AnswerCounts, frame: pd.DataFrame, asked: Sequence[Question] = ()) -> pd.DataFrame:
-    """Return one row for each answer that chose a zone or both: who, where, at which level, which zone, what was rated.
+    """Return one row for each answer: who, where, at which level, which zone, if it named any, and what was rated.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def model_table(answers: AnswerCounts, frame: pd.DataFrame, asked: Sequence[Ques
         "zone": chosen,
         **{each.column: each.numbers(rows) for each in asked},
     })  # fmt: skip
-    return table[table["zone"] != ""].assign(dominant=lambda kept: (kept["zone"] == "dominant").astype(int))
+    return table.assign(dominant=(table["zone"] == "dominant").astype("Int64").where(table["zone"] != ""))
 
 
 def terms_of_model(answers: AnswerCounts) -> list[str]:
