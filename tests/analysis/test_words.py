@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 from modaltouch.analysis.certificates import certificates, certificates_of, say_certificates
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.findings import Finding
-from modaltouch.analysis.report import list_questions, speed_rows
+from modaltouch.analysis.report import delivered_rows, list_questions, speed_rows
 from modaltouch.analysis.statistics import find
 from modaltouch.analysis.words import say_p, say_scope, state_families
 from modaltouch.report import say_number
@@ -125,6 +126,16 @@ def test_speeds_under_the_fingers_stand_beside_the_level_asked() -> None:
         {"finger_condition": "two hands", "pair": "C and E", "cells": ["", "200 | 123"]},
     ]
     assert speed_rows(frame.drop(columns="speed_left_mm_s")) == []
+
+
+def test_a_level_without_a_delivered_speed_leaves_the_others_in_their_places() -> None:
+    """Of two levels the lower one's speed is not known: its cell is empty; where none is known, there is no table."""
+    frame = pd.DataFrame({
+        "finger_condition": "two_hands", "zone_left": "A", "zone_right": "C", "velocity_mm_s": [80.0, 200.0],
+        "delivered_mm_s": [math.nan, 190.0],
+    })  # fmt: skip
+    assert [row["cells"] for row in delivered_rows(frame)] == [["", "190"]]
+    assert delivered_rows(frame.assign(delivered_mm_s=math.nan)) == []
 
 
 def test_every_test_and_interval_has_its_certificate(paper_frame) -> None:

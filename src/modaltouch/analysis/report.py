@@ -207,19 +207,19 @@ def speed_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def delivered_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return the same of the peak speeds delivered under the faster finger, of trials of which they are known."""
-    known = frame.dropna(subset=["delivered_mm_s"]) if "delivered_mm_s" in frame else frame.head(0)
-    return [] if known.empty else _ranges(known, ["delivered_mm_s"])
+    """Return the same of the peak speeds delivered under the faster finger, of trials where they are known."""
+    is_told = "delivered_mm_s" in frame and frame["delivered_mm_s"].notna().any()
+    return _ranges(frame, ["delivered_mm_s"]) if is_told else []
 
 
 def _ranges(frame: pd.DataFrame, columns: list[str]) -> list[dict[str, Any]]:
-    """Return a row for each pair of zones, in each cell from where to where columns go."""
+    """Return a row for each pair of zones, a cell for each level: from where to where columns go."""
     *pair, level = cell_of(frame.columns)
-    bounds = frame.groupby([*pair, level], observed=True)[columns].agg(["min", "max"])
+    bounds = frame.dropna(subset=columns).groupby([*pair, level], observed=True)[columns].agg(["min", "max"])
     said = bounds.round().astype(int).astype(str).apply(
         lambda row: " | ".join("–".join(dict.fromkeys(row[column])) for column in columns), axis=1
     )  # fmt: skip
-    rows = said.unstack(level).fillna("")
+    rows = said.unstack(level, fill_value="").reindex(columns=sorted(frame[level].unique()), fill_value="")
     return [
         {
             "finger_condition": say_condition(condition),
