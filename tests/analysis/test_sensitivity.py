@@ -79,6 +79,12 @@ def test_a_bias_to_one_interval_is_the_criterion_and_not_the_sensitivity() -> No
     assert found.criterion.estimate == pytest.approx(0.5, abs=1e-4)
 
 
+def test_a_criterion_that_prefers_no_answer_is_zero() -> None:
+    """As many hits as correct rejections: no rest of rounding, and no minus before the zero."""
+    criteria = [yes_no((k, 10), (10 - k, 10)).criterion.estimate for k in range(11)]
+    assert [str(criterion) for criterion in criteria] == ["0.0"] * 11
+
+
 @pytest.mark.parametrize(("d_prime", "k"), [(0.5, 1.0), (1.5, 1.2), (3.0, 2.0)])
 def test_same_and_different_are_the_differencing_model(d_prime, k) -> None:
     """Macmillan and Creelman (2005), chapter 9, as psyphy::dprime.SD has it: H and F of a known d' and k give these."""

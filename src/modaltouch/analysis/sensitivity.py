@@ -224,8 +224,9 @@ def _profile(statistic: Statistic, first: Count, second: Count) -> Interval:
     one, other = _rates(*first, part), _rates(*second, DROP - part)
     with np.errstate(invalid="ignore"):
         values = statistic(one[:, np.newaxis], other[np.newaxis])
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    return Interval(float(estimate), low, high, first[1] + second[1])
+    # What rounding leaves of zero is none, and has no sign.
+    best, low, high = (round(float(each), 12) + 0.0 for each in (estimate, np.nanmin(values), np.nanmax(values)))
+    return Interval(best, low, high, first[1] + second[1])
 
 
 def _rates(given: int, n: int, drop: FloatArray) -> FloatArray:
