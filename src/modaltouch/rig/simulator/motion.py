@@ -123,7 +123,11 @@ class Motion:
     decay: ComplexArray
 
     def at(self, time: FloatArray) -> FloatArray:
-        """Return the output at instants since the first sample of a burst reached the beam.
+        """Return the output at instants, (n_times,) array, as `course` gives it."""
+        return np.asarray(self.course(time, 1)[0])
+
+    def course(self, time: FloatArray, n_derivatives: int = 2) -> FloatArray:
+        """Return output and slope at instants since the first sample of a burst reached the beam.
 
         Between computed instants it is a cubic, wrong by 2e-5 of the fastest mode's part; after the burst it is exact.
         A clock that begins samples late, by less than its own 4 ns, is not followed.
@@ -132,27 +136,39 @@ class Motion:
         ----------
         time : (n_times,) array
             Instants [s].
+        n_derivatives : int
+            1 for the output alone.
+
+        Returns
+        -------
+        (n_derivatives, n_times) array
+            The output, and its slope over time [1/s].
         """
         since = self.held.within_period(time)
-        result = np.empty(time.size)
+        result = np.empty((n_derivatives, time.size))
         for start in range(0, since.size, AT_ONCE):
-            some, out = since[start : start + AT_ONCE], result[start : start + AT_ONCE]
+            some, out = since[start : start + AT_ONCE], result[:, start : start + AT_ONCE]
             if some.min() >= 0 and some.max() < self.held.duration:
-                out[:] = self._during(some)
+                self._during(some, out)
                 continue
             out[:] = 0.0
             during, after = (some >= 0) & (some < self.held.duration), some >= self.held.duration
-            out[during] = self._during(some[during])
-            out[after] = (np.exp(np.outer(some[after] - self.held.duration, self.exponent)) @ self.decay).real
+            played = np.empty((len(out), np.count_nonzero(during)))
+            self._during(some[during], played)
+            out[:, during] = played
+            modes = np.stack([self.decay, self.decay * self.exponent][: len(out)], axis=1)
+            out[:, after] = (np.exp(np.outer(some[after] - self.held.duration, self.exponent)) @ modes).real.T
         return result
 
-    def _during(self, since: FloatArray) -> FloatArray:
+    def _during(self, since: FloatArray, out: FloatArray) -> None:
         part = since / self.hold
         index = part.astype(np.intp)
         np.minimum(index, self.cubic.shape[1] - 1, out=index)
         part -= index
         zeroth, first, second, third = (row[index] for row in self.cubic)
-        return np.asarray(zeroth + part * (first + part * (second + part * third)))
+        out[0] = zeroth + part * (first + part * (second + part * third))
+        for slope in out[1:]:
+            slope[:] = (first + part * (2 * second + 3 * part * third)) / self.hold
 
 
 @dataclass(frozen=True, eq=False)

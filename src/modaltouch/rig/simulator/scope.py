@@ -260,19 +260,13 @@ class SimulatedScope(Scope):
 
 def _moved(motions: Sequence[Motion], time: FloatArray, shifts: FloatArray) -> Iterator[FloatArray]:
     """Yield the velocity at instants moved by each shift in turn [m/s], each in an array of its own."""
-
-    def exact(when: FloatArray) -> FloatArray:
-        return np.asarray(sum((motion.at(when) for motion in motions), np.zeros(when.size)))
-
     furthest = float(np.abs(shifts).max())
     fastest = max((float(np.abs(motion.exponent.imag).max()) for motion in motions), default=0.0)
-    if furthest > 0 and (shifts.size <= 3 or fastest * furthest > SMALL_TURN):
+    if fastest * furthest > SMALL_TURN:
         for shift in shifts:
-            yield exact(time + shift)
+            yield sum((motion.at(time + shift) for motion in motions), np.zeros(time.size))
         return
-    # Many records of a small jitter share three computations.
-    middle = exact(time)
-    slope = (exact(time + furthest) - exact(time - furthest)) / (2 * furthest) if furthest > 0 else np.zeros(time.size)
+    middle, slope = sum((motion.course(time) for motion in motions), np.zeros((2, time.size)))
     for shift in shifts:
         moved = shift * slope
         moved += middle
