@@ -383,6 +383,28 @@ class TestSessionsAndModes:
         assert (found.parts[1].counts.counts == counted(write_csv(paper_rows, "alone.csv"))).all()
         assert [missing["n"] for missing in found.as_dict()["missing"]] == [1]
 
+    def test_stimuli_and_groups_are_in_the_order_of_the_protocol(self, write_csv, paper_rows) -> None:
+        """Differences are of the first named less the second: without a protocol by the alphabet, other names last."""
+        rows = [row | {"stimulus": name, "group": "old" if row["participant"] < "p05" else "new"}
+                for name in ("near", "far", "else") for row in paper_rows]  # fmt: skip
+        path = write_csv(rows)
+        assert read_responses(path).stimuli == ("else", "far", "near")
+        design = {"stimuli": {"near": {}, "far": {}}, "groups": {"old": {}, "new": {}}}
+        read = read_responses(path, table_format=TableFormat(design=design))
+        assert (read.stimuli, [*dict.fromkeys(read.groups.values())]) == (("near", "far", "else"), ["old", "new"])
+        alone = read_responses(path, stimulus="far", table_format=TableFormat(design=design))
+        assert [*dict.fromkeys(alone.groups.values())] == ["old", "new"]
+
+    def test_a_row_without_a_stimulus_is_refused_where_others_have_one(self, write_csv, paper_rows) -> None:
+        """At its line; catch and practice trials need none, nor does a table whose column is empty."""
+        rows = [row | {"stimulus": name, "catch": 0} for name in ("near", "far") for row in paper_rows]
+        silent = rows[0] | {"stimulus": "", "catch": 1}
+        (problem,) = fails(write_csv([silent, *rows[:7], rows[7] | {"stimulus": ""}, *rows[8:]]))
+        assert ":10:" in problem
+        assert "stimulus: given nothing; allowed: the name of a stimulus in every row; fill it in" in problem
+        assert len(read_responses(write_csv([silent, *rows])).stimuli) == 2
+        assert read_responses(write_csv([row | {"stimulus": ""} for row in paper_rows])).stimuli == ()
+
     def test_sessions_are_repetitions_and_said_to_be(self, write_csv, paper_rows) -> None:
         """Two sessions of everybody."""
         read = read_responses(write_csv([row | {"session": number} for number in (1, 2) for row in paper_rows]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -69,20 +69,19 @@ def read_csv(
     frame, answers = _frame_of(columns, fields, caught, table_format)
     columns.check_zones()
     caught &= ~practice
-    usual, scheduled = 0, []
+    columns.check_stimuli(~practice & ~caught)
     if not columns.problems:
         asked = unmirror(frame[~practice & ~caught], answers)
         parts = [part for _, part in asked.groupby("stimulus", sort=False)] if "stimulus" in asked else [asked]
-        for part in parts:
-            problems, usual = check_balance(table, part)
-            columns.problems += problems
-            scheduled.append(_with_missing(part, usual))
+        checked = [check_balance(table, part) for part in parts]
+        columns.problems += [problem for problems, _ in checked for problem in problems]
     if columns.problems:
         raise InputError(columns.problems)
     apart = ((practice, "practice trials"), (caught, "catch trials, counted apart"))
     left_out += [ExcludedSource(f"{table.file}: {rows.sum()} rows", why) for rows, why in apart if rows.any()]
-    is_crossed = len(scheduled) < 2
-    kept = asked if is_crossed else _told_apart(pd.concat(scheduled), table_format.design)
+    is_crossed = len(parts) < 2
+    kept = asked if is_crossed else _told_apart(parts, [usual for _, usual in checked], table_format.design)
+    kept = _in_order(kept, table_format.design)
     return Responses(
         kept[kept["response"].notna()],
         (),
@@ -91,7 +90,7 @@ def read_csv(
         catches=_count_catches(frame[caught & frame["response"].notna()]),
         answers=answers,
         margin=table_format.margin,
-        asked=usual,
+        asked=checked[-1][1],
         notes=tuple(notes),
         scheduled=None if is_crossed else kept,
         design=table_format.design,
@@ -108,15 +107,25 @@ def _with_missing(part: pd.DataFrame, usual: int) -> pd.DataFrame:
     lacks = (usual - answers_per_cell(part)).melt(ignore_index=False, value_name="n").reset_index()
     missing = lacks.loc[lacks.index.repeat(lacks["n"].clip(lower=0))]
     rows = pd.concat([part.loc[part.index.repeat(part["n"])], missing])
-    stimulus = {"stimulus": part["stimulus"].iloc[0]} if "stimulus" in part else {}
     rows["response"] = pd.Categorical(rows["response"], part["response"].cat.categories)
-    return rows.assign(n=1, **stimulus)
+    return rows.assign(n=1, stimulus=part["stimulus"].iloc[0])
 
 
-def _told_apart(frame: pd.DataFrame, design: Mapping[str, Any]) -> pd.DataFrame:
+def _in_order(frame: pd.DataFrame, design: Mapping[str, Any]) -> pd.DataFrame:
+    """Return answers whose stimuli and groups are in the order of the protocol, others after them."""
+    for column, section in (("stimulus", "stimuli"), ("group", "groups")):
+        if column in frame:
+            named = [name for name in design.get(section) or () if (frame[column] == name).any()]
+            order = [*named, *sorted({*frame[column]} - {*named})]
+            frame = frame.assign(**{column: pd.Categorical(frame[column], order)})
+    return frame
+
+
+def _told_apart(parts: Sequence[pd.DataFrame], usual: Sequence[int], design: Mapping[str, Any]) -> pd.DataFrame:
     """Return answers to several stimuli with the columns that tell recorded ones apart, and each one's focus."""
-    usual, own = design.get("stimulus", {}).get("focus", ""), design.get("stimuli", {})
-    focus = [str(own.get(name, {}).get("focus") or usual) for name in frame["stimulus"]]
+    frame = pd.concat(map(_with_missing, parts, usual))
+    focal, own = design.get("stimulus", {}).get("focus", ""), design.get("stimuli", {})
+    focus = [str(own.get(name, {}).get("focus") or focal) for name in frame["stimulus"]]
     frame = frame.assign(focus=focus, **{name: "" for name in ("group", "session_kind") if name not in frame})
     return frame.assign(group=frame.groupby("participant")["group"].transform("first")).reset_index(drop=True)
 
@@ -285,6 +294,15 @@ class _Columns:
         self.problems += list_faults(
             self._table.file, list(same.items()), "rows with a zone under both fingers", problem
         )
+
+    def check_stimuli(self, where: pd.Series) -> None:
+        """Refuse rows without a stimulus where others name theirs."""
+        fields = self._table.fields
+        if "stimulus" in fields and not set(fields["stimulus"]) <= set(_EMPTY):
+            self.problems += self._table.check_words(
+                fields.loc[where, "stimulus"], lambda word: word not in _EMPTY, "the name of a stimulus in every row",
+                lambda word: ("nothing", "fill it in"),
+            )  # fmt: skip
 
     def _values(self, name: str, read: Callable[[str], float]) -> pd.Series:
         """Return what each word of a column means."""
