@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 
 from modaltouch import analyse
 from modaltouch.lab import Prober
-from modaltouch.preflight import Preflight, delivered_figures, examine, with_measured
+from modaltouch.preflight import Preflight, delivered_figures, examine, has_drifted, with_measured
 from modaltouch.protocol import Trial
 from modaltouch.protocol.source import Source
 from modaltouch.record.audit import audit_session
@@ -106,14 +106,19 @@ def test_the_record_says_what_each_burst_delivered(session: Session) -> None:
 
 
 def test_fingers_that_drifted_are_marked(session: Session, preflight: Preflight) -> None:
-    """More than 5 % off the prediction, as under fingers half as heavy again."""
+    """Where the whole interval is more than 5 % off the prediction; fingers half as heavy again are so far off."""
     probe, event = placements(session)[0], session.trials[0]
     trial = Trial.from_dict(event["trial"])
     placed, found = with_measured(preflight, trial, probe), event["delivered"]
     heavier = {name: {**own, "mass_g": 1.5 * own["mass_g"]} for name, own in found["fingers"].items()}
     as_found = delivered_figures(placed, trial, found)
     assert as_found == {name: found[name] for name in as_found}
-    assert delivered_figures(placed, trial, {**found, "fingers": heavier})["drifted"]
+    loaded = delivered_figures(placed, trial, {**found, "fingers": heavier})
+    assert max(abs(loaded[name] / speed - 1) for name, speed in as_found.items()) > 0.05
+    speed = event["planned"]["speed_left_mm_s"]
+    for low, high, is_off in ((1.06, 1.08, True), (1.03, 1.09, False), (0.92, 0.94, True), (0.92, 0.96, False)):
+        left = {"interval_left_mm_s": [low * speed, high * speed]}
+        assert has_drifted(placed, trial, found | left) is is_off
 
 
 def test_levels_may_be_told_by_what_was_delivered(session: Session, tmp_path: Path) -> None:

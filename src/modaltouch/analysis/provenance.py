@@ -20,7 +20,7 @@ FAULTS = {
     "stop": "sittings ended early",
     "rig": "troubles with the instrument, all overcome or followed by an end",
     "masking_lost": "losses of the masking noise",
-    "drifted": "trials that delivered over 5 % more or less than predicted",
+    "drifted": "trials that delivered over 5 % more or less than predicted, by the whole of a 95 % interval",
     "unheard": "trials for which the vibrometer gave no delivered speed",
     "torn": "lines cut while they were written",
 }

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from modaltouch.preflight.exploration import contrast_figures, design_figures, sample_figures, sensitivity_figures
     from modaltouch.preflight.figures import estimated_duration, finite
     from modaltouch.preflight.legibility import check_legibility
-    from modaltouch.preflight.measured import delivered_figures, with_measured
+    from modaltouch.preflight.measured import delivered_figures, has_drifted, with_measured
 else:
     __getattr__ = lazily(
         __name__,
@@ -29,7 +29,7 @@ else:
             "exploration": "contrast_figures design_figures sample_figures sensitivity_figures",
             "figures": "estimated_duration finite",
             "legibility": "check_legibility",
-            "measured": "delivered_figures with_measured",
+            "measured": "delivered_figures has_drifted with_measured",
         },
     )
 
@@ -46,6 +46,7 @@ __all__ = [
     "examine",
     "examine_findings",
     "finite",
+    "has_drifted",
     "sample_figures",
     "sensitivity_figures",
     "with_measured",

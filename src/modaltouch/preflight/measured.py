@@ -46,7 +46,7 @@ def with_measured(preflight: Preflight, trial: Trial, found: Mapping[str, Any]) 
     return replace(preflight, variants=parts) if preflight.variants else parts[""]
 
 
-def delivered_figures(preflight: Preflight, trial: Trial, found: Mapping[str, Any]) -> dict[str, Any]:
+def delivered_figures(preflight: Preflight, trial: Trial, found: Mapping[str, Any]) -> dict[str, float]:
     """Return what a record of a trial's burst says of the speeds under its fingers.
 
     Parameters
@@ -61,8 +61,7 @@ def delivered_figures(preflight: Preflight, trial: Trial, found: Mapping[str, An
     Returns
     -------
     dict
-        Peak speed under each finger, ``speed_left_mm_s`` and so on; and ``drifted``, whether one is more than 5 % off
-        what was predicted.
+        Peak speed under each finger, ``speed_left_mm_s`` and so on.
     """
     placements, condition = preflight.findings.placements, trial.condition
     if placements is None:
@@ -74,10 +73,24 @@ def delivered_figures(preflight: Preflight, trial: Trial, found: Mapping[str, An
     unit = stimulus.volts_per_code(preflight.played(condition, condition.velocity_mm_s) * 1e-3)
     speeds = played.peak_velocity([by_zone[zone].position for zone in condition.zones], unit)
     names = map("speed_{}_mm_s".format, condition.sides)
-    return {
-        **dict(zip(names, (speeds * 1e3).round(3).tolist(), strict=True)),
-        "drifted": bool((np.abs(speeds / preflight.speeds(trial) - 1) > DRIFT).any()),
-    }
+    return dict(zip(names, (speeds * 1e3).round(3).tolist(), strict=True))
+
+
+def has_drifted(preflight: Preflight, trial: Trial, delivered: Mapping[str, Any]) -> bool:
+    """Return whether the whole interval of a delivered speed is more than 5 % off what was predicted.
+
+    Parameters
+    ----------
+    preflight, trial
+        As for `delivered_figures`.
+    delivered : mapping
+        Interval of the speed under each finger, ``interval_left_mm_s`` and so on.
+    """
+    names = map("interval_{}_mm_s".format, trial.condition.sides)
+    ratios = [
+        np.array(delivered[name]) / (speed * 1e3) for name, speed in zip(names, preflight.speeds(trial), strict=True)
+    ]
+    return any(low > 1 + DRIFT or high < 1 - DRIFT for low, high in ratios)
 
 
 def _on_beam(inputs: DesignInputs, by_zone: Mapping[str, Finger], modes: list[dict[str, Any]]) -> DesignInputs:

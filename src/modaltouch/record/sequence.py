@@ -138,9 +138,11 @@ def check_delivered(event: Event, trial: Trial, given: TrialExpectation) -> Iter
     said = event.get("delivered", {"refused": ""})
     if "refused" in said:
         return
-    from modaltouch.preflight import delivered_figures
+    from modaltouch.preflight import delivered_figures, has_drifted
 
-    for name, value in delivered_figures(given.restored.preflight, trial, said).items():
+    preflight = given.restored.preflight
+    found = {**delivered_figures(preflight, trial, said), "drifted": has_drifted(preflight, trial, said)}
+    for name, value in found.items():
         if abs(said[name] - value) > SPEED:
             yield f"the fingers found in its burst give a delivered {name} of {value}, not {said[name]}"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.preflight import Preflight, delivered_figures, with_measured
+from modaltouch.preflight import Preflight, delivered_figures, has_drifted, with_measured
 from modaltouch.protocol import Trial
 from modaltouch.record import SessionLog
 from modaltouch.rig import Rig, RigError
@@ -134,11 +134,11 @@ class Probing:
         began = self._clock.now()
         try:
             found = self._prober.delivered()
-            widths, told = found.pop("half_width_mm_s"), delivered_figures(self.preflight, trial, found)
+            widths, told = found.pop("half_width_mm_s"), dict[str, Any](delivered_figures(self.preflight, trial, found))
             for side, zone in zip(trial.condition.sides, trial.condition.zones, strict=True):
                 speed = told[f"speed_{side}_mm_s"]
                 told[f"interval_{side}_mm_s"] = [round(speed + sign * widths[zone], 3) for sign in (-1, 1)]
-            return {"delivered": told | found}
+            return {"delivered": {**told, "drifted": has_drifted(self.preflight, trial, told), **found}}
         except (ValueError, RigError) as error:
             return {"delivered": {"refused": str(error)}}
         finally:
