@@ -150,11 +150,12 @@ def mean_findings(values: Sequence[Own], scale: LevelScale, groups: Mapping[str,
         n_open = sum(math.isinf(each.interval.low) or math.isinf(each.interval.high) for each in own)
         tested = measure.null is not None and n > 0
         way = _FLIPS if own[0].tested is None else f"{_FLIPS}, p by those of the rates"
-        met, why_not = {groups.get(each.participant) for each in own}, why_not_95(f"mean {measure.name}")
+        met = {groups.get(each.participant) for each in own}
+        why_not = why_not_95(f"mean {measure.name}") if math.isfinite(interval.low + interval.high) else ""
         notes = [
             f"met by {', '.join(name for name in names if name in met)} only" if len(met) < len(names) else "",
             *({each.note for each in own} if len({each.note for each in own}) == 1 else ()),
-            f"{left_out} participants left out, who have none" if left_out else "",
+            f"{left_out} participants without a value left out" if left_out else "",
             f"without a bound of one's own on one side: {n_open}" if n_open else "",
             "" if tested else "described, not tested",
             f"not a 95 % interval of the true mean: {why_not}" if why_not else "",
