@@ -93,6 +93,32 @@ def test_the_page_beside_the_protocol_is_found(tmp_path: Path) -> None:
     assert "departs from the preregistration: participants: 2 preregistered, 1 analysed" in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("protocol", "families"),
+    [
+        ("magnitude", {"exponent of magnitude": 1, "rating over levels": 1}),
+        ("detection_with_confidence", {"d'": 4, "rating over levels": 1, "b": 1, "b mean": 1}),
+    ],
+)
+def test_designs_beyond_two_fingers_are_simulated_in_sessions(
+    tmp_path: Path, protocol: str, families: dict[str, int]
+) -> None:
+    """The page names the tests that the analysis then makes, and that departs in nothing."""
+    file, results = tmp_path / "plan.md", tmp_path / "results"
+    done = run("prereg", protocol, "-n", 3, "--experiments", 2, "--out", file)
+    assert done.exit_code == 0, done.stderr
+    text = file.read_text(encoding="utf-8")
+    assert "| rating over levels | ratings change with the level? | " in text
+    assert "share of 2 simulated experiments" in text
+    assert "--experiments 2 --observer paper --seed 1 --out" in text
+    assert read_preregistration(file)["tests by family"] == families
+    assert ("catch trials give the false alarms of d'" in text) is ("d'" in families)
+    assert run("simulate", protocol, "-n", 3, "--results", results).exit_code == 0
+    found = analyse(results, prereg=file)
+    assert isinstance(found, Analysis)
+    assert found.departures == ()
+
+
 def test_what_is_no_preregistration_is_refused(tmp_path: Path) -> None:
     """With its name, and what to do."""
     file = tmp_path / "notes.md"

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from modaltouch.analysis.findings import ALPHA, holm
     from modaltouch.analysis.intervals import wilson
     from modaltouch.analysis.pipeline import analyse
-    from modaltouch.analysis.preregistration import terms_of
+    from modaltouch.analysis.preregistration import describe_families, terms_of
     from modaltouch.analysis.reading import read_responses
     from modaltouch.analysis.responses import Responses, TableFormat
     from modaltouch.analysis.statistics import STATISTICS
@@ -31,7 +31,7 @@ else:
             "findings": "ALPHA holm",
             "intervals": "wilson",
             "pipeline": "analyse",
-            "preregistration": "terms_of",
+            "preregistration": "describe_families terms_of",
             "reading": "read_responses",
             "responses": "TableFormat Responses",
             "statistics": "STATISTICS",
@@ -49,6 +49,7 @@ __all__ = [
     "STATISTICS",
     "analyse",
     "analyse_runs",
+    "describe_families",
     "holm",
     "read_responses",
     "say_scope",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import pandas as pd
 
@@ -13,6 +13,7 @@ from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding, to_frame
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.tables import tabulate
+from modaltouch.protocol import InputError
 
 if TYPE_CHECKING:
     from modaltouch.analysis.designs import DesignAnalysis
@@ -47,6 +48,41 @@ class Analysis:
     design: DesignAnalysis | None = None
     preregistration: Path | None = None
     departures: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, responses: Responses, *, model: bool = False) -> Self:
+        """Return what answers to a crossed design at fixed levels have to say.
+
+        Parameters
+        ----------
+        responses : Responses
+            The answers.
+        model : bool
+            Whether the mixed logistic model is fitted, too.
+
+        Raises
+        ------
+        InputError
+            If the model has no answers to fit.
+        """
+        from modaltouch.analysis.statistics import find
+
+        chosen = responses.by_choice()
+        counts = chosen.count()
+        design = None
+        if responses.tells_of_each:
+            from modaltouch.analysis.designs import analyse_design
+
+            design = analyse_design(responses)
+        findings = tuple(find(counts, chosen.frame, design.findings if design else ()))
+        if model:
+            from modaltouch.analysis.mixed_logistic import model_findings
+
+            if not counts.compares:
+                given, allowed = "answers that do not name each of two fingers alone", "answers that do"
+                raise InputError.of("--model", given, allowed, "leave --model out")
+            findings += tuple(model_findings(counts, chosen.frame))
+        return cls(chosen, counts, findings, {}, design)
 
     @property
     def counts(self) -> pd.DataFrame:

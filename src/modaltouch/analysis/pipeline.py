@@ -111,31 +111,10 @@ def _results(
             raise InputError.of(path, given, "tables, tests of its crossed parts, models.R", remedy)
         parts = analyse_parts(responses)
         return parts, render_parts(parts)
-    analysis = _hold_against(asked["--prereg"], _find(responses, model=asked["--model"]))
-    return analysis, render_files(analysis, asked["--figures"])
-
-
-def _find(responses: Responses, *, model: bool) -> Analysis:
-    """Return what answers at levels that the protocol fixed have to say."""
     from modaltouch.analysis.outcome import Analysis
-    from modaltouch.analysis.statistics import find
 
-    chosen = responses.by_choice()
-    counts = chosen.count()
-    design = None
-    if responses.tells_of_each:
-        from modaltouch.analysis.designs import analyse_design
-
-        design = analyse_design(responses)
-    findings = tuple(find(counts, chosen.frame, design.findings if design else ()))
-    if model:
-        from modaltouch.analysis.mixed_logistic import model_findings
-
-        if not counts.compares:
-            given, allowed = "answers that do not name each of two fingers alone", "answers that do"
-            raise InputError.of("--model", given, allowed, "leave --model out")
-        findings += tuple(model_findings(counts, chosen.frame))
-    return Analysis(chosen, counts, findings, {}, design)
+    analysis = _hold_against(asked["--prereg"], Analysis.of(responses, model=asked["--model"]))
+    return analysis, render_files(analysis, asked["--figures"])
 
 
 def _hold_against(prereg: Path | str | None, analysis: Analysis) -> Analysis:

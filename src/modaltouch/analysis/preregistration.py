@@ -11,8 +11,9 @@ from typing import Any
 
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.covariates import ANTICIPATION
-from modaltouch.analysis.findings import ALPHA
+from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.outcome import Analysis
+from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.protocol import InputError
 
@@ -44,6 +45,43 @@ def terms_of(answers: AnswerCounts, tests: Mapping[str, int], protocol: Mapping[
         "shortest reaction time [s]": ANTICIPATION,
         **{name: protocol[name] for name in _UNKNOWN if name in protocol},
     }
+
+
+def describe_families(responses: Responses) -> tuple[AnswerCounts, list[dict[str, Any]]]:
+    """Return the counts of answers, and the families of confirmatory tests that their analysis holds.
+
+    Parameters
+    ----------
+    responses : Responses
+        Answers of a crossed design at fixed levels, such as simulated ones.
+
+    Returns
+    -------
+    AnswerCounts
+        Their counts.
+    list of dict
+        ``name``, ``asks``, ``test``, ``scopes``, and ``significant``: whether a test is, after correction.
+    """
+    from modaltouch.analysis.measures import claim_of
+    from modaltouch.analysis.words import headings, say_scope
+
+    analysis = Analysis.of(responses)
+    answers, families = analysis.answers, dict[str, list[Finding]]()
+    for row in analysis.findings:
+        if row.family:
+            families.setdefault(row.family, []).append(row)
+    asks = {name: statistic.asks for name, statistic in STATISTICS.items()}
+    asked = headings(answers)
+    return answers, [
+        {
+            "name": name,
+            "asks": asks.get(name) or claim_of(name, asked[rows[0].question][1]),
+            "test": rows[0].name,
+            "scopes": [say_scope(row.scope, answers.finger_conditions, answers.pairs) for row in rows],
+            "significant": any(row.p_holm <= ALPHA for row in rows),
+        }
+        for name, rows in families.items()
+    ]
 
 
 def read_preregistration(path: Path) -> dict[str, Any]:
@@ -84,7 +122,8 @@ def find_departures(terms: Mapping[str, Any], analysis: Analysis) -> tuple[str, 
     if start.get("sources"):
         margin = (start.get("design", {}).get("analysis") or {}).get("equivalence_margin")
         known = dict(zip(_UNKNOWN, (start["sources"]["protocol"]["sha256"], margin), strict=True))
-    families = Counter(row.family for row in analysis.findings if row.family in STATISTICS)
+    counted = {*STATISTICS, *terms.get("tests by family", ())}
+    families = Counter(row.family for row in analysis.findings if row.family in counted)
     found = terms_of(analysis.answers, families, known)
     said = [
         f"{name}: {_say(terms.get(name))} preregistered, {_say(found[name])} analysed"

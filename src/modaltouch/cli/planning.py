@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import groupby
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from modaltouch.cli.analyse import participants
 from modaltouch.cli.exit_status import INTERRUPTED, print_json, reporting
-from modaltouch.cli.options import JSON, MODE, OBSERVER, PROTOCOL
+from modaltouch.cli.options import JSON, MODE, OBSERVER, PROTOCOL, USUAL_OBSERVER
 from modaltouch.cli.tables import print_table, progress
 
 if TYPE_CHECKING:
-    from modaltouch.planning import Power
+    from modaltouch.analysis import Responses
+    from modaltouch.planning import Observer, Power
+    from modaltouch.preflight import Preflight
 
 
 _FAMILIES_BESIDE = 4
@@ -261,11 +265,33 @@ def _cell(row: dict[str, Any]) -> str:
     return f"{100 * row['power']:.0f} ({100 * row['low']:.0f}-{100 * row['high']:.0f})"
 
 
+def _simulate_study(preflight: Preflight, population: Observer, n_participants: int, seed: int) -> Responses:
+    """Return the answers of a whole experiment in simulated sessions, whose records are not kept."""
+    from modaltouch.analysis import read_responses
+    from modaltouch.session import simulate_session
+
+    schedule = preflight.experiment.protocol.schedule
+    with TemporaryDirectory() as folder:
+        for number in range(1, n_participants + 1):
+            for session in range(1, schedule.n_sessions + 1):
+                name = f"p{number:04d}"
+                simulate_session(preflight, name, folder, seed=seed, observer=population, session=session)
+        return read_responses(Path(folder))
+
+
 def prereg(
     protocol: PROTOCOL,
     participants: Annotated[int, typer.Option("--participants", "-n", min=1, max=1000, help="How many are planned.")],
-    observer: OBSERVER = "paper",
-    experiments: Annotated[int, typer.Option(min=1, max=1_000_000, help="Experiments simulated for the power.")] = 1000,
+    observer: USUAL_OBSERVER = None,
+    experiments: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=1_000_000,
+            help="Experiments simulated for the power.",
+            show_default="1000; 20 where whole sessions are simulated",
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed; the same seed gives the same figures.")] = 1,
     out: Annotated[
         Path | None, typer.Option(help="File to write.", show_default="PROTOCOL.prereg.md, where analyse finds it")
@@ -274,10 +300,11 @@ def prereg(
 ) -> None:
     """Write design, hypotheses, tests, margins, exclusion rules and sample size as one page of Markdown.
 
-    The power is that of the protocol itself, simulated. A page that is there already is never overwritten.
+    The power is that of the protocol itself, simulated: by counts of answers where two fingers are compared, else by
+    whole sessions and their analysis. A page that is there already is never overwritten.
     `modaltouch analyse` says what departs from it.
     """
-    from modaltouch.planning import preregister, read_observer
+    from modaltouch.planning import preregister, read_observer, usual_observer
     from modaltouch.preflight import examine
     from modaltouch.record import RecordError
 
@@ -287,10 +314,11 @@ def prereg(
         file = out or (source if protocol.is_file() else Path(source.name)).with_suffix(".prereg.md")
         if file.exists():
             raise RecordError(f"{file}: is there already; move it away, or give another file with --out")
+        population = read_observer(observer or usual_observer(preflight.experiment.protocol))
         with progress("experiments") as on_progress:
             text = preregister(
-                preflight, read_observer(observer), participants, n_experiments=experiments, seed=seed,
-                on_progress=on_progress,
+                preflight, population, participants, n_experiments=experiments, seed=seed,
+                on_progress=on_progress, study=partial(_simulate_study, preflight, population, participants),
             )  # fmt: skip
         try:
             with file.open("x", encoding="utf-8", newline="\n") as opened:

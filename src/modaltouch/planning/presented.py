@@ -37,6 +37,21 @@ def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
         If anything is wrong with the protocol, or its levels follow from answers or differ between participants.
     """
     protocol = preflight.experiment.protocol
+    refuse_open_levels(preflight)
+    refuse_unlike(preflight)
+    placements = _placements(protocol)
+    return {name: _design(name, part, observer, placements) for name, part in preflight.parts.items()}
+
+
+def refuse_open_levels(preflight: Preflight) -> None:
+    """Refuse a protocol whose levels follow from answers or differ between participants.
+
+    Raises
+    ------
+    InputError
+        If they do.
+    """
+    protocol = preflight.experiment.protocol
     adaptive, levels = "adaptive runs, which have no fixed conditions", "levels calibrated by participant"
     _refuse(
         preflight,
@@ -49,9 +64,6 @@ def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
             "plan with peak velocities as you expect them",
         ),
     )
-    refuse_unlike(preflight)
-    placements = _placements(protocol)
-    return {name: _design(name, part, observer, placements) for name, part in preflight.parts.items()}
 
 
 def refuse_unlike(preflight: Preflight) -> None:
