@@ -50,15 +50,12 @@ class Scan:
         What was kept at each position; with whole records ``time``, ``velocity`` and ``drive``.
     overloaded : tuple of tuple of str
         What reached the end of its range, at each position.
-    sampling_rate : float
-        By the scope's clock [Hz].
     """
 
     facts: Mapping[str, Any]
     positions: FloatArray
     arrays: tuple[Mapping[str, NDArray[Any]], ...]
     overloaded: tuple[tuple[str, ...], ...]
-    sampling_rate: float
 
     @property
     def complete(self) -> bool:
@@ -78,7 +75,7 @@ class Scan:
     @property
     def time(self) -> FloatArray:
         """From the trigger, by the scope's clock, (n_samples,) array [s]."""
-        return np.asarray(self._one("time"), dtype=float)
+        return np.asarray(self.arrays[0]["time"], dtype=float)
 
     @cached_property
     def velocity(self) -> FloatArray:
@@ -91,14 +88,7 @@ class Scan:
         return self.stacked("drive")
 
     def stacked(self, name: str) -> FloatArray:
-        """Return what was kept under a name, position after position.
-
-        Raises
-        ------
-        KeyError
-            If this scan keeps nothing under that name.
-        """
-        self._one(name)
+        """Return what was kept under a name, position after position."""
         return np.stack([np.asarray(each[name], dtype=float) for each in self.arrays])
 
     def require_complete(self) -> Scan:
@@ -132,12 +122,6 @@ class Scan:
                     "cut: scan again into another folder, with a wider range or a lower drive"
                 )
         return self
-
-    def _one(self, name: str) -> NDArray[Any]:
-        first = self.arrays[0] if self.arrays else {}
-        if name not in first:
-            raise KeyError(f"this scan keeps {', '.join(first) or 'nothing'} at each position, no {name}")
-        return first[name]
 
 
 def position_file(folder: Path, index: int) -> Path:
@@ -205,7 +189,6 @@ def assemble(facts: Mapping[str, Any], kept: list[dict[str, NDArray[Any]]]) -> S
         positions=np.array(facts["settings"]["positions_mm"][: len(kept)], dtype=float) * 1e-3,
         arrays=tuple(kept),
         overloaded=tuple(tuple(str(name) for name in each["overloaded"]) for each in kept),
-        sampling_rate=float(kept[0]["sampling_rate"]) if kept else float("nan"),
     )
 
 
@@ -269,10 +252,7 @@ def take_scan(
         If the rig fails; the outputs are off and what was recorded is kept.
     RecordError
         If the folder holds a scan of other settings, something else, or cannot be written.
-    ValueError
-        If a position is not on the beam.
     """
-    plan.check_on(laboratory.apparatus)
     facts = _describe(laboratory, plan, source, reduction)
     places = np.array(facts["settings"]["positions_mm"]) * 1e-3
     kept = [] if folder is None else _begin(folder, facts, plan)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -42,32 +41,6 @@ class ScanPlan:
     acquisition: Acquisition
     about: Mapping[str, Any] = field(default_factory=dict)
     across: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse positions that are none, or one twice."""
-        places = tuple(float(position) for position in self.positions)
-        object.__setattr__(self, "positions", places)
-        if not places:
-            raise ValueError("no position is given; give at least one")
-        if not all(math.isfinite(place) for place in places):
-            raise ValueError(f"the positions {places} are not all finite numbers: give metres from mid-beam")
-        if len(set(places)) < len(places):
-            double = next(place for place in places if places.count(place) > 1)
-            raise ValueError(f"the position {double * 1e3:g} mm is given twice; give each once")
-
-    def check_on(self, apparatus: Apparatus) -> None:
-        """Refuse positions beyond the ends of the beam."""
-        half = apparatus.beam.length_mm / 2
-        for place in self.positions:
-            if abs(place) * 1e3 > half * (1 + 1e-9):
-                raise ValueError(
-                    f"the position {place * 1e3:g} mm is not on the beam: it reaches from {-half:g} to {half:g} mm"
-                )
-        half = apparatus.beam.width_mm / 2
-        if not abs(self.across) * 1e3 <= half:
-            raise ValueError(
-                f"the row {self.across * 1e3:g} mm across is not on the beam: allowed {-half:g} to {half:g}"
-            )
 
     def settings(self) -> dict[str, Any]:
         """Return everything that must be the same when a scan goes on, as plain values."""
