@@ -1,28 +1,15 @@
-"""What a measurement may ask, which input ranges it takes, and how ranges follow from what was found."""
+"""What a measurement may ask, and which input ranges it takes."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import pytest
 
-from modaltouch.rig.acquisition import Acquisition, Inputs, Recording
+from modaltouch.rig.acquisition import Acquisition, Inputs
 from modaltouch.rig.interface import RigError
 
 INPUTS = Inputs(sensitivity=0.05, highest_velocity=0.5, attenuation=100.0)
-
-
-def recording(velocity: float, drive: float, *overloaded: str) -> Recording:
-    """Return a recording of two samples."""
-    return Recording(
-        position=0.02,
-        time=np.array([0.0, 1e-6]),
-        velocity=np.array([[0.0, -velocity]]),
-        drive=np.array([[[drive, 0.0]]]),
-        sampling_rate=1e6,
-        overloaded=overloaded,
-    )
 
 
 @pytest.mark.parametrize(
@@ -72,24 +59,3 @@ def test_what_no_range_holds_is_refused(asked: Acquisition, words: str) -> None:
     """The message names what was asked, the bound, and the knob to turn."""
     with pytest.raises(RigError, match=words):
         INPUTS.ranges(asked)
-
-
-def test_ranges_follow_from_a_first_look() -> None:
-    """The highest of either sign times the headroom; the rest of the measurement stays."""
-    asked = Acquisition(n_records=7, drives=(2,))
-    fitted = recording(0.1, 40.0).fitting(asked, headroom=1.5)
-    assert fitted.velocity_range == pytest.approx(0.15)
-    assert fitted.drive_range == pytest.approx(60.0)
-    assert (fitted.n_records, fitted.drives) == (7, (2,))
-
-
-def test_silence_leaves_ranges_as_they_were() -> None:
-    """Nothing found: nothing to fit to."""
-    asked = Acquisition(velocity_range=0.2, drive_range=100.0)
-    assert recording(0.0, 0.0).fitting(asked) == asked
-
-
-def test_overload_is_no_first_look() -> None:
-    """The height of what was cut is not known."""
-    with pytest.raises(RigError, match="velocity, drive 1 was overloaded at 20 mm"):
-        recording(0.5, 200.0, "velocity", "drive 1").fitting(Acquisition())

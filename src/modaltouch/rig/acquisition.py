@@ -15,7 +15,7 @@ a transfer function lacks their droop and half a sample of delay. Sample a few t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,32 +110,6 @@ class Recording:
     drive: FloatArray
     sampling_rate: float
     overloaded: tuple[str, ...]
-
-    def fitting(self, asked: Acquisition, headroom: float = 1.25) -> Acquisition:
-        """Return a measurement whose ranges fit what was found here, for more resolution at the next.
-
-        Parameters
-        ----------
-        asked, headroom
-            What to change the ranges of; range over the highest value found here [1].
-
-        Raises
-        ------
-        RigError
-            If something was overloaded here, so that its height is not known.
-        """
-        if self.overloaded:
-            raise RigError(
-                f"{', '.join(self.overloaded)} was overloaded at {self.position * 1e3:g} mm: its height is not "
-                "known; measure with a wider range or a lower drive first"
-            )
-        highest = float(np.abs(self.velocity).max())
-        drive = float(np.abs(self.drive).max(initial=0.0))
-        return replace(
-            asked,
-            velocity_range=highest * headroom if highest > 0 else asked.velocity_range,
-            drive_range=drive * headroom if drive > 0 else asked.drive_range,
-        )
 
 
 @dataclass(frozen=True)

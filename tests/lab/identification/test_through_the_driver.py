@@ -14,7 +14,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from modaltouch.lab.identification.excitation import LOWEST, Campaign, Excitation, evenly, excite
+from modaltouch.lab.identification.excitation import LOWEST, Campaign, Excitation, _with_range, evenly, excite
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import Spectra, responses_of
 from modaltouch.lab.identification.shapes import mac
@@ -141,6 +141,14 @@ def test_saturated_records_are_refused_with_their_place(laboratory: Laboratory) 
     scan = take_scan(laboratory, ScanPlan(burst, burst.velocity, (0.049,), narrow), reduction=Spectra(12e3))
     with pytest.raises(RecordInputError, match="velocity reached the end of the range at 49 mm.* another folder"):
         responses_of({"centre": scan})
+
+
+def test_a_first_look_that_was_cut_tells_no_range(laboratory: Laboratory) -> None:
+    """The height of what was cut is not known: what to change, before a position is measured."""
+    burst = excite(laboratory.apparatus, "centre", 20.0, 12e3)
+    narrow = Acquisition(3.125e6, 819_200, 1, (1,), velocity_range=1e-3, drive_range=25.0)
+    with pytest.raises(RigError, match="velocity was overloaded at 49 mm: .* a wider range or a lower drive"):
+        _with_range(laboratory, ScanPlan(burst, burst.velocity, (0.049,), narrow), "centre", 20.0)
 
 
 def test_scans_at_other_positions_do_not_go_together(laboratory: Laboratory) -> None:

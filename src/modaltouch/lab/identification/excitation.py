@@ -250,11 +250,14 @@ def _with_range(laboratory: Laboratory, plan: ScanPlan, name: str, voltage: floa
             f"the excitation moves the end of the beam at {highest * 1e3:.0f} mm/s, the safety limit is "
             f"{limit * 1e3:g}; the outputs are off; lower --drive-V"
         )
+    if seen.overloaded:
+        raise RigError(
+            f"{', '.join(seen.overloaded)} was overloaded at {end * 1e3:g} mm: its height is not known; measure with a "
+            "wider range or a lower drive first"
+        )
     # Overload is told of every record, so that the vibrometer's whole range is range enough.
     widest = laboratory.apparatus.acquisition.range_mm_s * 1e-3
-    fitting = seen.fitting(asked, HEADROOM).velocity_range
-    wanted = None if fitting is None else min(fitting, widest)
-    return replace(asked, velocity_range=wanted)
+    return replace(asked, velocity_range=min(HEADROOM * highest, widest) if highest > 0 else None)
 
 
 def evenly(length: float, n_points: int, margin: float) -> tuple[float, ...]:
