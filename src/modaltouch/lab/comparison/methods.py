@@ -122,8 +122,6 @@ def regularised_inverse(response: ComplexArray, target: ComplexArray, strength: 
     gram = adjoint @ H
     beta = strength * float(np.linalg.norm(gram, 2, axis=(1, 2)).max())
     right = (adjoint @ target.T[:, :, None])[:, :, 0]
-    if strength == 0:
-        return np.asarray(np.linalg.solve(gram, right[:, :, None])[:, :, 0].T)
     return np.asarray(np.linalg.solve(gram + beta * np.eye(gram.shape[1]), right[:, :, None])[:, :, 0].T)
 
 
@@ -134,7 +132,7 @@ def inverse_filter_at_instant(known: TrainingData) -> FloatArray:
     is the regularisation. Directions that do not stand ABOVE_NOISE out of it are left out, since a drive that leans on
     them leans on noise; more are where it would pass the voltage limit.
     """
-    noise = float(known.responses.noise_towards(known.n_before * known.step, known.step).sum()) * known.n_before
+    noise = float(known.responses.noise_towards(known.step).sum()) * known.n_before
     target, towards = known.target(), known.towards
     strength, direction = np.linalg.eigh(np.einsum("cmj,cnj->mn", towards, towards, optimize=True))
     for floor in noise * ABOVE_NOISE * 10.0 ** np.arange(STRONGER):

@@ -90,7 +90,7 @@ class TransferFunctions:
         """
         return self.in_time(self.response, step / 2, step, round(instant / step)) * step
 
-    def noise_towards(self, instant: float, step: float) -> FloatArray:
+    def noise_towards(self, step: float) -> FloatArray:
         """Return the mean square of what noise adds to each number of `towards`, (n_channels,) array."""
         return np.asarray(2 * self.spacing**2 * self.variance.sum(axis=1) * step**2)
 
