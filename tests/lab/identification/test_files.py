@@ -274,7 +274,6 @@ def test_half_power_of_one_mode_is_its_damping() -> None:
     response = np.abs(1j * omega / (own**2 - omega**2 + 2j * 0.005 * own * omega))
     peak = half_power(frequency, response, 1000, 10)
     assert peak.damping_ratio == pytest.approx(0.005, rel=1e-3)
-    assert peak.resolved
     assert peak.verdict == ""
 
 
@@ -284,7 +283,6 @@ def test_resolution_guard_fires_below_five_bins() -> None:
     omega, own = 2 * np.pi * frequency, 2 * np.pi * 1001
     response = np.abs(1j * omega / (own**2 - omega**2 + 2j * 0.005 * own * omega))
     peak = half_power(frequency, response, 1001, 10)
-    assert not peak.resolved
     assert "bins across the peak, at least 5 are needed" in peak.verdict
 
 

@@ -48,7 +48,7 @@ def test_slender_beam_of_pyuff(data: Path) -> None:
     assert len(found.modes) == len(stated)
     for mode, frequency in zip(found.modes, stated, strict=True):
         assert mode.natural_frequency.value == pytest.approx(frequency, abs=0.011)
-        assert not mode.half_power.resolved
+        assert mode.half_power.verdict
         assert mode.half_power.damping_ratio > 3 * mode.damping_ratio.value
     beam = recognise([mode.natural_frequency.value for mode in found.modes])
     assert beam is not None

@@ -63,7 +63,7 @@ def test_torsion_is_named_between_the_bending_modes(found: Identification, beam:
 def test_points_of_a_scanned_grid_may_scatter(beam: TrueBeam) -> None:
     """By 0.5 mm along and 50 um across: still 13 places along the beam, the same modes and no false one."""
     scattered = FrequencyResponses.of_rows([row_of(beam, across, 0.5e-3) for across in ROWS])
-    assert scattered.n_along == 13
+    assert along(scattered.places)[0].size == 13
     found = identify(scattered, LENGTH)
     assert [mode.name for mode in found.modes] == ["5", "T1", "6", "7"]
     np.testing.assert_allclose([float(row["position_mm"]) for row in shape_rows(found)], POSITIONS * 1e3, atol=0.5)

@@ -83,8 +83,7 @@ def refine(
         options={"initial_trust_radius": 1.0, "max_trust_radius": 20.0, "gtol": 1e-6, "maxiter": most},
     )
     best = at(found.x)
-    ordered = np.argsort(best.natural_frequency)
-    refined = Poles(best.natural_frequency[ordered], best.damping_ratio[ordered], best.delay)
+    refined = Poles(best.natural_frequency, best.damping_ratio, best.delay).sorted()
     return refined, evaluate(problem, refined.natural_frequency, refined.damping_ratio, refined.delay, scale)
 
 

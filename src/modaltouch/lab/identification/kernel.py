@@ -164,11 +164,6 @@ class Evaluation:
         return 0.5 * float((self.rest**2).sum())
 
     @cached_property
-    def n_free(self) -> int:
-        """Degrees of freedom."""
-        return int(self.rest.size - self.residue.size - 2 * self.n_modes - 1)
-
-    @cached_property
     def _own(self) -> FloatArray:
         """Residue of the mode that each pole parameter moves, (2 n_modes, n_responses) array."""
         return np.concatenate([self.residue[: self.n_modes]] * 2)
@@ -211,7 +206,7 @@ class Evaluation:
     @property
     def variance(self) -> float:
         """Mean square of what is left, by the degrees of freedom."""
-        return 2 * self.cost / max(self.n_free, 1)
+        return 2 * self.cost / max(self.rest.size - self.residue.size - 2 * self.n_modes - 1, 1)
 
     @cached_property
     def deviation(self) -> FloatArray:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray
-from modaltouch.lab.identification.responses import FrequencyResponses
+from modaltouch.lab.identification.responses import FrequencyResponses, along
 from modaltouch.stimulus import mode_shapes
 
 FEWEST_BINS = 5.0
@@ -40,16 +40,11 @@ class HalfPower:
     n_bins: float
 
     @property
-    def resolved(self) -> bool:
-        """Whether the bins are fine enough for the damping to mean anything."""
-        return self.n_bins >= FEWEST_BINS
-
-    @property
     def verdict(self) -> str:
         """What is wrong with the damping ratio; empty if nothing is."""
         if math.isnan(self.damping_ratio):
             return "the peak does not fall to half its power on both sides"
-        if not self.resolved:
+        if self.n_bins < FEWEST_BINS:
             return f"{self.n_bins:.1f} bins across the peak, at least {FEWEST_BINS:g} are needed: a longer record"
         return ""
 
@@ -219,7 +214,7 @@ class _Peak:
 def _shares(responses: FrequencyResponses, length: float | None) -> list[ComplexArray]:
     """Return shares of the responses over their noise, each an (n, n_bins) array."""
     white = responses.response / np.sqrt(responses.noise)[:, None, :]
-    n_labels = responses.n_along * 2 // 3
+    n_labels = along(responses.places)[0].size * 2 // 3 if responses.places else 0
     if responses.positions is None or length is None or n_labels < FEWEST_LABELS:
         return [white.reshape(-1, white.shape[-1])]
     shapes = mode_shapes(range(1, n_labels + 1), responses.positions, length)

@@ -187,11 +187,6 @@ class FrequencyResponses:
         return tuple(Place(*each) for each in np.stack([self.positions, across], axis=1).tolist())
 
     @property
-    def n_along(self) -> int:
-        """Number of points along the beam, those of rows beside each other counted once."""
-        return int(along(self.places)[0].size) if self.places else self.n_points
-
-    @property
     def spacing(self) -> float:
         """Distance of two bins [Hz]."""
         return float(self.frequency[1] - self.frequency[0])
