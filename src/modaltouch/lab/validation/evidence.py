@@ -214,15 +214,14 @@ class Evidence:
     @cached_property
     def snapshots(self) -> FloatArray:
         """Field at the focusing instant, record by record, (n_records, n_positions) array [m/s]."""
-        return np.asarray(self._at(self.instant))
+        return self._at_focus(self.observation.field)
 
-    def _at(self, instant: float, scan: Scan | None = None) -> FloatArray:
+    def _at_focus(self, scan: Scan) -> FloatArray:
         from scipy.interpolate import CubicSpline
 
-        scan = scan or self.observation.field
         time = scan.time - self.lag
-        near = np.abs(time - instant) < 2e-5
-        return np.asarray(CubicSpline(time[near], scan.velocity[:, :, near], axis=2)(instant).T)
+        near = np.abs(time - self.instant) < 2e-5
+        return np.asarray(CubicSpline(time[near], scan.velocity[:, :, near], axis=2)(self.instant).T)
 
     @property
     def measured_points(self) -> FloatArray:
@@ -237,7 +236,7 @@ class Evidence:
     @cached_property
     def field_over_width(self) -> FloatArray:
         """Velocity of each row at the focusing instant, record by record, (n_rows, n_records, n_positions) [m/s]."""
-        return np.array([self._at(self.instant, scan) for scan in self.rows])
+        return np.array([self._at_focus(scan) for scan in self.rows])
 
     @cached_property
     def speed_over_width(self) -> FloatArray:
@@ -333,10 +332,6 @@ class Evidence:
     def focus_course(self) -> FloatArray:
         """Mean velocity at the focus throughout the burst, (n_times,) array [m/s]."""
         return np.asarray(self.course[self._focus_row])
-
-    def width(self, fraction: float) -> float:
-        """Return how wide the measured field is at a fraction of its value at the focus [m]."""
-        return spot_width(self.position, self.measured_field, self.centre, fraction)
 
     @cached_property
     def time_above_90(self) -> float:
