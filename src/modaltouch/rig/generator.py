@@ -240,16 +240,14 @@ class Generator:
 
     def _begin(self, firing: Firing, n_bursts: int, *, silent: bool) -> None:
         """Switch the outputs on and let the first burst go, and keep when that was."""
-        clock = self._clock
+        clock, self._silent = self._clock, silent
         started = clock.now()
         self._player.switch_on()
         on = clock.now()
         if silent:
             clock.sleep(RELAYS_SETTLE)
-            self._silent = True
             span, bursts = (on, on), Bursts(0, 0, 0, 0)
         elif self._player.repetition == "single":
-            self._silent = False
             order = self._player.order(n_bursts, on + RELAYS_SETTLE, self._patience.trigger)
             report = self._connection.guard.play(order)
             while report.first is None and not report.ended and report.due < MOST_AWAITED:
@@ -262,7 +260,6 @@ class Generator:
             span = self._sample_left(report.first)
             bursts = self._count(report)
         else:
-            self._silent = False
             span = (started, on + (self._player.period if self._player.repetition != "continuous" else 0.0))
             bursts = Bursts()
         middle, half = sum(span) / 2, (span[1] - span[0]) / 2

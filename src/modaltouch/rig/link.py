@@ -92,11 +92,6 @@ class Link:
         self._copy_timeout = copy_timeout
         self._open = False
 
-    @property
-    def is_open(self) -> bool:
-        """Whether the session exists and no exchange has failed."""
-        return self._open
-
     def open(self) -> None:
         """Open the session anew.
 

@@ -118,11 +118,6 @@ class VisaSession:
         self._lock: int | None = None
         self._counted_until = 0.0
 
-    @property
-    def is_open(self) -> bool:
-        """Whether there is a session."""
-        return self._resource is not None
-
     def open(self) -> str:
         """Open it anew and return in words how others are kept out.
 

@@ -22,8 +22,6 @@ class Behaviour:
 
     Attributes
     ----------
-    identity : str
-        Reply to ``*IDN?``; the twin's own where it is empty.
     idle_level : str
         Where the output rests between bursts: at the ``first`` or ``last`` point, or at the ``offset``.
     timer_digits : int
@@ -40,7 +38,6 @@ class Behaviour:
         Whether a trigger inside a running burst is ``ignored``, without an error, or ``restarts`` the burst.
     """
 
-    identity: str = ""
     idle_level: Literal["first", "last", "offset"] = "first"
     timer_digits: int = 9
     copy_time: float = 0.0
@@ -125,7 +122,6 @@ class GeneratorState(ABC, Generic[C]):
 
     def __post_init__(self) -> None:
         self.errors: deque[str] = deque()
-        self.identity = self.behaviour.identity or self.identity
         self.timeline = Timeline(self.delays, self.behaviour.retrigger, self.seed)
         self.power_on()
 
