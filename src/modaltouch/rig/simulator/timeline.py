@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -183,8 +183,8 @@ class Timeline:
         self._closed: dict[int, float] = {}
         self._switching: list[tuple[float, int, bool]] = []
         self._cycle_length = self._reach = self._aligned = 0.0
-        self._burst: _Run | None = None
-        self._cycle: _Run | None = None
+        # By whether a trigger began it.
+        self._running: dict[bool, _Run] = {}
 
     def change(self, now: float, situation: Situation) -> None:
         """Take new settings; what they change of a running burst ends it here."""
@@ -211,16 +211,15 @@ class Timeline:
     def abort(self, now: float) -> None:
         """End the burst that a trigger began."""
         self.advance(now)
-        if self._burst is not None:
-            self._finish(self._burst, now)
-        self._burst, self.triggers = None, ()
+        self._end(now, in_burst=True)
+        self.triggers = ()
 
     def align(self, now: float) -> None:
         """Begin anew what repeats without trigger."""
         self.advance(now)
-        if self._cycle is not None:
-            self._finish(self._cycle, now)
-        self._aligned, self._cycle = now, self._run(now, None, in_burst=False)
+        self._end(now, in_burst=False)
+        self._aligned = now
+        self._begin(now, None, in_burst=False)
 
     def power_cut(self, now: float) -> None:
         """End everything and open the relays at once."""
@@ -237,7 +236,8 @@ class Timeline:
         while True:
             tick, cycle = self._next_tick(), self._cycle_length
             beat = _after(self._now, self._aligned, cycle) if cycle else math.inf
-            instant = min(tick, beat, *self._others())
+            ends = (run.end for run in self._running.values())
+            instant = min([tick, beat, *ends, *(switched for switched, *_ in self._switching[:1])])
             if instant > now:
                 break
             self._now = max(self._now, instant)
@@ -245,16 +245,9 @@ class Timeline:
             if tick == instant:
                 self._take(instant, instant, None)
             if beat == instant:
-                if self._cycle is not None:
-                    self._finish(self._cycle, self._cycle.end)
-                self._cycle = self._run(instant, None, in_burst=False)
+                self._end(None, in_burst=False)
+                self._begin(instant, None, in_burst=False)
         self._now = now
-
-    def _others(self) -> Iterator[float]:
-        """Yield when relays switch and bursts end [s]."""
-        yield self._switching[0][0] if self._switching else math.inf
-        yield math.inf if self._burst is None else self._burst.end
-        yield math.inf if self._cycle is None else self._cycle.end
 
     def _skip(self, now: float) -> None:
         """Leave out what nobody can tell: long spans in which nothing listens, or no relay is closed."""
@@ -268,12 +261,8 @@ class Timeline:
     def _settle(self, now: float) -> None:
         """Let the relays move that are to, and end what is over."""
         self._switch(now)
-        if self._burst is not None and self._burst.end <= now:
-            self._finish(self._burst, self._burst.end)
-            self._burst = None
-        if self._cycle is not None and self._cycle.end <= now:
-            self._finish(self._cycle, self._cycle.end)
-            self._cycle = None
+        for in_burst in [each for each, run in self._running.items() if run.end <= now]:
+            self._end(None, in_burst=in_burst)
 
     def _next_tick(self) -> float:
         """Return when the next trigger comes by itself [s]: of a clock that knows nothing of the settings."""
@@ -283,8 +272,8 @@ class Timeline:
         period = situation.tick * math.ceil(FINEST / situation.tick)
         return _after(self._now, self._phase * period, period)
 
-    def _run(self, begin: float, link: int | None, *, in_burst: bool) -> _Run | None:
-        """Return what begins at an instant, of the channels that are in burst or of the others."""
+    def _begin(self, begin: float, link: int | None, *, in_burst: bool) -> None:
+        """Let begin at an instant what the channels that are in burst, or the others, have to send."""
         situation = self._situation
         spans = {}
         for channel, sent in enumerate(situation.sent):
@@ -294,16 +283,17 @@ class Timeline:
         if spans and self.caught is None and any(situation.outputs):
             rows = zip(situation.sent, situation.outputs, strict=True)
             self.caught = tuple(sent if on else None for sent, on in rows)
-        return _Run(situation.sent, spans, link) if spans else None
+        if spans:
+            self._running[in_burst] = _Run(situation.sent, spans, link)
 
     def _take(self, now: float, begin: float, link: int | None) -> None:
-        running = self._burst
+        running = self._running.get(True)
         if running is not None and now < running.end - ROUNDING and self._retrigger == "ignored":
             return
         if running is not None:
-            self._finish(running, running.end if now >= running.end - ROUNDING else begin)
-        self._burst = self._run(begin, link, in_burst=True)
-        if self._burst is not None:
+            self._end(None if now >= running.end - ROUNDING else begin, in_burst=True)
+        self._begin(begin, link, in_burst=True)
+        if True in self._running:
             self.triggers = (*self.triggers[-1:], begin)
 
     def _switch(self, now: float) -> None:
@@ -313,24 +303,24 @@ class Timeline:
             if on:
                 self._closed.setdefault(channel, instant)
                 continue
-            for run in (self._burst, self._cycle):
-                if run is not None:
-                    self._pass(run, channel, instant)
+            for run in self._running.values():
+                self._pass(run, channel, instant)
             self._closed.pop(channel, None)
-            for run in (self._burst, self._cycle):
-                if run is not None and not any(each in self._closed for each in run.spans):
+            for run in self._running.values():
+                if not any(each in self._closed for each in run.spans):
                     self._tell(run)
 
     def _cut(self, now: float) -> None:
-        for run in (self._burst, self._cycle):
-            if run is not None:
-                self._finish(run, now)
-        self._burst = self._cycle = None
+        for in_burst in list(self._running):
+            self._end(now, in_burst=in_burst)
 
-    def _finish(self, run: _Run, at: float) -> None:
-        for channel in run.spans:
-            self._pass(run, channel, at)
-        self._tell(run)
+    def _end(self, at: float | None, *, in_burst: bool) -> None:
+        """End what runs at an instant, or where it ends by itself."""
+        run = self._running.pop(in_burst, None)
+        if run is not None:
+            for channel in run.spans:
+                self._pass(run, channel, run.end if at is None else at)
+            self._tell(run)
 
     def _pass(self, run: _Run, channel: int, until: float) -> None:
         """Note what of a run went through a relay that has been closed until now."""
