@@ -94,6 +94,11 @@ class Report:
     ended: Ending = ""
     reason: str = ""
 
+    @property
+    def lost(self) -> str:
+        """Why the bursts ended that nobody ended; empty while all is well."""
+        return f"{self.ended}: {self.reason}" if self.ended in ("stalled", "failed") else ""
+
 
 class BurstPlayer(Transport, typing.Protocol):
     """What the driver asks of a watchdog: the way to the instrument, bursts, and outputs off without the driver."""
@@ -266,8 +271,7 @@ class LocalClient:
 
     def beat(self) -> str:
         """Return why the bursts ended that nobody ended; empty while all is well."""
-        report = self._pacer.report if self._pacer is not None else Report()
-        return f"{report.ended}: {report.reason}" if report.ended == "failed" else ""
+        return self.look().lost
 
     def play(self, order: Order) -> Report:
         """Have bursts played, and let time pass until the first is; return the report as it stands then."""

@@ -146,7 +146,7 @@ class WatchdogProcess:
             for letter, number, content in read_frames(requests):
                 self._heard = self._clock.now()
                 if letter == BEAT:
-                    reply(DONE, number, self._lost().encode())
+                    reply(DONE, number, b"" if self._pacer is None else self._pacer.report.lost.encode())
                 else:
                     waiting.put((letter, number, content))
         finally:
@@ -229,13 +229,6 @@ class WatchdogProcess:
 
     def _told(self) -> bytes:
         return b"{}" if self._pacer is None else json.dumps(asdict(self._pacer.report)).encode()
-
-    def _lost(self) -> str:
-        """Return why the bursts ended before anybody asked for it; empty while all is well."""
-        report = self._pacer.report if self._pacer is not None else None
-        if report is None or report.ended not in ("stalled", "failed"):
-            return ""
-        return f"{report.ended}: {report.reason}"
 
     def _patrol(self) -> None:
         """Switch the outputs off when an armed master falls silent, as often as it does."""
