@@ -280,14 +280,13 @@ ROOT = "TRACe|DATA"
 
 def _record_commands(afg: Afg) -> dict[str, Command]:
     def write(channel: int, arguments: Arguments) -> None:
-        name, block = exactly(arguments, 2)
-        _edit_memory(name)
+        (block,) = _of_edit(arguments, 2)
         if not isinstance(block, bytes):
             raise ScpiError(-104, "a definite block is needed")
         afg.write_edit(block)
 
     def read(channel: int, arguments: Arguments) -> bytes:
-        _edit_memory(one(arguments))
+        _of_edit(arguments, 1)
         length = str(len(afg.edit))
         return f"#{len(length)}{length}".encode() + afg.edit
 
@@ -296,34 +295,29 @@ def _record_commands(afg: Afg) -> dict[str, Command]:
 
 def _point_commands(afg: Afg) -> dict[str, Command]:
     def define(channel: int, arguments: Arguments) -> None:
-        name, size = exactly(arguments, 2)
-        _edit_memory(name)
+        (size,) = _of_edit(arguments, 2)
         if isinstance(size, str) and size.upper().startswith("USER"):
             afg.copy_from_user(_user(size))
         else:
             afg.define_edit(whole((size,), afg.min_points, afg.max_points))
 
     def points(channel: int, arguments: Arguments) -> str:
-        if arguments:
-            _edit_memory(arguments[0])
+        _of_edit(arguments or ("EMEM",), 1)
         return str(len(afg.edit) // 2)
 
     def set_value(channel: int, arguments: Arguments) -> None:
-        name, place, code = exactly(arguments, 3)
-        _edit_memory(name)
+        place, code = _of_edit(arguments, 3)
         codes = np.frombuffer(afg.edit, ">u2").copy()
         codes[whole((place,), 1, codes.size) - 1] = whole((code,), 0, MAX_CODE)
         afg.write_edit(codes.tobytes())
 
     def value(channel: int, arguments: Arguments) -> str:
-        name, place = exactly(arguments, 2)
-        _edit_memory(name)
+        (place,) = _of_edit(arguments, 2)
         at = 2 * (whole((place,), 1, len(afg.edit) // 2) - 1)
         return str(int.from_bytes(afg.edit[at : at + 2], "big"))
 
     def line(channel: int, arguments: Arguments) -> None:
-        name, *numbers = exactly(arguments, 5)
-        _edit_memory(name)
+        numbers = _of_edit(arguments, 5)
         codes = np.frombuffer(afg.edit, ">u2").copy()
         start, end = (whole((place,), 1, codes.size) for place in numbers[::2])
         first, last = (whole((code,), 0, MAX_CODE) for code in numbers[1::2])
@@ -344,10 +338,10 @@ def _user_commands(afg: Afg) -> dict[str, Command]:
     def copy(channel: int, arguments: Arguments) -> None:
         target, source = arguments if len(arguments) == 2 else (one(arguments), "EMEM")
         if isinstance(target, str) and target.upper().startswith("USER"):
-            _edit_memory(source)
+            _of_edit((source,), 1)
             afg.copy_to_user(_user(target))
         else:
-            _edit_memory(target)
+            _of_edit((target,), 1)
             afg.copy_from_user(_user(source))
 
     def catalogue(channel: int, arguments: Arguments) -> str:
@@ -366,9 +360,12 @@ def _user_commands(afg: Afg) -> dict[str, Command]:
     }
 
 
-def _edit_memory(name: Argument) -> None:
+def _of_edit(arguments: Arguments, n: int) -> Arguments:
+    """Return what follows the name of the edit memory, the first of n arguments."""
+    name, *rest = exactly(arguments, n)
     if not isinstance(name, str) or not (is_word(name.upper(), "EMEMory") or is_word(name.upper(), "EMEMory1")):
         raise ScpiError(-224, str(name)[:40])
+    return tuple(rest)
 
 
 def _user(name: Argument) -> int:
