@@ -147,16 +147,13 @@ class Links:
         self._numbers = itertools.count(1)
         self._guard = threading.RLock()
         # Each with the bytes that follow the error code, zeros where it is refused.
-        self._procedures: dict[int, tuple[typing.Callable[[bytes, set[int]], bytes], int]] = {
-            _CREATE_LINK: (self._create_link, 12),
+        self._procedures: dict[int, tuple[typing.Callable[[_Link, bytes], bytes | None], int]] = {
             _WRITE: (self._write, 4),
             _READ: (self._read, 8),
             _READ_STATUS: (self._read_status, 4),
-            _TRIGGER: (self._trigger, 0),
+            _TRIGGER: (lambda link, _: device.trigger(0 if link.panel else link.number), 0),
             _CLEAR: (self._clear, 0),
-            _REMOTE: (self._accept_silently, 0),
-            _LOCAL: (self._accept_silently, 0),
-            _ENABLE_SERVICE: (self._accept_silently, 0),
+            **dict.fromkeys((_REMOTE, _LOCAL, _ENABLE_SERVICE), (lambda link, _: None, 0)),
             _DESTROY_LINK: (self._destroy_link, 0),
         }
 
@@ -165,11 +162,17 @@ class Links:
 
     def call(self, procedure: int, parameters: bytes, own: set[int]) -> bytes:
         """Return the results of a procedure: an error code, and what it returns."""
-        if procedure not in self._procedures:
+        if procedure != _CREATE_LINK and procedure not in self._procedures:
             return struct.pack(">i", _NOT_SUPPORTED)
-        carry_out, size = self._procedures[procedure]
+        carry_out, size = self._procedures.get(procedure, (None, 12))
         try:
-            return struct.pack(">i", _NO_ERROR) + carry_out(parameters, own)
+            if carry_out is None:
+                return struct.pack(">i", _NO_ERROR) + self._create_link(parameters, own)
+            (number,) = struct.unpack_from(">i", parameters)
+            # Those of other connections are not to be had.
+            if number not in own or number not in self._links:
+                raise _Refused(_INVALID_LINK)
+            return struct.pack(">i", _NO_ERROR) + (carry_out(self._links[number], parameters) or b"")
         except _Refused as refused:
             return struct.pack(">i", *refused.args) + bytes(size)
 
@@ -190,12 +193,6 @@ class Links:
             own.add(link.number)
         return link
 
-    def _of(self, number: int, own: set[int]) -> _Link:
-        """Return a link of the connection that calls; those of others are not to be had."""
-        if number not in own or number not in self._links:
-            raise _Refused(_INVALID_LINK)
-        return self._links[number]
-
     def _create_link(self, parameters: bytes, own: set[int]) -> bytes:
         _, lock, _, length = struct.unpack_from(">iIII", parameters)
         name = parameters[16 : 16 + length].decode("latin1")
@@ -206,15 +203,11 @@ class Links:
         link = self.open(own, panel=name == PANEL)
         return struct.pack(">iII", link.number, 0, LARGEST_MESSAGE)
 
-    def _destroy_link(self, parameters: bytes, own: set[int]) -> bytes:
-        number = self._of(struct.unpack_from(">i", parameters)[0], own).number
-        self.forget([number])
-        own.discard(number)
-        return b""
+    def _destroy_link(self, link: _Link, parameters: bytes) -> None:
+        self.forget([link.number])
 
-    def _write(self, parameters: bytes, own: set[int]) -> bytes:
-        number, _, _, flags, length = struct.unpack_from(">iIIiI", parameters)
-        link = self._of(number, own)
+    def _write(self, link: _Link, parameters: bytes) -> bytes:
+        *_, flags, length = struct.unpack_from(">iIIiI", parameters)
         data = parameters[20 : 20 + length]
         link.arriving += data
         if len(link.arriving) > LARGEST_MESSAGE:
@@ -234,9 +227,8 @@ class Links:
             raise HangUp
         link.leaving, link.ready_at = reply.data, time.monotonic() + reply.delay
 
-    def _read(self, parameters: bytes, own: set[int]) -> bytes:
-        number, size, io_timeout, _, flags, terminator = struct.unpack_from(">iIIIii", parameters)
-        link = self._of(number, own)
+    def _read(self, link: _Link, parameters: bytes) -> bytes:
+        _, size, io_timeout, _, flags, terminator = struct.unpack_from(">iIIIii", parameters)
         if not link.leaving:
             self._device.afg.fail(ScpiError(-420))
             link.ready_at = float("inf")
@@ -254,23 +246,11 @@ class Links:
             reason |= _REASON_END
         return struct.pack(">i", reason) + opaque(data)
 
-    def _read_status(self, parameters: bytes, own: set[int]) -> bytes:
-        link = self._of(struct.unpack_from(">i", parameters)[0], own)
+    def _read_status(self, link: _Link, parameters: bytes) -> bytes:
         return struct.pack(">I", self._device.afg.status_byte | (16 if link.leaving else 0))
 
-    def _trigger(self, parameters: bytes, own: set[int]) -> bytes:
-        link = self._of(struct.unpack_from(">i", parameters)[0], own)
-        self._device.trigger(0 if link.panel else link.number)
-        return b""
-
-    def _clear(self, parameters: bytes, own: set[int]) -> bytes:
-        link = self._of(struct.unpack_from(">i", parameters)[0], own)
+    def _clear(self, link: _Link, parameters: bytes) -> None:
         link.arriving, link.leaving = bytearray(), b""
-        return b""
-
-    def _accept_silently(self, parameters: bytes, own: set[int]) -> bytes:
-        self._of(struct.unpack_from(">i", parameters)[0], own)
-        return b""
 
 
 CORE_PROGRAM = 0x0607AF
