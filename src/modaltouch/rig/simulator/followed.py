@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import threading
 from pathlib import Path
@@ -39,24 +40,16 @@ class FollowedSession:
     def fingers(self) -> dict[str, Finger]:
         """Return the fingers on the beam by zone; none before the first placement, and while hands are off."""
         # Bursts that end are told of by a thread of their own: a line that both read would be counted twice.
-        with self._lock:
-            return self._latest()
-
-    def _latest(self) -> dict[str, Finger]:
-        try:
-            if self._path.stat().st_size <= self._read:
-                return self._fingers
-            with self._path.open("rb") as log:
-                log.seek(self._read)
-                lines = log.read().splitlines(keepends=True)
-        except FileNotFoundError:
-            return self._fingers
-        for line in lines:
-            if not line.endswith(b"\n"):
-                break  # is being written
-            self._read += len(line)
-            if any(kind in line for kind in KINDS):
-                self._take(json.loads(line))
+        with self._lock, contextlib.suppress(FileNotFoundError):
+            if self._path.stat().st_size > self._read:
+                with self._path.open("rb") as log:
+                    log.seek(self._read)
+                    lines = log.read().splitlines(keepends=True)
+                # The last may still be being written.
+                for line in (each for each in lines if each.endswith(b"\n")):
+                    self._read += len(line)
+                    if any(kind in line for kind in KINDS):
+                        self._take(json.loads(line))
         return self._fingers
 
     def _take(self, event: dict[str, Any]) -> None:
