@@ -341,10 +341,7 @@ def for_rivals(responses: FrequencyResponses, delay: float, apparatus: Apparatus
         channel = apparatus.actuator_sets[name].channel - 1
         response[channel] = responses.response[index] * window * np.exp(2j * np.pi * responses.frequency * delay)
         variance[channel] = responses.noise[index] * window**2
-    places = responses.positions
-    if places is None:
-        raise ValueError("the responses do not say where they were measured: scan the beam")
-    return TransferFunctions(responses.frequency, response, places, variance)
+    return TransferFunctions(responses.frequency, response, np.array(responses.places)[:, 0], variance)
 
 
 def _play(

@@ -239,7 +239,6 @@ def draw_maps(evidences: Sequence[Evidence]) -> Figure:
     """Return velocity by position and time around the focus, in the form of Fig. 5."""
     highest = max(float(np.abs(each.velocity_map).max()) for each in evidences) * 1e3
     with house_style(7.6, 4.4, 1, len(evidences), sharex=True, sharey=True) as (figure, [panels]):
-        image = None
         for axes, evidence in zip(panels, evidences, strict=True):
             time, velocity = around_focus(evidence, MAP_STEP)
             time, velocity, place = time * 1e3, velocity.T * 1e3, evidence.observation.field.positions * 1e3
@@ -255,8 +254,7 @@ def draw_maps(evidences: Sequence[Evidence]) -> Figure:
             axes.set(xlabel="position along the beam [mm]", ylim=(time[0], time[-1]), yticks=ticks)
             axes.yaxis.set_major_formatter("{x:.2f}")
         panels[0].set_ylabel("time [ms]")
-        if image is not None:
-            figure.colorbar(image, ax=panels, label="velocity [mm/s]", shrink=0.9, pad=0.02)
+        figure.colorbar(image, ax=panels, label="velocity [mm/s]", shrink=0.9, pad=0.02)
     return figure
 
 
@@ -278,7 +276,6 @@ def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
     found = [spectrogram_of(each) for each in evidences]
     top = 20 * np.log10(max(float(amplitude.max()) for *_, amplitude in found) * 1e3)
     with house_style(7.6, 3.6, 1, len(evidences), sharex=True, sharey=True) as (figure, [panels]):
-        image = None
         for axes, evidence, (time, frequency, amplitude) in zip(panels, evidences, found, strict=True):
             # Evenly in octaves: other rows would fall onto the same lines of a logarithmic scale.
             wanted = np.searchsorted(frequency, np.geomspace(LOWEST, frequency[-1], 400))
@@ -296,8 +293,7 @@ def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
         ticks = (0.2, 0.5, 1, 2, 5, 10, 20, 50, 100)
         panels[0].set_yticks(ticks, [f"{tick:g}" for tick in ticks])
         panels[0].minorticks_off()
-        if image is not None:
-            figure.colorbar(image, ax=panels, label="amplitude [dB re 1 mm/s]", shrink=0.9, pad=0.02)
+        figure.colorbar(image, ax=panels, label="amplitude [dB re 1 mm/s]", shrink=0.9, pad=0.02)
     return figure
 
 
