@@ -294,9 +294,9 @@ def check_rig(
         ]
         connection.switch_off("the check", (), lambda: None)
     except BaseException:
-        connection.close(clean=False)
+        connection.guard.release(clean=False)
         raise
-    connection.close(clean=True)
+    connection.guard.release(clean=True)
     return rows
 
 

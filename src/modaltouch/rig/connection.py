@@ -152,10 +152,6 @@ class Connection:
                 "switched on; see `modaltouch rig check`"
             ) from error
 
-    def close(self, *, clean: bool) -> None:
-        """End the session; unless the outputs are off, the watchdog stays and switches them off."""
-        self.guard.release(clean=clean)
-
     def switch_off(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> OutputState:
         """Switch the outputs off, over a new connection if need be.
 

@@ -97,7 +97,7 @@ class Generator:
             self._connection.open()
         except BaseException:
             # No output was ever on, so the watchdog has nothing to do.
-            self._connection.close(clean=True)
+            self._connection.guard.release(clean=True)
             raise
         self._opened_in = time.perf_counter() - began
 
@@ -400,7 +400,7 @@ class Generator:
             with contextlib.suppress(Exception):
                 self._log("close_failed", reason=str(error))
         finally:
-            self._connection.close(clean=off)
+            self._connection.guard.release(clean=off)
 
     def __enter__(self) -> Self:
         return self
