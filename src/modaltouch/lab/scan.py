@@ -207,15 +207,6 @@ def keep_records(recording: Recording) -> dict[str, NDArray[Any]]:
     }
 
 
-def _kept_of(recording: Recording, position: float) -> dict[str, NDArray[Any]]:
-    """Return what is kept of every recording, however it is reduced."""
-    return {
-        "position": np.array(position),
-        "sampling_rate": np.array(recording.sampling_rate),
-        "overloaded": np.array(recording.overloaded, dtype="U16"),
-    }
-
-
 def take_scan(
     laboratory: Laboratory,
     plan: ScanPlan,
@@ -263,7 +254,12 @@ def take_scan(
         for index in range(len(kept), len(places)):
             check()
             recording = laboratory.record(float(places[index]), plan.velocity, plan.acquisition, plan.across)
-            arrays = {**_kept_of(recording, float(places[index])), **reduction(recording)}
+            arrays = {
+                "position": np.array(recording.position),
+                "sampling_rate": np.array(recording.sampling_rate),
+                "overloaded": np.array(recording.overloaded, dtype="U16"),
+                **reduction(recording),
+            }
             if folder is not None:
                 save_arrays(position_file(folder, index), arrays)
             kept.append(arrays)
