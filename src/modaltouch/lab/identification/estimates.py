@@ -36,11 +36,6 @@ class Estimate:
         """Return whether the interval covers a value."""
         return self.low <= value <= self.high
 
-    @property
-    def deviation(self) -> float:
-        """Standard deviation."""
-        return (self.high - self.low) / (2 * NORMAL_95)
-
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedMode:
