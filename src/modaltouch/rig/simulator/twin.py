@@ -82,7 +82,6 @@ class Twin:
     _felt: dict[tuple[float, Setting], dict[tuple[float | Finger, ...], float]] = field(
         default_factory=dict, init=False, repr=False
     )
-    _systems: dict[tuple[float | Finger, ...], DiagonalSystem] = field(default_factory=dict, init=False, repr=False)
     _histories: tuple[object, list[StateHistory]] | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -90,6 +89,10 @@ class Twin:
         self.amplifier = true_amplifier(self.apparatus)
         self._gains = generator_gains(self.apparatus, self.seed) * (
             self.amplifier.gain * self.apparatus.generator.load_factor
+        )
+        # A beam that drifts has another one with each measurement.
+        self._system = functools.lru_cache(SETTINGS_KEPT)(
+            lambda stretch, fingers: self.beam.equations(self.amplifier, fingers, stretch)
         )
 
     def fingers(self, *positions: float) -> list[Finger]:
@@ -107,13 +110,7 @@ class Twin:
         stretch : float
             Factor of every natural frequency, as `stretch` gives it [1].
         """
-        fingers = tuple(finger for finger in touched if finger.weighs)
-        if (stretch, *fingers) not in self._systems:
-            # A beam that drifts has another one with each measurement.
-            for oldest in list(self._systems)[:-SETTINGS_KEPT]:
-                self._systems.pop(oldest, None)
-            self._systems[stretch, *fingers] = self.beam.equations(self.amplifier, fingers, stretch)
-        return self._systems[stretch, *fingers]
+        return self._system(stretch, tuple(finger for finger in touched if finger.weighs))
 
     def stretch(self, playbacks: Sequence[Playback | None]) -> float:
         """Return the factor of every natural frequency while something plays [1].
