@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,24 +47,22 @@ def refine(
 
     scale = 1 / float(problem.omega[-1])
     n = poles.natural_frequency.size
-    start = poles
-    known: dict[bytes, Evaluation] = {}
+
+    @lru_cache(maxsize=4)
+    def evaluated(key: bytes) -> Evaluation:
+        step = np.frombuffer(key)
+        frequency = poles.natural_frequency * np.exp(np.clip(step[:n] * poles.damping_ratio, -0.5, 0.5))
+        damping = np.clip(poles.damping_ratio * np.exp(np.clip(step[n : 2 * n], -3, 3)), *DAMPING_BOUNDS)
+        return evaluate(problem, frequency, damping, poles.delay + scale * float(step[-1]), scale)
 
     def at(step: FloatArray) -> Evaluation:
-        key = step.tobytes()
-        if key not in known:
-            if len(known) > 3:
-                known.pop(next(iter(known)))
-            frequency = start.natural_frequency * np.exp(np.clip(step[:n] * start.damping_ratio, -0.5, 0.5))
-            damping = np.clip(start.damping_ratio * np.exp(np.clip(step[n : 2 * n], -3, 3)), *DAMPING_BOUNDS)
-            known[key] = evaluate(problem, frequency, damping, start.delay + scale * float(step[-1]), scale)
-        return known[key]
+        return evaluated(step.tobytes())
 
     def slope(step: FloatArray) -> FloatArray:
-        return at(step).gradient * _unit(at(step), start)
+        return at(step).gradient * _unit(at(step), poles)
 
     def curvature(step: FloatArray) -> FloatArray:
-        unit = _unit(at(step), start)
+        unit = _unit(at(step), poles)
         return at(step).curvature * np.outer(unit, unit)
 
     def stop(intermediate_result: object) -> None:
