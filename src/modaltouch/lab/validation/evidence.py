@@ -292,12 +292,10 @@ class Evidence:
         return np.asarray(standard_error(self._projections)[self._modelled])
 
     @property
-    def further_coefficient(self) -> dict[int, float]:
-        """Coefficients of the measured field on modes that are not modelled, by label [m/s]."""
-        mean = self._projections.mean(axis=0)
-        labels = self.observation.stimulus.model.label
-        pairs = zip(self.fitted_labels, mean.tolist(), strict=True)
-        return {label: value for label, value in pairs if label not in labels}
+    def unmodelled_motion(self) -> float:
+        """Largest coefficient of the measured field on a mode that is not modelled [m/s]."""
+        others = np.delete(self._projections.mean(axis=0), self._modelled)
+        return float(np.abs(others).max(initial=0.0))
 
     @cached_property
     def measured_field(self) -> FloatArray:
@@ -333,15 +331,14 @@ class Evidence:
         """Mean velocity at the focus throughout the burst, (n_times,) array [m/s]."""
         return np.asarray(self.course[self._focus_row])
 
-    @cached_property
-    def time_above_90(self) -> float:
-        """How long the measured velocity at the focus stays above 90 % of its peak near the focusing instant [s]."""
-        return self._above_90(self.course_time, self.focus_course)
+    @property
+    def time_above_90(self) -> tuple[float, float]:
+        """How long the velocity at the focus stays above 90 % of its peak near the focusing instant [s].
 
-    @cached_property
-    def predicted_time_above_90(self) -> float:
-        """The same on the identified beam [s]."""
-        return self._above_90(self.prediction.time, self.prediction.course[self._focus_row])
+        As measured, and on the identified beam.
+        """
+        predicted = self._above_90(self.prediction.time, self.prediction.course[self._focus_row])
+        return self._above_90(self.course_time, self.focus_course), predicted
 
     def _above_90(self, time: FloatArray, velocity: FloatArray) -> float:
         near = np.abs(time - self.instant) < AROUND_PEAK

@@ -36,7 +36,7 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
         "selected_modes": [int(label) for label in stimulus.selected],
         "coefficients": coefficients(evidence),
         **_modal_error(evidence),
-        "unmodelled_motion_mm_s": float(np.abs(list(evidence.further_coefficient.values())).max(initial=0.0)) * 1e3,
+        "unmodelled_motion_mm_s": evidence.unmodelled_motion * 1e3,
         "velocity_at_focus_mm_s": at_focus * 1e3,
         "highest_velocity_at_focus_mm_s": abs(float(evidence.focus_course[highest])) * 1e3,
         "highest_velocity_instant_ms": float(evidence.course_time[highest]) * 1e3,
@@ -50,8 +50,8 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
         "width_50_mm": _widths(evidence, 0.5),
         "width_80_mm": _widths(evidence, 0.8),
         "time_above_90_us": {
-            "measured": finite(evidence.time_above_90 * 1e6),
-            "predicted": finite(evidence.predicted_time_above_90 * 1e6),
+            name: finite(time * 1e6)
+            for name, time in zip(("measured", "predicted"), evidence.time_above_90, strict=True)
         },
         "zone_peak_mm_s": {
             zone: {"measured": peak * 1e3, "predicted": evidence.predicted_zone_peak[zone] * 1e3}
