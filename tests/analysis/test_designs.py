@@ -194,7 +194,7 @@ def test_felt_or_not_gives_a_threshold_and_d_prime_by_level() -> None:
     design = {"answers": {"keys": {"felt": ["f1"], "nothing": ["f2"]}, "fingers": {"nothing": []}}}
     answers = frame.assign(response=np.where(felt, "felt", "nothing"))
     findings, values = found(take(answers, design, catches={who: Counter(nothing=12) for who in PEOPLE}))
-    threshold = findings["threshold over participants", "one_hand A-C"]
+    threshold = findings["detection threshold over participants", "one_hand A-C"]
     assert threshold.estimate == pytest.approx(12, rel=0.15)
     # All 12 felt and no false alarm of 12: z(12.5 / 13) - z(0.5 / 13).
     assert max(values["d'"].values()) == pytest.approx(2 * 1.769, abs=0.01)
@@ -455,6 +455,6 @@ def test_a_measure_that_nobody_has_is_told_as_such() -> None:
     frame = presented((5, 10, 20), 4).assign(response="felt")
     design = {"answers": {"keys": {"felt": ["f1"], "nothing": ["f2"]}, "fingers": {"nothing": []}}}
     findings, _ = found(take(frame, design))
-    threshold = findings["threshold over participants", "one_hand A-C"]
+    threshold = findings["detection threshold over participants", "one_hand A-C"]
     assert math.isnan(threshold.estimate) and threshold.n == 0
     assert threshold.note.endswith("8 participants without a value left out; described, not tested")

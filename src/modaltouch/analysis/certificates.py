@@ -16,7 +16,8 @@ _OF_NAMES = {
     "Friedman": ("friedman",), "leaning": ("leaning", "leaning share"), "agreement between": ("agreement",),
     "prevalence of": ("prevalence",), "share of answers": ("share",), "paired difference": ("paired difference",),
     "odds ratio": ("odds ratio",), "reaction times": ("time",), "false alarms,": ("share",), "misses,": ("share",),
-    "bounded mean": ("c mean",), "d' over": ("d'", "mean d'"), "threshold over": ("mean threshold",),
+    "bounded mean": ("c mean",), "d' over": ("d'", "mean d'"), "detection threshold": (),
+    "threshold over": ("mean threshold",),
     "PSE over": ("mean PSE",), "JND over": ("mean JND",), "exponent of": ("mean exponent",),
 }  # fmt: skip
 """Certificates of what stands in no family of `STATISTICS`, by a part of its name; the first that fits counts.

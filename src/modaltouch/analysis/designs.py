@@ -23,11 +23,15 @@ from modaltouch.analysis.task import TrialTask
 from modaltouch.analysis.thresholds.constant import FittedCell, fit_cells, measures_of_fits
 
 _CERTIFICATES = {
+    "detection threshold": "", "differencing model criterion": "", "criterion": "criterion of one",
     "differencing": "same and different of one", "2AFC": "d' of one", "AFC": "a1 share", "triangular": "a1 share",
-    "d'": "d' of one", "criterion": "criterion of one", "threshold": "threshold of one", "PSE": "PSE of one",
-    "JND": "JND of one", "exponent": "exponent of one",
+    "d'": "d' of one", "threshold": "threshold of one", "PSE": "PSE of one", "JND": "JND of one",
+    "exponent": "exponent of one",
 }  # fmt: skip
-"""Certificates of one participant's intervals, by a part of the model or the name; the first that fits counts."""
+"""Certificates of one participant's intervals, by a part of the model or the name; the first that fits counts.
+
+Nothing is told where nothing was counted.
+"""
 
 
 @dataclass(frozen=True, eq=False)

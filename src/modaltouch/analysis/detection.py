@@ -116,4 +116,4 @@ def _told(cell: Cell, found: SignalDetection, part: pd.DataFrame) -> Iterator[Ow
     n = int(part["n"].sum())
     yield Own(D_PRIME, *cell, found.d_prime, n, f"{found.model} model", found.contrast)
     if found.criterion is not None and math.isfinite(found.criterion.estimate):
-        yield Own(CRITERION, *cell, found.criterion, n)
+        yield Own(CRITERION, *cell, found.criterion, n, f"{found.model} model")

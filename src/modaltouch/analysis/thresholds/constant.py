@@ -109,7 +109,8 @@ def _fit(
 
 def measures_of_fits(fits: tuple[FittedCell, ...], task: TrialTask, scale: LevelScale) -> Iterator[Own]:
     """Yield threshold, or point of subjective equality with the just noticeable difference, of each function."""
-    threshold = Measure("threshold", f"threshold [{scale.unit}]", "function", is_ratio=True)
+    name = "threshold" if task.named else "detection threshold"
+    threshold = Measure(name, f"{name} [{scale.unit}]", "function", is_ratio=True)
     equal = Measure("PSE", f"point of subjective equality [{scale.unit}]", "function", task.standard or None, True)
     jnd = Measure("JND", "just noticeable difference [dB]", "function")
     for each in fits:
