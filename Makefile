@@ -31,7 +31,8 @@ install: .venv/.installed compiled system
 
 .venv/.installed: requirements.lock pyproject.toml | $(filter .uv/bin/uv,$(UV))
 	[ -x $(PYTHON) ] || $(UV) venv --quiet --python '>=3.11,<3.13' .venv
-	$(UV) pip sync --python $(PYTHON) --require-hashes --compile-bytecode requirements.lock
+	@echo 'Installing what requirements.lock names into .venv, which takes a minute or two the first time'
+	@$(UV) pip sync --quiet --python $(PYTHON) --require-hashes --compile-bytecode requirements.lock
 	$(UV) pip install --python $(PYTHON) --quiet --no-deps --no-build-isolation --editable .
 	@touch $@
 

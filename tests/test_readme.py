@@ -26,13 +26,6 @@ GENERATOR = "TCPIP::192.168.1.20::INSTR"
 INTERRUPTED = "-p p01"
 """The session that is interrupted, since the README resumes it."""
 
-SHORTER = {
-    "power": "--experiments 50",
-    "prereg": "--experiments 50",
-}
-"""What is added to the long commands: no averages that no test needs, as few points as tell the modes apart."""
-
-
 def console_lines():
     """Return every command of the README, without its comment."""
     blocks = re.findall(r"```console\n(.*?)```", TEXT, flags=re.DOTALL)
@@ -97,7 +90,6 @@ def run(line, folder, address, environment):
     # What is recorded at a simulated generator lands in the simulated tree.
     line = line.replace(GENERATOR, address).replace("results/diff", "results/simulated/diff")
     words = shlex.split(line)
-    words += SHORTER.get(words[1], "").split()
     command = [sys.executable, "-m", "modaltouch", *words[1:]]
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
     with subprocess.Popen(command, cwd=folder, env=environment, text=True, **pipes) as process:
@@ -113,10 +105,10 @@ def run(line, folder, address, environment):
 @pytest.mark.window
 @pytest.mark.timeout(1500)
 def test_every_command_of_the_readme_works_in_its_order(lab):
-    """From `doctor` to `prereg`, at a simulated generator; the session is interrupted and resumed."""
+    """From `check` to `analyse`, at a simulated generator; the session is interrupted and resumed."""
     folder, address = lab
     commands = [line for line in console_lines() if line.startswith("modaltouch ")]
-    assert len(commands) >= 10
+    assert len(commands) >= 7
     with virtual_display((1280, 800)) as name, hurried_hands(name):
         environment = {**os.environ, "DISPLAY": name, "MPLBACKEND": "agg"}
         for line in commands:
@@ -125,6 +117,22 @@ def test_every_command_of_the_readme_works_in_its_order(lab):
             print(f"{time.monotonic() - begin:6.1f} s  {line}")
             assert status == (130 if INTERRUPTED in line and "run" in line else 0), f"{line}\n{said}"
             assert "Traceback" not in said
+
+
+def test_its_numbers_are_those_of_the_results():
+    """Minutes of the first demonstration, seconds to rest, and what remains of a level under two fingertips."""
+    doorstep, stops, fingers = (
+        json.loads((ROOT / f"results/benchmarks/{name}.json").read_text("utf-8"))
+        for name in ("doorstep", "stops", "fingers")
+    )
+    bare = [each["seconds"] for each in doorstep["trials"] if each["way"] == "clone"]
+    assert re.findall(r"takes about (\d+) minutes", TEXT) == [f"{max(bare) / 60:.0f}"]
+    latest = max(kind["latest_end_s"] for kind in stops["kinds"].values())
+    (promised,) = map(float, re.findall(r"comes to rest within ([\d.]+) s", TEXT.replace("\n", " ")))
+    assert stops["n_safe"] == stops["n"] and promised - 0.05 < latest <= promised
+    levels = [fingers["designs"]["A-C"][name] for name in ("free", "typical")]
+    told = [(f"{each['level_mean_percent']:.0f}", f"{each['level_sd_percent']:.0f}") for each in levels]
+    assert re.findall(r"(\d+) % ± (\d+) %", TEXT) == told
 
 
 def test_the_targets_of_make_are_there():
