@@ -118,7 +118,7 @@ class Bench:
         system = real_system(beam, self.stimulus)
         frequency, channel = self.excitation.bins * SPACING, self.excitation.channel
         read = np.zeros(len(system.matrix))
-        read[system.n_modes : system.n_modes + beam.n_modes] = beam.shapes([self.laser])[:, 0]
+        read[system.n_modes : system.n_modes + beam.natural_frequency.size] = beam.shapes([self.laser])[:, 0]
         s, unit = 2j * np.pi * frequency, np.eye(len(read))
         exact = np.array(
             [

@@ -73,7 +73,7 @@ def test_true_shapes_have_unit_mean_square_and_are_orthogonal(
     x, z = np.meshgrid(0.05 * along, 0.003 / np.sqrt(3) * np.array([-1.0, 1.0]))
     shapes = beam.shapes(x.ravel(), z.ravel())
     gram = (shapes * np.tile(weight, 2) / 4) @ shapes.T
-    np.testing.assert_allclose(gram, np.eye(beam.n_modes), atol=1e-12)
+    np.testing.assert_allclose(gram, np.eye(beam.natural_frequency.size), atol=1e-12)
 
 
 def test_torsion_does_not_show_on_the_mid_line(with_twin: Callable[..., Apparatus], apparatus: Apparatus) -> None:
@@ -90,7 +90,7 @@ def test_unlisted_modes_are_in_the_twin_and_not_in_the_table(apparatus: Apparatu
     families = {(mode.family, mode.label % 2 == 0, mode.label > 17) for mode in beam.apparatus.twin.unlisted_modes}
     assert {("bending", True, False), ("torsion", False, False), ("bending", False, True)} <= families
     assert apparatus.modal_model().label == (1, 3, 5, 7, 9, 11, 13, 15, 17)
-    assert beam.n_modes == 9 + len(beam.apparatus.twin.unlisted_modes)
+    assert beam.natural_frequency.size == 9 + len(beam.apparatus.twin.unlisted_modes)
 
 
 def test_even_mode_makes_left_and_right_unlike(

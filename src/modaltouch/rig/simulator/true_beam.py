@@ -45,11 +45,6 @@ class TrueBeam:
     mass: float
 
     @property
-    def n_modes(self) -> int:
-        """Number of modes."""
-        return self.table.n_modes + len(self.apparatus.twin.unlisted_modes)
-
-    @property
     def n_channels(self) -> int:
         """Number of generator outputs."""
         return self.table.n_channels
