@@ -17,7 +17,7 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -116,10 +116,6 @@ class RecordedFiles(Scope):
             f"no record came as {self._folder / name}.csv or .npz within {self.slowest / 60:g} min; the outputs are "
             "off; give the command again, with the scope ready"
         )
-
-    def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
-        """Refuse: a file comes too late to tell when a burst began."""
-        raise RigError("files cannot tell when a burst began; leave --record out")
 
     def close(self) -> None:
         """Await nothing more."""

@@ -89,15 +89,15 @@ class Scope(abc.ABC):
         """
         raise RigError(f"{self.identity}: no burst was awaited")
 
-    @abc.abstractmethod
     def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
         """Call `send`, which triggers one burst, and return between which instants it began [s].
 
         Raises
         ------
         RigError
-            If no trigger comes.
+            If no trigger comes, or the scope cannot tell.
         """
+        raise RigError(f"{self.identity}: when a burst began cannot be told; use a PicoScope")
 
     @abc.abstractmethod
     def close(self) -> None:
