@@ -62,14 +62,13 @@ class Afg(GeneratorState[Channel]):
 
     def reset(self) -> None:
         """Do what ``*RST`` does; USER memories, status and errors stay."""
-        with self.lock:
-            self.channels = {number: Channel() for number in range(1, self.n_channels + 1)}
-            self.trigger_source, self.timer = "TIM", 1e-3
-            self.level_concurrent = self.frequency_concurrent = False
-            self.trigger_output = "TRIG"
-            self.clock_source = "INT"
+        self.channels = {number: Channel() for number in range(1, self.n_channels + 1)}
+        self.trigger_source, self.timer = "TIM", 1e-3
+        self.level_concurrent = self.frequency_concurrent = False
+        self.trigger_output = "TRIG"
+        self.clock_source = "INT"
 
-    # memories
+    # memories; whoever changes one holds the lock
 
     def write_edit(self, block: bytes) -> None:
         """Replace the edit memory."""
@@ -81,29 +80,25 @@ class Afg(GeneratorState[Channel]):
         highest = int(np.frombuffer(block, ">u2").max())
         if highest > MAX_CODE:
             raise ScpiError(-222, f"code {highest}: at most {MAX_CODE}")
-        with self.lock:
-            self.edit = bytes(block)
+        self.edit = bytes(block)
 
     def define_edit(self, n_points: int) -> None:
         """Reset the edit memory to a number of points at zero volts."""
-        with self.lock:
-            self.edit = blank_record(n_points)
+        self.edit = blank_record(n_points)
 
     def copy_to_user(self, number: int) -> None:
         """Store the edit memory; a playing channel that selects the memory plays the new record."""
         if self.locked[number]:
             raise ScpiError(-221, f"USER{number} is locked")
         self.clock.sleep(self.behaviour.copy_time)
-        with self.lock:
-            self.user[number] = self.edit
+        self.user[number] = self.edit
 
     def copy_from_user(self, number: int) -> None:
         """Load the edit memory from a USER memory."""
         record = self.user[number]
         if record is None:
             raise ScpiError(-224, f"USER{number} is empty")
-        with self.lock:
-            self.edit = record
+        self.edit = record
 
     def erase(self, number: int) -> None:
         """Empty a USER memory; refused while it is locked or selected."""

@@ -92,9 +92,8 @@ class Trueform(GeneratorState[TrueformChannel]):
 
     def reset(self) -> None:
         """Do what ``*RST`` does; records, status and errors stay."""
-        with self.lock:
-            self.channels = {number: TrueformChannel() for number in range(1, self.n_channels + 1)}
-            self.byte_order, self.trigger_output = "NORM", False
+        self.channels = {number: TrueformChannel() for number in range(1, self.n_channels + 1)}
+        self.byte_order, self.trigger_output = "NORM", False
 
     @property
     def waiting(self) -> TrueformChannel:

@@ -208,13 +208,11 @@ class GeneratorState(ABC, Generic[C]):
 
     def abort(self) -> None:
         """Reset the trigger system; a burst that it began ends here."""
-        with self.lock:
-            self.timeline.abort(self.clock.now())
+        self.timeline.abort(self.clock.now())
 
     def align(self) -> None:
         """Begin anew what repeats without trigger."""
-        with self.lock:
-            self.timeline.align(self.clock.now())
+        self.timeline.align(self.clock.now())
 
     # what comes out
 
