@@ -233,13 +233,12 @@ def fit_vibrometer(
     starts = [(max(together - lag, 0.0), lag) for lag in np.arange(0.05, min(together, 5.0) + 0.1, 0.25)]
     each = [least_squares(rest, start, x_scale=[0.1, 0.1], xtol=1e-12, ftol=1e-12) for start in starts]
     found = min(each, key=lambda one: float(one.cost))
-    lag = VibrometerDelay(float(found.x[0]) * 1e-6, abs(float(found.x[1])) * 1e-6, 0.0)
     phase = (turned(found.x).imag / size)[np.isfinite(spread)]
     certainty = (weight * size)[np.isfinite(spread)] ** 2
     n_left = max(1, phase.size - 2)
     covariance = np.linalg.pinv(found.jac.T @ found.jac) * max(1.0, 2 * float(found.cost) / n_left) * 1e-12
     unexplained = float(np.sqrt(np.sum(certainty * phase**2) / np.sum(certainty)))
-    return VibrometerDelay(lag.delay, lag.lag, unexplained, covariance)
+    return VibrometerDelay(float(found.x[0]) * 1e-6, abs(float(found.x[1])) * 1e-6, unexplained, covariance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -355,17 +354,17 @@ class Plant:
         late = self.model.angular_frequency * np.abs(swing) * self.latency_doubt
         error = decay.pole_error[:n]
         turned = self.model.angular_frequency * swing / pole
-        state = ModalState(
+        missed = missed_swing(swing, spread, pole, error)
+        return ModalState(
             velocity=swing.real,
             displacement=turned.real,
             spread=spread,
+            half_width=np.sqrt((INTERVAL * either) ** 2 + late**2 + missed**2),
             change=error.imag / pole.imag,
             disagreement=by_points,
             slip=np.abs(swing * error / pole.real),
             sensitivity_doubt=self.sensitivity_doubt,
         )
-        missed = missed_swing(swing, spread, pole, error)
-        return replace(state, half_width=np.sqrt((INTERVAL * either) ** 2 + late**2 + missed**2))
 
 
 def modal_swings(decay: Decay, shapes: FloatArray) -> ComplexArray:

@@ -102,8 +102,6 @@ _ENDS = (("", "value"), ("_low", "low"), ("_high", "high"))
 def shape_rows(identification: Identification) -> list[dict[str, str]]:
     """Return the measured shapes as the stimulus reads them, the mean over the rows of each."""
     places = identification.responses.places
-    if not places:
-        return []
     shapes = {mode.label: over_width(shape, places) for mode, shape in identification.shaped if mode.label}
     return [
         {"position_mm": f"{place * 1e3:.6g}"}
