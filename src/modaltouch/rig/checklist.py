@@ -39,10 +39,9 @@ Finding = tuple[State, str, str]
 
 
 def _settings(connection: Connection) -> Finding:
-    identity = connection.identity
     return (
         "found",
-        f"{identity}; outputs off; takes its settings and reads them back",
+        f"{connection.identity}; outputs off; takes its settings and reads them back",
         "it is fit for a session as far as its settings go",
     )
 

@@ -300,7 +300,8 @@ class Generator:
             return
         self._longest_silence = max(self._longest_silence, self._clock.now() - self._last_beat)
         # Until the end is confirmed nothing is.
-        self._firing = replace(firing, reason="the end of the stimulus was not confirmed", bursts=_unknown(firing))
+        unknown = replace(firing.bursts, played=None, whole=None)
+        self._firing = replace(firing, reason="the end of the stimulus was not confirmed", bursts=unknown)
         try:
             report, fault = (None, ()) if at_once else self._ask_report(wait=True)
             if at_once:
@@ -345,7 +346,7 @@ class Generator:
                 stalled = True
                 reasons.append(f"{report.dropped} of {report.due} bursts would have come too late and were left out")
         if faults:
-            bursts = _unknown(firing, bursts)
+            bursts = replace(bursts, played=None, whole=None)
             # Outputs that are off are the watchdog's doing in a stall.
             if not (stalled and all(fault.startswith("output ") for fault in faults)):
                 held_up = self._connection.guard.held_up()
@@ -433,9 +434,3 @@ class Generator:
             if self._on:
                 self._switch_off(doing)
             raise
-
-
-def _unknown(firing: Firing, counted: Bursts | None = None) -> Bursts:
-    """Return the bursts of a stimulus of whose end nothing is known."""
-    bursts = counted or firing.bursts
-    return replace(bursts, played=None, whole=None)

@@ -146,17 +146,16 @@ class Player:
 
     def choose(self, which: int) -> None:
         """Play one of the bursts from now on; where its records are there, settings alone change."""
-        if which == self._chosen or not self._settings:
-            self._chosen = which
+        was, before = self._chosen, set(self._settings)
+        self._chosen = which
+        if which == was or not before:
             return
-        if not self.holds(which):
-            self._chosen = which
+        if self.holds(which):
+            # First the settings that will be: what fails on the way is found to differ, and made again.
+            self._settings = self._by_burst[which]
+            self._controls.apply_each([setting for setting in self._settings if setting not in before])
+        else:
             self.replay()
-            return
-        self._chosen, before = which, set(self._settings)
-        # First the settings that will be: what fails on the way is found to differ, and made again.
-        self._settings = self._by_burst[which]
-        self._controls.apply_each([setting for setting in self._settings if setting not in before])
 
     def _records(self, burst: Burst) -> NDArray[np.uint16]:
         return self._instrument.continuous_codes(burst) if self._continuous else burst.codes

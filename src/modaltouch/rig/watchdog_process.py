@@ -254,7 +254,8 @@ class WatchdogProcess:
         next_word, said = started + REPLY_TIMEOUT, False
         while True:
             with contextlib.suppress(Exception):
-                if self._press():
+                reply = self._transport.exchange(self._off, timeout=REPLY_TIMEOUT, reply=True)
+                if reply.strip() == b";".join([b"0"] * self._off.count(b"?")):
                     if said:
                         self._say("the generator's outputs are off now")
                     return True
@@ -275,11 +276,6 @@ class WatchdogProcess:
             pause = min(2 * pause, 0.5)
             with contextlib.suppress(Exception):
                 self._transport.open()
-
-    def _press(self) -> bool:
-        n_outputs = self._off.count(b"?")
-        reply = self._transport.exchange(self._off, timeout=REPLY_TIMEOUT, reply=True)
-        return reply.strip() == b";".join([b"0"] * n_outputs)
 
 
 def frame(letter: bytes, number: int, content: bytes = b"") -> bytes:
