@@ -246,7 +246,6 @@ def _mode(mode: IdentifiedMode, sets: Sequence[str]) -> Any:
     gains = dict(zip(sets, mode.gain, strict=True))
     half = mode.half_power
     picked = f"half-power {half.verdict}" if half.verdict else f"half-power {half.damping_ratio:.4g}"
-    method = "joint fit"
     return {
         "label": mode.label,
         "natural_frequency_Hz": _round(mode.natural_frequency.value),
@@ -258,9 +257,9 @@ def _mode(mode: IdentifiedMode, sets: Sequence[str]) -> Any:
             "gain_mm_s2_per_V": _flow({name: _interval(gain, 1e3) for name, gain in gains.items()}),
         },
         "provenance": {
-            "natural_frequency_Hz": f"{method}; picked peak {half.peak_frequency:.6g} Hz",
-            "damping_ratio": f"{method}; {picked}",
-            "gain_mm_s2_per_V": f"{method}, residues on the measured shape, MAC {mode.mac:.4f}, coherence "
+            "natural_frequency_Hz": f"joint fit; picked peak {half.peak_frequency:.6g} Hz",
+            "damping_ratio": f"joint fit; {picked}",
+            "gain_mm_s2_per_V": f"joint fit, residues on the measured shape, MAC {mode.mac:.4f}, coherence "
             f"{mode.coherence:.3f}",
         },
     }
