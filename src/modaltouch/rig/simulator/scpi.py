@@ -340,7 +340,10 @@ class CommandTable:
             for unit in read_message(message):
                 command, channel, path = self._resolve(unit.header, path)
                 try:
-                    reply = _call(command, channel, unit)
+                    handler = command.get if unit.query else command.set
+                    if handler is None:
+                        raise ScpiError(-113, unit.header + ("?" if unit.query else ""))
+                    reply = handler(channel, unit.arguments)
                 except ScpiError as error:
                     fail(error)
                     if -200 < error.code <= -100:
@@ -364,13 +367,6 @@ class CommandTable:
         full = header if header.startswith(":") or not path else f"{path}:{header}"
         full = full.lstrip(":")
         return (*self.find(full), full.rpartition(":")[0])
-
-
-def _call(command: Command, channel: int, unit: MessageUnit) -> str | bytes | None:
-    handler = command.get if unit.query else command.set
-    if handler is None:
-        raise ScpiError(-113, unit.header + ("?" if unit.query else ""))
-    return handler(channel, unit.arguments)
 
 
 def _patterns(commands: Mapping[str, Command]) -> list[tuple[re.Pattern[str], Command]]:

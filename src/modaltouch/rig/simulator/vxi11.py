@@ -67,11 +67,6 @@ def read_message(stream: io.BufferedIOBase) -> bytes:
     return bytes(message[:searched] + message[searched:].rstrip(b"\r\n"))
 
 
-def as_record(body: bytes) -> bytes:
-    """Return a message as a record of one fragment."""
-    return struct.pack(">I", _LAST_FRAGMENT | len(body)) + body
-
-
 def read_call(call: bytes) -> tuple[int, int, int, bytes]:
     """Return transaction, program, procedure and parameters of a call; credentials are not looked at."""
     transaction, _, _, program, _, procedure = struct.unpack_from(">6I", call)
@@ -348,7 +343,7 @@ class Vxi11Server:
                     if connection not in self._connections or was_reset:
                         return
                     body = self._answer(call, own)
-                    connection.sendall(as_record(body))
+                    connection.sendall(struct.pack(">I", _LAST_FRAGMENT | len(body)) + body)  # a record of one fragment
         except (HangUp, _Refused, struct.error, OSError, EOFError, ValueError):
             return
         finally:
