@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.instrument import Commands, Desk, Instrument, Setting
+from modaltouch.rig.instrument import Commands, Desk, Instrument, Setting, upload_twice
 from modaltouch.rig.interface import LinkError, Unconfirmed
 from modaltouch.stimulus import Converter
 
@@ -73,11 +73,7 @@ class EditMemory:
     def _upload(self, desk: Desk, memory: str, codes: NDArray[np.uint16]) -> None:
         desk.stored.pop(memory, None)
         desk.apply([LOCKED.filled(memory=memory).off])
-        try:
-            self._upload_once(desk, memory, codes)
-        except Unconfirmed as error:
-            desk.log("upload_repeated", memory=f"USER{memory}", reason=str(error))
-            self._upload_once(desk, memory, codes)
+        upload_twice(desk, f"USER{memory}", lambda: self._upload_once(desk, memory, codes))
 
     def _upload_once(self, desk: Desk, memory: str, codes: NDArray[np.uint16]) -> None:
         desk.send_block("DATA:DATA EMEM", codes.astype(">u2").tobytes())

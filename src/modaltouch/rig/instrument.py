@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import typing
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.interface import RigError
+from modaltouch.rig.interface import RigError, Unconfirmed
 from modaltouch.stimulus import Burst, Converter
 
 
@@ -122,6 +122,15 @@ class Desk(typing.Protocol):
 
     def log(self, event: str, **facts: Any) -> object:
         """Take an event."""
+
+
+def upload_twice(desk: Desk, memory: str, upload: Callable[[], None]) -> None:
+    """Send what goes into a memory, and once again where it is not confirmed."""
+    try:
+        upload()
+    except Unconfirmed as error:
+        desk.log("upload_repeated", memory=memory, reason=str(error))
+        upload()
 
 
 class Records(typing.Protocol):

@@ -14,11 +14,12 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.instrument import Commands, Desk, Instrument, Setting
+from modaltouch.rig.instrument import Commands, Desk, Instrument, Setting, upload_twice
 from modaltouch.rig.interface import LinkError, Unconfirmed
 from modaltouch.rig.link import block_bounds
 from modaltouch.stimulus import Converter
@@ -57,7 +58,7 @@ class ChannelMemories:
             event = "record_found"
             if not self._holds(desk, channel, wanted):
                 event = "record_sent"
-                self._upload(desk, channel, wanted)
+                upload_twice(desk, f"{channel}:{','.join(wanted)}", partial(self._upload, desk, channel, wanted))
             for name, codes in wanted.items():
                 digest = hashlib.sha256(codes.astype(">u2").tobytes()).hexdigest()
                 desk.stored[f"{channel}:{name}"] = digest
@@ -77,13 +78,6 @@ class ChannelMemories:
             return False
 
     def _upload(self, desk: Desk, channel: int, wanted: dict[str, NDArray[np.uint16]]) -> None:
-        try:
-            self._upload_once(desk, channel, wanted)
-        except Unconfirmed as error:
-            desk.log("upload_repeated", memory=f"{channel}:{','.join(wanted)}", reason=str(error))
-            self._upload_once(desk, channel, wanted)
-
-    def _upload_once(self, desk: Desk, channel: int, wanted: dict[str, NDArray[np.uint16]]) -> None:
         for known in [memory for memory in desk.stored if memory.startswith(f"{channel}:")]:
             del desk.stored[known]
         # Names in use are refused (error 786), and a record that a fault has spoiled bears its name.
