@@ -267,7 +267,7 @@ class Vxi11Server:
         self._connections: set[socket.socket] = set()
         self._guard = threading.RLock()
         self._closing = threading.Event()
-        self._links = Links(device, self._closing)
+        self.links = Links(device, self._closing)
         self._listener: socket.socket | None = None
         self.port = port
         self.listen()
@@ -276,11 +276,6 @@ class Vxi11Server:
     def address(self) -> str:
         """VISA address of the instrument."""
         return f"TCPIP::127.0.0.1,{self.port}::{INSTRUMENT}::INSTR"
-
-    @property
-    def n_links(self) -> int:
-        """Links that are open."""
-        return len(self._links)
 
     def listen(self) -> None:
         """Accept connections."""
@@ -335,7 +330,7 @@ class Vxi11Server:
         try:
             with connection, connection.makefile("rb") as stream:
                 if b"\t" <= connection.recv(1, socket.MSG_PEEK) < b"\x80":
-                    self._serve_text(connection, stream, self._links.open(own).number)
+                    self._serve_text(connection, stream, self.links.open(own).number)
                 while True:
                     call = read_record(stream, 4 * LARGEST_MESSAGE)
                     # What still arrives over a connection that is being reset, from either side, is not heard.
@@ -349,7 +344,7 @@ class Vxi11Server:
         finally:
             with self._guard:
                 self._connections.discard(connection)
-            self._links.forget(own)
+            self.links.forget(own)
 
     def _serve_text(self, connection: socket.socket, stream: io.BufferedIOBase, link: int) -> None:
         """Carry out lines of SCPI until the connection ends."""
@@ -370,4 +365,4 @@ class Vxi11Server:
             return accept(transaction, PROGRAM_UNAVAILABLE)
         if procedure == 0:
             return accept(transaction)
-        return accept(transaction) + self._links.call(procedure, parameters, own)
+        return accept(transaction) + self.links.call(procedure, parameters, own)
