@@ -18,7 +18,7 @@ from modaltouch.rig.catalogue import instrument_of
 from modaltouch.rig.connection import Connection, Patience
 from modaltouch.rig.instrument import Setting
 from modaltouch.rig.interface import LinkError, Unconfirmed
-from modaltouch.rig.link import Log, split_reply
+from modaltouch.rig.link import split_reply
 from modaltouch.rig.scope import Scope
 from modaltouch.rig.watchdog_client import WatchdogClient
 from modaltouch.stimulus import Burst
@@ -246,7 +246,6 @@ def check_rig(
     address: str,
     apparatus: Apparatus,
     *,
-    log: Log = lambda event, **facts: None,
     patience: Patience | None = None,
     scope: Scope | None = None,
 ) -> list[dict[str, Any]]:
@@ -258,8 +257,6 @@ def check_rig(
         VISA address, of an instrument or of a simulator.
     apparatus : Apparatus
         What is on the table.
-    log : callable
-        Takes every exchange.
     patience : Patience, optional
         How long to wait.
     scope : Scope, optional
@@ -281,7 +278,7 @@ def check_rig(
         address,
         apparatus,
         guard=WatchdogClient(address, instrument_of(apparatus).off),
-        log=log,
+        log=lambda event, **facts: None,
         patience=patience or Patience(),
     )
     try:

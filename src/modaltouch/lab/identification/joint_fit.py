@@ -39,9 +39,7 @@ def make_problem(responses: FrequencyResponses, poles: Poles, phase_at: float | 
     return LeastSquaresProblem(bins, np.asarray(grouped.T), weight, responses.bandwidth, phase_at)
 
 
-def refine(
-    problem: LeastSquaresProblem, poles: Poles, *, tolerance: float = 1e-5, most: int = 60
-) -> tuple[Poles, Evaluation]:
+def refine(problem: LeastSquaresProblem, poles: Poles, *, most: int = 60) -> tuple[Poles, Evaluation]:
     """Return the poles and the delay of least squares, and the fit there."""
     from scipy.optimize import minimize
 
@@ -69,7 +67,7 @@ def refine(
         step = intermediate_result.x  # type: ignore[attr-defined]
         gradient = slope(step)
         gain = gradient @ np.linalg.lstsq(curvature(step), gradient, rcond=1e-12)[0]
-        if gain < tolerance:
+        if gain < 1e-5:  # of a cost in units of the noise
             raise StopIteration
 
     found = minimize(

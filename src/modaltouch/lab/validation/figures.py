@@ -339,9 +339,9 @@ def draw_zones(evidence: Evidence) -> Figure:
     return figure
 
 
-def _envelope(time: FloatArray, course: FloatArray, width: float = 0.2e-3) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return middles of short stretches of time [s], and the lowest and the highest velocity within each."""
-    n = max(1, round(width / (time[1] - time[0])))
+def _envelope(time: FloatArray, course: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return middles of stretches of 0.2 ms [s], and the lowest and the highest velocity within each."""
+    n = max(1, round(0.2e-3 / (time[1] - time[0])))
     n_parts = time.size // n
     parts = course[:, : n_parts * n].reshape(len(course), n_parts, n)
     return time[: n_parts * n].reshape(n_parts, n).mean(axis=1), parts.min(axis=2), parts.max(axis=2)
