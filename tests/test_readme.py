@@ -26,6 +26,7 @@ GENERATOR = "TCPIP::192.168.1.20::INSTR"
 INTERRUPTED = "-p p01"
 """The session that is interrupted, since the README resumes it."""
 
+
 def console_lines():
     """Return every command of the README, without its comment."""
     blocks = re.findall(r"```console\n(.*?)```", TEXT, flags=re.DOTALL)

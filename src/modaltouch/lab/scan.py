@@ -226,8 +226,7 @@ def take_scan(
     plan : ScanPlan
         What is played, where and how it is recorded.
     folder : Path, optional
-        Where each position is saved as soon as it is recorded, and where a scan that was stopped is found; without
-        one nothing is written.
+        Where each position is saved once it is recorded, and where a stopped scan is found; else nothing is written.
     source : Source, optional
         The apparatus file, kept in the description.
     reduction : callable

@@ -42,7 +42,7 @@ class _Plan:
     answers: AnswerCounts
     families: list[dict[str, Any]]
     power: list[dict[str, Any]]
-    names: tuple[str, ...]
+    stimuli: tuple[str, ...]
     n_experiments: int
     repeated_by: str
 
@@ -94,17 +94,11 @@ def preregister(
         "prereg.md.j2",
         protocol=protocol,
         path=path,
-        planned=found.answers,
-        levels=[f"{level:g}" for level in found.answers.levels],
-        stimuli=found.names,
+        plan=found,
         n=n_participants,
-        families=found.families,
         level=100 * ALPHA,
-        margin=terms["equivalence margin"],
         observer=observer.name,
-        n_experiments=found.n_experiments,
         seed=seed,
-        power=found.power,
         repeated_by=found.repeated_by.format(
             path=path, n=n_participants, experiments=found.n_experiments, observer=observer.name, seed=seed
         ),
