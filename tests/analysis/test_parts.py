@@ -98,6 +98,19 @@ def test_an_answer_that_did_not_come_is_missing_and_its_participant_stays() -> N
     assert found.as_dict()["n_responses"] == 58
 
 
+def test_answers_of_three_intervals_are_not_held_against_an_even_split() -> None:
+    """Who guesses names a standard twice as often, since two of three intervals hold one: no choice of the standard."""
+    places = np.random.default_rng(1).integers(1, 4, (2, 400))
+    given = [
+        row | {"interval": int(interval), "response": ("first", "second", "third")[named - 1]}
+        for row, interval, named in zip([row for row in rows() for _ in range(6)], *places, strict=False)
+    ]
+    meant = {"first": 1, "second": 2, "third": 3}
+    design = {"intervals": {"number": 3, "standard": {"velocity_mm_s": 60}}, "answers": {"intervals": meant}}
+    found = analyse_parts(replace(responses(given, AnswerList.of({"keys": [*meant]})), design=design))
+    assert not [finding.scope for _, finding in found.findings if finding.question == "a1"]
+
+
 def test_groups_are_parts_of_their_own() -> None:
     """Participants of one group lack nothing of what the other met."""
     high = [row | {"velocity_mm_s": 200.0} for row in rows(PEOPLE[5:], group="high") if row["zone_left"] == "B"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from modaltouch.analysis.certificates import certificates_of, say_certificates
-from modaltouch.analysis.counts import AnswerCounts, count_answers
+from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding, correct, to_frame
 from modaltouch.analysis.models import model_table, zone_files
 from modaltouch.analysis.outcome import plain_row
@@ -207,13 +207,8 @@ def _part(
     scheduled = own[[key in cells for key in own[cell].itertuples(index=False, name=None)]]
     answered = scheduled[scheduled["response"].isin(responses.answers.names)]
     silent = scheduled.drop(answered.index).assign(n=0, response=responses.answers.names[0])
-    counts = count_answers(
-        pd.concat([answered, silent]),
-        str(scheduled["focus"].iloc[0]),
-        responses.answers,
-        responses.margin,
-        n_repetitions,
-    )
+    focus, frame = str(scheduled["focus"].iloc[0]), pd.concat([answered, silent])
+    counts = replace(responses, frame=frame, focus=focus, asked=n_repetitions).count()
     return CrossedPart(factors, counts, answered.reset_index(drop=True))
 
 
