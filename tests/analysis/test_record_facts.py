@@ -50,6 +50,16 @@ def test_settings_that_differ_are_listed() -> None:
     assert settings["rig"] == "AFG of p01 (sessions: 1); AFG of p02 (sessions: 1)"
 
 
+def test_settings_of_some_sessions_are_not_said_of_all() -> None:
+    """One of six sessions had masking noise, and each its own generator: four are listed, the others counted."""
+    sessions = [session(f"p0{number}") for number in range(6)]
+    sessions[0].start["masking"] = {"state": "masked", "noise": "pink", "level_dB_FS": -30, "level_dB_SPL": None,
+                                    "device": "phones"}  # fmt: skip
+    settings = facts(*sessions).settings
+    assert settings["masking noise"] == "pink, -30 dB FS, on phones (sessions: 1)"
+    assert settings["rig"].count("AFG of") == 4 and settings["rig"].endswith("; 2 others")
+
+
 def test_the_end_of_a_complete_sitting_is_no_deviation() -> None:
     """Every sitting writes a stop; one that came too early counts."""
     ends = [session(f"p{i}", {"event": "stop", "n": 3, "complete": whole}) for i, whole in enumerate((True, False))]

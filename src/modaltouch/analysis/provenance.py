@@ -16,7 +16,7 @@ Presented = tuple[str, float, tuple[float, ...], tuple[float, ...], bool]
 FAULTS = {
     "trial_cut": "trials cut and offered again",
     "unconfirmed": "amplitudes the instrument did not confirm at once",
-    "resume": "sessions interrupted and resumed",
+    "resume": "interruptions, after which the session was resumed",
     "stop": "sittings ended early",
     "rig": "troubles with the instrument, all overcome or followed by an end",
     "masking_lost": "losses of the masking noise",
@@ -169,7 +169,7 @@ def _presented(sessions: Sequence[SessionFacts]) -> Iterator[dict[str, Any]]:
         alike = list(own)
         yield {
             "finger_condition": finger_condition.replace("_", " "),
-            "level": f"{level:g}",
+            "level": f"{level:g}" if level else "0 (nothing played)",
             "n_trials": sum(together[each] for each in alike),
             "n_confirmed": sum(together[each] for each in alike if each[-1]),
             "commanded": _in_words([sent for *_, sent, _, _ in alike]),
@@ -244,6 +244,7 @@ def _settings(sessions: Sequence[SessionFacts]) -> dict[str, str]:
 
 def _unanimous(values: Sequence[object]) -> str:
     known = Counter(str(value) for value in values if value not in (None, ""))
-    if len(known) <= 1:
+    if len(known) <= 1 and known.total() in (0, len(values)):
         return next(iter(known), "")
-    return "; ".join(f"{value} (sessions: {n})" for value, n in known.most_common(4))
+    told = [f"{value} (sessions: {n})" for value, n in known.most_common(4)]
+    return "; ".join([*told, *[f"{len(known) - 4} others"] * (len(known) > 4)])
