@@ -18,9 +18,11 @@ from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.findings import Finding, correct
 from modaltouch.analysis.location import by_flips, by_ranks, group_test
 from modaltouch.analysis.means import BoundedMean
+from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.ratings import friedman, power_law
 from modaltouch.analysis.reading import read_responses
+from modaltouch.analysis.report import design_limits
 from modaltouch.analysis.responses import AnswerSource, Responses, TableFormat
 from modaltouch.analysis.sensitivity import same_different
 from modaltouch.protocol import AnswerList, InputError
@@ -123,6 +125,15 @@ def test_of_three_intervals_no_answer_is_right_where_two_are_the_stronger() -> N
     findings, _ = found(take(frame.assign(response=words[chosen]), {"intervals": section, "answers": answers}))
     scopes = [scope for name, scope in findings if name == "d' over participants"]
     assert scopes == ["one_hand A-C 100 mm/s"]
+
+
+@pytest.mark.parametrize(("design", "is_told"), [(TWO, False), ({"answers": {"keys": TWO["answers"]["keys"]}}, True)])
+def test_guessing_is_unknown_only_where_no_design_tells_it(compared, design: dict, is_told: bool) -> None:
+    """Of two intervals one is right by chance in half; of one finger condition none can be shown to be alike."""
+    responses = take(compared, design).by_choice()
+    limits = " ".join(design_limits(Analysis(responses, responses.count(), (), {}, None)))
+    assert ("lapses and guessing stay unknown" in limits) == is_told
+    assert "finger conditions can be shown to be alike" not in limits
 
 
 def test_answers_that_name_an_interval_are_counted_by_what_they_choose(compared) -> None:

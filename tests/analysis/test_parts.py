@@ -111,6 +111,23 @@ def test_answers_of_three_intervals_are_not_held_against_an_even_split() -> None
     assert not [finding.scope for _, finding in found.findings if finding.question == "a1"]
 
 
+def test_a_design_that_falls_into_one_part_is_not_told_as_several() -> None:
+    """One pair twice at one level is crossed, whatever key of the protocol listed its cell."""
+    found = analyse_parts(responses([row for row in rows() if row["zone_left"] == "B"]))
+    page = render_parts(found)["report.html"]
+    assert "The design falls into 1\ncrossed part;" in page and "Not every participant met" not in page
+    assert found.as_dict()["notes"] == []
+
+
+def test_parts_of_ratings_have_no_empty_tables() -> None:
+    """Numbers are compared over all parts, so that no part has a test of its own."""
+    scale = {"scale": {"kind": "vas", "lowest": 0, "highest": 100}}
+    given = [row | {"response": "rated", "value": 50.0} for row in rows()]
+    found = analyse_parts(replace(responses(given, AnswerList.of(scale)), design={"answers": scale}))
+    page = render_parts(found)["report.html"]
+    assert "Over all parts" in page and "0 tests" not in page
+
+
 def test_groups_are_parts_of_their_own() -> None:
     """Participants of one group lack nothing of what the other met."""
     high = [row | {"velocity_mm_s": 200.0} for row in rows(PEOPLE[5:], group="high") if row["zone_left"] == "B"]

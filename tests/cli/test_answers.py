@@ -137,7 +137,7 @@ def test_the_report_tells_what_does_not_apply(study, found) -> None:
     if names == GRADES:
         refused = call("analyse", "results", "--out", "other", "--model", cwd=folder)
         assert "answers that do not name each of two fingers alone" in refused.stderr and refused.exit_code == 2
-        assert "(stronger, weaker) do not name each finger alone, so no zone is dominant" in report
+        assert "(stronger, weaker) do not name each of two fingers alone, so no zone is dominant" in report
         assert not questions & {"a2", "side", "order", "speed"}
         assert [row.split(",")[1] for row in rows] == ["stronger", "weaker"]
     else:

@@ -47,7 +47,7 @@ class CatchRow:
 
     @property
     def n_false_alarms(self) -> int:
-        """Catch trials answered with a finger."""
+        """Catch trials in which something was felt."""
         return self.n_catch - self.answers[self.nothing]
 
     @property
@@ -93,7 +93,7 @@ def catch_findings(responses: Responses) -> Iterator[Finding]:
 
 
 def _rate(name: str, counts: list[int], totals: list[int], note: str, total: CatchRow) -> Finding:
-    quantity = "P(a finger | nothing driven)" if name == "false alarms" else f"P({total.nothing} | stimulus)"
+    quantity = "P(something felt | nothing driven)" if name == "false alarms" else f"P({total.nothing} | stimulus)"
     mean = BoundedMean([k / n if n else np.nan for k, n in zip(counts, totals, strict=True)], 0.0, 1.0)
     method = "interval of a bounded mean over participants"
     return finding_of("catch", f"{name}, {method}", "all", None, quantity, mean.interval(), int(mean.n), notes=[note])

@@ -50,7 +50,6 @@ def _cautions(answers: AnswerCounts) -> dict[str, str]:
         if answers.n_participants > 1
         else "One participant alone: agreement between participants has no meaning.",
         "catch": "Catch trials are in no other table or test.",
-        "time": "Bursts repeat at a fixed rate, so reaction times come in steps of one burst period.",
     }
 
 
@@ -113,9 +112,9 @@ def design_limits(analysis: Analysis) -> list[str]:
         ),
         (
             not answers.compares and len(answers.answers) > 1,
-            f"The answers ({', '.join(answers.answers.names)}) do not name each finger alone, so no zone is dominant: "
-            "there is no net dominance (a2), no prevalence of it, no side bias, no drift of it and no fit to the ratio "
-            "of speeds. Cells are tested against an even split, and each answer by itself.",
+            f"The answers ({', '.join(answers.answers.names)}) do not name each of two fingers alone, so no zone is "
+            "dominant: there is no net dominance (a2), no prevalence of it, no side bias, no drift of it and no fit to "
+            "the ratio of speeds. The tests are of each answer by itself.",
         ),
         *((answers.compares and not answers.mirrored, words) for words in _aliases(answers.pairs)),
         (
@@ -129,7 +128,8 @@ def design_limits(analysis: Analysis) -> list[str]:
             "unable to tell; the question does not separate them.",
         ),
         (
-            nothing is None,
+            # Of several intervals, and of numbers, guessing is known by the design, or has no meaning.
+            nothing is None and len(answers.answers) > 1 and analysis.responses.task.n_intervals == 1,
             "No answer says that nothing was felt, so a trial without a stimulus cannot be answered correctly: lapses "
             "and guessing stay unknown.",
         ),
@@ -144,7 +144,7 @@ def design_limits(analysis: Analysis) -> list[str]:
             f"2/2^{n} = {2.0 ** (1 - n):.3g}. The fewest participants that can are {fewest}.",
         ),
         (
-            True,
+            len(answers.finger_conditions) > 1,
             f"With n = {n}, finger conditions can be shown to be alike on average at best within "
             f"{1 - 0.05 ** (1 / n):.2f}, where nobody's answers differ: people who differ may be missing by chance.",
         ),

@@ -126,7 +126,7 @@ class PartsAnalysis:
             "missing": missing,
             "notes": [
                 *self.responses.notes,
-                f"{len(self.parts)} crossed parts of the design are analysed each by itself",
+                *[f"{len(self.parts)} crossed parts of the design are analysed each by itself"] * (len(self.parts) > 1),
             ],
             "mode": self.responses.source.mode or None,
             "source": self.responses.source.path,
