@@ -140,6 +140,14 @@ ADAPTIVE = "adaptive: {method: staircase, trials: 8, start_mm_s: 130, success: c
         ([("practice_trials: 4", "catch_trials: 4")], "given 4, where a trial has several intervals; allowed: 0"),
         ([(MEANINGS, "intervals: {first: 1, second: 3}")], "given 3, where a trial has 2 intervals; allowed: 1 to 2"),
         ([(MEANINGS, "intervals: {first: 1, second: 1}")], "answers.intervals.second: given 1 again"),
+        (
+            [(MEANINGS, "intervals: {first: 1, second: different}")],
+            "answers.intervals.second: given different beside the number of an interval; allowed: numbers alone, or",
+        ),
+        (
+            [("schedule:", ADAPTIVE.replace("correct", "felt") + "}\nschedule:")],
+            "no answer says that nothing was felt; allowed: correct; count `correct`",
+        ),
         ([(MEANINGS, "intervals: {frist: 1, second: 2}")], "given 'frist', which has no keys"),
         ([("asked: stronger ", "comparison_in: [2] ")], "where levels lie below and above the standard of 100 mm/s"),
         (

@@ -223,6 +223,7 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
                 given = f"[{', '.join(zones)}], none of which is in focus, where success is naming the focus"
                 yield reading.problem(path, given, f"a pair with {focus}", "remove it, or count `felt` as success")
     offered, at = offered_answers(reading), ("adaptive", "success")
+    several = reading.keys("intervals") is not None
     if success == "correct":
         yield from _check_correct(reading, offered)
     elif success not in ("focus_named", "felt", *offered.names):
@@ -232,8 +233,8 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
             success == "felt" and "felt" not in offered.names and offered.naming() is None,
             at,
             "felt, where no answer says that nothing was felt",
-            "focus_named, or keys for `none`",
-            "give the keys",
+            "correct" if several else "focus_named, or keys for `none`",
+            "count `correct` as success" if several else "give the keys",
         ),
         (
             success == "focus_named" and not offered.compares,

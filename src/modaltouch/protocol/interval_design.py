@@ -102,10 +102,15 @@ def _check_numbers(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def _check_asked(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield a comparison of levels in which the comparison is the right answer though it may be the weaker one."""
+    """Yield answers of two questions, and a comparison of levels whose right answer may be the weaker one unasked."""
     levels = [level for _, level in reading.items("conditions", "peak_velocities_mm_s")]
     standard, number = reading.sound(*STANDARD_LEVEL), reading.sound("intervals", "number")
-    named = any(isinstance(meaning, int) for _, meaning in reading.items("answers", "intervals"))
+    meanings = reading.items("answers", "intervals")
+    named = any(isinstance(meaning, int) for _, meaning in meanings)
+    for step, meaning in meanings:
+        if meaning == "different" and named:
+            given, allowed = "different beside the number of an interval", "numbers alone, or same and different"
+            yield reading.problem(("answers", "intervals", step), given, allowed, "ask one of the two")
     written = reading.find(("intervals", "asked")) is not None
     if number == 2 and named and not written and standard and levels and min(levels) < standard < max(levels):
         given = f"nothing, where levels lie below and above the standard of {standard:g} mm/s"
