@@ -68,13 +68,6 @@ def test_what_no_test_can_tell_is_what_the_analysis_cannot_reach(
     assert advice._ALPHA == ALPHA
 
 
-def test_an_adaptive_run_that_may_time_out_is_told(edit: Edit) -> None:
-    """The analysis has no level for a trial without an answer."""
-    keys = "answers:\n"
-    file = edit("threshold.yaml", (keys, f"{keys}  time_out_s: 10\n"))
-    assert any("a single trial times out" in each for each in examine(file).as_dict()["warnings"])
-
-
 def test_a_session_longer_than_an_hour_is_told(edit: Edit) -> None:
     """Twenty repetitions of the paper's 24 trials take an hour and a quarter."""
     assert not any(" min" in each for each in design_warnings(read(edit)))
@@ -88,3 +81,11 @@ def test_a_single_group_and_sessions_that_nobody_analyses_are_told(edit: Edit) -
     said = design_warnings(read(edit, ("schedule:\n", kinds)))
     assert any("no kind of session is analysed" in each for each in said)
     assert any("there is one group alone" in each for each in said)
+
+
+@pytest.mark.parametrize(("analysed", "is_told"), [("false", False), ("true", True)])
+def test_training_that_is_not_analysed_leaves_a_design_crossed(edit: Edit, analysed: str, is_told: bool) -> None:
+    """The analysis has the tests of a crossed design of the tests alone, however often each participant comes."""
+    kinds = f"schedule:\n  sessions: [{{name: training, analysed: {analysed}}}, {{name: test, times: 2}}]\n"
+    said = design_warnings(read(edit, ("schedule:\n", kinds)))
+    assert any("not crossed (schedule.sessions)" in each for each in said) == is_told

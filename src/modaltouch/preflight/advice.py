@@ -150,11 +150,13 @@ def design_warnings(protocol: Protocol) -> list[str]:
     if len(protocol.groups) == 1:
         said.append("there is one group alone: nothing can be compared between groups; add another, or leave it out")
     n_pairs, n_fingers = len(conditions.contacts), len(conditions.finger_conditions)
-    if not protocol.is_crossed:
+    # Kinds of session that are not analysed leave a single other one crossed.
+    n_kinds = len({each.name for each in kinds if each.analysed})
+    if not protocol.is_crossed and (protocol.uncrossed_by[0] != "schedule" or n_kinds > 1):
         said.append(
             f"the design is not crossed ({'.'.join(protocol.uncrossed_by)}): the tests are those of each crossed part"
         )
-    elif protocol.adaptive is None:
+    elif protocol.is_crossed and protocol.adaptive is None:
         numbers = {"level": len(protocol.scheduled_levels), "finger condition": n_fingers, "pair of zones": n_pairs}
         alone = " and one ".join(noun for noun, number in numbers.items() if number == 1)
         said += [f"there is one {alone}: no test can tell whether that matters"] if alone else []
@@ -171,7 +173,7 @@ def design_warnings(protocol: Protocol) -> list[str]:
 
 
 def answer_warnings(protocol: Protocol) -> list[str]:
-    """Return what catch trials cannot tell without the answer none, nor time-outs, nor answers that name no finger."""
+    """Return what catch trials cannot tell without the answer none, nor answers that name no finger."""
     n_catches, offered = protocol.schedule.catch_trials, protocol.answers.offered
     warnings = []
     if n_catches and not protocol.answers.offers_none:
@@ -179,8 +181,6 @@ def answer_warnings(protocol: Protocol) -> list[str]:
             f"the {n_catches} catch trials of a block cannot be answered rightly, as there is no answer none: they "
             "tell what is guessed, not how often; give answers.keys the keys of `none`"
         )
-    if protocol.adaptive is not None and (protocol.answers.time_out_s or protocol.answers.after_longest == "time_out"):
-        warnings.append("an adaptive session in which a single trial times out is left out of the analysis")
     tells = any(answer.fingers or answer.interval for answer in offered)
     if not tells and protocol.answers.scale is None:
         nothing = offered.naming()
