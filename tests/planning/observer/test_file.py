@@ -49,10 +49,10 @@ def test_only_the_fingertip_has_internal_noise() -> None:
 
 
 def test_where_thresholds_matter_the_fingertip_is_simulated(shipped: Path) -> None:
-    """Adaptive runs, and levels that follow from what they found; fixed levels are the paper's observer's."""
-    names = ("demo", "threshold", "sensation_levels")
+    """Adaptive runs, levels that follow from what they found, and felt or not; other levels are the paper's."""
+    names = ("demo", "with_catch_trials", "threshold", "sensation_levels", "detection_with_confidence")
     usual = [usual_observer(examine(shipped / f"{name}.yaml").experiment.protocol) for name in names]
-    assert usual == ["paper", "fingertip", "fingertip"]
+    assert usual == ["paper", "paper", "fingertip", "fingertip", "fingertip"]
 
 
 def test_guessing_is_a_third_of_each_answer() -> None:

@@ -30,8 +30,8 @@ def read_observer(name: Path | str) -> Observer:
 def usual_observer(protocol: Protocol) -> str:
     """Return the name of the shipped observer that simulates a protocol if nobody says otherwise.
 
-    Adaptive runs, levels that follow from their thresholds, and intervals of silence are of an observer whose
-    thresholds lie within what a beam plays; `paper` tells the zones apart at any level.
+    Adaptive runs, levels that follow from their thresholds, intervals of silence, and felt or not are of an observer
+    whose thresholds lie within what a beam plays; `paper` feels any level, and tells the zones apart.
 
     Parameters
     ----------
@@ -40,7 +40,9 @@ def usual_observer(protocol: Protocol) -> str:
     """
     at_thresholds = protocol.adaptive is not None or protocol.conditions.sensation_levels is not None
     is_silent = protocol.intervals is not None and protocol.intervals.standard.velocity_mm_s == 0
-    return "fingertip" if at_thresholds or is_silent else "paper"
+    offered = protocol.answers.offered
+    is_detected = len(offered) == 2 and offered.naming() is not None
+    return "fingertip" if at_thresholds or is_silent or is_detected else "paper"
 
 
 def observer_of(file: ObserverFile) -> Observer:
