@@ -419,3 +419,10 @@ class TestSessionsAndModes:
         assert [item.reason for item in read.left_out] == [
             "sessions beyond the first 1: not every participant has as many"
         ]
+
+
+def test_a_table_of_adaptive_levels_is_refused_as_such(write_csv, paper_rows) -> None:
+    """Its levels are no cells, and its rows do not tell the runs."""
+    design = {"adaptive": {"method": "staircase"}}
+    with pytest.raises(InputError, match="a table with an adaptive protocol.*give the folder of the sessions"):
+        read_responses(write_csv(paper_rows), table_format=TableFormat(design=design))

@@ -56,6 +56,9 @@ def read_responses(
         from modaltouch.analysis.results_tree import read_tree
 
         return read_tree(place, *further, mode=mode, stimulus=stimulus)
+    if table_format is not None and table_format.design.get("adaptive"):
+        given = "a table with an adaptive protocol, whose levels followed from the answers"
+        raise InputError.of(place, given, "recorded sessions", "give the folder of the sessions, without --protocol")
     from modaltouch.analysis.tidy import read_csv
 
     return read_csv(place, table_format, mode, stimulus)
