@@ -31,8 +31,7 @@ def sensitivity_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, A
         The stimulus, at its highest level.
     """
     half = inputs.apparatus.beam.length_mm * 0.5e-3
-    shapes = stimulus.model.shapes(np.linspace(-half, half, 201))
-    rows = focus_sensitivity(stimulus).table(shapes, **ERRORS)
+    rows = focus_sensitivity(stimulus, np.linspace(-half, half, 201), **ERRORS)
     spread = scatter(stimulus, zone_centres(inputs), **SPREAD)
     return {
         "velocity_mm_s": stimulus.target_field.velocity * 1e3,
