@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections import deque
+from functools import partial
 from typing import Any
 
 from modaltouch.protocol import AnswersSection
@@ -69,10 +70,10 @@ class EventTap:
             on_text_motion=self._swallow,
             on_mouse_press=self._on_mouse_press,
             on_mouse_release=self._swallow,
-            on_close=self._on_close,
-            on_activate=self._on_activate,
-            on_deactivate=self._on_deactivate,
-            on_expose=self._on_expose,
+            on_close=partial(self._add, "close"),
+            on_activate=partial(self._add, "focus"),
+            on_deactivate=partial(self._add, "blur"),
+            on_expose=partial(self._add, "expose"),
         )
 
     def poll(self) -> list[Event]:
@@ -110,18 +111,6 @@ class EventTap:
             return True
         width, height = self._window.get_size()
         return self._add("click", "", (x - width / 2) / height, (y - height / 2) / height)
-
-    def _on_close(self) -> bool:
-        return self._add("close")
-
-    def _on_activate(self) -> bool:
-        return self._add("focus")
-
-    def _on_deactivate(self) -> bool:
-        return self._add("blur")
-
-    def _on_expose(self) -> bool:
-        return self._add("expose")
 
     def _swallow(self, *_: object) -> bool:
         """Keep PsychoPy's own buffers empty."""
