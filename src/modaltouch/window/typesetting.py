@@ -13,7 +13,7 @@ import sys
 import unicodedata
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache, partial
+from functools import cache, lru_cache
 from importlib.util import find_spec
 from itertools import groupby
 from operator import itemgetter
@@ -326,13 +326,13 @@ class Typesetter:
 
     def _line(self, text: str, size: float, *, bold: bool, is_rtl: bool) -> Line:
         """Return the runs of a line from left to right, and its width."""
-        chosen = zip(_levels(text, is_rtl=is_rtl), Fonts(self.font).choose(text, bold=bold), text, strict=True)
-        runs = []
-        for (level, font), group in groupby(chosen, key=itemgetter(0, 1)):
-            letters = "".join(letter for _, _, letter in group)
-            runs.append((level, GlyphRun(letters, font, is_rtl=level % 2 == 1)))
-        width = sum(_load(run.font.path, size).getlength(run.text, **self._shaping(run)) for _, run in runs)
-        return Line(tuple(_from_left(runs)), width)
+        chosen = zip(*_levels(text, is_rtl=is_rtl), Fonts(self.font).choose(text, bold=bold), text, strict=True)
+        placed = {}
+        for (level, font), group in groupby(chosen, key=itemgetter(0, 2)):
+            _, places, _, letters = zip(*group, strict=True)
+            placed[min(places)] = GlyphRun("".join(letters), font, is_rtl=level % 2 == 1)
+        runs = tuple(run for _, run in sorted(placed.items(), key=itemgetter(0)))
+        return Line(runs, sum(_load(run.font.path, size).getlength(run.text, **self._shaping(run)) for run in runs))
 
     def _extended(self, line: Line, size: float) -> Line:
         """Return a line with its extent over and under the baseline."""
@@ -381,26 +381,13 @@ def _fribidi() -> ctypes.CDLL:
     return ctypes.CDLL(FRIBIDI)
 
 
-def _levels(text: str, *, is_rtl: bool) -> list[int]:
-    """Return the embedding level of each character of a line by UAX 9: odd ones run from right to left."""
+def _levels(text: str, *, is_rtl: bool) -> tuple[list[int], list[int]]:
+    """Return each character's embedding level by UAX 9, odd from right to left, and its place from the left."""
     n = len(text)
-    letters, levels = (ctypes.c_uint32 * n)(*map(ord, text)), (ctypes.c_int8 * n)()
+    letters, places, levels = (ctypes.c_uint32 * n)(*map(ord, text)), (ctypes.c_int * n)(), (ctypes.c_int8 * n)()
     direction = ctypes.c_uint32(_RTL if is_rtl else _LTR)
-    _fribidi().fribidi_log2vis(letters, n, ctypes.byref(direction), None, None, None, levels)
-    return list(levels)
-
-
-def _is_at_least(least: int, run: tuple[int, GlyphRun]) -> bool:
-    return run[0] >= least
-
-
-def _from_left(runs: list[tuple[int, GlyphRun]]) -> list[GlyphRun]:
-    """Return runs, given with their levels as they are read, in the order in which they stand: rule L2 of UAX 9."""
-    ordered = list(runs)
-    for least in range(max((level for level, _ in runs), default=0), 0, -1):
-        parts = groupby(ordered, key=partial(_is_at_least, least))
-        ordered = [run for is_high, part in parts for run in (reversed(list(part)) if is_high else part)]
-    return [run for _, run in ordered]
+    _fribidi().fribidi_log2vis(letters, n, ctypes.byref(direction), None, places, None, levels)
+    return list(levels), list(places)
 
 
 @lru_cache(256)
