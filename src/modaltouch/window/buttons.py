@@ -56,9 +56,9 @@ class Buttons:
         theme, unit = self.theme, self.layout.unit
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
         middle = Box(box.x, box.y, box.width * 0.5, box.height * 0.9)
-        labels = [self._word(each.name) for each in self.answers.offered if each.is_below]
+        labels = [self.texts.label(each.name) for each in self.answers.offered if each.is_below]
         size = self._common_size(labels, middle, min(self._answer_size, 0.5 * box.height))
-        words = Words(self._word(answer), middle, size, ink, bold=True)
+        words = Words(self.texts.label(answer), middle, size, ink, bold=True)
         beside = Box(box.x + 0.36 * box.width, box.y, box.width * 0.2, 0.6 * box.height)
         return (
             *framed(box, 0.018 * unit, theme.button_edge, fill, 0.006 * unit),
@@ -83,12 +83,9 @@ class Buttons:
         ]
         return (
             *framed(box, 0.022 * unit, edge, fill, 0.006 * unit),
-            Words(self._word(answer), upper, self._answer_size, ink, bold=True),
+            Words(self.texts.label(answer), upper, self._answer_size, ink, bold=True),
             *arrows,
         )
-
-    def _word(self, answer: str) -> str:
-        return self.texts.label(answer)
 
     @cached_property
     def _share(self) -> float:
@@ -98,7 +95,7 @@ class Buttons:
     @cached_property
     def _answer_size(self) -> float:
         """One size of type at which every answer of the row fits its button, on several lines where it is larger so."""
-        labels = [self._word(each.name) for each in self.answers.offered if not each.is_below] or ["-"]
+        labels = [self.texts.label(each.name) for each in self.answers.offered if not each.is_below] or ["-"]
         width = self.layout.answer_width * self._share
         height = 0.52 * next(iter(self.layout.buttons.values())).height
         return self._common_size(labels, Box(0, 0, width, height), 0.062 * self.layout.type_scale)

@@ -100,7 +100,8 @@ class DisplayLoop:
         self.clock = clock
         self._display = display
         self._tick = tick
-        self._log = log
+        self.note = log
+        """Writes an event into the record now."""
         self._screenshots = screenshots
         self._sitter = sitter
         self._emergency_keys = emergency_keys
@@ -189,10 +190,6 @@ class DisplayLoop:
         """Leave events to be returned by the next poll."""
         self._unread.extend(events)
 
-    def note(self, event: str, **facts: Any) -> None:
-        """Write an event into the record now."""
-        self._log(event, **facts)
-
     def note_later(self, event: str, **facts: Any) -> None:
         """Keep an event until `write_notes`, for the moment when nothing may raise."""
         self._unwritten.append((event, facts))
@@ -201,7 +198,7 @@ class DisplayLoop:
         """Write the events that were kept."""
         notes, self._unwritten = self._unwritten, []
         for event, facts in notes:
-            self._log(event, **facts)
+            self.note(event, **facts)
 
     def _refresh(self) -> None:
         """Draw again what another window has covered."""
