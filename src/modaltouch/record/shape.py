@@ -76,8 +76,6 @@ def check_shape(events: Iterable[dict[str, Any]], name: str, *, to_repeat: bool 
                 f"{' and '.join(map(str, READABLE))}; use the version of the program that wrote it"
             )
         kind = "trial" if kind == "answered" else kind
-        if kind == "trial" and _is_whole(event):
-            continue
         repeated = _NEEDED["start, to be repeated"] if to_repeat and kind == "start" else ()
         for path, types in (*_NEEDED.get(kind, ()), *repeated):
             value: Any = event
@@ -87,23 +85,3 @@ def check_shape(events: Iterable[dict[str, Any]], name: str, *, to_repeat: bool 
                 problems.append(f"{name}:{number}: the event `{kind}` does not say its {'.'.join(path)}")
                 break
     return tuple(problems)
-
-
-def _is_whole(event: dict[str, Any]) -> bool:
-    """Return whether an answer says all it must, as nearly all do: a results tree holds hundreds of thousands."""
-    try:
-        trial, response = event["trial"], event["response"]
-        condition = trial["condition"]
-        return (
-            type(trial["index"]) is type(trial["block"]) is type(trial["repetition"]) is int
-            and type(trial["practice"]) is type(event["confirmed"]["confirmed"]) is bool
-            and type(condition["finger_condition"])
-            is type(condition["zone_left"])
-            is type(condition["zone_right"])
-            is str
-            and type(response["answer"]) is str
-            and type(condition["velocity_mm_s"]) in (int, float)
-            and type(response["reaction_time"]) in (int, float)
-        )
-    except (KeyError, TypeError):
-        return False
