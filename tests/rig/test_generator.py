@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.protocol.apparatus import Apparatus, LatencyBounds
+from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.fingers import FingerSection, FingerSpread
+from modaltouch.protocol.twin import Latency
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import Bursts, RigError
 from modaltouch.rig.pacing import HELD_UP
@@ -478,7 +479,7 @@ def test_measured_latency_dates_the_first_sample(
     simulator: Simulator, apparatus: Apparatus, guard: Any, burst: Burst, clock: VirtualClock
 ) -> None:
     """`generator.trigger_latency_ms`: the interval is that of the trigger, later by the bounds."""
-    own = apparatus.generator.model_copy(update={"trigger_latency_ms": LatencyBounds(low=3.0, high=3.4)})
+    own = apparatus.generator.model_copy(update={"trigger_latency_ms": Latency(low=3.0, high=3.4)})
     measured = apparatus.model_copy(update={"generator": own})
     with Generator(simulator.address, measured, start_guard=guard, clock=clock) as rig:
         rig.load(burst)

@@ -33,7 +33,7 @@ from modaltouch.protocol.section import (
     described,
 )
 from modaltouch.protocol.source import Source
-from modaltouch.protocol.twin import TwinSection
+from modaltouch.protocol.twin import Latency, TwinSection
 
 if TYPE_CHECKING:
     from modaltouch.stimulus import Amplifier as AmplifierValues
@@ -124,13 +124,6 @@ class Safety(Section):
     velocity_limit_mm_s: Positive = described("Highest velocity anywhere in a zone [mm/s, peak].")
 
 
-class LatencyBounds(Section):
-    """Between which bounds a delay lies."""
-
-    low: NotNegative = described("Shortest delay [ms].")
-    high: NotNegative = described("Longest delay [ms].")
-
-
 class GeneratorSection(Section):
     """The arbitrary function generator."""
 
@@ -145,7 +138,7 @@ class GeneratorSection(Section):
         "check --compare says by how much). `burst` is the former name of timer.",
         default="single",
     )
-    trigger_latency_ms: LatencyBounds | None = described(
+    trigger_latency_ms: Latency | None = described(
         "From the command that triggers a burst to its first sample, as `rig check --scope` measures it "
         "[ms]; null where it is unknown, and no instant is then claimed to less than a millisecond.",
         default=None,
@@ -363,7 +356,6 @@ def check_apparatus(reading: Reading[Apparatus]) -> list[Problem]:
         *_check_unlisted(reading),
         *check_shapes(reading),
         *check_patches(reading),
-        *_check_latency(reading),
     ]
 
 
@@ -431,10 +423,3 @@ def _unknown_sets(reading: Reading[Apparatus], path: tuple[str | int, ...], know
     for name in reading.keys(*path) or ():
         if name not in known:
             yield reading.unknown((*path, name), "a set of actuator_sets", known, at_key=True)
-
-
-def _check_latency(reading: Reading[Apparatus]) -> Iterator[Problem]:
-    low, high = (reading.sound("generator", "trigger_latency_ms", bound) for bound in ("low", "high"))
-    if low is not None and high is not None and low > high:
-        path = ("generator", "trigger_latency_ms", "low")
-        yield reading.problem(path, f"{low:g} ms, above the longest of {high:g} ms", f"at most {high:g}", "swap them")
