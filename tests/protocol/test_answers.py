@@ -43,7 +43,7 @@ def test_other_answers_stand_as_in_the_file() -> None:
     assert german.compares
     both = german.naming("left", "right")
     assert both is not None and both.name == "beide"
-    assert (german.fingers_of("rechts"), german.fingers_of("time_out")) == (("right",), None)
+    assert (german.named("rechts").fingers, german.named("time_out").fingers) == (("right",), None)
 
 
 def test_words_of_a_table_are_the_papers_or_stand_alone() -> None:

@@ -137,16 +137,8 @@ class AnswerList(tuple[Answer, ...]):
         return next((answer for answer in self if answer.fingers == fingers), None)
 
     def named(self, name: str) -> Answer:
-        """Return the answer of a name; KeyError if there is none."""
-        return {answer.name: answer for answer in self}[name]
-
-    def fingers_of(self, name: str) -> Fingers | None:
-        """Return the fingers that the answer of a name stands for; None also for a time-out."""
-        return next((answer.fingers for answer in self if answer.name == name), None)
-
-    def interval_of(self, name: str) -> int | Literal["same", "different"] | None:
-        """Return what the answer of a name says of the intervals of a trial; None also for a time-out."""
-        return next((answer.interval for answer in self if answer.name == name), None)
+        """Return the answer of a name; one that says nothing if there is none, as for a time-out."""
+        return next((answer for answer in self if answer.name == name), Answer(name))
 
     def expected(self, *speeds: float) -> str | None:
         """Name of the answer of somebody who feels well; None where it may be either, or no answer says it.
@@ -190,7 +182,7 @@ class AnswerList(tuple[Answer, ...]):
         zone_left : str
             Zone under the left finger.
         """
-        named = self.fingers_of(name)
+        named = self.named(name).fingers
         if rule == "felt" and self.naming() is not None:
             return named != ()
         if rule in self.names:

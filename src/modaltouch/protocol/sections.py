@@ -392,7 +392,7 @@ class Protocol(Section):
         """Whether an answer is right about a trial's intervals; None where it says nothing of them, or any may be."""
         if self.intervals is None:
             return None
-        return self.intervals.is_correct(self.answers.offered.interval_of(answer), trial.condition, trial.interval)
+        return self.intervals.is_correct(self.answers.offered.named(answer).interval, trial.condition, trial.interval)
 
     def n_bursts(self, name: str) -> int:
         """Return how many bursts a stimulus has, or may have until the answer; of a catch trial, what all share."""

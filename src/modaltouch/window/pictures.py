@@ -270,7 +270,7 @@ class Illustrator:
 
     def feedback(self, trial: Trial, progress: Progress, answer: str, expected: str) -> Picture:
         """Return where the vibration was stronger, or which answer was right, after a practice trial."""
-        texts, felt = self.texts, self.answers.offered.fingers_of(expected)
+        texts, felt = self.texts, self.answers.offered.named(expected).fingers
         said = {
             ("left",): texts.practice_was_left,
             ("left", "right"): texts.practice_was_both,
