@@ -37,7 +37,7 @@ def test_a_run_is_fitted_over_the_speed_of_each_trial(tmp_path: Path) -> None:
         share = other.levels / one.levels
         assert share == pytest.approx(share[0], rel=1e-3)
         assert other.fitted.n_catch == one.fitted.n_catch
-        assert other.fitted.threshold.value == pytest.approx(share[0] * one.fitted.threshold.value, rel=1e-3)
+        assert other.fitted.threshold.estimate == pytest.approx(share[0] * one.fitted.threshold.estimate, rel=1e-3)
 
 
 def test_a_table_without_speeds_is_refused(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from modaltouch.analysis.measures import Cell, Measure, Own, cells
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import LevelScale, scale_of
 from modaltouch.analysis.task import TrialTask
-from modaltouch.analysis.thresholds.psychometric import Psychometric, ThresholdEstimate, fit_psychometric
+from modaltouch.analysis.thresholds.psychometric import Psychometric, fit_psychometric
 
 MOST_LAPSE = 0.02
 """Largest share of lapses at either end that a fit may find [1]; with 0.05, 144 answers tell a spread 10 % too small.
@@ -123,9 +123,5 @@ def measures_of_fits(fits: tuple[FittedCell, ...], task: TrialTask, scale: Level
             )
 
 
-def _interval(estimate: ThresholdEstimate | None, told: Callable[[float], float]) -> Interval:
-    if estimate is None:
-        return Interval.point(math.nan, 0)
-    low = -math.inf if estimate.low is None else estimate.low
-    high = math.inf if estimate.high is None else estimate.high
-    return Interval(estimate.value, low, high, 0).changed(told)
+def _interval(estimate: Interval | None, told: Callable[[float], float]) -> Interval:
+    return Interval.point(math.nan, 0) if estimate is None else estimate.changed(told)

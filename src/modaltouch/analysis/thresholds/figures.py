@@ -11,7 +11,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
-from modaltouch.analysis.thresholds.psychometric import ThresholdEstimate
+from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.thresholds.runs import Run, in_words
 from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_grid
 
@@ -86,15 +86,14 @@ def _mark_levels(axis: Axis) -> None:
     axis.set_minor_locator(NullLocator())
 
 
-def _in_mm_s(threshold: ThresholdEstimate, bounds: tuple[float, float]) -> tuple[float, float, float]:
+def _in_mm_s(threshold: Interval, bounds: tuple[float, float]) -> tuple[float, float, float]:
     """Return a threshold between the ends of its interval [mm/s]; an open end lies beyond the picture."""
-    low = bounds[0] / 10 if threshold.low is None else 10 ** (threshold.low / 20)
-    high = bounds[1] * 10 if threshold.high is None else 10 ** (threshold.high / 20)
-    return low, 10 ** (threshold.value / 20), high
+    told = threshold.changed(lambda level: float(np.clip(10 ** (level / 20), bounds[0] / 10, bounds[1] * 10)))
+    return told.low, told.estimate, told.high
 
 
 def _band(
-    span: Callable[..., Any], line: Callable[..., Any], threshold: ThresholdEstimate | None, bounds: tuple[float, float]
+    span: Callable[..., Any], line: Callable[..., Any], threshold: Interval | None, bounds: tuple[float, float]
 ) -> None:
     """Draw a threshold and its interval across a picture."""
     if threshold is not None:

@@ -47,23 +47,6 @@ DROP, REGION = 1.920729, 2.995732
 
 
 @dataclass(frozen=True)
-class ThresholdEstimate:
-    """A number with its interval; a bound is None where the answers set none.
-
-    Attributes
-    ----------
-    value : float
-        The likeliest value.
-    low, high : float or None
-        Ends of the joint 95 % region of threshold and spread.
-    """
-
-    value: float
-    low: float | None
-    high: float | None
-
-
-@dataclass(frozen=True)
 class Psychometric:
     """What the answers of a run tell of a psychometric function.
 
@@ -73,7 +56,7 @@ class Psychometric:
         Trials with a stimulus, and successes among them.
     n_catch, n_false : int
         Catch trials, and successes among them.
-    threshold, spread : ThresholdEstimate or None
+    threshold, spread : Interval or None
         Threshold and spread [dB re 1 mm/s, dB]; None where these answers tell none.
     guess_rate, lapse_rate : float
         The likeliest asymptotes [1].
@@ -87,8 +70,8 @@ class Psychometric:
     n_successes: int
     n_catch: int
     n_false: int
-    threshold: ThresholdEstimate | None
-    spread: ThresholdEstimate | None
+    threshold: Interval | None
+    spread: Interval | None
     guess_rate: float
     lapse_rate: float
     why_not: str = ""
@@ -100,7 +83,7 @@ class Psychometric:
         """Rise of the function at the threshold [1/dB]; None where the answers fit a step as well."""
         if self.spread is None or self.is_step:
             return None
-        return (1 - self.guess_rate - self.lapse_rate) / (self.spread.value * math.sqrt(2 * math.pi))
+        return (1 - self.guess_rate - self.lapse_rate) / float(self.spread.estimate * math.sqrt(2 * math.pi))
 
     def probability(self, levels: FloatArray) -> FloatArray | None:
         """Return the fitted probability of success at levels [dB re 1 mm/s]; None where there is no fit."""
@@ -108,7 +91,7 @@ class Psychometric:
             return None
         from scipy.special import ndtr
 
-        rising = ndtr((levels - self.threshold.value) / self.spread.value)
+        rising = ndtr((levels - self.threshold.estimate) / self.spread.estimate)
         return np.asarray(self.guess_rate + (1 - self.guess_rate - self.lapse_rate) * rising)
 
 
@@ -156,7 +139,7 @@ def fit_psychometric(
         n_false=n_false, flat_rate=flat_rate,
     )  # fmt: skip
     why = _why_not(x, hits, tries, float(fits.settled[0]), float(fits.threshold.estimate[0]), unit)
-    threshold, spread = (None if why else _estimated(each[0]) for each in (fits.threshold, fits.spread))
+    threshold, spread = (None if why else each[0].changed(float) for each in (fits.threshold, fits.spread))
     return Psychometric(
         n_trials=int(tries.sum()),
         n_successes=int(hits.sum()),
@@ -341,12 +324,6 @@ def _crossing(values: FloatArray, profiles: FloatArray, bound: FloatArray) -> Fl
     is_crossed = (inside > 0) & np.isfinite(left)
     share = np.divide(found - bound, found - left, out=np.zeros(len(rows)), where=is_crossed)
     return np.where(is_crossed, values[inside] - share * (values[inside] - values[outside]), -np.inf)
-
-
-def _estimated(interval: Interval) -> ThresholdEstimate:
-    """Return a fitted number with its bounds; None where there is none."""
-    low, high = (float(each) if np.isfinite(each) else None for each in (interval.low, interval.high))
-    return ThresholdEstimate(float(interval.estimate), low, high)
 
 
 def _log_constant(hits: FloatArray, tries: FloatArray) -> FloatArray:

@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from modaltouch.analysis.intervals import student_interval
+from modaltouch.analysis.intervals import Interval, student_interval
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
-from modaltouch.analysis.thresholds.psychometric import Psychometric, ThresholdEstimate, fit_psychometric
+from modaltouch.analysis.thresholds.psychometric import Psychometric, fit_psychometric
 from modaltouch.analysis.zones import label_zones, zones_of
 from modaltouch.report import say_number
 
@@ -86,7 +86,8 @@ class Run:
     def as_dict(self) -> dict[str, Any]:
         """Return the run as plain values; what the answers do not tell is null."""
         fitted = self.fitted
-        threshold, spread = fitted.threshold, fitted.spread
+        threshold, spread = (each or Interval.point(math.nan, 0) for each in (fitted.threshold, fitted.spread))
+        is_told = fitted.threshold is not None
         return {
             "participant": self.participant,
             "session": self.session,
@@ -97,15 +98,15 @@ class Run:
             "n_catch_trials": fitted.n_catch,
             "n_catch_successes": fitted.n_false,
             "n_reversals": self.n_reversals,
-            "threshold_mm_s": _velocity(threshold.value if threshold else None),
-            "threshold_low_mm_s": _velocity(threshold.low if threshold else None),
-            "threshold_high_mm_s": _velocity(threshold.high if threshold else None),
-            "spread_dB": spread.value if spread else None,
-            "spread_low_dB": spread.low if spread else None,
-            "spread_high_dB": spread.high if spread else None,
+            "threshold_mm_s": _velocity(threshold.estimate),
+            "threshold_low_mm_s": _velocity(threshold.low),
+            "threshold_high_mm_s": _velocity(threshold.high),
+            "spread_dB": _known(spread.estimate),
+            "spread_low_dB": _known(spread.low),
+            "spread_high_dB": _known(spread.high),
             "slope_per_dB": fitted.slope,
-            "guess_rate": fitted.guess_rate if threshold else None,
-            "lapse_rate": fitted.lapse_rate if threshold else None,
+            "guess_rate": fitted.guess_rate if is_told else None,
+            "lapse_rate": fitted.lapse_rate if is_told else None,
             "is_uncertain": fitted.is_uncertain,
             "why_not": fitted.why_not or None,
         }
@@ -173,9 +174,9 @@ def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
         told: dict[str, list[float]] = {}
         for run in own:
             if run.fitted.threshold is not None:
-                told.setdefault(run.participant, []).append(run.fitted.threshold.value)
+                told.setdefault(run.participant, []).append(run.fitted.threshold.estimate)
         means = np.array([np.mean(values) for values in told.values()])
-        interval = student_interval(means) if len(means) > 1 else None
+        interval = student_interval(means)
         rows.append(
             {
                 **own[0].factors,
@@ -183,21 +184,25 @@ def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
                 "n_without_threshold": sum(run.fitted.threshold is None for run in own),
                 "n_uncertain": sum(run.fitted.is_uncertain for run in own),
                 "n_participants": len(means),
-                "threshold_mm_s": _velocity(float(means.mean()) if len(means) else None),
-                "threshold_low_mm_s": _velocity(interval.low if interval else None),
-                "threshold_high_mm_s": _velocity(interval.high if interval else None),
+                "threshold_mm_s": _velocity(interval.estimate),
+                "threshold_low_mm_s": _velocity(interval.low),
+                "threshold_high_mm_s": _velocity(interval.high),
             }
         )
     return rows
 
 
-def in_words(estimate: ThresholdEstimate, unit: str = "") -> str:
+def in_words(estimate: Interval, unit: str = "") -> str:
     """Return a threshold with its interval [mm/s], such as ``12.3 (9.1 to 17)``."""
-    value, *bounds = (_velocity(each) for each in (estimate.value, estimate.low, estimate.high))
+    value, *bounds = (_velocity(each) for each in (estimate.estimate, estimate.low, estimate.high))
     low, high = ("no bound" if bound is None else say_number(bound) for bound in bounds)
     return f"{say_number(value)}{unit} ({low} to {high})"
 
 
-def _velocity(level: float | None) -> float | None:
+def _velocity(level: float) -> float | None:
     """Return a level [dB re 1 mm/s] in mm/s; None where it is none."""
-    return None if level is None or not math.isfinite(level) else float(f"{10 ** (level / 20):.5g}")
+    return float(f"{10 ** (level / 20):.5g}") if math.isfinite(level) else None
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None
