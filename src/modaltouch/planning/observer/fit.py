@@ -281,18 +281,9 @@ def _observer_at(prior: Observer, fitted: Sequence[_Quantity], point: ArrayLike)
 
 def _covariance(cost: Callable[[FloatArray], float], point: FloatArray, deviation: FloatArray) -> FloatArray:
     """Return the inverse of the curvature at a minimum, kept within the prior's."""
-    steps = 0.05 * deviation
-    n = point.size
-    moves = np.diag(steps)
-    middle = cost(point)
-    curvature = np.empty((n, n))
-    for i in range(n):
-        curvature[i, i] = (cost(point + moves[i]) - 2 * middle + cost(point - moves[i])) / steps[i] ** 2
-        for j in range(i):
-            mixed = cost(point + moves[i] + moves[j]) - cost(point + moves[i] - moves[j])
-            mixed += cost(point - moves[i] - moves[j]) - cost(point - moves[i] + moves[j])
-            curvature[i, j] = curvature[j, i] = mixed / (4 * steps[i] * steps[j])
-    scaled = curvature * np.outer(deviation, deviation)
+    from statsmodels.tools.numdiff import approx_hess3
+
+    scaled = approx_hess3(np.zeros(point.size), lambda step: cost(point + step * deviation), 0.05)
     values, vectors = np.linalg.eigh(scaled)
     # In units of the prior the curvature is at least the prior's own, 1; less is numerical noise.
     inverse = (vectors / np.maximum(values, 1.0)) @ vectors.T
