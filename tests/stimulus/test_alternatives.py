@@ -86,13 +86,3 @@ def test_bang_bang_shakes_what_the_model_leaves_out(small):
     assert [row["name"] for row in rows] == ["exact", "4-norm", "8-norm", "least peak"]
     assert speed[3] > 10 * speed[0]
     assert rows[0]["peak_voltage"] == pytest.approx(small.peak_voltage.max())
-
-
-def test_senseless_orders_and_steps_are_refused(steering):
-    """Bounds with remedies."""
-    with pytest.raises(ValueError, match=r"norm's order is 1\.5; it must lie between 2 and 16"):
-        least_norm(steering, 1.5)
-    with pytest.raises(ValueError, match=r"9000 held steps; .* at most 8192: take 1024"):
-        least_peak(steering, 9000)
-    with pytest.raises(ValueError, match=r"18 held steps; a linear programme of 18 conditions takes more"):
-        least_peak(steering, 18)
