@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -401,12 +402,7 @@ def _ordered_conditions(names: list[str]) -> list[str]:
 
 def _natural(name: str) -> tuple[tuple[int, int, str], ...]:
     """Return a key that sorts p2 before p10."""
-    parts: list[str] = []
-    for character in name:
-        if parts and parts[-1][-1].isdecimal() == character.isdecimal():
-            parts[-1] += character
-        else:
-            parts.append(character)
+    parts = filter(None, re.split(r"(\d+)", name))
     return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts)
 
 
