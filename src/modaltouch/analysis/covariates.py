@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -167,11 +168,9 @@ def centre_interval(seconds: FloatArray) -> Interval:
         return Interval(float(seconds.mean()) if values.size else math.nan, -math.inf, math.inf, values.size)
 
     def lowest(values: IntArray) -> int:
-        low, high = int(values.min()) - 1, int(np.rint(values.mean()))
-        while high - low > 1:
-            middle = (low + high) // 2
-            low, high = (low, middle) if sign_flip_test(values - middle).p > 1 - CONFIDENCE else (middle, high)
-        return high
+        centres = range(int(values.min()), int(np.rint(values.mean())))
+        kept = bisect_right(centres, 1 - CONFIDENCE, key=lambda centre: sign_flip_test(values - centre).p)
+        return centres.start + kept
 
     return Interval(float(seconds.mean()), lowest(values) / 1000, -lowest(-values) / 1000, values.size)
 
