@@ -24,6 +24,9 @@ FloatArray = NDArray[np.float64]
 DIRECT_COST = 100_000_000
 """Up to how many additions shifted copies are added; about 0.15 s."""
 
+_STEEPEST = 50.0
+"""Tilt under which a sum of whole numbers keeps to its end [1]."""
+
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
@@ -116,20 +119,14 @@ def _tilted_tail(kernels: Sequence[Kernel], bound: int, side: int) -> float:
 
 def _tilt_towards(parts: Sequence[tuple[IntArray, FloatArray, int]], target: int) -> float:
     """Return the exponential tilt, at least zero, under which the mean of the sum is the target."""
+    from scipy.optimize import brentq
 
-    def mean(tilt: float) -> float:
-        return _moments(parts, tilt)[0]
+    def short(tilt: float) -> float:
+        return target - _moments(parts, tilt)[0]
 
-    if mean(0.0) >= target:
+    if short(0.0) <= 0:
         return 0.0
-    span = max(float(steps.max() - steps.min()) for steps, _, _ in parts)
-    low, high = 0.0, 1.0 / span
-    while mean(high) < target and high < 50.0:
-        low, high = high, 2 * high
-    for _ in range(60):
-        middle = (low + high) / 2
-        low, high = (middle, high) if mean(middle) < target else (low, middle)
-    return (low + high) / 2
+    return _STEEPEST if short(_STEEPEST) > 0 else float(brentq(short, 0.0, _STEEPEST))
 
 
 def _moments(parts: Sequence[tuple[IntArray, FloatArray, int]], tilt: float) -> tuple[float, float]:

@@ -26,8 +26,6 @@ from modaltouch.stimulus.shapes import scaled_position
 _STEP = 0.05
 """Phase of the trigonometric branch between two looks for a root [rad]."""
 
-_BISECTIONS = 60
-
 
 @dataclass(frozen=True)
 class TimoshenkoBeam:
@@ -146,7 +144,9 @@ class TimoshenkoBeam:
         return np.asarray(inner * end_odd * np.sin(phase * y) + outer * np.sin(phase / 2) * odd)
 
     def _root(self, bending: int) -> float:
-        """Return the frequency parameter of a bending mode, by looking for signs and halving."""
+        """Return the frequency parameter of a bending mode, by looking for signs and between them."""
+        from scipy.optimize import brentq
+
         if bending < 1:
             raise ValueError(f"bending mode {bending} does not exist; they count from 1")
         symmetric, wanted = bool(bending % 2), (bending + 1) // 2
@@ -155,16 +155,8 @@ class TimoshenkoBeam:
         grid = self._parameter(phase)
         value = self._determinant(grid, symmetric)
         change = np.flatnonzero(np.sign(value[1:]) != np.sign(value[:-1]))
-        low, high = float(grid[change[wanted - 1]]), float(grid[change[wanted - 1] + 1])
-        below = float(self._determinant(np.array([low]), symmetric)[0])
-        for _ in range(_BISECTIONS):
-            middle = (low + high) / 2
-            here = float(self._determinant(np.array([middle]), symmetric)[0])
-            if (here > 0) == (below > 0):
-                low = middle
-            else:
-                high = middle
-        return (low + high) / 2
+        ends = grid[change[wanted - 1]], grid[change[wanted - 1] + 1]
+        return float(brentq(lambda b: self._determinant(np.array([b]), symmetric)[0], *ends, xtol=1e-300))
 
     def _parameter(self, phase: FloatArray) -> FloatArray:
         """Return the frequency parameters at which b beta has given values [1]."""
