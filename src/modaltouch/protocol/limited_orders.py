@@ -197,12 +197,17 @@ def draw_by_rejection(counts: Sequence[int], limit: int, stream: Stream) -> list
 def _draw_word(counts: tuple[int, ...], limit: int, stream: Stream) -> list[int]:
     """Return a uniform draw among all orders that keep the limit, cut where its counts go wrong."""
     steps = _totals_of_runs(sum(counts), len(counts), limit)
-    left, last, order = list(counts), -1, list[int]()
-    while len(order) < len(steps) - 1:
-        totals = steps[len(steps) - 1 - len(order)]
+    left, last, order, others = list(counts), -1, list[int](), len(counts)
+    rest = len(steps) - 1
+    while rest:
+        totals = steps[rest]
         run = 1 + bisect_right(totals, stream.below(totals[-1]))
-        kind = stream.below(len(counts) - (last >= 0))
-        kind += 0 <= last <= kind
+        rest -= run
+        kind = stream.below(others)
+        if last >= 0:
+            kind += last <= kind
+        else:
+            others -= 1
         left[kind] -= run
         if left[kind] < 0:
             return order

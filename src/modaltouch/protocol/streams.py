@@ -20,8 +20,6 @@ ALGORITHM = "modaltouch order 1: raw words of numpy PCG64, seeded by SeedSequenc
 
 Item = TypeVar("Item")
 
-_WORD_BITS = 64
-
 
 def key_of(name: str) -> int:
     """Return the number that stands for a participant or a purpose: its SHA-256."""
@@ -56,21 +54,19 @@ class Stream:
 
     def __init__(self, seed: int, participant: str, session: int, purpose: str) -> None:
         self._source = np.random.PCG64(seed_sequence(seed, participant, session, purpose))
-        self._words: list[int] = []
-
-    def _word(self) -> int:
-        if not self._words:
-            self._words = self._source.random_raw(256).tolist()[::-1]
-        return self._words.pop()
+        self._bytes, self._read = b"", 0
 
     def below(self, bound: int) -> int:
         """Return a uniform whole number from 0 to `bound` - 1, exactly, however large the bound."""
         n_bits = (bound - 1).bit_length()
+        n_words = (n_bits + 63) // 64
         while True:
-            value = 0
-            for _ in range(-(-n_bits // _WORD_BITS)):
-                value = value << _WORD_BITS | self._word()
-            value >>= -n_bits % _WORD_BITS
+            end = self._read + 8 * n_words
+            if end > len(self._bytes):
+                fresh = self._source.random_raw(1024 + n_words).astype(">u8").tobytes()
+                self._bytes, self._read, end = self._bytes[self._read :] + fresh, 0, 8 * n_words
+            value = int.from_bytes(self._bytes[self._read : end]) >> 64 * n_words - n_bits
+            self._read = end
             if value < bound:
                 return value
 
