@@ -451,10 +451,11 @@ def test_recorded_answers_and_ratings_come_to_each_participant(edit, tmp_path: P
     [
         (lambda table: table.drop(columns="interval"), "add the column interval"),
         (lambda table: table.assign(interval="late"), r"interval: given 'late' \(in 1152 rows\)"),
+        (lambda table: table.assign(interval=3), "interval: given '3'.*allowed: a whole number, 1 to 2"),
     ],
 )
 def test_a_table_of_intervals_has_to_tell_where_the_comparison_stood(compared, tmp_path: Path, change, reason) -> None:
-    """One column more than of other designs, whole numbers."""
+    """One column more than of other designs, whole numbers, as many as there are intervals."""
     path = tmp_path / "answers.csv"
     change(compared).to_csv(path, index=False)
     with pytest.raises(InputError, match=reason):

@@ -10,7 +10,7 @@ from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.parts import analyse_parts
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.responses import TableFormat
-from modaltouch.protocol.problems import InputError
+from modaltouch.protocol import AnswerList, InputError
 
 HEADER = "participant,finger_condition,zone_left,zone_right,velocity_mm_s,response"
 
@@ -384,14 +384,14 @@ class TestSessionsAndModes:
         assert [missing["n"] for missing in found.as_dict()["missing"]] == [1]
 
     def test_stimuli_and_groups_are_in_the_order_of_the_protocol(self, write_csv, paper_rows) -> None:
-        """Differences are of the first named less the second: without a protocol by the alphabet, other names last."""
+        """Differences are of the first named less the second: without a protocol by the alphabet."""
         rows = [row | {"stimulus": name, "group": "old" if row["participant"] < "p05" else "new"}
-                for name in ("near", "far", "else") for row in paper_rows]  # fmt: skip
+                for name in ("near", "far") for row in paper_rows]  # fmt: skip
         path = write_csv(rows)
-        assert read_responses(path).stimuli == ("else", "far", "near")
+        assert read_responses(path).stimuli == ("far", "near")
         design = {"stimuli": {"near": {}, "far": {}}, "groups": {"old": {}, "new": {}}}
         read = read_responses(path, table_format=TableFormat(design=design))
-        assert (read.stimuli, [*dict.fromkeys(read.groups.values())]) == (("near", "far", "else"), ["old", "new"])
+        assert (read.stimuli, [*dict.fromkeys(read.groups.values())]) == (("near", "far"), ["old", "new"])
         alone = read_responses(path, stimulus="far", table_format=TableFormat(design=design))
         assert [*dict.fromkeys(alone.groups.values())] == ["old", "new"]
 
@@ -426,3 +426,40 @@ def test_a_table_of_adaptive_levels_is_refused_as_such(write_csv, paper_rows) ->
     design = {"adaptive": {"method": "staircase"}}
     with pytest.raises(InputError, match="a table with an adaptive protocol.*give the folder of the sessions"):
         read_responses(write_csv(paper_rows), table_format=TableFormat(design=design))
+
+
+PROTOCOL = {
+    "answers": {"scale": {"kind": "vas"}, "then": {"sure": {"scale": {"kind": "likert", "highest": 4}}}},
+    "stimuli": {"near": {}, "far": {}},
+    "groups": {"old": {}, "new": {}},
+}
+
+
+@pytest.mark.parametrize(
+    ("column", "word", "fault"),
+    [
+        ("value", "190", "given '190'; allowed: 0 to 100 by 1, or nothing"),
+        ("sure", "0", "given '0'; allowed: 1 to 4 by 1, or nothing"),
+        ("stimulus", "nera", "given 'nera'; allowed: near, far; write one of them"),
+        ("group", "od", "given 'od'; allowed: old, new; write one of them"),
+        ("group", "new", "given 'new' of participant p01, who was in another group before; allowed: one group of each"),
+    ],
+)
+def test_a_table_holds_what_its_protocol_can_give(write_csv, paper_rows, column, word, fault) -> None:
+    """A rating beyond its scale, names that the protocol lacks, a participant of two groups: each at its line."""
+    usual = {"value": 50, "sure": 2, "stimulus": "near", "group": "old", "response": "rated"}
+    rows = [row | usual for row in paper_rows]
+    rows[5][column] = word
+    answers = AnswerList.of(PROTOCOL["answers"])
+    with pytest.raises(InputError) as caught:
+        read_responses(write_csv(rows), table_format=TableFormat(answers, design=PROTOCOL))
+    assert f": {column}: {fault}" in str(caught.value) and ":7:" in str(caught.value)
+
+
+def test_a_time_out_is_no_rating(write_csv, paper_rows) -> None:
+    """In words, as in the record's own table, or empty; neither is refused."""
+    design = {"answers": PROTOCOL["answers"]}
+    rows = [row | {"value": 50, "sure": sure, "response": "rated"} for row, sure in zip(
+        paper_rows, ["time_out", "", *[3] * len(paper_rows)], strict=False)]  # fmt: skip
+    read = read_responses(write_csv(rows), table_format=TableFormat(AnswerList.of(design["answers"]), design=design))
+    assert read.frame["sure"].isna().sum() == 2 and read.frame["sure"].max() == 3

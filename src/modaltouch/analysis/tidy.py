@@ -26,7 +26,7 @@ from modaltouch.analysis.responses import (
 )
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY
 from modaltouch.analysis.zones import zones_of
-from modaltouch.protocol import TIME_OUT, AnswerList, InputError, Problem, suggest
+from modaltouch.protocol import TIME_OUT, AnswerList, InputError, Problem, ScaleSection, suggest
 
 _SPEEDS = ("speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s")
 NUMBERS = ("trial", "block", "response_time", *_SPEEDS)
@@ -70,6 +70,7 @@ def read_csv(
     columns.check_zones()
     caught &= ~practice
     columns.check_stimuli(~practice & ~caught)
+    columns.check_names(~practice & ~caught, table_format.design)
     if not columns.problems:
         asked = unmirror(frame[~practice & ~caught], answers)
         parts = [part for _, part in asked.groupby("stimulus", sort=False)] if "stimulus" in asked else [asked]
@@ -130,6 +131,13 @@ def _told_apart(parts: Sequence[pd.DataFrame], usual: Sequence[int], design: Map
     return frame.assign(group=frame.groupby("participant")["group"].transform("first")).reset_index(drop=True)
 
 
+def _scales(design: Mapping[str, Any]) -> dict[str, ScaleSection]:
+    """Return the scale of each column of ratings: of the trial's question, and of further ones."""
+    section = design.get("answers") or {}
+    asked = {"value": section, **(section.get("then") or {})}
+    return {name: ScaleSection.model_validate(each["scale"]) for name, each in asked.items() if each.get("scale")}
+
+
 def _frame_of(
     columns: _Columns, fields: pd.DataFrame, caught: pd.Series, table_format: TableFormat
 ) -> tuple[pd.DataFrame, AnswerList]:
@@ -156,13 +164,16 @@ def _frame_of(
     frame["n"] = columns.whole_numbers("n", 0) if "n" in fields else 1
     if "repetition" in fields:
         frame["repetition"] = columns.whole_numbers("repetition", 1)
+    scales = _scales(table_format.design)
     for name in fields.columns.difference([*frame.columns, "catch", VELOCITY.column, OWN_THRESHOLD.column], sort=False):
-        is_number = name in NUMBERS or (name == "value" and name in table_format.asked)
-        frame[name] = (
-            columns.numbers(name, "a number, or nothing", empty=True) if is_number else fields[name].astype("str")
-        )
+        if name in scales:
+            frame[name] = columns.numbers(name, f"{scales[name].allowed}, or nothing", scales[name].takes, empty=True)
+        elif name in NUMBERS:
+            frame[name] = columns.numbers(name, "a number, or nothing", empty=True)
+        else:
+            frame[name] = fields[name].astype("str")
     if "interval" in table_format.asked:
-        frame["interval"] = columns.whole_numbers("interval", 0)
+        frame["interval"] = columns.whole_numbers("interval", 1, table_format.design["intervals"]["number"])
     return frame, answers
 
 
@@ -268,16 +279,17 @@ class _Columns:
 
         def is_fit(word: str) -> bool:
             value = _number(word, table.separator)
-            return (empty and word in _EMPTY) or (math.isfinite(value) and is_sound(value))
+            return (empty and word in (*_EMPTY, TIME_OUT)) or (math.isfinite(value) and is_sound(value))
 
         column = table.fields[name] if where is None else table.fields.loc[where, name]
         self.problems += table.check_words(column, is_fit, allowed, say)
         return self._values(name, lambda word: _number(word, table.separator))
 
-    def whole_numbers(self, name: str, least: int) -> pd.Series:
+    def whole_numbers(self, name: str, least: int, most: int | None = None) -> pd.Series:
         """Return a column of whole numbers."""
-        allowed = f"a whole number, {least} or above"
-        values = self.numbers(name, allowed, lambda value: value == int(value) and least <= value < 1e9)
+        allowed = f"a whole number, {least} or above" if most is None else f"a whole number, {least} to {most}"
+        highest = 999_999_999 if most is None else most
+        values = self.numbers(name, allowed, lambda value: value == int(value) and least <= value <= highest)
         return values.fillna(-1.0).astype(np.int64, errors="ignore")
 
     def check_zones(self) -> None:
@@ -302,6 +314,25 @@ class _Columns:
             self.problems += self._table.check_words(
                 fields.loc[where, "stimulus"], lambda word: word not in _EMPTY, "the name of a stimulus in every row",
                 lambda word: ("nothing", "fill it in"),
+            )  # fmt: skip
+
+    def check_names(self, where: pd.Series, design: Mapping[str, Any]) -> None:
+        """Refuse stimuli and groups that the protocol does not have, and a participant of several groups."""
+        table, fields = self._table, self._table.fields
+        for column, section in (("stimulus", "stimuli"), ("group", "groups")):
+            if column in fields and (names := tuple(design.get(section) or ())):
+                self.problems += table.check_words(
+                    fields.loc[where, column], names.__contains__, ", ".join(names),
+                    lambda word: (repr(word), "write one of them, as the protocol does"),
+                )  # fmt: skip
+        if "group" in fields:
+            own = fields.loc[where, ["participant", "group"]].astype("str")
+            odd = own[own["group"] != own.groupby("participant")["group"].transform("first")]
+            self.problems += list_faults(
+                table.file, list(odd.itertuples(name=None)), "rows of another group", lambda row: table.problem(
+                    row[0], "group", f"{row[2]!r} of participant {row[1]}, who was in another group before",
+                    "one group of each participant", "correct one of them",
+                ),
             )  # fmt: skip
 
     def _values(self, name: str, read: Callable[[str], float]) -> pd.Series:
