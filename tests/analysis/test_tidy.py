@@ -463,3 +463,25 @@ def test_a_time_out_is_no_rating(write_csv, paper_rows) -> None:
         paper_rows, ["time_out", "", *[3] * len(paper_rows)], strict=False)]  # fmt: skip
     read = read_responses(write_csv(rows), table_format=TableFormat(AnswerList.of(design["answers"]), design=design))
     assert read.frame["sure"].isna().sum() == 2 and read.frame["sure"].max() == 3
+
+
+def test_the_protocol_tells_the_focus_of_a_table(write_csv, paper_rows) -> None:
+    """Of several stimuli each has its own; without a protocol nobody knows it."""
+    design = {"stimulus": {"focus": "C"}, "stimuli": {"near": {"focus": "B"}, "far": {}}}
+    path = write_csv([row | {"stimulus": name} for name in ("near", "far") for row in paper_rows])
+    foci = [
+        read_responses(path, stimulus=name, table_format=TableFormat(design=design)).focus for name in design["stimuli"]
+    ]
+    assert (foci, read_responses(path, stimulus="far").focus) == (["B", "C"], "")
+
+
+def test_a_table_of_a_design_that_is_not_crossed_has_its_parts(write_csv, build) -> None:
+    """Each pair at a level of its own: two parts; who lacks a trial without a row is told to write one."""
+    levels = {"A": 80, "B": 150}
+    rows = [row for row in build["random"](6, 1) if levels.get(row["zone_left"]) == row["velocity_mm_s"]]
+    design = {"conditions": {"cells": [{"pair": ["A", "C"]}]}, "stimulus": {"focus": "C"}}
+    found = analyse_parts(read_responses(write_csv(rows), table_format=TableFormat(design=design)))
+    assert sorted(part.name.split(" ", 3)[3] for part in found.parts) == ["A-C at 80 mm/s", "B-D at 150 mm/s"]
+    assert {part.counts.n_participants for part in found.parts} == {6} and found.parts[0].counts.pairs[0].focused
+    with pytest.raises(InputError, match="unequally often.*give every trial a row, without a response where none came"):
+        analyse_parts(read_responses(write_csv(rows[1:], "less.csv"), table_format=TableFormat(design=design)))

@@ -16,7 +16,7 @@ _MOST_MISSING = 0.25
 """A participant who lacks so many of the design's answers did another design, or gave up [1]."""
 
 
-def check_balance(table: Table, frame: pd.DataFrame) -> tuple[list[Problem], int]:
+def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True) -> tuple[list[Problem], int]:
     """Return doubled rows, lacking cells and surplus answers, and how many answers most cells hold.
 
     Single answers may be missing; a cell that nobody answered may not, nor a quarter of those of a participant.
@@ -31,9 +31,13 @@ def check_balance(table: Table, frame: pd.DataFrame) -> tuple[list[Problem], int
         The file, for the places of the faults.
     frame : DataFrame
         Its rows, indexed by their lines.
+    is_crossed : bool
+        Whether the design is that; else every trial has a row, and only doubled ones are told.
     """
     if frame["n"].sum() == 0:
         return [Problem(table.file, 1, 1, "", "no answers", "at least one answer that is not practice", "")], 0
+    if not is_crossed:
+        return _doubled(table, frame), 0
     answers = answers_per_cell(frame)
     counts = answers.to_numpy()
     usual = int(np.bincount(counts[counts > 0]).argmax())

@@ -73,25 +73,26 @@ def read_csv(
     columns.check_names(~practice & ~caught, table_format.design)
     if not columns.problems:
         asked = unmirror(frame[~practice & ~caught], answers)
-        parts = [part for _, part in asked.groupby("stimulus", sort=False)] if "stimulus" in asked else [asked]
-        checked = [check_balance(table, part) for part in parts]
+        is_whole, parts = _is_crossed(table_format.design), _parts(asked, table_format.design)
+        checked = [check_balance(table, part, is_crossed=is_whole) for part in parts]
         columns.problems += [problem for problems, _ in checked for problem in problems]
     if columns.problems:
         raise InputError(columns.problems)
     apart = ((practice, "practice trials"), (caught, "catch trials, counted apart"))
     left_out += [ExcludedSource(f"{table.file}: {rows.sum()} rows", why) for rows, why in apart if rows.any()]
-    is_crossed = len(parts) < 2
+    is_crossed = is_whole and len(parts) < 2
     kept = asked if is_crossed else _told_apart(parts, [usual for _, usual in checked], table_format.design)
-    kept = _in_order(kept, table_format.design)
+    kept, foci = _in_order(kept, table_format.design), _foci(kept, table_format.design)
     return Responses(
         kept[kept["response"].notna()],
         (),
         tuple(left_out),
         AnswerSource(table.file, "csv", table.sha256, _mode_of(fields)),
+        foci[0],
         catches=_count_catches(frame[caught & frame["response"].notna()]),
         answers=answers,
         margin=table_format.margin,
-        asked=checked[-1][1],
+        asked=checked[-1][1] or None,
         notes=tuple(notes),
         scheduled=None if is_crossed else kept,
         design=table_format.design,
@@ -125,10 +126,28 @@ def _in_order(frame: pd.DataFrame, design: Mapping[str, Any]) -> pd.DataFrame:
 def _told_apart(parts: Sequence[pd.DataFrame], usual: Sequence[int], design: Mapping[str, Any]) -> pd.DataFrame:
     """Return answers to several stimuli with the columns that tell recorded ones apart, and each one's focus."""
     frame = pd.concat(map(_with_missing, parts, usual))
-    focal, own = design.get("stimulus", {}).get("focus", ""), design.get("stimuli", {})
-    focus = [str(own.get(name, {}).get("focus") or focal) for name in frame["stimulus"]]
-    frame = frame.assign(focus=focus, **{name: "" for name in ("group", "session_kind") if name not in frame})
+    lacking = {name: "" for name in ("group", "session_kind") if name not in frame}
+    frame = frame.assign(focus=_foci(frame, design), **lacking)
     return frame.assign(group=frame.groupby("participant")["group"].transform("first")).reset_index(drop=True)
+
+
+def _parts(asked: pd.DataFrame, design: Mapping[str, Any]) -> list[pd.DataFrame]:
+    """Return the answers to each stimulus, of each group of the protocol."""
+    by = ["stimulus", *["group"] * ("group" in asked and bool(design.get("groups")))]
+    named = asked if "stimulus" in asked else asked.assign(stimulus="")
+    return [part for _, part in named.groupby(by, sort=False)]
+
+
+def _is_crossed(design: Mapping[str, Any]) -> bool:
+    """Return whether every participant of a group meets every cell of a stimulus equally often."""
+    own = [section.get("conditions") or {} for section in (design, *(design.get("groups") or {}).values())]
+    return not any(conditions.get(key) for conditions in own for key in ("cells", "exclude"))
+
+
+def _foci(frame: pd.DataFrame, design: Mapping[str, Any]) -> list[str]:
+    """Return the zone in focus of each answer, empty where no protocol tells it."""
+    focal, own = (design.get("stimulus") or {}).get("focus", ""), design.get("stimuli") or {}
+    return [str(own.get(name, {}).get("focus") or focal) for name in frame.get("stimulus", [""] * len(frame))]
 
 
 def _scales(design: Mapping[str, Any]) -> dict[str, ScaleSection]:

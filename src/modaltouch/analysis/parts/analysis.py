@@ -191,6 +191,8 @@ def _asked(responses: Responses, own: pd.DataFrame, cell: list[str]) -> list[tup
         shown = ", ".join(f"{who} {n}" for who, n in wide[odd[0]].drop_duplicates().items())
         given = f"participants of one group who met {' '.join(map(str, odd[0]))} unequally often ({shown})"
         remedy = "give a folder with the sessions of one version of the protocol"
+        if not responses.sessions:
+            remedy = "give every trial a row, without a response where none came"
         raise InputError.of(responses.source.path, given, "each cell equally often for all of a group", remedy)
     return [(name, int(wide[name].iloc[0])) for name in wide.columns.sort_values()]
 
