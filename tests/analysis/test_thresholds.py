@@ -22,6 +22,7 @@ from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.responses import AnswerSource, Responses
 from modaltouch.analysis.thresholds import ThresholdAnalysis, analyse_runs, render_runs
 from modaltouch.analysis.thresholds.psychometric import DROP, REGION, Psychometric, fit_psychometric
+from modaltouch.analysis.thresholds.runs import is_forced
 from modaltouch.cli.analyse import tell
 from modaltouch.planning.fitting import fit_answers
 from modaltouch.planning.observer import Observer, Participant
@@ -379,3 +380,13 @@ def test_the_report_says_what_was_a_success_and_what_the_standard(design: dict, 
     assert [run.n_missing for run in late.runs] == [late.as_dict()["n_missing"]] == [1]
     assert "1 trial timed out without an answer. The level followed" in render_runs(late)["report.html"]
     assert "which is in focus" not in page
+
+
+@pytest.mark.parametrize(("guess_rate", "expected"), [(0.3333, True), (0.33, True), (0.25, False)])
+def test_a_guess_rate_of_a_few_digits_is_that_of_guessing(guess_rate: float, expected: bool) -> None:
+    """Of three intervals 1/3, however it is rounded: `check` itself writes 0.3333."""
+    answers = AnswerList.of({"keys": {"one": ["a"], "two": ["b"], "three": ["c"]}})
+    frame = pd.DataFrame({"response": ["one"], "velocity_mm_s": [60.0]})
+    start = {"design": {"adaptive": {"guess_rate": guess_rate}}}
+    source = AnswerSource("somewhere", "results", "", "real")
+    assert is_forced(Responses(frame, (), (), source, start=start, answers=answers)) == expected
