@@ -115,7 +115,7 @@ def test_a_design_that_falls_into_one_part_is_not_told_as_several() -> None:
     """One pair twice at one level is crossed, whatever key of the protocol listed its cell."""
     found = analyse_parts(responses([row for row in rows() if row["zone_left"] == "B"]))
     page = render_parts(found)["report.html"]
-    assert "The design falls into 1\ncrossed part;" in page and "Not every participant met" not in page
+    assert "The design falls into 1\ncrossed part;" in page
     assert found.as_dict()["notes"] == []
 
 
@@ -157,6 +157,7 @@ def test_groups_are_compared_by_one_number_of_each_participant() -> None:
     assert dominant["p_holm"] == pytest.approx(holm([2 / 70, 1.0])[0])
     page = render_parts(found)["report.html"]
     assert "Over all parts" in page and "groups are compared by one number of each participant" in page
+    assert "The participants are of the groups high, low." in page and "Not every participant met" not in page
 
 
 def test_stimuli_are_parts_and_compared_within_participants() -> None:
