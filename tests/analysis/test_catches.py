@@ -145,3 +145,11 @@ def test_the_report_and_the_json_tell_the_outcome(table: Path, tmp_path: Path) -
         assert sum(int(row["none"]) for row in csv.DictReader(file)) == 3
     rows = [row for row in analysis.as_dict()["tests"] if row["question"] == "catch"]
     assert np.isclose(rows[0]["estimate"], 2 / 12)
+
+
+def test_a_design_without_catch_trials_tells_of_none(tmp_path: Path) -> None:
+    """The answer none alone: misses, and no word, column or false alarm of trials that were not there."""
+    table = write(tmp_path / "answers.csv", {"p1": "nrr", "p2": "rrr"}, {})
+    page = analyse(table, tmp_path / "out").files["report.html"].read_text()
+    assert "<h2>The answer “none”</h2>" in page and "<td>1 of 3</td>" in page
+    assert "In a catch trial" not in page and "false alarms</th>" not in page

@@ -24,7 +24,7 @@ HEADINGS = {
     "d": ("Do the pairs of zones differ{in_both}?", "the pairs of zones differ{in_both}"),
     "e": ("Do the participants agree?", ""),
     "f": ("How large are the effects?", ""),
-    "catch": ("Is something felt where nothing is driven?", ""),
+    "catch": ("Is something felt where nothing is driven, or missed where something is?", ""),
     "side": ("Is there a side bias?", ""),
     "order": ("Do answers drift, or depend on what came first?", ""),
     "time": ("Do reaction times differ?", ""),
