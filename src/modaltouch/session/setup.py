@@ -18,12 +18,12 @@ from modaltouch.record import (
     read_session,
 )
 from modaltouch.rig import Rig, instrument_of
-from modaltouch.session.console.experimenter import Experimenter, Intervention, Tick
+from modaltouch.session.console.experimenter import Experimenter
 from modaltouch.session.console.interface import Console
 from modaltouch.session.events import boot_id, describe_ending, describe_start, way_on
 from modaltouch.session.loop import SessionRun, conduct
 from modaltouch.system import SYSTEM_CLOCK, Clock, Interruption, commit, versions
-from modaltouch.window import AnswerWindow, Masking
+from modaltouch.window import AnswerWindow, Intervention, Masking, Tick
 
 if TYPE_CHECKING:
     from modaltouch.lab import Prober

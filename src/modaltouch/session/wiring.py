@@ -15,10 +15,9 @@ from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError, Protocol, Schedule, Trial, Turn
 from modaltouch.record import RecordInputError, Session, SessionFolder
 from modaltouch.rig import Generator, Rig
-from modaltouch.session.console.experimenter import Tick
 from modaltouch.session.setup import Setup, begin
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
-from modaltouch.window import Answerer, AnswersBy, AnswerWindow, Masking, WindowOptions, open_window
+from modaltouch.window import Answerer, AnswersBy, AnswerWindow, Masking, Tick, WindowOptions, open_window
 
 if TYPE_CHECKING:
     from modaltouch.lab import Prober

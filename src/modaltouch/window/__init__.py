@@ -14,8 +14,10 @@ if TYPE_CHECKING:
     from modaltouch.window.interface import (
         AnswerWindow,
         Event,
+        Intervention,
         Presentation,
         SessionStopped,
+        Tick,
         TrialInterrupted,
         WindowError,
     )
@@ -30,7 +32,9 @@ else:
         __name__,
         {
             "typesetting": "Fonts find_font",
-            "interface": "AnswerWindow Event Presentation SessionStopped TrialInterrupted WindowError",
+            "interface": (
+                "AnswerWindow Event Intervention Presentation SessionStopped Tick TrialInterrupted WindowError"
+            ),
             "legibility": "smallest_type",
             "machine": "examine_surroundings measure_timing",
             "masking": "Masking",
@@ -45,9 +49,11 @@ __all__ = [
     "AnswersBy",
     "Event",
     "Fonts",
+    "Intervention",
     "Masking",
     "Presentation",
     "SessionStopped",
+    "Tick",
     "TrialInterrupted",
     "WindowError",
     "WindowOptions",

@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from modaltouch.session.console.interface import Console
-from modaltouch.window import Event, SessionStopped
+from modaltouch.window import Event, Intervention, SessionStopped
 
 if TYPE_CHECKING:
     from modaltouch.session.console.status import Status
-
-Intervention = Literal["pause", "continue"] | Event
-"""What the experimenter asks of the window; an event is an answer that was typed at the console."""
-
-Tick = Callable[[], Intervention | None]
-"""Called about every millisecond while the window waits; may raise, and returns what the experimenter asks for."""
 
 
 class Experimenter:
