@@ -1,14 +1,125 @@
-"""Orders in which no kind comes more than n times running, drawn uniformly among all of them.
+"""Orders of the cells within a block: shuffled, blocked or by a balanced Latin square, with catch trials among them.
 
-Exactly so wherever they can be counted or are met by chance; by a random walk where they are too many and too rare.
+Shuffled orders are drawn uniformly among all that keep the protocol's limits: exactly so wherever one limit on runs is
+set and they can be counted or are met by chance; by a random walk elsewhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from operator import itemgetter
+from typing import TYPE_CHECKING
 
+from modaltouch.protocol.cells import Cell
 from modaltouch.protocol.order_limits import LIMITS, refuse_runs
+from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import Stream
+
+if TYPE_CHECKING:
+    from modaltouch.protocol.order_walk import Limit
+
+
+def order_cells(
+    protocol: Protocol, finger_condition: str, turn: int, stream: Stream, effort: float = 1.0
+) -> list[Cell]:
+    """Return the pairs and velocities of one block in order, as the protocol's `order` says.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The design.
+    finger_condition : str
+        That of the block.
+    turn : int
+        Which of several balanced orders is this participant's.
+    stream : Stream
+        Where chance comes from.
+    effort : float
+        Share of the usual work after which limits are given up [1].
+
+    Raises
+    ------
+    ValueError
+        If no order keeps the protocol's limit on runs.
+    """
+    cells, order = protocol.cells(finger_condition), protocol.schedule.order
+    if order == "as_listed":
+        return cells * protocol.scheduled_repetitions
+    if order == "shuffled":
+        return _shuffled(protocol, cells, stream, effort)
+    from modaltouch.protocol.latin_orders import order_by_square
+
+    return order_by_square(protocol, cells, turn, stream)
+
+
+def insert_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> list[Cell]:
+    """Return the cells of a block with the protocol's catch trials among them, whose velocity is 0.
+
+    Raises
+    ------
+    ValueError
+        If the catch trials cannot keep the protocol's limit on runs.
+    """
+    from modaltouch.protocol.catches import place_catches
+
+    schedule = protocol.schedule
+    placed = dict(
+        place_catches(
+            [pair for pair, _, _ in cells],
+            schedule.catch_trials,
+            schedule.max_same_pair_running,
+            stream,
+            own_pair=schedule.order == "by_pair",
+        )
+    )
+    merged: list[Cell] = []
+    for place, cell in enumerate(cells):
+        merged.append(cell)
+        if place in placed:
+            merged.append((placed[place], 0.0, ""))
+    return merged
+
+
+def _shuffled(protocol: Protocol, cells: list[Cell], stream: Stream, effort: float) -> list[Cell]:
+    """Draw the order of the kinds that are limited first, then spread each kind's cells over its places."""
+    schedule, every = protocol.schedule, cells * protocol.scheduled_repetitions
+    kind_of: Callable[[Cell], object] = itemgetter(0)
+    running, key = schedule.max_same_pair_running, LIMITS[0]
+    if any(getattr(schedule, key) for key in LIMITS[1:]):
+        from modaltouch.protocol.order_walk import draw_by_walk
+
+        first, *others = limits = limits_of(protocol)
+        kind_of, running, key = first.kind_of, first.running, first.key
+        if others or first.distance > 1 or None in map(kind_of, every):
+            return draw_by_walk(every, limits, stream, effort)
+    kinds: dict[object, list[Cell]] = {}
+    for cell in every:
+        kinds.setdefault(kind_of(cell), []).append(cell)
+    order = draw_order(list(map(len, kinds.values())), running, stream, key)
+    waiting = [stream.shuffled(own) for own in kinds.values()]
+    return [waiting[kind].pop() for kind in order]
+
+
+def limits_of(protocol: Protocol) -> list[Limit[Cell]]:
+    """Return the limits of a protocol on its shuffled orders."""
+    from modaltouch.protocol.order_walk import Limit
+
+    def side(cell: Cell) -> int | None:
+        focus = protocol.stimulus_of(cell[2]).focus
+        return cell[0].index(focus) if focus in cell[0] else None
+
+    kinds: dict[str, Callable[[Cell], object]] = {
+        "max_same_pair_running": lambda cell: cell[0],
+        "max_same_level_running": lambda cell: cell[1],
+        "max_same_stimulus_running": lambda cell: cell[2],
+        "max_same_side_running": side,
+    }
+    given = {key: getattr(protocol.schedule, key) for key in LIMITS}
+    limits = [Limit(key, kind_of, given[key]) for key, kind_of in kinds.items() if given[key] is not None]
+    distance = given["min_same_cell_distance"]
+    if distance:
+        limits.append(Limit("min_same_cell_distance", lambda cell: cell, 1, distance))
+    return limits
 
 
 def draw_order(counts: Sequence[int], limit: int | None, stream: Stream, key: str = LIMITS[0]) -> list[int]:

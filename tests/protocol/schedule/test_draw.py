@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from modaltouch.protocol import Findings, Protocol
 from modaltouch.protocol.catches import place_catches
-from modaltouch.protocol.designs import order_cells
 from modaltouch.protocol.latin_orders import latin_square, period_of_rows
 from modaltouch.protocol.limited_orders import longest_run
+from modaltouch.protocol.orders import order_cells
 from modaltouch.protocol.schedule import Schedule, Turn
 from modaltouch.protocol.streams import Stream
 

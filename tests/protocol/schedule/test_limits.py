@@ -13,10 +13,10 @@ from scipy.stats import chi2, chi2_contingency
 
 from modaltouch.preflight import examine
 from modaltouch.protocol import Findings, InputError, Protocol, Schedule, order_walk
-from modaltouch.protocol.constrained_orders import limits_of
 from modaltouch.protocol.limited_orders import longest_run
 from modaltouch.protocol.order_limits import NoOrderError
 from modaltouch.protocol.order_walk import Limit, draw_by_walk
+from modaltouch.protocol.orders import limits_of
 from modaltouch.protocol.streams import Stream
 from modaltouch.session import wire_run
 
