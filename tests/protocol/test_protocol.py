@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from modaltouch.protocol import Findings, Sources
-from modaltouch.protocol.keys import KEY_ALIASES, KEY_NAMES
 from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.questions import KEY_NAMES, AskedSection
 
 Edit = Callable[..., Path]
 FILE = "differentiated_stimulation.yaml"
@@ -248,7 +248,7 @@ def test_key_names_are_the_windows() -> None:
 
     pyglet_keys = {canonical_key(name) for name in _pyglet_key_names()}
     assert pyglet_keys == KEY_NAMES
-    assert all(canonical_key(alias) == name for alias, name in KEY_ALIASES.items())
+    assert all(canonical_key(alias) == name for alias, name in AskedSection.KEY_ALIASES.items())
 
 
 def _pyglet_key_names() -> list[str]:

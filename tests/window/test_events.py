@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from modaltouch.protocol import AnswerList
-from modaltouch.protocol.keys import KEY_NAMES
+from modaltouch.protocol.questions import KEY_NAMES
 from modaltouch.window.answering import Reader
 from modaltouch.window.events import EventTap, canonical_key
 from modaltouch.window.layout import lay_out

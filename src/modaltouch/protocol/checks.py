@@ -12,7 +12,6 @@ from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.contacts import check_contacts
 from modaltouch.protocol.intervals import presented_levels
-from modaltouch.protocol.keys import END_KEY
 from modaltouch.protocol.masking import check_masking
 from modaltouch.protocol.order_limits import LIMITS
 from modaltouch.protocol.people import check_people
@@ -238,7 +237,7 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
             given = f"'{name}', which switches the outputs off in an emergency where `emergency_keys` names no other"
             remedy = "choose another, or name another key under `answers.emergency_keys`"
             yield reading.problem(places[name], given, "a key with no other meaning", remedy)
-        elif name in places or name == END_KEY:
+        elif name in places or name == AnswersSection.END_KEY:
             given = f"'{name}', which is needed otherwise"
             yield reading.problem(path, given, "a key with no other meaning, such as f12", "choose another")
 

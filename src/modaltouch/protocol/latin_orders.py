@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from modaltouch.protocol.cells import Cell
+from modaltouch.protocol.conditions import Cell
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import Stream
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
-from modaltouch.protocol.cells import Cell
+from modaltouch.protocol.conditions import Cell
 from modaltouch.protocol.order_limits import LIMITS, refuse_runs
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import Stream

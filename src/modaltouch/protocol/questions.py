@@ -5,15 +5,38 @@ from __future__ import annotations
 import math
 import string
 from collections.abc import Iterator
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
-from modaltouch.protocol.keys import KEY_ALIASES, KEY_NAMES, RESERVED_KEYS
 from modaltouch.protocol.problems import Problem, fault, suggest
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Number, Positive, Section, Text, Word, described
 from modaltouch.protocol.trial import TIME_OUT
+
+_NAMED = """
+ampersand apostrophe asciicircum asciitilde asterisk at backslash backspace bar begin braceleft braceright
+bracketleft bracketright break cancel capslock clear colon comma delete dollar doublequote down end enter equal
+escape exclamation execute find function greater help home insert lalt lcommand lctrl left less linefeed lmeta
+loption lshift lwindows menu minus numlock pagedown pageup parenleft parenright pause percent period plus pound
+print question quoteleft ralt rcommand rctrl redo right rmeta roption rshift rwindows scriptswitch
+scrolllock select semicolon slash space sysreq tab underscore undo up
+"""
+
+_KEYPAD = """
+add decimal divide enter equal f1 f2 f3 f4 multiply separator space subtract tab
+"""
+
+KEY_NAMES = frozenset(
+    [
+        *string.ascii_lowercase,
+        *string.digits,
+        *_NAMED.split(),
+        *(f"f{number}" for number in range(1, 21)),
+        *(f"num_{name}" for name in [*string.digits, *_KEYPAD.split()]),
+    ]
+)
+"""Names of the keys that can answer: those of the window's keyboard layer, in small letters."""
 
 KeyName = Annotated[Text, Field(json_schema_extra={"x-allowed": "the name of a key"})]
 Keys = Annotated[tuple[KeyName, ...], Field(min_length=1)]
@@ -174,6 +197,36 @@ class ScaleSection(Section):
 class AskedSection(Section):
     """What a question asks, and what may be answered."""
 
+    PAUSE_KEY: ClassVar[str] = "escape"
+    """Key that pauses the session, which the window keeps for itself."""
+    END_KEY: ClassVar[str] = "q"
+    """Key that ends the session from the pause screen; elsewhere it may answer."""
+    KEY_ALIASES: ClassVar[dict[str, str]] = {
+        "return": "enter",
+        "esc": "escape",
+        "spacebar": "space",
+        "num_insert": "num_0",
+        "num_end": "num_1",
+        "num_down": "num_2",
+        "num_page_down": "num_3",
+        "num_left": "num_4",
+        "num_begin": "num_5",
+        "num_right": "num_6",
+        "num_home": "num_7",
+        "num_up": "num_8",
+        "num_page_up": "num_9",
+        "num_delete": "num_decimal",
+        "é": "2",
+        "è": "7",
+        "ç": "9",
+        "à": "0",
+    }
+    """Other names that people give to keys.
+
+    The number pad is one set of keys with and without NumLock; a French keyboard's row of digits types them with Shift,
+    and goes by its digits.
+    """
+
     question: Text | None = described(
         "The question, in words, or the name of a text under `further` in the texts. Null for the text `question`; of "
         "a further question, and of one of the form, for the text under `further` that is called as it is.",
@@ -228,10 +281,10 @@ class QuestionSection(AskedSection):
 
 def check_key(reading: Reading[Any], path: tuple[str | int, ...], name: str) -> Iterator[Problem]:
     """Yield the fault of a name that is no key's, or of the key that pauses."""
-    if name in RESERVED_KEYS:
+    if name == AskedSection.PAUSE_KEY:
         yield reading.problem(path, f"'{name}', which pauses the session", "any other key", "choose another")
     elif name not in KEY_NAMES:
-        meant = KEY_ALIASES.get(name.casefold()) or suggest(name, KEY_NAMES)
+        meant = AskedSection.KEY_ALIASES.get(name.casefold()) or suggest(name, KEY_NAMES)
         allowed = "left, right, up, down, space, enter, letters, digits, num_0 to num_9, f1 to f20 and the like"
         remedy = f"did you mean '{meant}'?" if meant else "write it in small letters"
         yield reading.problem(path, f"'{name}', which is no key's name", allowed, remedy)

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.protocol.cells import Cell
-from modaltouch.protocol.conditions import Placement
+from modaltouch.protocol.conditions import Cell, Placement
 from modaltouch.protocol.orders import insert_catches, order_cells
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import ALGORITHM, Stream, key_of, seed_sequence

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from modaltouch.protocol.adaptive import AdaptiveSection
 from modaltouch.protocol.answers import AnswerList, Side
-from modaltouch.protocol.cells import Cell, CellsSection
-from modaltouch.protocol.conditions import ConditionsSection, FingerCondition
+from modaltouch.protocol.conditions import Cell, CellsSection, ConditionsSection, FingerCondition
 from modaltouch.protocol.intervals import IntervalsSection, Meaning
-from modaltouch.protocol.keys import END_KEY, KEY_ALIASES, PAUSE_KEY
 from modaltouch.protocol.masking import MaskingSection
 from modaltouch.protocol.occasions import Overrides
 from modaltouch.protocol.people import PersonField, read_people
@@ -80,10 +78,6 @@ def whole_bursts(seconds: float, rate: float) -> int:
 
 class AnswersSection(AskedSection):
     """How the question is asked and answered."""
-
-    PAUSE_KEY: ClassVar[str] = PAUSE_KEY
-    END_KEY: ClassVar[str] = END_KEY
-    KEY_ALIASES: ClassVar[dict[str, str]] = KEY_ALIASES
 
     given_by: Literal["participant", "experimenter"] = described(
         "Who types the answer: the participant, or the experimenter for them.", default="participant"
