@@ -14,8 +14,7 @@ from modaltouch.record.chain import RecordError, read_chain
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.restored import UNTOLD, RestoredExperiment, TrialExpectation, restore
 from modaltouch.record.sequence import SPEED, EventSequence
-from modaltouch.record.session import Session
-from modaltouch.record.shape import check_shape
+from modaltouch.record.session import Session, check_shape
 from modaltouch.record.view import check_view
 
 Checked = Iterator[tuple[bool, str]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +20,51 @@ _TAIL = 4096
 SCHEMA = 2
 """Version of the session log's format, carried by its first line: since 2 bursts are counted, and an answer has a line
 of its own before its trial is confirmed."""
+
+READABLE = (1, 2)
+"""Versions that are read."""
+
+_NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] = {
+    "start": (
+        (("mode",), str),
+        (("participant",), str),
+        (("protocol",), str),
+        (("schedule", "n_trials"), int),
+    ),
+    "start, to be repeated": (
+        (("session",), int),
+        (("seed",), int),
+        (("rig_choice",), str),
+        (("answers_choice",), str),
+        (("design",), dict),
+        (("sources", "protocol", "text"), str),
+        (("sources", "protocol", "path"), str),
+        (("sources", "apparatus", "text"), str),
+        (("sources", "apparatus", "path"), str),
+        (("sources", "texts", "text"), str),
+        (("sources", "texts", "path"), str),
+        (("schedule", "order_hash"), str),
+        (("stimulus", "content_hash"), str),
+        (("versions",), dict),
+    ),
+    "withdrawn": ((("lines",), list),),
+    "closed": ((("begun_anew_as",), int),),
+    "form": ((("name",), str), (("response", "answer"), str), (("response", "reaction_time"), (int, float))),
+    "trial": (
+        (("trial", "index"), int),
+        (("trial", "block"), int),
+        (("trial", "practice"), bool),
+        (("trial", "repetition"), int),
+        (("trial", "condition", "finger_condition"), str),
+        (("trial", "condition", "zone_left"), str),
+        (("trial", "condition", "zone_right"), str),
+        (("trial", "condition", "velocity_mm_s"), (int, float)),
+        (("confirmed", "confirmed"), bool),
+        (("response", "answer"), str),
+        (("response", "reaction_time"), (int, float)),
+    ),
+}
+"""Members of each kind of event that the rest of the program relies on, and their types."""
 
 
 @dataclass(frozen=True)
@@ -68,15 +113,11 @@ class Session:
     @cached_property
     def problems(self) -> tuple[str, ...]:
         """What is wrong with the file; empty for an intact one."""
-        from modaltouch.record.shape import check_shape
-
         return (*self.chain.problems, *check_shape(self.events, str(self.path)))
 
     @property
     def is_readable(self) -> bool:
         """Whether there is a start record, and every line says all it must."""
-        from modaltouch.record.shape import check_shape
-
         return bool(self.start) and not check_shape(self.events, "")
 
     @property
@@ -321,3 +362,39 @@ def _is_complete(log: Path) -> bool:
     except (OSError, UnreadableLineError):
         last = {}
     return bool(last.get("event") == "stop" and last.get("complete")) or read_session(log).complete
+
+
+def check_shape(events: Iterable[dict[str, Any]], name: str, *, to_repeat: bool = False) -> tuple[str, ...]:
+    """Return what the events of a log lack, in words; empty for a log that says all it must.
+
+    Parameters
+    ----------
+    events : iterable of dict
+        Sound lines of a log.
+    name : str
+        Stands before each problem.
+    to_repeat : bool
+        Whether the first line must also hold all that its order and drive are computed from.
+    """
+    problems = []
+    for number, event in enumerate(events, 1):
+        kind = event.get("event")
+        clock = event.get("clock", 0.0)
+        if not isinstance(kind, str) or not isinstance(event.get("n"), int) or not isinstance(clock, (int, float)):
+            problems.append(f"{name}:{number}: is no event of a session; nothing is known of such a line")
+            continue
+        if kind == "start" and event.get("schema", 1) not in READABLE:
+            problems.append(
+                f"{name}:{number}: was written in format {event.get('schema')}, this program knows "
+                f"{' and '.join(map(str, READABLE))}; use the version of the program that wrote it"
+            )
+        kind = "trial" if kind == "answered" else kind
+        repeated = _NEEDED["start, to be repeated"] if to_repeat and kind == "start" else ()
+        for path, types in (*_NEEDED.get(kind, ()), *repeated):
+            value: Any = event
+            for step in path:
+                value = value.get(step) if isinstance(value, dict) else None
+            if not isinstance(value, types) or (isinstance(value, bool) and types is not bool):
+                problems.append(f"{name}:{number}: the event `{kind}` does not say its {'.'.join(path)}")
+                break
+    return tuple(problems)
