@@ -16,21 +16,6 @@ from math import comb
 
 from modaltouch.protocol.streams import Stream
 
-
-def count_orders(counts: Sequence[int], limit: int) -> int:
-    """Return how many orders keep the limit, kinds told apart and items of a kind not.
-
-    Examples
-    --------
-    Three kinds, two of each, no two alike running: the 30 of OEIS A110706.
-
-    >>> count_orders([2, 2, 2], 1)
-    30
-    """
-    table = count_states(tuple(counts), limit)
-    return sum(weight for *_, weight in moves(tuple(counts), None, limit, table))
-
-
 STATE_LIMIT = 40_000
 """Most states that are counted: half a second."""
 

@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from modaltouch.protocol.limited_orders import (
-    count_orders,
+    count_states,
     draw_by_rejection,
     draw_counted,
     draw_unlike_neighbours,
     longest_run,
+    moves,
 )
 from modaltouch.protocol.order_limits import least_limit
 from modaltouch.protocol.order_walk import Limit, draw_by_walk
@@ -26,6 +27,11 @@ from modaltouch.protocol.orders import draw_order
 from modaltouch.protocol.streams import Stream
 
 Draw = Callable[[Sequence[int], int, Stream], list[int] | None]
+
+
+def count_orders(counts: tuple[int, ...], limit: int) -> int:
+    """Return of how many orders the draw that counts knows, kinds told apart and items of a kind not."""
+    return sum(weight for *_, weight in moves(counts, None, limit, count_states(counts, limit)))
 
 
 def by_gaps(counts: Sequence[int], limit: int, stream: Stream) -> list[int]:
