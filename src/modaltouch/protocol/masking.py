@@ -7,8 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.display import Sound
+from modaltouch.protocol.apparatus import Apparatus, Sound
 from modaltouch.protocol.problems import Problem
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.section import Positive, Section, described
