@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from modaltouch.protocol import Findings, Trial
 from modaltouch.protocol.answers import AnswerList
-from modaltouch.protocol.practice import Round, judge_round
+from modaltouch.protocol.schedule import Round, judge_round
 from modaltouch.protocol.trial import Condition
 
 PAPER = AnswerList.of({})
@@ -84,13 +84,13 @@ def test_a_round_counts_its_own_trials_and_those_that_can_be_judged() -> None:
         event(6, "left", 100, 118),
         event(4, "left", 200, 100, practice=False),
     ]
-    assert judge_round(events, 2, 3, DEMO) == Round(2, n_judged=2, n_agreed=1)
+    assert judge_round(events, 2, 3, DEMO) == Round(n_judged=2, n_agreed=1)
 
 
 def test_a_trial_answered_again_counts_by_its_last_answer() -> None:
     """Expected: a trial that was offered again supersedes the first."""
     events = [event(1, "left", 100, 200), event(1, "right", 100, 200)]
-    assert judge_round(events, 1, 1, DEMO) == Round(1, 1, 1)
+    assert judge_round(events, 1, 1, DEMO) == Round(1, 1)
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_a_comparison_of_intervals_is_judged_by_the_stronger_one(
     trial = Trial(1, 0, Condition("one_hand", "A", "C", level), practice=True, interval=interval)
     assert COMPARISON.expected(trial, (0.1, 0.2)) == right
     answered = event(1, right or "first", 100, 200) | {"trial": trial.as_dict()}
-    assert judge_round([answered], 1, 1, COMPARISON) == Round(1, int(right is not None), int(right is not None))
+    assert judge_round([answered], 1, 1, COMPARISON) == Round(int(right is not None), int(right is not None))
 
 
 @pytest.mark.parametrize(
@@ -112,9 +112,9 @@ def test_a_comparison_of_intervals_is_judged_by_the_stronger_one(
 )
 def test_a_round_is_passed_from_its_criterion_on(agreed: int, criterion: float | None, passed: bool) -> None:
     """Expected: at least the criterion's share of three judged trials; without a criterion always."""
-    assert Round(1, 3, agreed).passes(criterion) is passed
+    assert Round(3, agreed).passes(criterion) is passed
 
 
 def test_a_round_without_a_verdict_is_passed() -> None:
     """Expected: where no trial can be judged, nobody can fail."""
-    assert Round(1, 0, 0).passes(1.0)
+    assert Round(0, 0).passes(1.0)

@@ -19,10 +19,9 @@ if TYPE_CHECKING:
     from modaltouch.protocol.levels import Levels
     from modaltouch.protocol.masking import MaskingSection
     from modaltouch.protocol.observers import ObserverFile
-    from modaltouch.protocol.practice import judge_round
     from modaltouch.protocol.problems import InputError, Problem, suggest
     from modaltouch.protocol.questions import ScaleSection
-    from modaltouch.protocol.schedule import Schedule, Turn
+    from modaltouch.protocol.schedule import Schedule, Turn, judge_round
     from modaltouch.protocol.sections import AnswersSection, Protocol
     from modaltouch.protocol.source import Source, Sources
     from modaltouch.protocol.stimulus_sections import StimulusSection
@@ -39,10 +38,9 @@ else:
             "levels": "Levels",
             "masking": "MaskingSection",
             "observers": "ObserverFile",
-            "practice": "judge_round",
             "problems": "InputError Problem suggest",
             "questions": "ScaleSection",
-            "schedule": "Schedule Turn",
+            "schedule": "Schedule Turn judge_round",
             "sections": "AnswersSection Protocol",
             "source": "Source Sources",
             "stimulus_sections": "StimulusSection",

@@ -8,7 +8,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -19,7 +19,7 @@ from modaltouch.protocol.conditions import Cell, Placement
 from modaltouch.protocol.orders import insert_catches, order_cells
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import ALGORITHM, Stream, key_of, seed_sequence
-from modaltouch.protocol.trial import Condition, Trial
+from modaltouch.protocol.trial import SIDES, Condition, Trial
 
 
 @dataclass(frozen=True)
@@ -338,3 +338,56 @@ def _brief(trial: Trial) -> list[Any]:
     values = [trial.block, condition.finger_condition, *condition.zones, condition.velocity_mm_s, condition.placement]
     values += [condition.stimulus] if condition.stimulus else []
     return [*values, trial.interval] if trial.interval else values
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of practice.
+
+    Attributes
+    ----------
+    n_judged : int
+        Trials whose answer can be right or wrong.
+    n_agreed : int
+        Those answered as predicted.
+    """
+
+    n_judged: int
+    n_agreed: int
+
+    def passes(self, criterion: float | None) -> bool:
+        """Return whether the round meets a criterion: a share of the trials that can be judged, or None.
+
+        Parameters
+        ----------
+        criterion : float or None
+            Least share answered as predicted [1]; None is always met.
+        """
+        return criterion is None or self.n_agreed >= criterion * self.n_judged - 1e-9
+
+
+def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int, protocol: Protocol) -> Round:
+    """Return how a round of practice went, from the session's log.
+
+    Parameters
+    ----------
+    events : iterable of dict
+        Events of the session log.
+    number : int
+        Which round, from 1.
+    n_trials : int
+        Practice trials of a round.
+    protocol : Protocol
+        Tells which answer is right.
+    """
+    first, last = (number - 1) * n_trials + 1, number * n_trials
+    judged: dict[int, bool] = {}
+    for event in events:
+        if event.get("event") != "trial" or not event["trial"]["practice"]:
+            continue
+        index, planned = event["trial"]["index"], event["planned"]
+        speeds = [planned[name] for name in map("speed_{}_mm_s".format, SIDES[3]) if name in planned]
+        expected = protocol.expected(Trial.from_dict(event["trial"]), speeds)
+        if first <= index <= last and expected is not None:
+            judged[index] = event["response"]["answer"] == expected
+    return Round(len(judged), sum(judged.values()))
