@@ -147,13 +147,13 @@ def parse_tree(source: Source) -> tuple[Node | None, list[Problem]]:
 @lru_cache(maxsize=16)
 def _parsed(text: str) -> tuple[Node | None, list[Problem]]:
     """Return the tree of a text, and its faults in a file without a name: parsing costs more than all that follows."""
-    reader = _Reader("", text)
+    reader = _Reader(text)
     try:
         root = reader.document()
     except _Stop:
         return None, reader.problems
     except (YAMLError, ValueError, AttributeError) as error:  # the parser itself fails so on some directives
-        reader.problems.append(_syntax_problem("", text, error))
+        reader.problems.append(_syntax_problem(text, error))
         return None, reader.problems
     if root is None or root.content is None:
         reader.report(1, 1, "an empty file", "keys and values in YAML", "compare with the shipped files")
@@ -169,42 +169,37 @@ class _Stop(Exception):  # noqa: N818
     """The text is not worth reading further."""
 
 
-def _syntax_problem(file: str, text: str, error: Exception) -> Problem:
+def _syntax_problem(text: str, error: Exception) -> Problem:
     """Return what the parser could not read."""
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
     if isinstance(error, ReaderError):
-        line, column = _line_and_column(text, error.position)
+        before = text[: error.position]
+        line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
         given = f"the character U+{ord(text[error.position]):04X}, which YAML does not allow"
-        return Problem(file, line, column, "", given, "printable text", "remove it")
+        return Problem("", line, column, "", given, "printable text", "remove it")
     line, column = (mark.line + 1, mark.column + 1) if mark is not None else (1, 1)
     written = text.split("\n")[line - 1] if line <= text.count("\n") + 1 else ""
     if "\t" in written[: max(column, len(written) - len(written.lstrip()))]:
         given = "a tab where YAML wants spaces"
-        return Problem(file, line, column, "", given, "spaces", "indent with spaces alone")
+        return Problem("", line, column, "", given, "spaces", "indent with spaces alone")
     detail = " ".join(str(getattr(error, "problem", None) or error).split())
     context = getattr(error, "context", None)
     given = f"text that is not YAML ({detail}{f' {context}' if context else ''})"
     remedy = "check indentation, brackets, quotes and colons here and in the line above"
-    return Problem(file, line, column, "", given, "YAML 1.2", remedy)
-
-
-def _line_and_column(text: str, position: int) -> tuple[int, int]:
-    before = text[:position]
-    return before.count("\n") + 1, position - (before.rfind("\n") + 1) + 1
+    return Problem("", line, column, "", given, "YAML 1.2", remedy)
 
 
 class _Reader:
     """Makes nodes of the parser's events; the depth that it allows is far below that of Python's stack."""
 
-    def __init__(self, file: str, text: str) -> None:
-        self.file = file
+    def __init__(self, text: str) -> None:
         self.problems: list[Problem] = []
         self._events = YAML(typ="safe", pure=True).parse(text)
         self._anchors: dict[str, Node] = {}
         self._size = 0
 
     def report(self, line: int, column: int, given: str, allowed: str, remedy: str = "", path: str = "") -> None:
-        self.problems.append(Problem(self.file, line, column, path, given, allowed, remedy))
+        self.problems.append(Problem("", line, column, path, given, allowed, remedy))
 
     def document(self) -> Node | None:
         """Return the value of the one document, None where there is none."""

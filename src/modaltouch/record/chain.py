@@ -23,7 +23,6 @@ TAIL = re.compile(rb',"check":"([0-9a-f]{64})"\}\Z')
 """The end of a line, which holds its check."""
 
 _TAIL_BYTES = len(',"check":""}') + 64
-_DECODER = json.JSONDecoder()
 
 
 class RecordError(Exception):
@@ -222,8 +221,8 @@ def read_object(line: bytes) -> dict[str, Any]:
         If it is no JSON, no object, nested beyond what can be read, or holds a number of thousands of digits.
     """
     try:
-        # A results tree holds hundreds of thousands of lines; json.loads would guess the encoding of each.
-        value = _DECODER.decode(line.decode("utf-8", "surrogatepass"))
+        # Decoded here: of bytes the encoding would be guessed, line by line of a whole results tree.
+        value = json.loads(line.decode("utf-8", "surrogatepass"))
     except json.JSONDecodeError as error:
         raise UnreadableLineError(f"it is no JSON from its character {error.pos + 1} on") from error
     except RecursionError as error:

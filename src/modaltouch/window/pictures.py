@@ -177,7 +177,9 @@ class Illustrator:
     def welcome(self, trial: Trial) -> Picture:
         """Return the first screen: what happens, with the beam and the hands."""
         lowered = moved(self._beam(trial), -0.21)
-        return Picture("welcome", (*self._intro(self.texts.welcome, self.texts.instructions), *lowered))
+        text, size = "\n\n".join(_paragraphs(self.texts.instructions)), 0.038 * self.layout.type_scale
+        words = Words(text, self.layout.body, size, self.theme.text)
+        return Picture("welcome", (self._headline(self.texts.welcome, 0.054), words, *self._go_on(), *lowered))
 
     def answering(self, trial: Trial) -> Picture:
         """Return the screen that shows how to answer."""
@@ -350,14 +352,6 @@ class Illustrator:
     def _headline(self, words: str, size: float, *, dim: bool = False) -> Words:
         fill = self.theme.dim if dim else self.theme.text
         return Words(words, self.layout.headline, size * self.layout.type_scale, fill, bold=not dim)
-
-    def _intro(self, title: str, text: str) -> tuple[Mark, ...]:
-        layout, scale = self.layout, self.layout.type_scale
-        return (
-            self._headline(title, 0.054),
-            Words("\n\n".join(_paragraphs(text)), layout.body, 0.038 * scale, self.theme.text),
-            *self._go_on(),
-        )
 
     def form(self, name: str, entered: str | None, *, confirmed: bool) -> Picture:
         """Return a question without a trial, with what has been answered."""

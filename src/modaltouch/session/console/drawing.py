@@ -108,7 +108,7 @@ def describe_progress(facts: Facts, since_s: float = 0.0, width: int = 80) -> st
     done, total = facts["n_answered"], max(facts["n_trials"], 1)
     ticking = since_s if facts["state"] != "ended" else 0.0
     left = max(facts["time_left_s"] - (ticking if facts["state"] == "trial" else 0.0), 0.0)
-    said = f"{done} of {facts['n_trials']}, {_minutes(left)} left"
+    said = f"{done} of {facts['n_trials']}, {f'{left:.0f} s' if left < 90 else f'{left / 60:.0f} min'} left"
     length = min(_BAR, width - len(said) - 3)
     full = round(length * min(done / total, 1))
     return f"{'#' * full}{'.' * (length - full)} {said}" if length > 5 else said
@@ -200,7 +200,3 @@ def _describe_warnings(warnings: list[str], width: int) -> list[Text]:
         return [Text(" no warnings", style="dim")]
     shortened = [textwrap.shorten(f"! {warning}", max(width - 2, 20), placeholder="...") for warning in warnings]
     return [Text(f" {words}", style="yellow", no_wrap=True) for words in shortened]
-
-
-def _minutes(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
