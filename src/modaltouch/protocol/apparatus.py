@@ -420,11 +420,13 @@ def _check_modes(reading: Reading[Apparatus]) -> Iterator[Problem]:
         elif label is not None:
             taken[label] = index
         named = reading.keys(*mode, "gain_mm_s2_per_V") or []
-        yield from _unknown_sets(reading, (*mode, "gain_mm_s2_per_V"), named if sets is None else sets)
-        yield from _unknown_sets(reading, (*mode, "intervals_95", "gain_mm_s2_per_V"), named)
-        for position, name in reading.items(*mode, "assumed"):
-            if name not in named:
-                yield reading.unknown((*mode, "assumed", position), "a set with a gain in this mode", named)
+        yield from reading.unlisted(
+            (*mode, "gain_mm_s2_per_V"), "a set of actuator_sets", named if sets is None else sets, at_key=True
+        )
+        yield from reading.unlisted(
+            (*mode, "intervals_95", "gain_mm_s2_per_V"), "a set of actuator_sets", named, at_key=True
+        )
+        yield from reading.unlisted((*mode, "assumed"), "a set with a gain in this mode", named)
 
 
 def _check_unlisted(reading: Reading[Apparatus]) -> Iterator[Problem]:
@@ -437,11 +439,6 @@ def _check_unlisted(reading: Reading[Apparatus]) -> Iterator[Problem]:
             given = f"{label}, the label of {taken[(family, label)]} too"
             yield reading.problem((*mode, "label"), given, "each mode once", "remove one of them")
         taken.setdefault((family, label), f"twin.unlisted_modes[{index}]")
-        yield from _unknown_sets(reading, (*mode, "gain_mm_s2_per_V"), reading.keys("actuator_sets") or [])
-
-
-def _unknown_sets(reading: Reading[Apparatus], path: tuple[str | int, ...], known: list[str]) -> Iterator[Problem]:
-    """Yield the keys of a mapping that are no known actuator sets."""
-    for name in reading.keys(*path) or ():
-        if name not in known:
-            yield reading.unknown((*path, name), "a set of actuator_sets", known, at_key=True)
+        yield from reading.unlisted(
+            (*mode, "gain_mm_s2_per_V"), "a set of actuator_sets", reading.keys("actuator_sets") or [], at_key=True
+        )

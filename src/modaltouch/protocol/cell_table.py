@@ -152,6 +152,9 @@ def _row(path: str, line: int, fields: dict[str, tuple[str, int]]) -> Node:
 _OPTIONAL = {"finger_conditions": "finger_condition", "stimuli": "stimulus"}
 
 
+_NAME_IT = "name it there, or leave it out"
+
+
 def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
     """Yield the faults of listed and of excluded cells: unknown names, cells that are not there, blocks left empty."""
     conditions = reading.sound("conditions")
@@ -164,13 +167,10 @@ def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
             yield reading.problem(("conditions", key), given, "one of the two", "remove one of them")
             return
     names = {"finger_condition": conditions.finger_conditions, "stimulus": tuple(reading.sound("stimuli") or ())}
-    for index, each in enumerate(conditions.cells):
-        for at, name, kind in (
-            *((("finger_conditions", i), name, "finger_condition") for i, name in enumerate(each.finger_conditions)),
-            *((("stimuli", i), name, "stimulus") for i, name in enumerate(each.stimuli)),
-        ):
-            if name not in names[kind]:
-                yield _unknown(reading, ("conditions", "cells", index, *at), name, kind, names[kind])
+    nouns = "a finger condition of the protocol", "a stimulus of the protocol"
+    for index in range(len(conditions.cells)):
+        for key, noun, known in zip(("finger_conditions", "stimuli"), nouns, names.values(), strict=True):
+            yield from reading.unlisted(("conditions", "cells", index, key), noun, known, _NAME_IT)
     seen: dict[tuple[Any, ...], int] = {}
     for index, each in enumerate(conditions.cells if reading.sound("schedule", "order") != "as_listed" else ()):
         own = each.finger_conditions or names["finger_condition"], each.peak_velocities_mm_s
@@ -184,21 +184,13 @@ def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
             yield reading.problem(("conditions", "cells", index), given, "each cell once", remedy)
         seen |= dict.fromkeys(expanded, index)
     for index, left_out in enumerate(conditions.exclude):
-        for kind, known in names.items():
+        for noun, (kind, known) in zip(nouns, names.items(), strict=True):
             if (name := getattr(left_out, kind)) is not None and name not in known:
-                yield _unknown(reading, ("conditions", "exclude", index, kind), name, kind, known)
+                yield reading.unknown(("conditions", "exclude", index, kind), noun, known, _NAME_IT)
                 return
     if reading.value is None or (reading.value.stimuli and not names["stimulus"]):
         return
     yield from _check_excluded(reading)
-
-
-def _unknown(
-    reading: Reading[Any], path: tuple[str | int, ...], name: str, kind: str, known: tuple[str, ...]
-) -> Problem:
-    noun = kind.replace("_", " ")
-    remedy = f"did you mean '{meant}'?" if (meant := suggest(name, known)) else "name it there, or leave it out"
-    return reading.problem(path, f"'{name}', which is no {noun} of the protocol", ", ".join(known) or "none", remedy)
 
 
 def _check_excluded(reading: Reading[Any]) -> Iterator[Problem]:

@@ -325,9 +325,7 @@ def _check_zones(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
         return
     if (focus := protocol.sound("stimulus", "focus")) is not None and focus not in zones:
         yield protocol.unknown(("stimulus", "focus"), kind, zones)
-    for index, further in protocol.items("stimulus", "further_foci"):
-        if further not in zones:
-            yield protocol.unknown(("stimulus", "further_foci", index), kind, zones)
+    yield from protocol.unlisted(("stimulus", "further_foci"), kind, zones)
     keys = ("conditions", "zones"), ("conditions", "zone_pairs")
     for path in ((*key, index) for key in keys for index in range(protocol.length(*key) or 0)):
         unknown = [position for position, name in protocol.items(*path) if name not in zones]

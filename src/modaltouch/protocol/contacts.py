@@ -37,9 +37,7 @@ def check_contacts(reading: Reading[Protocol]) -> Iterator[Problem]:
         yield from _check_answers(reading, name, number)
         if name not in _SHIPPED and len({finger.split()[0] for finger in known[name]}) == 2:
             yield from _check_way(reading, name)
-    for name in [str(step) for step, _ in reading.items("answers", "ways")]:
-        if name not in named:
-            yield reading.unknown(("answers", "ways", name), "a finger condition here", named, at_key=True)
+    yield from reading.unlisted(("answers", "ways"), "a finger condition here", named, at_key=True)
 
 
 def _check_zones(reading: Reading[Protocol]) -> Iterator[Problem]:

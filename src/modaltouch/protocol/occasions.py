@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, NamedTuple
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Field, Tag
 
 from modaltouch.protocol.problems import Problem
-from modaltouch.protocol.section import Count, NotNegative, Section, Word, described
+from modaltouch.protocol.section import NUMBER_OR_LIST, Count, NotNegative, Section, Word, described
 from modaltouch.protocol.source import Source
 from modaltouch.protocol.tree import Node
 
@@ -46,14 +46,10 @@ class SessionKind(Overrides):
     )
 
 
-def _kind_of_sessions(value: object) -> str:
-    return "kinds" if isinstance(value, list | tuple) else "number"
-
-
 Sessions = Annotated[
     Annotated[Annotated[Count, Field(le=1000)], Tag("number")]
-    | Annotated[Annotated[tuple[SessionKind, ...], Field(min_length=1, max_length=100)], Tag("kinds")],
-    Discriminator(_kind_of_sessions),
+    | Annotated[Annotated[tuple[SessionKind, ...], Field(min_length=1, max_length=100)], Tag("list")],
+    NUMBER_OR_LIST,
 ]
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -119,13 +119,24 @@ class Reading(Generic[Model]):
         node = self.find(path)
         return len(node.content) if node is not None and isinstance(node.content, list) else None
 
-    def unknown(self, path: Iterable[Step], kind: str, known: Iterable[str], *, at_key: bool = False) -> Problem:
+    def unknown(
+        self, path: Iterable[Step], kind: str, known: Iterable[str], remedy: str = "", *, at_key: bool = False
+    ) -> Problem:
         """Problem of a name, the value at a path or its last key, that is not among the known ones."""
         *_, last = steps = tuple(path)
         # Of several stimuli the value is that of the one looked at, and the text that of what they share.
         name, names = str(last if at_key else self.sound(*steps)), list(known)
-        remedy = f"did you mean '{meant}'?" if (meant := suggest(name, names)) else ""
-        return self.problem(steps, f"'{name}', which is not {kind}", ", ".join(names), remedy, at_key=at_key)
+        remedy = f"did you mean '{meant}'?" if (meant := suggest(name, names)) else remedy
+        return self.problem(steps, f"'{name}', which is not {kind}", ", ".join(names) or "none", remedy, at_key=at_key)
+
+    def unlisted(
+        self, path: tuple[Step, ...], kind: str, known: Sequence[str], remedy: str = "", *, at_key: bool = False
+    ) -> Iterator[Problem]:
+        """Yield the entries of a list, or the keys of a mapping, that are none of those that are known."""
+        entries = [(key, key) for key in self.keys(*path) or ()] if at_key else self.items(*path)
+        for step, value in entries:
+            if value not in known:
+                yield self.unknown((*path, step), kind, known, remedy, at_key=at_key)
 
     def problem(
         self, path: Iterable[Step], given: str, allowed: str, remedy: str = "", *, at_key: bool = False
@@ -212,8 +223,8 @@ def _translate(reading: Reading[Any], details: Any) -> Problem:
     if kind == "modaltouch":
         return reading.problem(path, context["given"], context["allowed"], context["remedy"])
     if kind == "extra_forbidden":
-        problem = reading.unknown(path, "a key here", keys_of(reading.model, path[:-1]), at_key=True)
-        return problem if problem.remedy else replace(problem, remedy=_home_of(reading.model, path))
+        known = keys_of(reading.model, path[:-1])
+        return reading.unknown(path, "a key here", known, _home_of(reading.model, path), at_key=True)
     if details["loc"] and details["loc"][-1] == "[key]":
         allowed = context.get("expected") or "a word of letters, digits, _ and -"
         return reading.problem(path, f"{path[-1]!r} as a key", allowed.replace(" or ", ", "), at_key=True)

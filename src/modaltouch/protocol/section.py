@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from functools import lru_cache, reduce
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, TypeAdapter
 
 from modaltouch.protocol.problems import fault
 
@@ -74,6 +74,9 @@ FileName = Annotated[
     ),
 ]
 
+
+NUMBER_OR_LIST = Discriminator(lambda value: "list" if isinstance(value, list | tuple) else "number")
+"""Which of two branches, tagged so, holds what was given."""
 
 Step = str | int
 

@@ -7,11 +7,11 @@ import math
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag
+from pydantic import Field, Tag
 
 from modaltouch.protocol.problems import Problem
 from modaltouch.protocol.reading import Reading
-from modaltouch.protocol.section import Count, Label, Number, Positive, Section, Text, Word, described
+from modaltouch.protocol.section import NUMBER_OR_LIST, Count, Label, Number, Positive, Section, Text, Word, described
 from modaltouch.protocol.source import Source
 
 NO_FINGERS = "none"
@@ -45,13 +45,9 @@ class FieldSection(Section):
     )
 
 
-def _kind_of_selection(value: object) -> str:
-    return "labels" if isinstance(value, list | tuple) else "number"
-
-
 Selection = Annotated[
-    Annotated[Count, Tag("number")] | Annotated[tuple[Label, ...], Field(min_length=1), Tag("labels")],
-    Discriminator(_kind_of_selection),
+    Annotated[Count, Tag("number")] | Annotated[tuple[Label, ...], Field(min_length=1), Tag("list")],
+    NUMBER_OR_LIST,
 ]
 
 

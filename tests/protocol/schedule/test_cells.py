@@ -132,7 +132,7 @@ def test_every_order_presents_the_same_cells(folder: Path, order: str) -> None:
         (TABLE.replace("B,D", "B,Q"), "cells.csv:4:3 given 'Q', which is not a zone of this beam; allowed: A, B, C, D"),
         (TABLE.replace("200", "2000"), "cells.csv:3:5 given 2000 mm/s, beyond the safety limit of the apparatus"),
         (TABLE.replace(",,2", ",,0"), "cells.csv:2:9 given 0; allowed: a whole number of at least 1"),
-        (TABLE.replace("one_hand", "on_hand"), "cells.csv:4:9 given 'on_hand', which is no finger condition"),
+        (TABLE.replace("one_hand", "on_hand"), "cells.csv:4:9 given 'on_hand', which is not a finger condition"),
         (TABLE.replace("C,E,100,,", "C,E,100"), "cells.csv:5:1 given 3 fields; allowed: 5, as many as columns"),
         (TABLE.replace("peak_velocity_mm_s", "velocity"), "cells.csv:1:1 given a table without the column peak_velo"),
         (TABLE.replace("weight", "weigth"), "cells.csv:1:58 given the column 'weigth'; allowed: once each"),
@@ -163,7 +163,7 @@ def test_a_fault_of_a_table_is_told_in_its_line_and_column(folder: Path, table: 
         ("  table: none.csv\n", "given 'none.csv', a file that does not exist"),
         (CROSSED + "  exclude: [{pair: [A, D]}]\n", "given cells that the design does not have"),
         (CROSSED + "  exclude: [{finger_condition: one_hand}]\n", "given one_hand, for which no cell is left"),
-        (CROSSED + "  exclude: [{stimulus: wide}]\n", "given 'wide', which is no stimulus of the protocol"),
+        (CROSSED + "  exclude: [{stimulus: wide}]\n", "given 'wide', which is not a stimulus of the protocol"),
     ],
 )
 def test_conditions_that_contradict_themselves_are_refused(folder: Path, conditions: str, told: str) -> None:
