@@ -48,7 +48,7 @@ def record(tmp_path: Path, build: dict[str, Any], scribe: Write, paper: Prefligh
 
     def answer(trial: Trial) -> str:
         condition = trial.condition
-        pair = condition.pair[::-1] if condition.is_mirrored else condition.pair
+        pair = condition.zones[::-1] if condition.is_mirrored else condition.zones
         word = str(words[condition.finger_condition, *pair, condition.velocity_mm_s])
         return {"left": "right", "right": "left"}.get(word, word) if condition.is_mirrored else word
 

@@ -86,7 +86,7 @@ def write_tree(root: Path, n_sessions: int, n_repetitions: int, seed: int = 1) -
         events: list[dict[str, Any]] = [{"event": "start", **start}]
         trials = (*schedule.practice, *schedule.trials[: -4 if kind == "incomplete" else None])
         for trial in trials:
-            answer = ANSWERS[rng.choice(3, p=SHARES[trial.condition.pair])]
+            answer = ANSWERS[rng.choice(3, p=SHARES[trial.condition.zones])]
             events += _presented(preflight, trial, answer)
         data, check = b"", GENESIS
         for n, event in enumerate(events, 1):

@@ -190,12 +190,12 @@ def test_each_stimulus_has_adaptive_runs_of_its_own(tmp_path: Path) -> None:
     file = write(tmp_path, SHARP_AND_SLOW, name="threshold.yaml")
     protocol = examine(file).require().experiment.protocol
     trials = [trial for trial in Schedule.draw(protocol, "p01", 1).trials if not trial.condition.is_catch]
-    assert Counter((t.condition.pair, t.condition.stimulus) for t in trials) == {
+    assert Counter((t.condition.zones, t.condition.stimulus) for t in trials) == {
         (pair, name): 40 for pair in (("A", "C"), ("C", "E")) for name in ("sharp", "slow")
     }
     levels, first = Levels(protocol), trials[0]
     event = {"trial": first.as_dict(), "confirmed": {"confirmed": True}, "response": {"answer": "none"}}
-    of_pair = [trial for trial in trials[1:] if trial.condition.pair == first.condition.pair]
+    of_pair = [trial for trial in trials[1:] if trial.condition.zones == first.condition.zones]
     same = next(trial for trial in of_pair if trial.condition.stimulus == first.condition.stimulus)
     other = next(trial for trial in of_pair if trial.condition.stimulus != first.condition.stimulus)
     assert levels.settle(same, [event]).condition.velocity_mm_s > 60

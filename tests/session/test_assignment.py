@@ -157,12 +157,12 @@ def test_turns_repeat_after_their_period_and_not_before(changes: dict[str, Any],
 
     def told(schedule: Any) -> Any:
         # Of a block, only what does not depend on the participant's own stream.
-        key = {"by_pair": "pair", "by_velocity": "velocity_mm_s"}.get(protocol.schedule.order)
+        key = {"by_pair": "zones", "by_velocity": "velocity_mm_s"}.get(protocol.schedule.order)
         rows = []
         for block in schedule.blocks:
             cells = [trial.condition for trial in block.trials]
             if protocol.schedule.order == "latin_square":
-                rows.append([(cell.pair, cell.velocity_mm_s) for cell in cells])
+                rows.append([(cell.zones, cell.velocity_mm_s) for cell in cells])
             elif key is not None:
                 rows.append(list(dict.fromkeys(getattr(cell, key) for cell in cells)))
         return [block.finger_condition for block in schedule.blocks], schedule.trials[0].condition.placement, rows

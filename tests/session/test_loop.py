@@ -75,13 +75,13 @@ class Person:
     cut: list[str | Exception] = field(default_factory=list)
 
     def welcome(self, trial: Trial) -> None:
-        self.seen.append("welcome " + "".join(trial.condition.pair))
+        self.seen.append("welcome " + "".join(trial.condition.zones))
 
     def announce(self, text: str) -> None:
         self.seen.append(text)
 
     def place_fingers(self, trial: Trial) -> None:
-        self.seen.append("place " + "".join(trial.condition.pair))
+        self.seen.append("place " + "".join(trial.condition.zones))
 
     def ask(self, trial: Trial, progress: Progress, presentation: Presentation) -> Response:
         self.seen.append(f"{'practice' if trial.practice else 'trial'} {trial.index}")
@@ -126,7 +126,7 @@ class Keys(Console):
 
 def right_answer(trial: Trial) -> str:
     """Say what somebody says who feels the speeds of SPEEDS without noise."""
-    left, right = (SPEEDS[zone] for zone in trial.condition.pair)
+    left, right = (SPEEDS[zone] for zone in trial.condition.zones)
     return "both" if left == right else ("left" if left > right else "right")
 
 
@@ -194,7 +194,7 @@ def test_every_trial_is_answered_once_in_order(sit: Callable[..., SessionRun]) -
     fired = [place for place, command in enumerate(told) if command.startswith("fire")]
     assert len(fired) == 13
     assert all(told[place + 1 : place + 3] == ["end", "stop"] for place in fired)
-    first = "".join(sitting.trials[0].condition.pair)
+    first = "".join(sitting.trials[0].condition.zones)
     assert seen(sitting)[:2] == [f"welcome {first}", "practice"], "the fingers of the first trial, as they are placed"
     assert seen(sitting)[-1] == "goodbye"
 
@@ -216,7 +216,7 @@ def test_the_last_trial_can_be_repeated_while_the_participant_is_thanked(sit: Ca
     sitting.window.goodbye = goodbye  # type: ignore[method-assign]
     conduct(replace(sitting, experimenter=experimenter))
     last = seen(sitting)[seen(sitting).index("goodbye") :]
-    answer, place = right_answer(sitting.trials[-1]), "place " + "".join(sitting.trials[-1].condition.pair)
+    answer, place = right_answer(sitting.trials[-1]), "place " + "".join(sitting.trials[-1].condition.zones)
     assert last == ["goodbye", *[place, "trial 12", answer, "goodbye"] * 2]
     assert len(events(sitting, "withdrawn")) == 2
     assert Session(sitting.log.path, tuple(sitting.log.events)).n_answered == 12

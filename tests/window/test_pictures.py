@@ -59,7 +59,7 @@ def test_each_finger_lies_on_its_zone(experiment: Experiment, pair: str, conditi
     pictures = illustrate(experiment, hand)
     trial = make_trial(pair, finger_condition)
     layout = pictures.layout
-    marks = draw_hands(layout, DARK, trial.condition.pair, FINGERS[condition], ("one", "other"))
+    marks = draw_hands(layout, DARK, trial.condition.zones, FINGERS[condition], ("one", "other"))
     for side, zone in zip(("left", "right"), pair, strict=True):
         x, y = tips(marks, DARK)[side]
         assert layout.zones[zone].contains(x, y)

@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +50,7 @@ class Levels:
             fingers, contacts = protocol.conditions.finger_conditions, protocol.conditions.contacts
             for finger_condition, zones, name in product(fingers, contacts, protocol.stimulus_names):
                 for run in ((finger_condition, *zones, name), (finger_condition, *zones[::-1], name)):
-                    self._quests[run] = blank.another()
+                    self._quests[run] = copy.copy(blank)
 
     def settle(self, trial: Trial, answered: Iterable[Mapping[str, Any]], algorithm: str = "") -> Trial:
         """Return a scheduled trial with the level that it is presented at.
@@ -180,10 +180,6 @@ class Quest:
         # Bare arrays: the labelled ones of questplus cost eight times as much at every answer.
         self._likelihood: FloatArray = quest.likelihoods.transpose(*quest.prior.dims, "response", "intensity").values
         self._posterior, self._taken = self._prior, list[tuple[float, bool]]()
-
-    def another(self) -> Self:
-        """Return a run by the same rule at its beginning; it shares the likelihoods, which are slow to compute."""
-        return copy.copy(self)
 
     def next_level(self, history: Sequence[tuple[float, bool]]) -> float:
         """Return the level of the next trial [dB]."""

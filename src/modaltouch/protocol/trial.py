@@ -74,11 +74,6 @@ class Condition:
         return cls(finger_condition, left, right, level, placement, stimulus, "".join(zones[1:-1]))
 
     @property
-    def pair(self) -> tuple[str, str]:
-        """Zones under the left and the right finger."""
-        return (self.zone_left, self.zone_right)
-
-    @property
     def zones(self) -> tuple[str, ...]:
         """Zones under the fingers, from left to right."""
         return tuple(filter(None, (self.zone_left, self.zone_between, self.zone_right)))

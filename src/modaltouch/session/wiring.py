@@ -247,12 +247,11 @@ class SessionParts:
     def open_window(self, tick: Tick, log: Callable[..., None]) -> AnswerWindow:
         """Open the answer window, with a simulated participant where no person answers."""
         experiment = self.preflight.experiment
-        zones = experiment.apparatus.zones
         return open_window(
             self.answers,
             experiment.protocol,
             experiment.texts,
-            zones=tuple(sorted(zones, key=lambda name: zones[name].centre_mm)),
+            zones=tuple(experiment.apparatus.ordered_zones),
             tick=tick,
             log=log,
             answerer=None if self.answers == "window" else self._answerer(),

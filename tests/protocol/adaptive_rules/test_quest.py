@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 from scipy.special import xlogy
@@ -53,7 +55,7 @@ def test_every_level_is_the_one_that_tells_most(
 ) -> None:
     """Two runs of one rule, one after the other; the second begins anew. A simulated person of known threshold."""
     first = Quest(bounds, start, guess, lapse)
-    for run, seed in ((first, 1), (first.another(), 2)):
+    for run, seed in ((first, 1), (copy.copy(first), 2)):
         rng, reference, history = np.random.default_rng(seed), Definition(bounds, start, guess, lapse), []
         for _ in range(25):
             level = run.next_level(history)

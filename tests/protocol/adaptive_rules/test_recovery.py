@@ -8,6 +8,7 @@ normal does not; standard deviation 2.1 and 2.9 dB; 92 % of the 95 % intervals h
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -143,7 +144,7 @@ def test_quest_plus_gives_back_the_thresholds_of_its_observers(
     blank = Quest(bounds, start, section.guess_rate, section.lapse_rate)
 
     def next_of() -> Callable[[list[float], list[bool]], float]:
-        run = blank.another()
+        run = copy.copy(blank)
         return lambda levels, successes: run.next_level(list(zip(levels, successes, strict=True)))
 
     found = recover(next_of, section, speeds, 20)

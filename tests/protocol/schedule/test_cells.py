@@ -54,7 +54,7 @@ def driven(protocol: Protocol, participant: str = "p01") -> Counter[tuple[str, s
     """Return how often each finger condition has each pair at each level."""
     trials = Schedule.draw(protocol, participant, 1).trials
     return Counter(
-        (trial.condition.finger_condition, "-".join(trial.condition.pair), trial.condition.velocity_mm_s)
+        (trial.condition.finger_condition, "-".join(trial.condition.zones), trial.condition.velocity_mm_s)
         for trial in trials
     )
 

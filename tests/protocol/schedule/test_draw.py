@@ -43,7 +43,7 @@ def test_every_condition_comes_as_often_as_the_protocol_says(participant: str, s
     for block in schedule.blocks:
         assert {trial.condition.finger_condition for trial in block.trials} == {block.finger_condition}
         assert {trial.block for trial in block.trials} == {block.number}
-        assert longest_run([trial.condition.pair for trial in block.trials]) <= 2
+        assert longest_run([trial.condition.zones for trial in block.trials]) <= 2
 
 
 def test_repetitions_count_in_the_order_of_presentation() -> None:
@@ -132,8 +132,8 @@ def test_placements_take_turns_with_every_order_of_finger_conditions() -> None:
     ]
     for schedule in schedules:
         assert len({trial.condition.placement for trial in (*schedule.practice, *schedule.trials)}) == 1
-    assert {trial.condition.pair for trial in schedules[0].trials} == {("A", "C"), ("B", "D"), ("C", "E")}
-    assert {trial.condition.pair for trial in schedules[2].trials} == {("C", "A"), ("D", "B"), ("E", "C")}
+    assert {trial.condition.zones for trial in schedules[0].trials} == {("A", "C"), ("B", "D"), ("C", "E")}
+    assert {trial.condition.zones for trial in schedules[2].trials} == {("C", "A"), ("D", "B"), ("E", "C")}
 
 
 def test_practice_comes_from_the_first_blocks_conditions() -> None:
@@ -159,7 +159,7 @@ def test_the_record_holds_what_an_order_was_drawn_from() -> None:
         "order within two_hands",
     }
     first = schedule.trials[0].condition
-    assert record["order"][0] == [1, "one_hand", *first.pair, first.velocity_mm_s, "normal"]
+    assert record["order"][0] == [1, "one_hand", *first.zones, first.velocity_mm_s, "normal"]
     assert (record["n_trials"], record["n_practice_trials"]) == (24, 3)
 
 
@@ -183,7 +183,7 @@ def test_generators_of_two_purposes_differ() -> None:
 def test_blocked_orders_keep_pairs_or_velocities_together() -> None:
     """Three pairs by four velocities: three runs of four, or four runs of three."""
     by_pair = Schedule.draw(changed("schedule", order="by_pair", max_same_pair_running=None), "p01", 1)
-    pairs = [trial.condition.pair for trial in by_pair.blocks[0].trials]
+    pairs = [trial.condition.zones for trial in by_pair.blocks[0].trials]
     assert [len(list(run)) for _, run in itertools.groupby(pairs)] == [4, 4, 4]
     by_velocity = Schedule.draw(changed("schedule", order="by_velocity", max_same_pair_running=None), "p01", 1)
     levels = [trial.condition.velocity_mm_s for trial in by_velocity.blocks[0].trials]
@@ -240,7 +240,7 @@ def test_catch_trials_stand_where_nothing_betrays_them(n: int, limit: int | None
         assert sum(catch) == n
         assert not catch[0]
         assert not any(one and two for one, two in itertools.pairwise(catch))
-        pairs = [trial.condition.pair for trial in block.trials]
+        pairs = [trial.condition.zones for trial in block.trials]
         assert limit is None or longest_run(pairs) <= limit
         driven = [trial.condition for trial in block.trials if not trial.condition.is_catch]
         assert driven == [trial.condition for trial in other.trials]
@@ -341,7 +341,7 @@ def test_the_record_says_how_many_trials_and_which() -> None:
     ]  # fmt: skip
     assert (record["n_trials"], record["n_practice_trials"]) == (24, len(schedule.practice))
     assert record["practice"] == [
-        [0, t.condition.finger_condition, *t.condition.pair, t.condition.velocity_mm_s, t.condition.placement]
+        [0, t.condition.finger_condition, *t.condition.zones, t.condition.velocity_mm_s, t.condition.placement]
         for t in schedule.practice
     ]
     assert [line[0] for line in record["order"]] == [1] * 12 + [2] * 12

@@ -38,7 +38,7 @@ def test_every_limit_holds_in_every_block(participant: str) -> None:
         min_same_cell_distance=3,
     )  # fmt: skip
     for block in Schedule.draw(protocol, participant, 1).blocks:
-        cells = [(each.condition.pair, each.condition.velocity_mm_s, each.condition.stimulus) for each in block.trials]
+        cells = [(each.condition.zones, each.condition.velocity_mm_s, each.condition.stimulus) for each in block.trials]
         assert sorted(Counter(cells).values()) == [2] * 8
         assert longest_run([pair for pair, *_ in cells]) <= 3
         assert longest_run([level for _, level, _ in cells]) <= 2

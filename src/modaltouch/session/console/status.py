@@ -303,8 +303,7 @@ class Status:
         self._ask(on=False)
 
     def _on_pause(self, event: dict[str, Any]) -> None:
-        self._facts["generator"]["outputs"] = "off"
-        self._ask(on=False)
+        self._on_trial_cut(event)
         # A pause within a break leads back to it.
         self._held = "break" if self._facts["state"] == "break" else "waiting"
         self._facts |= {"state": "paused", "paused_by": str(event.get("by", "participant"))}
@@ -328,8 +327,7 @@ class Status:
         self._facts |= {name: event[name] for name in names}
 
     def _on_stop(self, event: dict[str, Any]) -> None:
-        self._ask(on=False)
-        self._facts["generator"]["outputs"] = "off"
+        self._on_trial_cut(event)
         self._facts |= {"state": "ended", "stopped_by": event["reason"]}
 
     def _on_exchange(self, event: dict[str, Any]) -> None:
