@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
-    from modaltouch.report.numbers import say_number
     from modaltouch.report.output import refuse_other, write_files
-    from modaltouch.report.page import ReportFigure, page_files, render_page
+    from modaltouch.report.page import ReportFigure, page_files, render_page, say_number
     from modaltouch.report.style import (
         CONDITION_COLOURS,
         FAINT,
@@ -28,9 +27,8 @@ else:
     __getattr__ = lazily(
         __name__,
         {
-            "numbers": "say_number",
             "output": "refuse_other write_files",
-            "page": "ReportFigure page_files render_page",
+            "page": "ReportFigure page_files render_page say_number",
             "style": "CONDITION_COLOURS FAINT INK PAIR_COLOURS figure_files house_style quiet_grid",
         },
     )

@@ -1,13 +1,17 @@
-"""One HTML page with everything inside: it needs no network, prints, and is legible without colour."""
+"""One HTML page with everything inside: it needs no network, prints, and is legible without colour.
+
+Numbers are written as a reader sees them, in a page, a table or a sentence.
+"""
 
 from __future__ import annotations
 
 import base64
+import math
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.report.numbers import say_number
 from modaltouch.system import commit, version, versions
 
 if TYPE_CHECKING:
@@ -83,3 +87,33 @@ def render_page(package: str, template: str, **values: Any) -> str:
 def _data_uri(svg: bytes) -> str:
     """Return an address that holds the picture itself."""
     return "data:image/svg+xml;base64," + base64.b64encode(svg).decode("ascii")
+
+
+def say_number(value: float | None, digits: int = 3, *, decimals: int | None = None) -> str:
+    """Return a number in words for readers; a dash where there is none.
+
+    Parameters
+    ----------
+    value : float or None
+        The number.
+    digits : int
+        Significant digits.
+    decimals : int, optional
+        Digits behind the point, in place of significant ones.
+
+    Examples
+    --------
+    >>> say_number(0.97512), say_number(float("nan")), say_number(float("inf")), say_number(39.0)
+    ('0.975', '–', '∞', '39')
+    >>> say_number(12.0, decimals=1), say_number(None)
+    ('12.0', '–')
+    """
+    if value is None or math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    if decimals is None and abs(value) <= 2 * sys.float_info.min and value != 0:
+        return "< 1e-300"
+    text = f"{value:.{digits}g}" if decimals is None else f"{value:.{decimals}f}"
+    # Zero has no sign, also where rounding makes it zero.
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", "−", 1) if value < 0 else text
