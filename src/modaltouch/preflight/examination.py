@@ -263,7 +263,7 @@ def _examine_placements(findings: Findings, inputs: DesignInputs) -> Preflight:
             continue
         placed[name], first = _examine_one(findings, own), next(iter(placed.values()), None)
         if own.section.equalise_band_Hz and first and not {*placed[name].problems, *first.problems}:
-            from modaltouch.preflight.equalised import equalised
+            from modaltouch.preflight.design_inputs import equalised
 
             placed[name] = _examine_one(findings, equalised(*placed[name].sound, first.sound))
     first = next(iter(placed.values()))
