@@ -11,7 +11,7 @@ from matplotlib.transforms import Bbox
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.covariate_figures import draw_order, draw_speeds, draw_times
 from modaltouch.analysis.figures import draw_counts
-from modaltouch.analysis.strips import NOTHING, OTHER_COLOURS, TIED, ZONE_COLOURS, participant_strips
+from modaltouch.analysis.report import NOTHING, OTHER_COLOURS, TIED, ZONE_COLOURS, participant_strips
 from modaltouch.analysis.tables import zone_table
 from modaltouch.protocol import AnswerList
 from modaltouch.report.style import FAINT, INK, PAIR_COLOURS, render
