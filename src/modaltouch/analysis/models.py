@@ -1,4 +1,7 @@
-"""Mixed models that a reviewer asks for: the tidy table, their formula, and a script that fits them in R."""
+"""Mixed models that a reviewer asks for: the tidy table, their formula, and a script that fits them in R.
+
+Those of zones take answers that name each finger alone; the tidy ones any answers, and ratings.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.scale import scale_of
+from modaltouch.analysis.zones import label_zones
 from modaltouch.report import render_page
 
 if TYPE_CHECKING:
@@ -86,3 +91,39 @@ def script_files(table: pd.DataFrame, template: str, terms: Sequence[str], **giv
     """Return a tidy table and the R script that fits models of these terms to it, by file name."""
     script = render_page("modaltouch.analysis", template, terms=" + ".join(terms) or "1", **given)
     return {"answers.csv": table.to_csv(index=False, lineterminator="\n"), "models.R": script}
+
+
+FACTORS = ("group", "session_kind", "stimulus", "finger_condition", "pair")
+
+
+def tidy_files(responses: Responses) -> dict[str, Any]:
+    """Return the tidy table and the R script of its models, by file name.
+
+    Parameters
+    ----------
+    responses : Responses
+        The answers, as they were given.
+    """
+    from modaltouch.analysis.ratings import questions_of
+
+    taken = responses.by_choice()
+    frame = taken.frame.loc[taken.frame.index.repeat(taken.frame["n"])]
+    scale, asked = scale_of(frame.columns), questions_of(responses.design, frame)
+    level = frame[scale.column].astype(float)
+    named = [name for name in FACTORS if name in frame.columns and (frame[name] != "").any()]
+    factors = {name: frame[name].astype(str) for name in named}
+    factors["pair"] = label_zones(frame)
+    table = pd.DataFrame({
+        "participant": frame["participant"].astype(str), **factors, scale.column: level,
+        "level": (level - (level.min() + level.max()) / 2) / scale.step,
+        "response": frame["response"].astype(str),
+    })  # fmt: skip
+    if "interval" in frame.columns:
+        table["interval"] = frame["interval"].astype(int)
+    for each in asked:
+        table[each.column] = each.numbers(frame)
+    names, effect = taken.answers.names, taken.answers.names[0]
+    if len(names) > 1:
+        table["chosen"] = (table["response"] == effect).astype(int)
+    terms = [name for name in (*factors, "level") if table[name].nunique() > 1]
+    return script_files(table, "tidy_models.R.j2", terms, effect=effect, names=names, asked=asked, scale=scale)

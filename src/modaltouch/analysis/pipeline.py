@@ -153,6 +153,7 @@ def _figures(asked: Collection[str]) -> Collection[str]:
 
 def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str, Any]:
     """Return the contents of every file of an analysis, by name, as `write_files` takes them."""
+    from modaltouch.analysis.models import model_files, tidy_files
     from modaltouch.analysis.outcome import plain_row
     from modaltouch.analysis.report import report_files
     from modaltouch.analysis.tables import figure_names, zone_table
@@ -167,14 +168,8 @@ def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str,
     if analysis.design and analysis.design.rows:
         files["measures.csv"] = analysis.design.rows
     files |= {"tests.csv": tests, "tests.json": [plain_row(row) for row in tests]}
-    if analysis.answers.compares:
-        from modaltouch.analysis.models import model_files
-
-        files |= model_files(analysis.answers, analysis.responses)
-    else:
-        from modaltouch.analysis.tidy_models import tidy_files
-
-        files |= tidy_files(analysis.responses)
+    by_zone = analysis.answers.compares
+    files |= model_files(analysis.answers, analysis.responses) if by_zone else tidy_files(analysis.responses)
     pictures = draw_all(analysis.answers, analysis.responses, figures)
     if analysis.design:
         from modaltouch.analysis.measure_figures import draw_design

@@ -13,7 +13,7 @@ import pandas as pd
 from modaltouch.analysis.certificates import certificates_of, say_certificates
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding, correct, to_frame
-from modaltouch.analysis.models import model_table, zone_files
+from modaltouch.analysis.models import model_table, tidy_files, zone_files
 from modaltouch.analysis.outcome import plain_row
 from modaltouch.analysis.ratings import questions_of
 from modaltouch.analysis.responses import Responses, cell_of
@@ -283,8 +283,6 @@ def _models(analysis: PartsAnalysis) -> dict[str, Any]:
     """Return the tidy table, and the R script of mixed models over all parts where each finger is named alone."""
     first = analysis.parts[0].counts
     if not first.compares:
-        from modaltouch.analysis.tidy_models import tidy_files
-
         return tidy_files(analysis.responses)
     asked = questions_of(analysis.responses.design, analysis.responses.frame)
     tables = [model_table(part.counts, part.frame, asked).assign(**part.factors) for part in analysis.parts]
