@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import cached_property, lru_cache
 from typing import Any
 
@@ -166,23 +166,21 @@ def sign_test(scores: ArrayLike) -> ExactTest:
     return ExactTest(n_positive, lambda: test.p, lambda: test.p_min, test.n_informative, lambda: test.quick_p)
 
 
-def multinomial_test(counts: ArrayLike, probabilities: Sequence[float] | None = None) -> ExactTest:
-    """Return the exact goodness-of-fit test of counts; the statistic is twice the logarithm of the likelihood ratio.
+def multinomial_test(counts: ArrayLike) -> ExactTest:
+    """Return the exact test that all categories are equally likely.
 
-    Every possible outcome is enumerated, the more extreme the larger its likelihood ratio; of outcomes that are alike
-    under the null hypothesis, one stands for all.
+    The statistic is twice the logarithm of the likelihood ratio. Every possible outcome is enumerated, the more extreme
+    the larger its ratio; of outcomes that are alike under the null hypothesis, one stands for all.
 
     Parameters
     ----------
     counts : (..., n_categories) array of int
         Observed counts.
-    probabilities : sequence of float, optional
-        Probability of each category under the null hypothesis [1]; equal by default.
 
     Raises
     ------
     ValueError
-        If the counts are negative, or of fewer than two categories, or the probabilities do not add up to one.
+        If the counts are negative, or of fewer than two categories.
 
     Examples
     --------
@@ -190,37 +188,29 @@ def multinomial_test(counts: ArrayLike, probabilities: Sequence[float] | None = 
     5.081e-05
     """
     observed = whole_numbers(counts, "counts")
-    null = _check_multinomial(observed, probabilities)
-    rows = observed.reshape(-1, null.size)
-    totals = rows.sum(axis=1)
-    statistic, p, p_min = np.zeros(len(rows)), np.ones(len(rows)), np.ones(len(rows))
-    for n in np.unique(totals[totals > 0]).tolist():
-        here, shares = totals == n, _tables(n, null)[1]
-        statistic[here] = shares[np.arange(null.size), rows[here]].sum(axis=1)
-        # The ratio is convex in the counts, so the most extreme outcome has all answers in one category.
-        extremes = np.append(statistic[here], shares[:, n].max())
-        least = extremes - 1e-9 * np.maximum(1.0, np.abs(extremes))  # rounding allowed for
-        if math.comb(n + null.size - 1, n) <= _KEPT:
-            values, tails = _ranked_outcomes(n, tuple(null.tolist()))
-            chances = tails[np.searchsorted(values, least)]
-        else:
-            chances = sum((value >= least[:, np.newaxis]) @ mass for value, mass in _weighed_outcomes(n, null))
-        p[here], p_min[here] = chances[:-1], chances[-1]
-    shape = observed.shape[:-1]
-    found: list[Any] = [each.reshape(shape)[()] for each in (statistic, p, p_min, totals)]
-    return ExactTest(*found)
-
-
-def _check_multinomial(observed: IntArray, probabilities: Sequence[float] | None) -> FloatArray:
     if observed.ndim < 1 or observed.shape[-1] < 2 or observed.size == 0:
         raise ValueError(f"counts have shape {observed.shape}: give (..., n_categories), two categories or more")
     if observed.min() < 0:
         raise ValueError(f"counts must not be negative, got {observed.tolist()}")
     k = observed.shape[-1]
-    null = np.full(k, 1 / k) if probabilities is None else np.asarray(probabilities, dtype=float)
-    if null.shape != (k,) or (null <= 0).any() or abs(null.sum() - 1) > 1e-9:
-        raise ValueError(f"probabilities {null.tolist()} must be {k} positive numbers that add up to 1")
-    return null
+    rows = observed.reshape(-1, k)
+    totals = rows.sum(axis=1)
+    statistic, p, p_min = np.zeros(len(rows)), np.ones(len(rows)), np.ones(len(rows))
+    for n in np.unique(totals[totals > 0]).tolist():
+        here, shares = totals == n, _shares(n, k)
+        statistic[here] = shares[rows[here]].sum(axis=1)
+        # The ratio is convex in the counts, so the most extreme outcome has all answers in one category.
+        extremes = np.append(statistic[here], shares[n])
+        least = extremes - 1e-9 * np.maximum(1.0, np.abs(extremes))  # rounding allowed for
+        if math.comb(n + k - 1, n) <= _KEPT:
+            values, tails = _ranked_outcomes(n, k)
+            chances = tails[np.searchsorted(values, least)]
+        else:
+            chances = sum((value >= least[:, np.newaxis]) @ mass for value, mass in _weighed_outcomes(n, k))
+        p[here], p_min[here] = chances[:-1], chances[-1]
+    shape = observed.shape[:-1]
+    found: list[Any] = [each.reshape(shape)[()] for each in (statistic, p, p_min, totals)]
+    return ExactTest(*found)
 
 
 _KEPT = 10_000
@@ -228,49 +218,40 @@ _KEPT = 10_000
 
 
 @lru_cache(maxsize=1024)
-def _ranked_outcomes(n: int, probabilities: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
+def _ranked_outcomes(n: int, k: int) -> tuple[FloatArray, FloatArray]:
     """Return the statistic of every outcome, increasing, and the probability of that outcome and all after it."""
-    value, mass = (np.concatenate(each) for each in zip(*_weighed_outcomes(n, np.array(probabilities)), strict=True))
+    value, mass = (np.concatenate(each) for each in zip(*_weighed_outcomes(n, k), strict=True))
     order = np.argsort(value)
     return value[order], np.cumsum(mass[order][::-1])[::-1]
 
 
-def _weighed_outcomes(n: int, null: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield the statistic of every outcome and its probability, part by part."""
-    log_p, share = _tables(n, null)
-    for head, orders, tail in _outcomes(n, null.size, alike=bool((null == null[0]).all())):
-        at_head = [(log_p[j, x], share[j, x]) for j, x in enumerate(head)]
-        mass = orders * np.exp(log_p[-2, tail] + log_p[-1, tail[::-1]] + sum(p for p, _ in at_head))
-        yield share[-2, tail] + share[-1, tail[::-1]] + sum(value for _, value in at_head), mass
+def _weighed_outcomes(n: int, k: int) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield the statistic of outcomes and their probability, by the counts of all but the last two categories.
 
-
-def _tables(n: int, null: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return, per category and count, its share of the log probability and of the statistic."""
-    x = np.arange(n + 1)
-    log_factorial = np.concatenate([[0.0], np.cumsum(np.log(x[1:]))])
-    log_p = x * np.log(null)[:, np.newaxis] - log_factorial
-    log_p[0] += log_factorial[n]
-    expected = n * null[:, np.newaxis]
-    return log_p, np.asarray(2 * x * np.log(np.maximum(x, 1) / expected), dtype=float)
-
-
-def _outcomes(n: int, k: int, alike: bool) -> Iterator[tuple[tuple[int, ...], int, IntArray]]:
-    """Yield the counts of all but the last two categories, and the range that the last but one can take.
-
-    Where the categories are alike, counts that differ in their order alone come once, with how many orders they have.
+    Counts of these that differ in their order alone come once, with how many orders they have.
     """
-    for head in _heads(n, k - 2, n if alike else None):
-        orders = math.factorial(k - 2) // math.prod(map(math.factorial, Counter(head).values())) if alike else 1
-        yield head, orders, np.arange(n - sum(head) + 1, dtype=np.int64)
+    log_factorial = np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, n + 1)))])
+    shares, whole = _shares(n, k), log_factorial[n] - n * math.log(k)
+    for head in _heads(n, k - 2, n):
+        orders = math.factorial(k - 2) // math.prod(map(math.factorial, Counter(head).values()))
+        tail, at_head = np.arange(n - sum(head) + 1), list(head)
+        ways = log_factorial[tail] + log_factorial[tail[::-1]] + log_factorial[at_head].sum()
+        yield shares[tail] + shares[tail[::-1]] + shares[at_head].sum(), orders * np.exp(whole - ways)
 
 
-def _heads(n: int, length: int, most: int | None) -> Iterator[tuple[int, ...]]:
-    """Yield counts that add up to n at most; where the first may be no more than a number, none above its neighbour."""
+def _shares(n: int, k: int) -> FloatArray:
+    """Return what each count of a category, from 0 to n, adds to the statistic."""
+    x = np.arange(n + 1)
+    return np.asarray(2 * x * np.log(np.maximum(x, 1) * k / n), dtype=float)
+
+
+def _heads(n: int, length: int, most: int) -> Iterator[tuple[int, ...]]:
+    """Yield counts that add up to n at most, none above its neighbour and the first no more than a number."""
     if length == 0:
         yield ()
         return
-    for first in range((n if most is None else min(n, most)) + 1):
-        for rest in _heads(n - first, length - 1, None if most is None else first):
+    for first in range(min(n, most) + 1):
+        for rest in _heads(n - first, length - 1, first):
             yield first, *rest
 
 
