@@ -35,21 +35,6 @@ def _unanimous_p(levels: Sequence[float], n_participants: int, n_repetitions: in
     return float(2.0 ** (1 - n_participants))
 
 
-def _one_answer_p(levels: Sequence[float], n_participants: int, n_repetitions: int, margin: float | None) -> float:
-    """Return p where all participants give one answer of three."""
-    return float(multinomial_test([n_participants, 0, 0]).p)
-
-
-def _trend_p(levels: Sequence[float], n_participants: int, n_repetitions: int, margin: float | None) -> float:
-    """Return the smallest p of a trend."""
-    return smallest_trend_p(levels, n_participants, n_repetitions)
-
-
-def _alike_p(levels: Sequence[float], n_participants: int, n_repetitions: int, margin: float | None) -> float:
-    """Return p of equivalence where no participant differs."""
-    return float(BoundedMean([0.0] * n_participants).equivalence(margin or 0.0).p)
-
-
 @dataclass(frozen=True)
 class Statistic:
     """A family of tests, to be printed by the analysis and powered by planning.
@@ -271,7 +256,7 @@ _ON_AVERAGE = "mean over participants, test and interval of a bounded mean"
 STATISTICS: dict[str, Statistic] = {
     "a1": Statistic(
         "a1", "does a cell differ from guessing", "exact multinomial test against chance", chance_tests,
-        "share", _one_answer_p, against_guessing=True,
+        "share", lambda levels, n, n_repetitions, margin: float(multinomial_test([n, 0, 0]).p), against_guessing=True,
     ),
     "a2": Statistic(
         "a2", "is one zone chosen more than the other", "exact sign-flip test of net dominance",
@@ -283,7 +268,8 @@ STATISTICS: dict[str, Statistic] = {
     ),
     "b": Statistic(
         "b", "does the choice of the dominant zone change with the level in anybody",
-        "exact trend test that no participant's answers change with the level", level_tests, "", _trend_p,
+        "exact trend test that no participant's answers change with the level", level_tests,
+        "", lambda levels, n, n_repetitions, margin: smallest_trend_p(levels, n, n_repetitions),
     ),
     "b mean": Statistic(
         "b", "does the choice of the dominant zone change with the level on average", f"slope, {_ON_AVERAGE}",
@@ -301,7 +287,8 @@ STATISTICS: dict[str, Statistic] = {
         "c", "are the finger conditions alike on average, within the margin of the protocol",
         "equivalence, two one-sided tests of a bounded mean, with the 90 % interval",
         lambda answers: equivalence_of(_scores(conditions_compared(answers)), answers.margin),
-        smallest_p=_alike_p, when_alike=True,
+        smallest_p=lambda levels, n, n_repetitions, margin: float(BoundedMean([0.0] * n).equivalence(margin or 0.0).p),
+        when_alike=True,
     ),
     "d": Statistic(
         "d", 'is "both" answered more often for one pair than for another in anybody', _ANYBODY,
