@@ -16,6 +16,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -189,6 +190,7 @@ def summarise(values: Any) -> dict[str, float]:
 def main() -> int:
     """Measure, print and write the figures."""
     from modaltouch.window.environment import some_display
+    from modaltouch.window.robot import Robot
 
     with some_display() as where, tempfile.TemporaryDirectory() as folder:
         starts, processor = measure_start()
@@ -202,7 +204,7 @@ def main() -> int:
     beside = summarise(watched["time_uncertainty"])
     bars = [
         at_most("window start, from the interpreter's to the first screen, median", start["median_ms"], 3000, "ms"),
-        at_most("from the start of a session to the first burst, its window and the pause included, less what the robot reads", first, 3000, "ms"),
+        at_most("from the start of a session, its window included, to the first burst, but reading", first, 3000, "ms"),
         at_most("from an answer to the next burst armed, beyond the pause, p95", overhead["p95_ms"], 5, "ms"),
         at_most(f"frames drawn in {IDLE - SETTLED:g} s in which nothing changes", idle, 0, "frames"),
         at_most("longest wait of a key for its time stamp, beside the live console, p95", beside["p95_ms"], 5, "ms"),
