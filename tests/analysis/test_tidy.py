@@ -485,3 +485,15 @@ def test_a_table_of_a_design_that_is_not_crossed_has_its_parts(write_csv, build)
     assert {part.counts.n_participants for part in found.parts} == {6} and found.parts[0].counts.pairs[0].focused
     with pytest.raises(InputError, match="unequally often.*give every trial a row, without a response where none came"):
         analyse_parts(read_responses(write_csv(rows[1:], "less.csv"), table_format=TableFormat(design=design)))
+
+
+@pytest.mark.parametrize("column", ["value", "sure", "stimulus", "group"])
+def test_a_table_has_the_columns_of_its_protocol(write_csv, paper_rows, column) -> None:
+    """Without them stimuli and groups would be pooled, and ratings left out, without a word."""
+    usual = {"value": 50, "sure": 2, "stimulus": "near", "group": "old", "response": "rated"}
+    del usual[column]
+    answers = AnswerList.of(PROTOCOL["answers"])
+    with pytest.raises(InputError, match=f"{column}: given columns participant.*; add the column {column}"):
+        read_responses(
+            write_csv([row | usual for row in paper_rows]), table_format=TableFormat(answers, design=PROTOCOL)
+        )

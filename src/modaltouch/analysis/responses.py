@@ -97,9 +97,11 @@ class TableFormat:
 
     @property
     def asked(self) -> tuple[str, ...]:
-        """Columns of numbers that the protocol asks for."""
-        scale = (self.design.get("answers") or {}).get("scale")
-        return (*["interval"] * bool(self.design.get("intervals")), *["value"] * bool(scale))
+        """Columns that the protocol asks for: without them other designs would be analysed in silence."""
+        answers = self.design.get("answers") or {}
+        told = {"interval": self.design.get("intervals"), "value": answers.get("scale"),
+                "stimulus": self.design.get("stimuli"), "group": self.design.get("groups")}  # fmt: skip
+        return (*(name for name, section in told.items() if section), *(answers.get("then") or {}))
 
 
 @dataclass(frozen=True)
