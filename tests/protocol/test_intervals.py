@@ -141,6 +141,10 @@ ADAPTIVE = "adaptive: {method: staircase, trials: 8, start_mm_s: 130, success: c
         ([(MEANINGS, "intervals: {first: 1, second: 3}")], "given 3, where a trial has 2 intervals; allowed: 1 to 2"),
         ([(MEANINGS, "intervals: {first: 1, second: 1}")], "answers.intervals.second: given 1 again"),
         (
+            [(MEANINGS, "intervals: {first: 1}")],
+            "answers.intervals: given no answer for interval 2, which may hold the comparison; allowed: an answer for",
+        ),
+        (
             [(MEANINGS, "intervals: {first: 1, second: different}")],
             "answers.intervals.second: given different beside the number of an interval; allowed: numbers alone, or",
         ),

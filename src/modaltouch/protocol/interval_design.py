@@ -102,7 +102,7 @@ def _check_numbers(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def _check_asked(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield answers of two questions, and a comparison of levels whose right answer may be the weaker one unasked."""
+    """Yield answers of two questions, intervals without one, and a question of levels that does not say which."""
     levels = [level for _, level in reading.items("conditions", "peak_velocities_mm_s")]
     standard, number = reading.sound(*STANDARD_LEVEL), reading.sound("intervals", "number")
     meanings = reading.items("answers", "intervals")
@@ -111,6 +111,11 @@ def _check_asked(reading: Reading[Any]) -> Iterator[Problem]:
         if meaning == "different" and named:
             given, allowed = "different beside the number of an interval", "numbers alone, or same and different"
             yield reading.problem(("answers", "intervals", step), given, allowed, "ask one of the two")
+    places = reading.sound("intervals", "comparison_in") or range(1, 1 + (number or 0))
+    if named and (unnamed := [place for place in places if place not in dict(meanings).values()]):
+        given = f"no answer for interval {unnamed[0]}, which may hold the comparison"
+        remedy = "name it, or leave it out of intervals.comparison_in"
+        yield reading.problem(("answers", "intervals"), given, "an answer for each such interval", remedy)
     written = reading.find(("intervals", "asked")) is not None
     if number == 2 and named and not written and standard and levels and min(levels) < standard < max(levels):
         given = f"nothing, where levels lie below and above the standard of {standard:g} mm/s"
