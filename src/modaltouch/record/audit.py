@@ -81,7 +81,8 @@ def audit_session(session: Session) -> Audit:
     lines = [] if problems else [f"{len(session.events)} lines, each continuing the one before"]
     try:
         restored = restore(Sources.from_dict(start["sources"]), session.occasion)
-        protocol = levels_of(restored.protocol, start)
+        own = start.get("sensation_levels")
+        protocol = restored.protocol.with_levels(tuple(own["levels_mm_s"])) if own else restored.protocol
         schedule = draw_again(session, protocol)
         checked = [each for each in check_beginning(session, restored, protocol, schedule) if each[1]]
         lines += [said for holds, said in checked if holds]
@@ -112,12 +113,6 @@ def _completeness(session: Session) -> str:
     if session.begun_anew_as is not None:
         return f"closed and not complete: begun anew as session {session.begun_anew_as}"
     return "not complete: `modaltouch resume` continues it; until then the analysis leaves it out"
-
-
-def levels_of(protocol: Protocol, start: dict[str, Any]) -> Protocol:
-    """Return the protocol at the participant's own levels, where the start record keeps such."""
-    own = start.get("sensation_levels")
-    return protocol.with_levels(tuple(own["levels_mm_s"])) if own else protocol
 
 
 def check_beginning(session: Session, restored: RestoredExperiment, protocol: Protocol, schedule: Schedule) -> Checked:
@@ -183,7 +178,7 @@ def _check_mode(start: dict[str, Any], restored: RestoredExperiment, place: str)
 def _check_drive(start: dict[str, Any], restored: RestoredExperiment, place: str) -> tuple[bool, str]:
     burst, recorded = restored.preflight.stimulus.burst, start["stimulus"]
     found, said, hashes = burst.content_hash, recorded["content_hash"], recorded.get("content_hashes")
-    if found != said or (hashes is not None and hashes != restored.hashes):
+    if found != said or (hashes is not None and hashes != restored.preflight.content_hashes):
         return False, f"{place} the drive computed again has the hash {found[:12]}, the record says {said[:12]}"
     if recorded.get("amplitude_Vpp", list(burst.amplitude)) != list(burst.amplitude):
         return False, f"{place} the drive computed again has the amplitudes {burst.amplitude} Vpp, the record others"

@@ -73,11 +73,6 @@ class RestoredExperiment:
 
         return Levels(self.protocol)
 
-    @cached_property
-    def hashes(self) -> dict[str, str]:
-        """Hash of the codes of each design, by name."""
-        return self.preflight.content_hashes
-
     def speeds_mm_s(self, trial: Trial) -> tuple[float, ...]:
         """Return the predicted peak speeds under the fingers in a trial, from left to right [mm/s]."""
         condition = trial.condition

@@ -21,7 +21,6 @@ from modaltouch.record import (
     read_session,
 )
 from modaltouch.session.events import PRACTICE_FAILED, boot_id, way_on
-from modaltouch.session.sensation_level import recorded_levels
 from modaltouch.session.setup import Setup, sit
 from modaltouch.session.wiring import SessionParts, mode_of
 from modaltouch.system import SYSTEM_CLOCK, Clock
@@ -236,7 +235,8 @@ def wire_resume(
     rig, answers = rig or start["rig_choice"], answers or start["answers_choice"]
     _refuse_another_kind(session, rig, answers, restart=restart)
     preflight = examine_findings(Findings.recorded(start)).require()
-    preflight = recorded_levels(preflight, start)
+    if own := start.get("sensation_levels"):
+        preflight = preflight.with_levels(tuple(own["levels_mm_s"]))
     given = Turn.recorded(start)
     protocol = preflight.experiment.protocol
     schedule = Schedule.draw(protocol, place.participant, start["seed"], session.drawn_as, given=given)

@@ -49,20 +49,6 @@ def at_own_levels(
     return preflight.with_levels(levels), {"sensation_levels": facts}
 
 
-def recorded_levels(preflight: Preflight, start: dict[str, Any]) -> Preflight:
-    """Return the preflight of a recorded session, at the levels that its start record keeps.
-
-    Parameters
-    ----------
-    preflight : Preflight
-        Of the texts that the record keeps.
-    start : dict
-        The session's start record.
-    """
-    facts = start.get("sensation_levels")
-    return preflight.with_levels(tuple(facts["levels_mm_s"])) if facts else preflight
-
-
 def _find(preflight: Preflight, place: SessionFolder, thresholds_from: str) -> dict[str, Any]:
     """Return the threshold that the participant's latest complete session of another protocol found, and where."""
     log, damage = _latest(replace(place, protocol=thresholds_from))
