@@ -38,7 +38,8 @@ def lazily(package: str, places: Mapping[str, str]) -> Callable[[str], Any]:
 
 
 if TYPE_CHECKING:
-    from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock, measure_clock
+    from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
+    from modaltouch.system.clock_timing import measure_clock
     from modaltouch.system.files import lock, sync_file
     from modaltouch.system.interruption import Interrupted, Interruption
     from modaltouch.system.provenance import commit, version, versions
@@ -46,7 +47,8 @@ else:
     __getattr__ = lazily(
         __name__,
         {
-            "clock": "Clock SYSTEM_CLOCK VirtualClock measure_clock",
+            "clock": "Clock SYSTEM_CLOCK VirtualClock",
+            "clock_timing": "measure_clock",
             "files": "lock sync_file",
             "interruption": "Interrupted Interruption",
             "provenance": "commit version versions",

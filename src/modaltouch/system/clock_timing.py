@@ -1,0 +1,74 @@
+"""How exactly a machine keeps time: the steps of its clock, its waits, its drift."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Mapping
+from typing import Any
+
+_WAIT_MS = 1.0
+"""What a window rests between two polls [ms]."""
+_LATE_MS = 5.0
+"""A machine that oversleeps by more is busy, or saves power [ms]."""
+
+
+def measure_clock(n: int = 500) -> tuple[dict[str, Any], str]:
+    """Return how exactly this machine keeps time, and what that means; takes about as many milliseconds.
+
+    Parameters
+    ----------
+    n : int
+        Waits of a millisecond.
+
+    Returns
+    -------
+    figures : dict
+        ``name`` of the system's clock behind `time.perf_counter`; ``is_monotonic``, whether it can never be set back;
+        ``drift_ppm``, how much faster the time of day ran meanwhile, large while the network sets it right; the
+        smallest step that was seen (``step_ms``), and how long a wait of 1 ms takes (``wait_median_ms``,
+        ``wait_p95_ms``, ``wait_max_ms``).
+    verdict : str
+        What they mean for an experiment, and what to do.
+    """
+    about = time.get_clock_info("perf_counter")
+    day, began = time.time(), time.perf_counter()
+    waits = []
+    for _ in range(n):
+        started = time.perf_counter()
+        time.sleep(_WAIT_MS / 1e3)
+        waits.append((time.perf_counter() - started) * 1e3)
+    passed = time.perf_counter() - began
+    figures = {
+        "name": about.implementation,
+        "is_monotonic": about.monotonic and not about.adjustable,
+        "drift_ppm": round((time.time() - day - passed) / passed * 1e6, 1),
+        "step_ms": round(min(_step() for _ in range(100)) * 1e3, 6),
+        "wait_median_ms": round(statistics.median(waits), 6),
+        "wait_p95_ms": round(statistics.quantiles(waits, n=20)[-1], 6),
+        "wait_max_ms": round(max(waits), 6),
+    }
+    return figures, judge_clock(figures)
+
+
+def judge_clock(figures: Mapping[str, Any]) -> str:
+    """Return what the figures of a clock mean for an experiment, and what to do."""
+    lines = []
+    if not figures["is_monotonic"] or figures["step_ms"] > 0.1:
+        lines.append(
+            f"The clock {figures['name']} steps by {figures['step_ms']:.2g} ms or can be set: state this with every "
+            "reaction time, or use another machine."
+        )
+    median, p95 = figures["wait_median_ms"], figures["wait_p95_ms"]
+    advice = "close other programs, and switch power saving off" if p95 > _WAIT_MS + _LATE_MS else "good"
+    lines.append(f"A wait of 1 ms takes {median:.2f} ms, 95 % of them under {p95:.1f} ms: {advice}.")
+    if abs(figures["drift_ppm"]) > 500:
+        lines.append("The time of day is just being set: wait some minutes.")
+    return " ".join(lines)
+
+
+def _step() -> float:
+    first = then = time.perf_counter()
+    while then == first:
+        then = time.perf_counter()
+    return then - first
