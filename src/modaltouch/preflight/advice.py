@@ -152,7 +152,7 @@ def design_warnings(protocol: Protocol) -> list[str]:
     n_pairs, n_fingers = len(conditions.contacts), len(conditions.finger_conditions)
     # Kinds of session that are not analysed leave a single other one crossed.
     n_kinds = len({each.name for each in kinds if each.analysed})
-    if not protocol.is_crossed and (protocol.uncrossed_by[0] != "schedule" or n_kinds > 1):
+    if protocol.uncrossed_by and (protocol.uncrossed_by[0] != "schedule" or n_kinds > 1):
         said.append(
             f"the design is not crossed ({'.'.join(protocol.uncrossed_by)}): the tests are those of each crossed part"
         )

@@ -290,11 +290,6 @@ class Protocol(Section):
         return sum(n_driven) + len(n_driven) * self.schedule.catch_trials
 
     @property
-    def is_crossed(self) -> bool:
-        """Whether all have every pair with every level in every finger condition and session, equally often."""
-        return not self.uncrossed_by
-
-    @property
     def uncrossed_by(self) -> tuple[str, ...]:
         """Path of the key by which the design is not crossed; empty where it is."""
         conditions, kinds = self.conditions, self.schedule.session_kinds
