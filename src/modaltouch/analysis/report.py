@@ -127,8 +127,7 @@ def design_limits(analysis: Analysis) -> list[str]:
             f"“{both.name.capitalize() if both else ''}” mixes two things, feeling both fingers alike and being "
             "unable to tell; the question does not separate them.",
         ),
-        (
-            # Of several intervals, and of numbers, guessing is known by the design, or has no meaning.
+        (  # Of several intervals, and of numbers, guessing is known by the design, or has no meaning.
             nothing is None and len(answers.answers) > 1 and analysis.responses.task.n_intervals == 1,
             "No answer says that nothing was felt, so a trial without a stimulus cannot be answered correctly: lapses "
             "and guessing stay unknown.",

@@ -46,9 +46,8 @@ def read_csv(
     path : Path
         A table with the six columns, and optionally ``n`` (count of equal answers), ``repetition``, ``practice``,
         ``catch`` (1 where nothing was driven, whatever the velocity), ``mode``, ``stimulus``, ``session`` and any
-        others, which are kept. Where any response is ``none``, that is taken to have been an answer, unless
-        `table_format` tells. Where ``multiple_of_threshold`` is filled in, as in the record's own table, that is the
-        level in place of the velocity. Sessions of a participant count as repetitions, as many of each as all have.
+        others, which are kept. Where any response is ``none``, that was an answer, unless `table_format` tells. Where
+        ``multiple_of_threshold`` is filled in, it is the level. Sessions count as repetitions, as many as all have.
     table_format : TableFormat, optional
         How the words are to be read.
     mode, stimulus : str, optional

@@ -156,7 +156,7 @@ def design_warnings(protocol: Protocol) -> list[str]:
         said.append(
             f"the design is not crossed ({'.'.join(protocol.uncrossed_by)}): the tests are those of each crossed part"
         )
-    elif protocol.is_crossed and protocol.adaptive is None:
+    elif not protocol.uncrossed_by and protocol.adaptive is None:
         numbers = {"level": len(protocol.scheduled_levels), "finger condition": n_fingers, "pair of zones": n_pairs}
         alone = " and one ".join(noun for noun, number in numbers.items() if number == 1)
         said += [f"there is one {alone}: no test can tell whether that matters"] if alone else []
