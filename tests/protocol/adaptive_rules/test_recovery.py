@@ -114,8 +114,8 @@ def recover(
         found = fit_psychometric(levels, successes, catches=catches, **rates).threshold
         if found is not None:
             true = true_threshold(person, speeds, section.lapse_rate)
-            errors.append(found.value - true)
-            covered += int((found.low or -math.inf) <= true <= (found.high or math.inf))
+            errors.append(found.estimate - true)
+            covered += int(found.low <= true <= found.high)
     n_told = len(errors)
     return Recovery(n_told / n_participants, float(np.mean(errors)), covered / n_told, inside / n_participants)
 
