@@ -14,7 +14,7 @@ import os
 import platform
 import time
 from collections.abc import Callable
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -88,7 +88,7 @@ def level_shuffle(chosen: np.ndarray, levels: np.ndarray, rng: np.random.Generat
 
 
 def analyse_by_libraries(table: pd.DataFrame, rng: np.random.Generator) -> dict[str, list[float]]:
-    """Return the 21 p of one experiment, family by family, and correct them by Holm."""
+    """Return the 24 p of one experiment, family by family, and correct them by Holm."""
     hands, pairs = sorted(table["hand"].unique()), sorted(table["pair"].unique())
     sums = table.groupby(["hand", "pair", "participant"])[["dominant", "other", "both"]].sum()
     found: dict[str, list[float]] = {"a2": [], "b": [], "c": [], "d": []}
@@ -102,8 +102,8 @@ def analyse_by_libraries(table: pd.DataFrame, rng: np.random.Generator) -> dict[
         for first, second in combinations(pairs, 2):
             difference = sums.loc[hand, first]["both"] - sums.loc[hand, second]["both"]
             found["d"].append(sign_flip(difference.to_numpy(dtype=float)))
-    for pair in pairs:
-        difference = sums.loc[hands[0], pair]["dominant"] - sums.loc[hands[1], pair]["dominant"]
+    for effect, pair in product(("dominant", "both"), pairs):
+        difference = sums.loc[hands[0], pair][effect] - sums.loc[hands[1], pair][effect]
         found["c"].append(sign_flip(difference.to_numpy(dtype=float)))
     for p in found.values():
         multipletests(p, method="holm")
