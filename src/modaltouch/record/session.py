@@ -272,7 +272,9 @@ class Session:
     @cached_property
     def form(self) -> dict[str, dict[str, Any]]:
         """What was answered to the form at the end, by question: each answer as a response."""
-        return {event["name"]: event["response"] for event in self.events if event["event"] == "form"}
+        # Nothing is looked for after each trial where the protocol has no form.
+        events = self.events if self.start.get("design", {}).get("form") else ()
+        return {event["name"]: event["response"] for event in events if event["event"] == "form"}
 
     @property
     def questions(self) -> dict[str, dict[str, Any]]:
