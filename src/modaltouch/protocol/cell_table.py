@@ -105,14 +105,13 @@ def _read_table(source: Source) -> tuple[Node, list[Problem]]:
         if not line.strip() or problems and problems[0].line == 1:
             continue
         if len(fields) != len(names):
-            is_open = line.count('"') % 2
-            given = (
-                "a quotation mark that is not closed" if is_open else f"{len(fields)} field{'s' * (len(fields) != 1)}"
-            )
+            given, allowed = f"{len(fields)} field{'s' * (len(fields) != 1)}", f"{len(names)}, as many as columns"
             remedy = "mend the line"
-            if separator == "," and len(fields) > len(names):
+            if line.count('"') % 2:
+                given, allowed, remedy = "a quotation mark without another", "quotation marks in pairs", "close it"
+            elif separator == "," and len(fields) > len(names):
                 remedy += "; a decimal comma makes two fields of one: write 80.5"
-            problems.append(Problem(path, number, 1, "", given, f"{len(names)}, as many as columns", remedy))
+            problems.append(Problem(path, number, 1, "", given, allowed, remedy))
             continue
         rows.append(_row(path, number, dict(zip(names, fields, strict=True))))
     if not rows and not problems:

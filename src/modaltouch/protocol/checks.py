@@ -182,7 +182,7 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
         highest = min(band[1], n_samples / duration * 500)
         if math.floor(highest / rate) < math.ceil(band[0] / rate):
             given = f"{band[0]:g} to {band[1]:g} Hz, in which bursts repeated at {rate:g} Hz have no velocity"
-            allowed = f"a band with a multiple of {rate:g} Hz in it, below {n_samples / duration * 500:g} Hz"
+            allowed = f"a band with a multiple of {rate:g} Hz in it, below {n_samples / duration / 2:g} kHz"
             yield reading.problem((*section, "equalise_band_Hz"), given, allowed, "widen it")
     yield from _doubled(reading, (*section, "selected_modes"), "mode")
     n_decomposed = reading.sound(*section, "decomposed_modes")

@@ -142,7 +142,7 @@ def draw_by_walk(
         n_steps[n_broken > 0] += 1
         if n_steps[False] == SWEEPS * n:
             return order
-    raise _too_rare({limit.key: limit.n_broken(order) for limit in limits})
+    raise _too_rare(limits, [limit.n_broken(order) for limit in limits])
 
 
 def _draw_repeated(items: Sequence[Item], limits: Sequence[Limit[Item]], stream: Stream) -> list[Item]:
@@ -153,24 +153,24 @@ def _draw_repeated(items: Sequence[Item], limits: Sequence[Limit[Item]], stream:
     counts = Counter(items)
     most = max(counts.values())
     often, others = ([kind for kind, n in counts.items() if (n == most) is is_most] for is_most in (True, False))
-    broken = dict.fromkeys([limit.key for limit in limits], 0)
+    broken = [0] * len(limits)
     for _ in range(REPEATS):
         order = ([*stream.shuffled(often), *stream.shuffled(others)] * most)[: len(items)]
         # No run is longer than two permutations, for limits that one kind alone would break are refused before.
         if not any(found := [limit.n_broken(order[: 3 * len(counts)]) for limit in limits]):
             return order
-        broken = {key: n + more for (key, n), more in zip(broken.items(), found, strict=True)}
-    raise _too_rare(broken)
+        broken = [n + more for n, more in zip(broken, found, strict=True)]
+    raise _too_rare(limits, broken)
 
 
-def _too_rare(broken: dict[str, int]) -> NoOrderError:
+def _too_rare(limits: Sequence[Limit[Item]], broken: Sequence[int]) -> NoOrderError:
     """Return that no order was found, from how often each limit was broken."""
-    worst = max(broken, key=lambda key: broken[key])
-    told = f"orders that keep {' and '.join(f'schedule.{key}' for key in broken)}"
-    if len(broken) == 1:
-        return NoOrderError(f"{told} are too rare to find: ease it", worst)
+    worst, told = limits[broken.index(max(broken))].key, " and ".join(f"schedule.{limit.key}" for limit in limits)
+    if len(limits) == 1:
+        given, eased = (limits[0].distance, "lower") if limits[0].distance > 1 else (limits[0].running, "raise")
+        return NoOrderError(f"{told} is {given}, and orders that keep it are too rare to find: {eased} it", worst)
     return NoOrderError(
-        f"{told} together do not exist or are too rare to find; schedule.{worst} is broken most: ease it, or leave one "
-        "of them out",
+        f"orders that keep {told} together do not exist or are too rare to find; schedule.{worst} is broken most: "
+        "ease it, or leave one of them out",
         worst,
     )

@@ -183,3 +183,11 @@ def test_a_distance_of_as_many_trials_as_cells_repeats_one_permutation(counts: t
     drawn = Counter(tuple(order[:4]) for order in orders)
     assert len(drawn) == n_orders
     assert max(drawn.values()) < 1.6 * 400 / n_orders
+
+
+def test_a_single_limit_that_is_hard_to_keep_is_told_with_its_value() -> None:
+    """Eight cells seven trials apart: orders exist, but none is found."""
+    cells = [cell for cell in "abcdefgh" for _ in range(10)]
+    told = "schedule.min_same_cell_distance is 7, and orders that keep it are too rare to find: lower it"
+    with pytest.raises(NoOrderError, match=told):
+        draw_by_walk(cells, [LIMITS["distance"](7)], Stream(1, "p", 1, "x"), effort=0.02)
