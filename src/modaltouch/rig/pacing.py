@@ -229,7 +229,7 @@ class Pacer:
                 # Somebody may end it meanwhile, or fall silent. Windows ends such a wait up to 16 ms late.
                 self._asked_to_end.wait(min(left - ALERT, 0.05))
             else:
-                self._clock.sleep(max(left, 0.0))
+                self._clock.sleep(left)
             self.step()
             if not told and (self.report.due or self.report.ended):
                 told = True

@@ -224,7 +224,7 @@ class WatchdogProcess:
         if self._pacing.is_alive():
             self._pacing.join()
         if wait and self._pacer.report.ended != "failed":
-            self._clock.sleep(max(self._pacer.silent_from - self._clock.now(), 0.0))
+            self._clock.sleep(self._pacer.silent_from - self._clock.now())
         return self._told()
 
     def _told(self) -> bytes:

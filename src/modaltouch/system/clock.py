@@ -27,8 +27,8 @@ class SystemClock:
         return time.perf_counter()
 
     def sleep(self, seconds: float) -> None:
-        """Wait [s]."""
-        time.sleep(seconds)
+        """Wait [s]; not at all for a time that is past."""
+        time.sleep(max(seconds, 0.0))
 
 
 class VirtualClock:
