@@ -88,7 +88,6 @@ def write_protocol(folder: Path) -> Path:
 def measure_trials(folder: Path, *, with_console: bool) -> dict[str, np.ndarray[Any, Any]]:
     """Return, for each trial of a session answered through the real window, its times [s]."""
     from modaltouch.preflight import examine
-    from modaltouch.rig.player import RELAYS_SETTLE
     from modaltouch.session.setup import begin
     from modaltouch.session.wiring import wire_run
 
@@ -103,7 +102,7 @@ def measure_trials(folder: Path, *, with_console: bool) -> dict[str, np.ndarray[
     answers = preflight.experiment.protocol.answers
     return {
         "start_to_first_burst": np.array([fired["clock"] - session.start["clock"]]),
-        "end_of_pause_to_next_burst_armed": armed[1:] - answered[:-1] - answers.pause_s - RELAYS_SETTLE,
+        "end_of_pause_to_next_burst_armed": armed[1:] - answered[:-1] - answers.pause_s,
         "question_late": np.array([e["response"]["question_after"] for e in events]) - answers.question_delay_s,
         "time_uncertainty": np.array([e["response"]["time_uncertainty"] for e in events]),
     }

@@ -21,6 +21,7 @@ from modaltouch.protocol.twin import Latency
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import Bursts, RigError
 from modaltouch.rig.pacing import HELD_UP
+from modaltouch.rig.player import RELAYS_SETTLE
 from modaltouch.rig.simulator import Simulator
 from modaltouch.rig.simulator.followed import FollowedSession
 from modaltouch.stimulus.burst import Burst
@@ -84,6 +85,43 @@ def test_a_catch_trial_takes_the_commands_and_the_time_of_any_other(
         sent.append(heard.sent)
     assert sent[0] == sent[1]
     assert took[0] == pytest.approx(took[1], abs=1e-6)
+
+
+@pytest.mark.parametrize("silent", [False, True])
+@pytest.mark.parametrize("ahead", [0.0, 0.03, 0.2, 0.7])
+def test_the_first_burst_goes_when_it_is_due(
+    loaded: Generator, clock: VirtualClock, ahead: float, silent: bool
+) -> None:
+    """Set and read back before, it goes at the instant asked for, the relays at rest; never before it."""
+    called = clock.now()
+    firing = loaded.fire(0.1, due=called + ahead, silent=silent)
+    assert firing.started
+    assert firing.onset == pytest.approx(called + max(ahead, RELAYS_SETTLE), abs=2e-3)
+
+
+def test_the_lead_follows_a_slow_instrument_and_forgets_it(loaded: Generator, clock: VirtualClock, heard: Any) -> None:
+    """Twice as long as the preparation took beside the relays, bounded, and less when it gets faster."""
+    assert loaded.lead == pytest.approx(0.05)
+    prepare = loaded._player.prepare
+
+    def slowly(*given: Any, **options: Any) -> tuple[str, ...]:
+        clock.sleep(delay)
+        return prepare(*given, **options)
+
+    loaded._player.prepare = slowly  # type: ignore[method-assign]
+    delay = 0.1
+    loaded.fire(0.1)
+    loaded.stop()
+    assert loaded.lead == pytest.approx(0.25, abs=1e-3)
+    delay = 5.0
+    loaded.fire(0.1)
+    loaded.stop()
+    assert loaded.lead == pytest.approx(0.3)
+    delay = 0.0
+    for _ in range(30):
+        loaded.fire(0.1)
+        loaded.stop()
+    assert loaded.lead == pytest.approx(0.05, abs=2e-3)
 
 
 @pytest.mark.parametrize("repetition", ["continuous", "wired"])

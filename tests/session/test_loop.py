@@ -36,6 +36,7 @@ class PaperRig:
     unconfirmed: int = 0
     stalled: int = 0
     breaks: bool = False
+    lead: float = 0.0
     firing: Firing | None = None
 
     def fire(self, velocity: float, *, silent: bool = False, **_: object) -> Firing:
@@ -103,8 +104,8 @@ class Person:
     def rest(self, progress: Progress) -> None:
         self.seen.append("rest")
 
-    def settle(self, trial: Trial, progress: Progress) -> None:
-        pass
+    def settle(self, trial: Trial, progress: Progress, lead: float = 0.0) -> float:
+        return 100.0 + lead
 
     def tell_stall(self) -> None:
         self.seen.append("stall")

@@ -36,6 +36,7 @@ class PaperRig:
 
     identity = "TEKTRONIX,AFG3022B,SIMULATED,paper"
     address = "paper"
+    lead = 0.0
     firing: Firing | None = None
 
     def __init__(self, setup: Setup) -> None:

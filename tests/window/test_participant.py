@@ -85,7 +85,7 @@ def test_an_interval_shows_its_number_and_the_gap_the_beam_alone(paper_room: Cal
     room = paper_room(answers={"stimulus_until": "question", "question_delay_s": 0.1})
     room.script = [("question", 0.1, send(room, "key", "up"))]
     onset = room.clock.now()
-    room.window.feel(trial, PROGRESS, replace(room.present(onset, 0.3), interval=1), 0.5)
+    room.window.feel(trial, PROGRESS, replace(room.present(onset, 0.3), interval=1), onset + 0.8)
     assert room.names == ["feel_one_hand_AC_1", "ready_one_hand_AC"]
     assert room.stopped == pytest.approx([onset + 0.3], abs=0.002)
     assert room.clock.now() == pytest.approx(onset + 0.8, abs=0.002)
@@ -103,7 +103,7 @@ def test_a_pause_in_an_interval_or_a_gap_cuts_the_trial(
     steps = [(picture, 0.1, "up"), (picture, 0.15, "escape"), ("pause", 0.3, "space")]
     room.script = [(name, after, send(room, "key", key)) for name, after, key in steps]
     with pytest.raises(TrialInterrupted, match="escape"):
-        room.window.feel(trial, PROGRESS, replace(room.present(seconds=0.3), interval=1), 0.5)
+        room.window.feel(trial, PROGRESS, replace(room.present(seconds=0.3), interval=1), room.clock.now() + 0.8)
     assert len(room.stopped) > 0
     assert [facts["when"] for facts in room.events("discarded")] == ["before the question"]
 

@@ -25,6 +25,12 @@ from modaltouch.rig.player import RELAYS_SETTLE, Player, numbers
 from modaltouch.stimulus import Burst
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
+LONGEST_LEAD = 0.3
+"""How long before its stimulus `fire` asks to be called at most [s]: the session stands still meanwhile."""
+
+FORGETTING = 0.9
+"""What is kept of that from stimulus to stimulus, where the preparation gets faster [1]."""
+
 UNMEASURED = 1e-3
 """Taken as the longest time from trigger to first sample, where that has not been measured [s]."""
 
@@ -79,6 +85,7 @@ class Generator:
         self._patience = patience or Patience()
         self._latency = apparatus.generator.trigger_latency
         self._last_beat = self._longest_silence = 0.0
+        self._lead = RELAYS_SETTLE
         self._silent = self._is_counted = False
         self._firing: Firing | None = None
         self._on = False
@@ -110,6 +117,11 @@ class Generator:
     def address(self) -> str:
         """VISA address."""
         return self._connection.address
+
+    @property
+    def lead(self) -> float:
+        """How long before a stimulus `fire` is to be called [s]: twice as long as its preparation takes."""
+        return self._lead
 
     @property
     def firing(self) -> Firing | None:
@@ -158,22 +170,18 @@ class Generator:
         self._bring(self._player.replay)
 
     def fire(
-        self, velocity: float, *, n_bursts: int = MANY, exactly: bool = False, silent: bool = False, which: int = 0
+        self,
+        velocity: float,
+        *,
+        n_bursts: int = MANY,
+        exactly: bool = False,
+        silent: bool = False,
+        which: int = 0,
+        due: float = -math.inf,
     ) -> Firing:
         """Set the level, switch the outputs on and let bursts go until `end` or `stop`.
 
-        Parameters
-        ----------
-        velocity : float
-            Peak velocity at the focus [m/s].
-        n_bursts : int
-            How many bursts at most, where they are triggered one by one.
-        exactly : bool
-            Whether a single burst that is left out spoils the stimulus.
-        silent : bool
-            Whether no burst is let go, in a catch trial: the outputs are on, at the level's amplitude, and rest.
-        which : int
-            Which of the bursts that were loaded, from 0.
+        Its parameters are those of `Rig.fire`.
 
         Returns
         -------
@@ -209,7 +217,7 @@ class Generator:
                 self._player.choose(which)
                 read_back = self._player.prepare(commanded, silent=silent)
                 self._firing = replace(self._firing, confirmed_amplitude=numbers(read_back))
-                self._begin(self._firing, n_bursts, silent=silent)
+                self._begin(self._firing, n_bursts, due, silent=silent)
             except (Unconfirmed, LinkError) as error:
                 self._give_up(self._firing, error)
         return self._firing
@@ -238,17 +246,23 @@ class Generator:
             # Whoever changed a setting is to find it as it was for the next try.
             self._connection.restore("starting the stimulus", (), self._player.replay)
 
-    def _begin(self, firing: Firing, n_bursts: int, *, silent: bool) -> None:
-        """Switch the outputs on and let the first burst go, and keep when that was."""
+    def _begin(self, firing: Firing, n_bursts: int, due: float, *, silent: bool) -> None:
+        """Switch the outputs on and let the first burst go when it is due, and keep when that was."""
         clock, self._silent = self._clock, silent
+        set_after = clock.now() - firing.onset
+        # Outputs that are on wait without a sign of life.
+        clock.sleep(due - clock.now() - (0.0 if self._player.plays_by_itself else 2 * RELAYS_SETTLE))
         started = clock.now()
         self._player.switch_on()
         on = clock.now()
+        needed = RELAYS_SETTLE + 2 * (set_after + on - started)
+        self._lead = min(max(needed, FORGETTING * self._lead), LONGEST_LEAD)
+        due = max(due, on + RELAYS_SETTLE)
         if silent:
-            clock.sleep(RELAYS_SETTLE)
-            span, bursts = (on, on), Bursts(0, 0, 0, 0)
+            clock.sleep(due - on)
+            span, bursts = (due, due), Bursts(0, 0, 0, 0)
         elif self._player.repetition == "single":
-            order = self._player.order(n_bursts, on + RELAYS_SETTLE, self._patience.trigger)
+            order = self._player.order(n_bursts, due, self._patience.trigger)
             report = self._connection.guard.play(order)
             while report.first is None and not report.ended and report.due < MOST_AWAITED:
                 # The first was late and left out: the stimulus begins with the next.

@@ -147,16 +147,39 @@ class Rig(typing.Protocol):
     def firing(self) -> Firing | None:
         """The latest stimulus; `stop` confirms it, or says why not."""
 
+    @property
+    def lead(self) -> float:
+        """How long before a stimulus `fire` is to be called, so that it begins in time [s]."""
+
     def load(self, burst: Burst, *further: Burst, repetition: Repetition | None = None) -> None:
         """Upload both channels' records of each burst and verify them, outputs off; repeated otherwise than usual."""
 
     def fire(
-        self, velocity: float, *, n_bursts: int = MANY, exactly: bool = False, silent: bool = False, which: int = 0
+        self,
+        velocity: float,
+        *,
+        n_bursts: int = MANY,
+        exactly: bool = False,
+        silent: bool = False,
+        which: int = 0,
+        due: float = -math.inf,
     ) -> Firing:
-        """Set the level [m/s], switch the outputs on and let bursts go, `n_bursts` at most; return after the first.
+        """Set the level, switch the outputs on and let bursts go; return after the first.
 
-        With `exactly` a single burst that is left out spoils the stimulus. With `silent` everything is the same but
-        that no burst is let go: the outputs are on at rest.
+        Parameters
+        ----------
+        velocity : float
+            Peak velocity at the focus [m/s].
+        n_bursts : int
+            How many bursts at most, where they are triggered one by one.
+        exactly : bool
+            Whether a single burst that is left out spoils the stimulus.
+        silent : bool
+            Whether no burst is let go, in a catch trial: the outputs are on, at the level's amplitude, and rest.
+        which : int
+            Which of the bursts that were loaded, from 0.
+        due : float
+            When the first burst goes at the earliest, by the record's clock [s].
         """
 
     def end(self) -> None:

@@ -248,7 +248,7 @@ def run(sitting: SessionRun, trial: Trial, previous: Trial | None) -> Response:
         if response is not None:
             answers += 1
             busy = 0.0 if sitting.probing is None else sitting.probing.busy
-            sitting.window.wait(max(sitting.protocol.answers.pause_s - busy, 0.0))
+            sitting.window.wait(max(sitting.protocol.answers.pause_s - busy - sitting.rig.lead, 0.0))
             if firing.confirmed:
                 return response
         if firing.stalled:
@@ -293,21 +293,21 @@ def present(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]
         If the outputs could not be switched off.
     """
     while True:
-        sitting.window.settle(trial, (trial.index, sitting.total))
+        # The generator is set and read back within the pause, so that the pause is as long as the protocol says.
+        due = sitting.window.settle(trial, (trial.index, sitting.total), sitting.rig.lead)
         sitting.masking.ensure(sitting.tick, on=sitting.protocol.is_masked(trial.condition.stimulus))
         try:
-            return _present_once(sitting, trial)
+            return _present_once(sitting, trial, due)
         except TrialInterrupted:
             continue
 
 
-def _present_once(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]:
+def _present_once(sitting: SessionRun, trial: Trial, due: float) -> tuple[Response | None, Firing]:
     """Present the stimulus of a trial, or that of each interval in order, and ask; raise where that is interrupted."""
     parts, over, response = sitting.protocol.presented(trial), list[Firing](), None
     for number, part in enumerate(parts, 1):
-        interval = number if len(parts) > 1 else 0
-        facts = {"trial": trial.as_dict(), **({"interval": interval} if interval else {})}
-        firing = fire(sitting, part, heard=number == max(trial.interval, 1))
+        facts: dict[str, Any] = {"trial": trial.as_dict()} | ({"interval": number} if len(parts) > 1 else {})
+        firing = fire(sitting, part, due, heard=number == max(trial.interval, 1))
         if not firing.started:
             sitting.log.append("unconfirmed", **facts, confirmed=firing.as_dict())
             break
@@ -319,10 +319,10 @@ def _present_once(sitting: SessionRun, trial: Trial) -> tuple[Response | None, F
             except RigError as error:
                 faults.append(error)
 
-        ends, is_last = firing.onset + sitting.protocol.longest_s(part.condition.stimulus), number == len(parts)
+        is_last, ends = number == len(parts), firing.onset + sitting.protocol.longest_s(part.condition.stimulus)
         # What cannot be switched off ends the session before a gap; only an answer is worth waiting for.
         ceases = stop if is_last else sitting.rig.stop
-        presentation = Presentation(firing.onset, ends, sitting.rig.end, ceases, interval)
+        presentation = Presentation(firing.onset, ends, sitting.rig.end, ceases, facts.get("interval", 0))
         try:
             # Whatever ends the session now, the record knows that this stimulus had begun.
             sitting.log.append("fired", **facts, confirmed=firing.as_dict())
@@ -330,8 +330,9 @@ def _present_once(sitting: SessionRun, trial: Trial) -> tuple[Response | None, F
                 response = sitting.window.ask(part, (trial.index, sitting.total), presentation)
                 line = _write_down(sitting, "answered", trial, response, [*over, firing.pending(NOT_OVER)])
                 sitting.window.confirm(response)
-            elif (section := sitting.protocol.intervals) is not None:
-                sitting.window.feel(part, (trial.index, sitting.total), presentation, section.gap_s)
+            elif sitting.protocol.intervals is not None:
+                due = ends + sitting.protocol.intervals.gap_s
+                sitting.window.feel(part, (trial.index, sitting.total), presentation, due - sitting.rig.lead)
         except (TrialInterrupted, StimulusLost) as cut:
             stop()
             firing, reason = sitting.rig.firing or firing, cut.reason if isinstance(cut, TrialInterrupted) else str(cut)
@@ -393,8 +394,8 @@ def fill_in(sitting: SessionRun) -> None:
             sitting.save_view()
 
 
-def fire(sitting: SessionRun, trial: Trial, *, heard: bool) -> Firing:
-    """Start the stimulus of a trial, a catch trial's silence included; where fingers are measured, it may be heard."""
+def fire(sitting: SessionRun, trial: Trial, due: float, *, heard: bool) -> Firing:
+    """Start the stimulus of a trial when it is due, a catch trial's silence included; `heard` where it is measured."""
     if heard and sitting.probing is not None:
         sitting.probing.listen(trial)
     # A catch trial does all that one at the lowest level does, but lets no burst go.
@@ -403,7 +404,9 @@ def fire(sitting: SessionRun, trial: Trial, *, heard: bool) -> Firing:
     level = sitting.played(trial, level)
     n_bursts = sitting.protocol.n_bursts(trial.condition.stimulus)
     exactly = sitting.protocol.answers.stimulus_until == "question"
-    return sitting.rig.fire(level * 1e-3, n_bursts=n_bursts, exactly=exactly, silent=silent, which=sitting.which(trial))
+    return sitting.rig.fire(
+        level * 1e-3, n_bursts=n_bursts, exactly=exactly, silent=silent, which=sitting.which(trial), due=due
+    )
 
 
 def _write_down(

@@ -148,11 +148,24 @@ class AnswerWindow:
     def place_fingers(self, trial: Trial) -> None:
         """Show which finger goes on which zone until it is confirmed."""
 
-    def settle(self, trial: Trial, progress: tuple[int, int]) -> None:
+    def settle(self, trial: Trial, progress: tuple[int, int], lead: float = 0.0) -> float:
         """Let hands and fingers come to rest before a stimulus: the pause since the last answer or key to go on.
 
         Where a hand of those on the beam pressed, the participant sees a countdown. Called before every stimulus.
+
+        Parameters
+        ----------
+        trial, progress
+            As for `ask`.
+        lead : float
+            How long before the end of the pause to return [s].
+
+        Returns
+        -------
+        float
+            When the pause ends, by the session's clock [s].
         """
+        raise NotImplementedError
 
     def tell_stall(self) -> None:
         """Tell for a moment that the computer was held up, and that the last stimulus comes again."""
@@ -163,8 +176,8 @@ class AnswerWindow:
     def announce(self, text: str) -> None:
         """Show one text of the protocol, such as ``practice``, ``start`` or ``hands_off``, until somebody goes on."""
 
-    def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, gap: float) -> None:
-        """Show which interval is on, one before the last, call `presentation.stop` when it is over, and let a gap pass.
+    def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, until: float) -> None:
+        """Show which interval is on, one before the last, call `presentation.stop` when it is over, and wait.
 
         Parameters
         ----------
@@ -172,8 +185,8 @@ class AnswerWindow:
             With what this interval presents as its condition; so also for `ask`, the last one.
         progress, presentation
             As for `ask`.
-        gap : float
-            Time from the end of the interval [s].
+        until : float
+            When to return, by the session's clock [s].
 
         Raises
         ------

@@ -120,22 +120,23 @@ class ParticipantWindow(AnswerWindow):
         self._make_ready(trial)
         self._go_on(lambda: self._pictures.placement(trial), trial)
 
-    def settle(self, trial: Trial, progress: tuple[int, int]) -> None:
+    def settle(self, trial: Trial, progress: tuple[int, int], lead: float = 0.0) -> float:
         """Let the fingers come to rest before a stimulus, counted down where a hand of those on the beam pressed."""
         self._current = (trial, self._count(trial, progress))
-        is_at_rest = False
-        while not is_at_rest:
+        while True:
             counts = self._by_hand and self._settles
             needed = self._answers.pause(trial.condition.finger_condition) if counts else self._answers.pause_s
-            now, end = self._clock.now(), self._answered + needed
+            over = self._answered + needed
+            now, end = self._clock.now(), over - lead
             if now >= end:
-                return
+                return over
             steps = _COUNTDOWN if counts else (0,)
             # A pause begins the count anew, from the key that ended it.
-            is_at_rest = all(
+            if all(
                 self._rest_on(self._pictures.ready(*self._current, step), end - (end - now) * place / len(steps))
                 for place, step in zip(reversed(range(len(steps))), steps, strict=True)
-            )
+            ):
+                return over
 
     def tell_stall(self) -> None:
         """Tell for a moment that the computer was held up, and that the last stimulus comes again."""
@@ -152,15 +153,15 @@ class ParticipantWindow(AnswerWindow):
         words = str(getattr(self._texts, text))
         self._go_on(lambda: self._pictures.page(text, words))
 
-    def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, gap: float) -> None:
-        """Show the number of the interval that is on, then the beam alone until the gap is over."""
+    def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, until: float) -> None:
+        """Show the number of the interval that is on, then the beam alone."""
         self._current = (trial, counted) = (trial, self._count(trial, progress))
         self._loop.attend(Moment("feel", trial, presentation.onset, presentation.interval))
         rest = self._pictures.ready(trial, counted)
         self._feel(trial, rest, presentation, until=presentation.ends)
         presentation.stop()
         self._loop.show(rest)
-        self._await(trial, presentation, until=presentation.ends + gap)
+        self._await(trial, presentation, until=until)
 
     def ask(self, trial: Trial, progress: tuple[int, int], presentation: Presentation) -> Response:
         """Show the trial and return the answer as soon as it is known.

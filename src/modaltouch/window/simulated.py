@@ -194,14 +194,19 @@ class SimulatedParticipant(AnswerWindow):
     def _look(self, *shown: Any, **named: Any) -> None:
         self._tick()
 
-    welcome = place_fingers = settle = tell_stall = announce = rest = goodbye = _look
+    welcome = place_fingers = tell_stall = announce = rest = goodbye = _look
 
-    def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, gap: float) -> None:
-        """Feel an interval, and let it and the gap pass."""
+    def settle(self, trial: Trial, progress: tuple[int, int], lead: float = 0.0) -> float:
+        """Be at rest already: `wait` has passed."""
+        self._tick()
+        return self._clock.now() + lead
+
+    def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, until: float) -> None:
+        """Feel an interval, and let it and the gap after it pass."""
         self._answerer.feel(trial, presentation.interval)
         self._pass_until(presentation.ends, presentation)
         presentation.stop()
-        self._pass_until(presentation.ends + gap, presentation)
+        self._pass_until(until, presentation)
 
     def ask(self, trial: Trial, progress: tuple[int, int], presentation: Presentation) -> Response:
         """Return the observer's answer once its reaction time has passed."""
