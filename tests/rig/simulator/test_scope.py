@@ -189,6 +189,28 @@ def test_noise_has_the_stated_density(at: Callable[..., Recording], corner: floa
         assert np.sqrt(at_corner.mean()) == pytest.approx(2e-6 / np.sqrt(2), rel=0.08)
 
 
+@pytest.mark.parametrize("corner", [None, 100.0])
+def test_the_converter_s_noise_adds_to_the_vibrometer_s(at: Callable[..., Recording], corner: float | None) -> None:
+    """At each frequency the sum of both densities: the converter's is white over the whole band of the scope."""
+    vibrometer = Vibrometer(bandwidth_kHz=corner, delay_us=0.0, noise_um_s_per_sqrt_Hz=2.0, offset_mm=0.0)
+    asked = Acquisition(sampling_rate=2.5e6, n_samples=2**18, drives=(), velocity_range=0.5)
+    noisy = QUIET_SCOPE.model_copy(update={"bits": 12, "noise_steps": 10.0})
+    noise = at(asked=asked, vibrometer=vibrometer, scope=noisy).velocity[0] - at(asked=asked).velocity[0]
+    power = np.abs(np.fft.rfft(noise)) ** 2 * 2 / (noise.size * 2.5e6)
+    frequency = np.fft.rfftfreq(noise.size, 1 / 2.5e6)
+    # With what rounding adds, a twelfth of a step squared.
+    white = (10**2 + 1 / 12) * (0.5 / 2047) ** 2 / 1.25e6
+    for low, high in ((100, 10e3), (95e3, 105e3), (600e3, 620e3)):
+        some = (frequency > low) & (frequency < high)
+        behind = 1.0
+        if corner is not None:
+            pole = np.exp(-2 * np.pi * corner * 1e3 / 2.5e6)
+            total = np.pi / 2 * corner * 1e3 / 1.25e6 * (1 - pole**2)
+            behind = total / (1 - 2 * pole * np.cos(np.pi * (low + high) / 2.5e6) + pole**2)
+        expected = white + (2e-6) ** 2 * behind
+        assert power[some].mean() == pytest.approx(expected, rel=4 / np.sqrt(some.sum()) + 0.03)
+
+
 def test_delays_add_up(at: Callable[..., Recording]) -> None:
     """Velocity late by amplifier and vibrometer, drive by the amplifier, both early by the trigger's latency."""
     asked = Acquisition(sampling_rate=1e6, n_samples=5000, start=0.3e-6)

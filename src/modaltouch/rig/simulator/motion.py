@@ -222,32 +222,15 @@ class DriveVoltage:
         target, change = self._parts(index, left)
         return np.asarray(np.where(since < 0, 0.0, target + change) + self.held.rest[self.channel])
 
-    def moved(self, time: FloatArray, shifts: FloatArray) -> Iterator[FloatArray]:
-        """Yield the voltage at instants moved by each shift in turn [V], each in an array of its own.
-
-        Parameters
-        ----------
-        time : (n_times,) array
-            Instants since the first sample of a burst reached the beam [s].
-        shifts : (n_shifts,) array
-            How far they move [s].
-        """
+    def sampled(self, time: FloatArray) -> SampledDrive:
+        """Return the voltage at instants since the first sample of a burst reached the beam, (n_times,) array [s]."""
         since, index, left = self._places(time)
         target, change = self._parts(index, left)
         target += self.held.rest[self.channel]
-        furthest = float(np.abs(shifts).max())
-        # What a shift may bring into another sample, or another burst, is computed anew.
-        held = index < self.held.voltage.shape[1]
-        crossing = (left <= furthest) | held & (left >= self.held.hold - furthest)
-        crossing |= (since <= furthest) | (since >= self.held.period - furthest)
-        anew = np.flatnonzero(crossing)
-        for shift in shifts:
-            faded = 1.0 if self.pole is None else math.exp(-self.pole * shift)
-            voltage = change * faded
-            voltage += target
-            if anew.size:
-                voltage[anew] = self.at(time[anew] + shift)
-            yield voltage
+        room = np.where(index < self.held.voltage.shape[1], self.held.hold - left, np.inf)
+        for other in (left, since, self.held.period - since):
+            np.minimum(room, other, out=room)
+        return SampledDrive(self, time, target, change, room)
 
     def _places(self, time: FloatArray) -> tuple[FloatArray, NDArray[np.intp], FloatArray]:
         """Return times since the latest burst began, the sample held then, and for how long it is [s, 1, s]."""
@@ -261,6 +244,39 @@ class DriveVoltage:
         if self.pole is None:
             return target, np.zeros(target.size)
         return target, (self.before[index] - target) * np.exp(-self.pole * left)
+
+
+@dataclass(frozen=True, eq=False)
+class SampledDrive:
+    """The voltage of one channel at the instants of a scope, which its trigger moves a little.
+
+    Attributes
+    ----------
+    drive : DriveVoltage
+        At every instant.
+    time : (n_times,) array
+        Instants since the first sample of a burst reached the beam [s].
+    target, change : (n_times,) array
+        What the amplifier tends to there, and what it still has to go [V].
+    room : (n_times,) array
+        How far each instant may move before it is in another sample, or another burst [s].
+    """
+
+    drive: DriveVoltage
+    time: FloatArray
+    target: FloatArray
+    change: FloatArray
+    room: FloatArray
+
+    def moved(self, shifts: FloatArray) -> Iterator[FloatArray]:
+        """Yield the voltage moved by each shift [s] in turn [V], each in an array of its own."""
+        anew = np.flatnonzero(self.room <= np.abs(shifts).max())
+        for shift in shifts:
+            voltage = self.change * (1.0 if self.drive.pole is None else math.exp(-self.drive.pole * shift))
+            voltage += self.target
+            if anew.size:
+                voltage[anew] = self.drive.at(self.time[anew] + shift)
+            yield voltage
 
 
 def low_passed(

@@ -18,6 +18,7 @@ from modaltouch.rig.simulator.timeline import Playback, Timeline
 from modaltouch.rig.simulator.twin import Twin
 
 if TYPE_CHECKING:
+    from modaltouch.rig.simulator.motion import SampledDrive
     from modaltouch.stimulus import Finger
 
 FORGOTTEN = 1e-9
@@ -66,8 +67,9 @@ class SimulatedScope(Scope):
             attenuation=knobs.probe_attenuation,
         )
         # A stream of its own: what is measured leaves the beam as it is.
-        self._rng = np.random.default_rng([twin.seed, 1])
-        self._deviates = np.empty(0)
+        self._rng = np.random.Generator(np.random.SFC64([twin.seed, 1]))
+        self._noise = np.empty(0)
+        self._sampled: dict[int, tuple[tuple[object, ...], SampledDrive | None]] = {}
         self.configure(Acquisition())
 
     @property
@@ -154,13 +156,9 @@ class SimulatedScope(Scope):
             touched=self._touched(),
             span=(float(elapsed[0] - reach), float(elapsed[-1] + reach)),
         )
-        drives = [self._twin.drive(playbacks, number - 1) for number in asked.drives]
-        voltages = [
-            (np.zeros(asked.n_samples) for _ in jitter) if drive is None else drive.moved(elapsed, jitter)
-            for drive in drives
-        ]
+        voltages = [self._drive(number, playbacks, elapsed, jitter) for number in asked.drives]
         velocity = np.empty((n_records, asked.n_samples))
-        voltage = np.empty((n_records, len(drives), asked.n_samples))
+        voltage = np.empty((n_records, len(voltages), asked.n_samples))
         overloaded: dict[str, bool] = {}
         for record, exact in enumerate(_moved(motions, elapsed - late, jitter)):
             over = self._see_velocity(exact)
@@ -168,11 +166,23 @@ class SimulatedScope(Scope):
             overloaded["velocity"] = overloaded.get("velocity", False) or over
             for row, (number, drive) in enumerate(zip(asked.drives, voltages, strict=True)):
                 volts, name = next(drive), f"drive {number}"
+                volts += self._white_noise(volts.size, self._converter_noise(self._inputs.attenuation, self._ranges[1]))
                 over = self._convert(volts, self._inputs.attenuation, self._ranges[1])
                 voltage[record, row] = volts
                 overloaded[name] = overloaded.get(name, False) or over
         names = tuple(name for name, over in overloaded.items() if over)
         return Recording(position, nominal, velocity, voltage, self._rate, names)
+
+    def _drive(
+        self, number: int, playbacks: Sequence[Playback | None], elapsed: FloatArray, jitter: FloatArray
+    ) -> Iterator[FloatArray]:
+        """Yield the voltage of a drive in each record [V]: from point to point of a scan the same but for jitter."""
+        key = (*playbacks, self._twin.tripped, elapsed[0], elapsed[-1], elapsed.size)
+        if number not in self._sampled or self._sampled[number][0] != key:
+            drive = self._twin.drive(playbacks, number - 1)
+            self._sampled[number] = key, None if drive is None else drive.sampled(elapsed)
+        sampled = self._sampled[number][1]
+        return (np.zeros(elapsed.size) for _ in jitter) if sampled is None else sampled.moved(jitter)
 
     def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
         """Call `send`, and return between which instants the burst began, as a scope tells that is asked at times."""
@@ -191,7 +201,7 @@ class SimulatedScope(Scope):
         limit = self._inputs.highest_velocity
         for start in self._dropouts(values.size):
             values[start : start + max(1, int(DROPOUT * self._rate))] = 0.0
-        values += self._vibrometer_noise(values.size)
+        values += self._velocity_noise(values.size)
         beyond = bool(values.max() > limit or values.min() < -limit)
         if beyond:
             np.clip(values, -limit, limit, out=values)
@@ -202,31 +212,44 @@ class SimulatedScope(Scope):
         often = self._twin.apparatus.twin.vibrometer.dropouts_Hz * n_samples / self._rate
         return self._rng.integers(n_samples, size=self._rng.poisson(often)).tolist() if often else []
 
-    def _vibrometer_noise(self, n_samples: int) -> FloatArray:
-        """Return white noise behind the vibrometer's low-pass, as sampled [m/s]: all its power, folded where it must.
+    def _velocity_noise(self, n_samples: int) -> FloatArray:
+        r"""Return the noise of vibrometer and converter, as sampled [m/s].
 
-        Without a low-pass the scope's own rate bounds the band.
+        The vibrometer's is white behind its low-pass, all its power, folded where it must: :math:`v_n = a v_{n-1} + s
+        e_n`. With the converter's, white of deviation c, it is one process of the same spectrum, and one draw a sample:
+        :math:`(1 - a z^{-1}) x = k (1 - b z^{-1}) e` with :math:`k^2 (1 + b^2) = s^2 + c^2 (1 + a^2)` and :math:`k^2 b
+        = c^2 a`. Without a low-pass the scope's own rate bounds the band.
         """
         true = self._twin.apparatus.twin.vibrometer
         density = true.noise_um_s_per_sqrt_Hz * 1e-6
+        added = self._converter_noise(self._inputs.sensitivity, self._ranges[0])
         if true.bandwidth_kHz is None:
-            return np.asarray(density * np.sqrt(self._rate / 2) * self._normal(n_samples))
+            return self._white_noise(n_samples, math.hypot(density * math.sqrt(self._rate / 2), added))
         corner = true.bandwidth_kHz * 1e3
         decay = 2 * np.pi * corner / self._rate
         spread = density * np.sqrt(np.pi / 2 * corner * -np.expm1(-2 * decay))
         from scipy.signal import lfilter
 
+        pole = math.exp(-decay)
+        half = (spread**2 + added**2 * (1 + pole**2)) / 2
+        gain = math.sqrt(half + math.sqrt(max(half**2 - (added**2 * pole) ** 2, 0.0)))
         # What is older than the lead is forgotten.
         lead = int(-np.log(FORGOTTEN) / decay)
-        white = self._normal(lead + n_samples)
-        white *= spread
-        return np.asarray(lfilter([1.0], [1.0, -np.exp(-decay)], white)[lead:])
+        taps = [1.0, -pole * (added / gain) ** 2 if gain else 0.0]
+        return np.asarray(lfilter(taps, [1.0, -pole], self._white_noise(lead + n_samples, gain))[lead:])
 
-    def _normal(self, n: int) -> FloatArray:
-        """Return normal deviates [1], in the same memory every time."""
-        if self._deviates.size < n:
-            self._deviates = np.empty(n)
-        return self._rng.standard_normal(out=self._deviates[:n])
+    def _converter_noise(self, per_volt: float, input_range: float) -> float:
+        """Return the deviation of a converter's noise, in what is measured."""
+        scope = self._twin.apparatus.twin.scope
+        return float(scope.noise_steps * input_range / (2 ** (scope.bits - 1) - 1) * per_volt)
+
+    def _white_noise(self, n: int, deviation: float) -> FloatArray:
+        """Return normal noise, in the same memory every time."""
+        if self._noise.size < n:
+            self._noise = np.empty(n)
+        noise = self._rng.standard_normal(out=self._noise[:n])
+        noise *= deviation
+        return noise
 
     def _convert(self, values: FloatArray, per_volt: float, input_range: float) -> bool:
         """Turn values in place into what the converter makes of them, and return whether it reached its end.
@@ -243,18 +266,12 @@ class SimulatedScope(Scope):
         scope = self._twin.apparatus.twin.scope
         highest = 2 ** (scope.bits - 1) - 1
         step = input_range / highest
-        values /= per_volt
-        values /= step
-        if scope.noise_steps:
-            noise = self._normal(values.size)
-            noise *= scope.noise_steps
-            values += noise
+        values /= per_volt * step
         np.rint(values, out=values)
         over = bool(values.max() >= highest or values.min() <= -highest)
         if over:
             np.clip(values, -highest, highest, out=values)
-        values *= step
-        values *= per_volt
+        values *= step * per_volt
         return over
 
 
