@@ -14,6 +14,7 @@ import pytest
 
 from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.joint_fit import identify
+from modaltouch.lab.identification.kernel import Bins
 from modaltouch.lab.identification.peaks import Poles
 from modaltouch.lab.identification.responses import QUANTITIES, FrequencyResponses, Place, Quantity, as_velocity
 from modaltouch.lab.identification.shapes import check_points, label_shapes, mac
@@ -39,6 +40,23 @@ def errors(found: Identification, beam: TrueBeam) -> tuple[np.ndarray, np.ndarra
         np.array([mode.damping_ratio.value for mode in modes]) / beam.table.damping_ratio - 1,
         (gain - true) / np.abs(true).max(axis=1)[:, None],
     )
+
+
+@pytest.mark.parametrize("damping_ratio", [0.001, 0.02])
+def test_a_model_at_three_nodes_a_group_has_the_mean_over_its_bins(damping_ratio: float) -> None:
+    """Against the sum over every bin, of groups as wide as the fit takes them: to 1e-7."""
+    frequency = np.arange(60.0, 110e3, 3.8)
+    natural, ratio = np.array([229.0, 2553.0, 29390.0, 87855.0]), np.full(4, damping_ratio)
+    bins = Bins.near(frequency, natural, ratio)
+    assert bins.size.max() > 100
+    assert (bins.size == 1).any()
+
+    def course(at: np.ndarray) -> np.ndarray:
+        own = natural[:, None]
+        return np.exp(-2j * np.pi * at * 5e-6) * 1j * at / (own**2 - at**2 + 2j * ratio[:, None] * own * at)
+
+    exact, found = bins.mean(course(frequency)), bins.mean_of_nodes(course(bins.nodes))
+    assert np.abs(found / exact - 1).max() < 1e-7
 
 
 def test_bars_of_the_joint_fit(found: Identification, beam: TrueBeam) -> None:

@@ -43,7 +43,7 @@ def refine(problem: LeastSquaresProblem, poles: Poles, *, most: int = 60) -> tup
     """Return the poles and the delay of least squares, and the fit there."""
     from scipy.optimize import minimize
 
-    scale = 1 / float(problem.omega[-1])
+    scale = 1 / problem.highest
     n = poles.natural_frequency.size
 
     @lru_cache(maxsize=4)

@@ -62,6 +62,33 @@ class Bins:
         """Mean frequency of each group, (n_groups,) array [Hz]."""
         return self.mean(self.frequency).real
 
+    @cached_property
+    def nodes(self) -> FloatArray:
+        r"""Where a model is computed instead of at every bin: three to each group, (n_nodes,) array [Hz].
+
+        They are those of Gauss's rule for a sum over n bins: with the moments :math:`\mu_2 = (n^2 - 1)/12` and
+        :math:`\mu_4 = \mu_2 (3 n^2 - 7)/20` of their places it is exact for polynomials of degree 5. Of a group as wide
+        as an eighth of its distance from a pole it gives the mean to 1e-8.
+        Where every group is a bin, one is enough.
+        """
+        if (self.size == 1).all():
+            return self.frequency
+        apart = np.sqrt(np.maximum(3 * self.size**2 - 7, 0) / 20) * (self.frequency[1] - self.frequency[0])
+        return np.asarray(self.centre[:, None] + apart[:, None] * [-1.0, 0.0, 1.0]).ravel()
+
+    @cached_property
+    def node_weight(self) -> FloatArray:
+        """Weight of each node in the mean over its group, (n_groups, 1 or 3) array [1]."""
+        if (self.size == 1).all():
+            return self.size[:, None]
+        outer = (self.size**2 - 1) / 12 / np.maximum((3 * self.size**2 - 7) / 10, 0.1)
+        return np.stack([outer, 1 - 2 * outer, outer], axis=1)
+
+    def mean_of_nodes(self, values: ComplexArray) -> ComplexArray:
+        """Return the mean over each group of what is known at the nodes, along the last axis."""
+        parts = values.reshape(*values.shape[:-1], *self.node_weight.shape)
+        return np.asarray(np.einsum("...gn,gn->...g", parts, self.node_weight))
+
     def mean(self, values: FloatArray | ComplexArray) -> ComplexArray:
         """Return the mean over each group, along the last axis."""
         return np.asarray(np.add.reduceat(values, self.start, axis=-1) / self.size, dtype=complex)
@@ -98,20 +125,25 @@ class LeastSquaresProblem:
 
     @cached_property
     def omega(self) -> FloatArray:
-        """Angular frequency of every bin, (n_bins,) array [rad/s]."""
-        return 2 * np.pi * self.bins.frequency
+        """Angular frequency of every node, (n_nodes,) array [rad/s]."""
+        return 2 * np.pi * self.bins.nodes
+
+    @property
+    def highest(self) -> float:
+        """Angular frequency of the last bin [rad/s]."""
+        return 2 * np.pi * float(self.bins.frequency[-1])
 
     @cached_property
     def turning(self) -> FloatArray:
-        """What a delay is multiplied by for its phase, (n_bins,) array [rad/s]."""
+        """What a delay is multiplied by for its phase, (n_nodes,) array [rad/s]."""
         return self.omega if self.phase_at is None else np.full(self.omega.size, 2 * np.pi * self.phase_at)
 
     @cached_property
     def low_pass(self) -> ComplexArray:
-        """The known low-pass, (n_bins,) array [1]."""
+        """The known low-pass, (n_nodes,) array [1]."""
         if self.bandwidth is None:
             return np.ones(self.omega.size, dtype=complex)
-        return np.asarray(1 / (1 + 1j * self.bins.frequency / self.bandwidth))
+        return np.asarray(1 / (1 + 1j * self.bins.nodes / self.bandwidth))
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,28 +325,16 @@ def _columns(
         Columns of the modes and of the rest; changes of the modes' columns by natural frequency, then by damping ratio;
         changes of all columns by the delay.
     """
-    omega, n_modes = problem.omega, natural_frequency.size
+    omega = problem.omega
     turn = problem.low_pass * np.exp(-1j * problem.turning * delay)
-    driving, by_delay = 1j * omega * turn, -1j * problem.turning * scale
-    square = omega**2
-    mean = problem.bins.mean
-    result = np.empty((4 * n_modes + 2 * N_REST, problem.bins.start.size), dtype=complex)
-    columns, by_frequency, by_damping, turned = np.split(result, np.cumsum([n_modes + N_REST, n_modes, n_modes]))
-    # Mode by mode, so that what is computed stays in the cache.
-    for mode, (own, ratio) in enumerate(zip(2 * np.pi * natural_frequency, damping_ratio, strict=True)):
-        dynamic = np.empty(omega.size, dtype=complex)
-        dynamic.real, dynamic.imag = own**2 - square, 2 * ratio * own * omega
-        np.reciprocal(dynamic, out=dynamic)
-        column = driving * dynamic
-        column *= own * ratio
-        columns[mode] = mean(column)
-        turned[mode] = mean(column * by_delay)
-        column *= dynamic
-        column *= -own * ratio
-        steeper = mean(column * omega)
-        by_frequency[mode] = 2 * own * mean(column) + 2j * ratio * steeper
-        by_damping[mode] = 2j * steeper
-    relative = omega / omega[-1]
-    for place, column in enumerate((turn, 1j * turn, relative * turn, 1j * relative * turn), start=n_modes):
-        columns[place], turned[place] = mean(column), mean(column * by_delay)
-    return result
+    own, ratio = 2 * np.pi * natural_frequency[:, None], damping_ratio[:, None]
+    dynamic = 1 / (own**2 - omega**2 + 2j * ratio * own * omega)
+    modes = 1j * omega * turn * dynamic * (own * ratio)
+    relative = omega / problem.highest
+    columns = np.concatenate([modes, [turn, 1j * turn, relative * turn, 1j * relative * turn]])
+    moved = modes * dynamic * (-own * ratio)
+    mean = problem.bins.mean_of_nodes
+    steeper = mean(moved * omega)
+    by_frequency = 2 * own * mean(moved) + 2j * ratio * steeper
+    by_delay = mean(columns * (-1j * problem.turning * scale))
+    return np.concatenate([mean(columns), by_frequency, 2j * steeper, by_delay])

@@ -39,7 +39,7 @@ class ModalParameters:
         """Return the modes, and what the fit makes of the responses."""
         fit = self.fit
         variance, deviation = fit.variance, fit.deviation
-        scale = 1 / float(self.problem.omega[-1])
+        scale = 1 / self.problem.highest
         local = np.sqrt(self._local_misfit(variance) / variance)
         residue = self._scaled(fit.residue[: fit.n_modes])
         argand = self._scaled(complex_residue(self.problem, fit))
