@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.identification.responses import Spectra
+from modaltouch.lab.identification.spectra import Spectra
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.lab.scan import DESCRIPTION, Scan, read_facts, take_scan
 from modaltouch.lab.scan_plan import ScanPlan, row_name
