@@ -144,6 +144,13 @@ def test_words_break_at_spaces_alone() -> None:
     assert lines(set_type("one\n\ntwo")) == ["one", "", "two"]
 
 
+@pytest.mark.parametrize("bold", [False, True])
+def test_words_beside_each_other_stand_on_one_line(bold: bool) -> None:
+    """Expected: a letter below the baseline, as in Right, leaves it where Left and Both have theirs."""
+    extents = [set_type(word, bold=bold).lines[0] for word in ("Left", "Right", "Both", "Gauche", "Gleich stark (j)")]
+    assert len({(line.ascent, line.descent) for line in extents}) == 1
+
+
 def test_digits_and_punctuation_are_in_the_font_of_their_letters() -> None:
     """Expected: Arabic comma and digits in one Arabic font, Latin in Noto Sans, an ideographic full stop in theirs."""
 

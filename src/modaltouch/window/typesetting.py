@@ -143,7 +143,7 @@ FRIBIDI = {"darwin": "libfribidi.0.dylib", "win32": "fribidi-0.dll"}.get(sys.pla
 """Library by which Pillow, too, orders letters."""
 _RTL, _LTR = 0x111, 0x110
 """FriBidi's numbers for the direction of a paragraph."""
-_ASCENT, _DESCENT, _LEADING = 0.93, 0.22, 0.21
+_ASCENT, _DESCENT, _LEADING = 0.97, 0.26, 0.13
 """Extent of a line over and under its baseline, about the middle of its capitals; larger where letters stand out of it;
 and what is between two lines [em]."""
 _STROKE = 0.02
