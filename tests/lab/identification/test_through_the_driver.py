@@ -17,8 +17,8 @@ import pytest
 from modaltouch.lab.identification.excitation import LOWEST, Campaign, Excitation, _with_range, evenly, excite
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import responses_of
-from modaltouch.lab.identification.spectra import Spectra
 from modaltouch.lab.identification.shapes import mac
+from modaltouch.lab.identification.spectra import Spectra
 from modaltouch.lab.laboratory import Laboratory, open_laboratory
 from modaltouch.lab.scan import read_scan, take_scan
 from modaltouch.lab.scan_plan import ScanPlan

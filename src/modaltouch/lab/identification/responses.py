@@ -300,7 +300,7 @@ def _running_median(values: FloatArray, width: int) -> FloatArray:
 
 
 def responses_of(scans: Mapping[str, Scan], bandwidth: float | None = None) -> FrequencyResponses:
-    r"""Return the H1 responses of scans that kept their spectra: :math:`H_1 = S_{vu} / S_{uu}` by the *measured* drive u.
+    r"""Return the H1 responses of scans of spectra: :math:`H_1 = S_{vu} / S_{uu}` by the *measured* drive u.
 
     Parameters
     ----------
