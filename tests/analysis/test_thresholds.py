@@ -310,7 +310,7 @@ def test_what_needs_fixed_levels_refuses_adaptive_sessions(preflight: Preflight,
     assert read_responses(results).is_adaptive
     with pytest.raises(InputError, match="leave the option out: each run is of one"):
         read_responses(results, stimulus="sharp")
-    for option, value in {"figures": ("order",), "prereg": results / "plan.md", "model": True}.items():
+    for option, value in {"figures": ("order",), "model": True}.items():
         with pytest.raises(InputError, match=f"--{option}: given adaptive sessions; .*; leave --{option} out"):
             analyse(results, **{option: value})  # type: ignore[arg-type]
 

@@ -17,7 +17,8 @@ from modaltouch.protocol import InputError
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
-DEMO = Path(__file__).parents[2] / "protocols" / "demo.yaml"
+ROOT = Path(__file__).parents[2]
+DEMO = ROOT / "protocols" / "demo.yaml"
 
 
 def run(*words: object) -> Result:
@@ -59,7 +60,7 @@ def test_the_page_holds_what_a_preregistration_needs(page: Path) -> None:
 
 def test_an_analysis_that_keeps_to_it_departs_in_nothing(analysis: Analysis) -> None:
     """The report says so."""
-    assert analysis.departures == ()
+    assert analysis.registration.departures == ()
     report = analysis.files["report.html"].read_text(encoding="utf-8")
     assert "Departures from the preregistration" in report
     assert "None from" in report
@@ -109,14 +110,41 @@ def test_designs_beyond_two_fingers_are_simulated_in_sessions(
     assert done.exit_code == 0, done.stderr
     text = file.read_text(encoding="utf-8")
     assert "| rating over levels | ratings change with the level? | " in text
-    assert "share of 1 simulated experiments" in text
+    assert "share of 1 simulated experiment of" in text
     assert "--experiments 1 --observer" in text
     assert read_preregistration(file)["tests by family"] == families
     assert ("catch trials give the false alarms of d'" in text) is ("d'" in families)
     assert run("simulate", protocol, "-n", 3, "--results", results).exit_code == 0
     found = analyse(results, prereg=file)
     assert isinstance(found, Analysis)
-    assert found.departures == ()
+    assert found.registration.departures == ()
+
+
+@pytest.mark.parametrize(
+    ("protocol", "planned"),
+    [
+        ("protocol_staircase", "| trials a run | 50 |"),
+        ("protocol_table", "| part 2 | one hand and two hands A-C at 150 mm/s, 2 times |"),
+    ],
+)
+def test_adaptive_runs_and_designs_that_are_not_crossed_are_simulated_in_sessions(
+    tmp_path: Path, protocol: str, planned: str
+) -> None:
+    """The page says what is estimated or tested, and how exactly; the analysis departs in nothing."""
+    file, results, source = tmp_path / "plan.md", tmp_path / "results", ROOT / "docs" / "examples" / f"{protocol}.yaml"
+    done = run("prereg", source, "-n", 2, "--experiments", 1, "--out", file)
+    assert done.exit_code == 0, done.stderr
+    text = file.read_text(encoding="utf-8")
+    assert planned in text
+    assert ("No hypothesis is tested" in text) is ("trials a run" in text)
+    assert ("| mean threshold of | factor, median |" in text) is ("trials a run" in text)
+    assert ("\n## Margins\n" in text) is ("trials a run" not in text)
+    assert run("simulate", source, "-n", 2, "--results", results).exit_code == 0
+    found = analyse(results, prereg=file)
+    assert found.registration.departures == ()
+    assert "None from <code>" in found.files["report.html"].read_text(encoding="utf-8")
+    terms = read_preregistration(file) | {"participants": 12}
+    assert find_departures(terms, found) == ("participants: 12 preregistered, 2 analysed",)
 
 
 def test_what_is_no_preregistration_is_refused(tmp_path: Path) -> None:

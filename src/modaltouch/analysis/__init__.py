@@ -1,8 +1,8 @@
 """Answers of sessions or of a CSV go in; counts, exact statistics, figures and a report come out.
 
-`read_responses` gives the answers as one tidy table, `Responses.count` their counts; `analyse` writes everything to a
-folder, for adaptive sessions the thresholds of their runs (`analyse_runs`). The tests are exact, or Monte Carlo with a
-stated seed; planning calls those of `STATISTICS` on batches of simulated experiments.
+`read_responses` gives the answers as one tidy table, `Responses.count` their counts. `analyse` writes everything to a
+folder, for adaptive sessions the thresholds of their runs; `analyse_responses` writes nothing. The tests are exact, or
+Monte Carlo with a stated seed; planning calls those of `STATISTICS` on batches of simulated experiments.
 Needs neither instrument nor screen.
 """
 
@@ -16,12 +16,11 @@ if TYPE_CHECKING:
     from modaltouch.analysis.counts import AnswerCounts, Pair
     from modaltouch.analysis.findings import ALPHA, holm
     from modaltouch.analysis.intervals import wilson
-    from modaltouch.analysis.pipeline import analyse
-    from modaltouch.analysis.preregistration import describe_families, terms_of
+    from modaltouch.analysis.pipeline import analyse, analyse_responses
+    from modaltouch.analysis.preregistration import describe_families, say_term, terms_of
     from modaltouch.analysis.reading import read_responses
     from modaltouch.analysis.responses import Responses, TableFormat
     from modaltouch.analysis.statistics import STATISTICS
-    from modaltouch.analysis.thresholds.analysis import analyse_runs
     from modaltouch.analysis.words import say_scope
 else:
     __getattr__ = lazily(
@@ -30,12 +29,11 @@ else:
             "counts": "AnswerCounts Pair",
             "findings": "ALPHA holm",
             "intervals": "wilson",
-            "pipeline": "analyse",
-            "preregistration": "describe_families terms_of",
+            "pipeline": "analyse analyse_responses",
+            "preregistration": "describe_families say_term terms_of",
             "reading": "read_responses",
             "responses": "TableFormat Responses",
             "statistics": "STATISTICS",
-            "thresholds.analysis": "analyse_runs",
             "words": "say_scope",
         },
     )
@@ -48,11 +46,12 @@ __all__ = [
     "Responses",
     "STATISTICS",
     "analyse",
-    "analyse_runs",
+    "analyse_responses",
     "describe_families",
     "holm",
     "read_responses",
     "say_scope",
+    "say_term",
     "terms_of",
     "wilson",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -11,6 +12,7 @@ import pandas as pd
 
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding, to_frame
+from modaltouch.analysis.preregistration import Registration, terms_of
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.tables import tabulate
 from modaltouch.protocol import InputError
@@ -35,10 +37,8 @@ class Analysis:
         Files written, by name.
     design : DesignAnalysis, optional
         What they tell of each participant, beside counts.
-    preregistration : Path, optional
+    registration : Registration
         The preregistration that it was held against.
-    departures : tuple of str
-        What departs from that, in words.
     """
 
     responses: Responses
@@ -46,8 +46,7 @@ class Analysis:
     findings: tuple[Finding, ...]
     files: dict[str, Path]
     design: DesignAnalysis | None = None
-    preregistration: Path | None = None
-    departures: tuple[str, ...] = ()
+    registration: Registration = Registration()
 
     @classmethod
     def of(cls, responses: Responses, *, model: bool = False) -> Self:
@@ -85,6 +84,15 @@ class Analysis:
         return cls(chosen, counts, findings, {}, design)
 
     @property
+    def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
+        """The tests that are corrected in families, as a `RegisteredAnalysis` has them."""
+        return [("", self.answers, row) for row in self.findings if row.family]
+
+    def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
+        """Return what a preregistration fixes of it, by name."""
+        return terms_of(self.answers, tests)
+
+    @property
     def counts(self) -> pd.DataFrame:
         """Counts of every cell, one row each."""
         return tabulate(self.answers)
@@ -109,8 +117,7 @@ class Analysis:
             "notes": list(self.responses.notes),
             "mode": self.responses.source.mode or None,
             "source": self.responses.source.path,
-            "preregistration": str(self.preregistration) if self.preregistration else None,
-            "departures": list(self.departures),
+            **self.registration.as_dict(),
             "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
         }
 

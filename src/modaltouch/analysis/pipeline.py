@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from modaltouch.analysis.gallery import FIGURES, draw_all
 from modaltouch.analysis.reading import read_responses
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from modaltouch.analysis.parts import PartsAnalysis
     from modaltouch.analysis.responses import AnswerSource, Responses, TableFormat
     from modaltouch.analysis.thresholds import ThresholdAnalysis
+
+Held = TypeVar("Held", "Analysis", "ThresholdAnalysis", "PartsAnalysis")
 
 
 def analyse(
@@ -92,32 +94,44 @@ def _results(
     responses: Responses, path: Path | str, asked: dict[str, Any]
 ) -> tuple[Analysis | ThresholdAnalysis | PartsAnalysis, dict[str, Any]]:
     """Return what the answers of a design tell, and the contents of its files; refuse options it has no use for."""
+    prereg = asked.pop("--prereg")
     options = [option for option, value in asked.items() if value]
     if responses.is_adaptive:
         from modaltouch.analysis.thresholds import analyse_runs, render_runs
 
         for option in options:
             raise InputError.of(option, "adaptive sessions", "sessions at fixed levels", f"leave {option} out")
-        runs = analyse_runs(responses)
+        runs = _hold_against(prereg, analyse_runs(responses))
         return runs, render_runs(runs)
     if responses.scheduled is not None:
         from modaltouch.analysis.parts import analyse_parts, render_parts
 
         if options:
-            given = "--prereg, --model, --figures or --speed with a design that is not crossed"
+            given = "--model, --figures or --speed with a design that is not crossed"
             remedy = "leave these options out"
             if responses.stimuli:
                 given, remedy = f"{given}, of several stimuli", f"{remedy}, or take one stimulus with --stimulus"
             raise InputError.of(path, given, "tables, tests of its crossed parts, models.R", remedy)
-        parts = analyse_parts(responses)
+        parts = _hold_against(prereg, analyse_parts(responses))
         return parts, render_parts(parts)
     from modaltouch.analysis.outcome import Analysis
 
-    analysis = _hold_against(asked["--prereg"], Analysis.of(responses, model=asked["--model"]))
+    analysis = _hold_against(prereg, Analysis.of(responses, model=asked["--model"]))
     return analysis, render_files(analysis, asked["--figures"])
 
 
-def _hold_against(prereg: Path | str | None, analysis: Analysis) -> Analysis:
+def analyse_responses(responses: Responses) -> Analysis | ThresholdAnalysis | PartsAnalysis:
+    """Return what answers tell, as `analyse` does, with no file written."""
+    from modaltouch.analysis.outcome import Analysis
+    from modaltouch.analysis.parts import analyse_parts
+    from modaltouch.analysis.thresholds import analyse_runs
+
+    if responses.is_adaptive:
+        return analyse_runs(responses)
+    return Analysis.of(responses) if responses.scheduled is None else analyse_parts(responses)
+
+
+def _hold_against(prereg: Path | str | None, analysis: Held) -> Held:
     """Return an analysis with what departs from its preregistration, given or found beside the protocol."""
     if prereg is None:
         protocol = analysis.responses.start.get("sources", {}).get("protocol", {}).get("path", "")
@@ -125,10 +139,11 @@ def _hold_against(prereg: Path | str | None, analysis: Analysis) -> Analysis:
         if not beside.is_file():
             return analysis
         prereg = beside
-    from modaltouch.analysis.preregistration import find_departures, read_preregistration
+    from modaltouch.analysis.preregistration import Registration, find_departures, read_preregistration
 
     path = Path(prereg)
-    return replace(analysis, preregistration=path, departures=find_departures(read_preregistration(path), analysis))
+    departures = find_departures(read_preregistration(path), analysis)
+    return replace(analysis, registration=Registration(path, departures))
 
 
 def default_folder(path: Path, stimulus: str = "") -> Path:

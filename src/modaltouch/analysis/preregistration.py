@@ -6,23 +6,66 @@ import json
 import re
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
-from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.covariates import ANTICIPATION
 from modaltouch.analysis.findings import ALPHA, Finding
-from modaltouch.analysis.outcome import Analysis
-from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.protocol import InputError
+
+if TYPE_CHECKING:
+    from modaltouch.analysis.counts import AnswerCounts
+    from modaltouch.analysis.responses import Responses
+
+ALL_PARTS = "all parts"
+"""Where a test is of a design that is not crossed as a whole."""
+
+_SHARES = ("", "the share of an answer differs")
+"""Heading and claim of a comparison of shares."""
 
 _UNKNOWN = ("protocol (SHA-256)", "equivalence margin")
 """Terms that a table of answers does not tell."""
 
 
-def terms_of(answers: AnswerCounts, tests: Mapping[str, int], protocol: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a preregistration fixes, by name, as plain values.
+@dataclass(frozen=True)
+class Registration:
+    """The preregistration that an analysis was held against.
+
+    Attributes
+    ----------
+    path : Path or None
+        Where it lies; None for none.
+    departures : tuple of str
+        What departs from it, in words.
+    """
+
+    path: Path | None = None
+    departures: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return both as plain values for ``--json``."""
+        return {"preregistration": str(self.path) if self.path else None, "departures": list(self.departures)}
+
+
+class RegisteredAnalysis(Protocol):
+    """An analysis as a preregistration sees it."""
+
+    @property
+    def responses(self) -> Responses:
+        """The answers."""
+
+    @property
+    def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
+        """The tests that are corrected in families: part of the design, or nothing, counts, and the test."""
+
+    def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
+        """Return what is fixed beforehand, by name, as plain values; `tests` has the number in each family."""
+
+
+def terms_of(answers: AnswerCounts, tests: Mapping[str, int]) -> dict[str, Any]:
+    """Return what a preregistration of a crossed design fixes, by name, as plain values.
 
     Parameters
     ----------
@@ -30,8 +73,6 @@ def terms_of(answers: AnswerCounts, tests: Mapping[str, int], protocol: Mapping[
         Counts of the answers, planned or given.
     tests : mapping of str to int
         Number of tests in each family.
-    protocol : mapping
-        Those of `_UNKNOWN` terms that are known.
     """
     return {
         "participants": answers.n_participants,
@@ -40,48 +81,61 @@ def terms_of(answers: AnswerCounts, tests: Mapping[str, int], protocol: Mapping[
         f"levels [{answers.scale.unit}]": sorted(answers.levels),
         "repetitions": answers.n_repetitions,
         "answers": list(answers.answers.names),
-        "tests by family": dict(tests),
-        "level of significance": ALPHA,
-        "shortest reaction time [s]": ANTICIPATION,
-        **{name: protocol[name] for name in _UNKNOWN if name in protocol},
+        **terms_of_tests(tests),
     }
 
 
-def describe_families(responses: Responses) -> tuple[AnswerCounts, list[dict[str, Any]]]:
-    """Return the counts of answers, and the families of confirmatory tests that their analysis holds.
+def terms_of_tests(tests: Mapping[str, int]) -> dict[str, Any]:
+    """Return the terms that every analysis with tests has."""
+    return {
+        "tests by family": dict(tests),
+        "level of significance": ALPHA,
+        "shortest reaction time [s]": ANTICIPATION,
+    }
+
+
+def describe_families(analysis: RegisteredAnalysis) -> list[dict[str, Any]]:
+    """Return the families of confirmatory tests of an analysis, such as one of simulated sessions.
 
     Parameters
     ----------
-    responses : Responses
-        Answers of a crossed design at fixed levels, such as simulated ones.
+    analysis : RegisteredAnalysis
+        What was found.
 
     Returns
     -------
-    AnswerCounts
-        Their counts.
     list of dict
         ``name``, ``asks``, ``test``, ``scopes``, and ``significant``: whether a test is, after correction.
     """
     from modaltouch.analysis.measures import claim_of
     from modaltouch.analysis.words import headings, say_scope
 
-    analysis = Analysis.of(responses)
-    answers, families = analysis.answers, dict[str, list[Finding]]()
-    for row in analysis.findings:
-        if row.family:
-            families.setdefault(row.family, []).append(row)
+    families: dict[str, list[tuple[str, AnswerCounts, Finding]]] = {}
+    for each in analysis.confirmatory:
+        families.setdefault(each[2].family, []).append(each)
     asks = {name: statistic.asks for name, statistic in STATISTICS.items()}
-    asked = headings(answers)
-    return answers, [
-        {
-            "name": name,
-            "asks": asks.get(name) or claim_of(name, asked[rows[0].question][1]),
-            "test": rows[0].name,
-            "scopes": [say_scope(row.scope, answers.finger_conditions, answers.pairs) for row in rows],
-            "significant": any(row.p_holm <= ALPHA for row in rows),
-        }
-        for name, rows in families.items()
-    ]
+    described = []
+    for name, rows in families.items():
+        _, counts, first = rows[0]
+        scopes = [
+            (
+                part,
+                row.scope.replace("_", " ")
+                if part == ALL_PARTS
+                else say_scope(row.scope, own.finger_conditions, own.pairs),
+            )
+            for part, own, row in rows
+        ]
+        described.append(
+            {
+                "name": name,
+                "asks": asks.get(name) or claim_of(name, headings(counts).get(first.question, _SHARES)[1]),
+                "test": first.name,
+                "scopes": [": ".join(filter(None, scope)) for scope in scopes],
+                "significant": any(row.p_holm <= ALPHA for *_, row in rows),
+            }
+        )
+    return described
 
 
 def read_preregistration(path: Path) -> dict[str, Any]:
@@ -107,14 +161,14 @@ def read_preregistration(path: Path) -> dict[str, Any]:
     return terms
 
 
-def find_departures(terms: Mapping[str, Any], analysis: Analysis) -> tuple[str, ...]:
+def find_departures(terms: Mapping[str, Any], analysis: RegisteredAnalysis) -> tuple[str, ...]:
     """Return in words what an analysis departs from.
 
     Parameters
     ----------
     terms : mapping
         As `read_preregistration` returns them.
-    analysis : Analysis
+    analysis : RegisteredAnalysis
         What was found.
     """
     start = analysis.responses.start
@@ -123,10 +177,9 @@ def find_departures(terms: Mapping[str, Any], analysis: Analysis) -> tuple[str, 
         margin = (start.get("design", {}).get("analysis") or {}).get("equivalence_margin")
         known = dict(zip(_UNKNOWN, (start["sources"]["protocol"]["sha256"], margin), strict=True))
     counted = {*STATISTICS, *terms.get("tests by family", ())}
-    families = Counter(row.family for row in analysis.findings if row.family in counted)
-    found = terms_of(analysis.answers, families, known)
+    found = analysis.terms(Counter(row.family for *_, row in analysis.confirmatory if row.family in counted)) | known
     said = [
-        f"{name}: {_say(terms.get(name))} preregistered, {_say(found[name])} analysed"
+        f"{name}: {say_term(terms.get(name))} preregistered, {say_term(found[name])} analysed"
         for name in found
         if found[name] != terms.get(name)
     ]
@@ -137,7 +190,8 @@ def find_departures(terms: Mapping[str, Any], analysis: Analysis) -> tuple[str, 
     return tuple(said)
 
 
-def _say(value: Any) -> str:
+def say_term(value: Any) -> str:
+    """Return the value of a term in words."""
     if isinstance(value, Mapping):
         return ", ".join(f"{name} ({n})" for name, n in value.items())
     if isinstance(value, list):

@@ -83,8 +83,7 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
         if answers.offers_none
         else ["none", *felt],
         limits=design_limits(analysis) + list(analysis.design.limits if analysis.design else ()),
-        preregistration=analysis.preregistration,
-        departures=analysis.departures,
+        registration=analysis.registration,
         left_out=analysis.responses.left_out,
         command=analysis.responses.command,
         notes=analysis.responses.notes,
@@ -106,7 +105,7 @@ def design_limits(analysis: Analysis) -> list[str]:
             "These answers come from a simulated participant or a simulated rig. They say nothing about people.",
         ),
         (
-            analysis.preregistration is None,
+            analysis.registration.path is None,
             "No preregistration was found (modaltouch prereg writes one), so nothing shows that hypotheses, tests and "
             "sample size were chosen before the data.",
         ),

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any
 
@@ -16,8 +16,10 @@ from modaltouch.analysis import (
     STATISTICS,
     AnswerCounts,
     Responses,
+    analyse_responses,
     describe_families,
     say_scope,
+    say_term,
     terms_of,
     wilson,
 )
@@ -25,7 +27,7 @@ from modaltouch.planning.design import Design
 from modaltouch.planning.experiments import Study
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.power import plan
-from modaltouch.planning.presented import designs_for, refuse_open_levels
+from modaltouch.planning.presented import designs_for, refuse_own_levels
 from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError
 from modaltouch.report import render_page
@@ -37,14 +39,32 @@ N_COUNTED, N_RECORDED = 1000, 20
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What an analysis will test, and how often it finds it in simulated experiments."""
+    """What an analysis will test or estimate, and how well it does in simulated experiments.
 
-    answers: AnswerCounts
+    `answers` is None where the design is not crossed, or adaptive; `terms` says then what it is.
+    """
+
+    answers: AnswerCounts | None
+    terms: dict[str, Any]
     families: list[dict[str, Any]]
     power: list[dict[str, Any]]
-    stimuli: tuple[str, ...]
     n_experiments: int
     repeated_by: str
+    stimuli: tuple[str, ...] = ()
+    thresholds: list[dict[str, Any]] = field(default_factory=list)
+
+    @property
+    def design(self) -> list[tuple[str, str]]:
+        """Terms of a design without counts of its own, in words."""
+        plain = ("runs", "levels [mm/s]", "method", "trials a run")
+        said = [(name, say_term(self.terms[name])) for name in plain if self.answers is None and name in self.terms]
+        parts = enumerate(self.terms.get("crossed parts, with repetitions", {}).items(), start=1)
+        return said + [(f"part {number}", f"{name}, {say_times(n)}") for number, (name, n) in parts]
+
+
+def say_times(number: int) -> str:
+    """Return how often in words."""
+    return "once" if number == 1 else f"{number} times"
 
 
 def preregister(
@@ -62,31 +82,31 @@ def preregister(
     Parameters
     ----------
     preflight : Preflight
-        The checked protocol; its levels are fixed.
+        The checked protocol.
     observer : Observer
         Who is simulated for the power.
     n_participants, n_experiments, seed : int
         Participants that are planned, simulated experiments, and their seed.
     study : callable, optional
         Takes a seed, and returns the answers of a whole experiment in simulated sessions. It is called where the counts
-        of an observer that compares two fingers do not stand for the design: several intervals, ratings, one finger.
+        of an observer that compares two fingers do not stand for the design: several intervals, ratings, one finger,
+        adaptive runs, conditions that are not crossed.
     on_progress : callable, optional
         Called with (jobs done, jobs in all) of each stimulus.
 
     Raises
     ------
     InputError
-        If anything is wrong with the protocol, its levels follow from answers or differ between participants, or its
-        conditions are not crossed.
+        If anything is wrong with the protocol, or its levels differ between participants.
     """
     protocol, source = preflight.experiment.protocol, preflight.experiment.sources.protocol
     path = source.path.as_posix()
     try:
         found = _by_counts(preflight, observer, n_participants, n_experiments or N_COUNTED, seed, on_progress)
     except InputError:
-        refuse_open_levels(preflight)
-        if study is None or protocol.uncrossed_by or protocol.stimuli:
+        if study is None:
             raise
+        refuse_own_levels(preflight)
         found = _by_sessions(study, n_experiments or N_RECORDED, seed, on_progress)
     terms = _terms(preflight, found)
     return render_page(
@@ -96,6 +116,7 @@ def preregister(
         path=path,
         plan=found,
         n=n_participants,
+        times=say_times,
         level=100 * ALPHA,
         observer=observer.name,
         seed=seed,
@@ -132,9 +153,10 @@ def _by_counts(
     shape = (n_participants, *first.shape, len(offered))
     planned = replace(first.count(np.zeros(shape, dtype=np.int64), schedule.repetitions), answers=offered)
     described = [_describe_family(family, first) for family in families]
-    names = tuple(name for name in designs if name)
+    tests = {family["name"]: len(family["scopes"]) for family in described}
     again = "modaltouch power {path} -n {n} --experiments {experiments} --observer {observer} --seed {seed}"
-    return _Plan(planned, described, rows, names, n_experiments, again)
+    names = tuple(name for name in designs if name)
+    return _Plan(planned, terms_of(planned, tests), described, rows, n_experiments, again, names)
 
 
 def _by_sessions(
@@ -146,11 +168,16 @@ def _by_sessions(
     """Return the plan of a design whose sessions are simulated and analysed as they will be."""
     significant: Counter[str] = Counter()
     families: list[dict[str, Any]] = []
+    estimates: dict[str, list[dict[str, Any]]] = {}
     for number in range(n_experiments):
-        answers, found = describe_families(study(seed + number))
+        analysis = analyse_responses(study(seed + number))
+        found = describe_families(analysis)
         significant.update(each["name"] for each in found if each["significant"])
         # Of a degenerate experiment a test may be missing.
         families = max(families, found, key=lambda each: sum(len(family["scopes"]) for family in each))
+        for row in getattr(analysis, "thresholds", ()):
+            name = ", ".join(str(row[key]).replace("_", " ") for key in row if isinstance(row[key], str))
+            estimates.setdefault(name, []).append(row)
         if on_progress is not None:
             on_progress(number + 1, n_experiments)
     shares = {each["name"]: wilson(significant[each["name"]], n_experiments) for each in families}
@@ -158,8 +185,23 @@ def _by_sessions(
         {"family": name, "power": share.estimate, "low": share.low, "high": share.high, "floor": "not computed"}
         for name, share in shares.items()
     ]
-    again = "modaltouch prereg {path} -n {n} --experiments {experiments} --observer {observer} --seed {seed}"
-    return _Plan(answers, families, rows, (), n_experiments, f"{again} --out FILE")
+    again = "modaltouch prereg {path} -n {n} --experiments {experiments} --observer {observer} --seed {seed} --out FILE"
+    terms = analysis.terms({family["name"]: len(family["scopes"]) for family in families})
+    thresholds = [_describe_threshold(name, found) for name, found in estimates.items()]
+    counts = getattr(analysis, "answers", None)
+    return _Plan(counts, terms, families, rows, n_experiments, again, thresholds=thresholds)
+
+
+def _describe_threshold(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return how exactly a mean threshold is known in simulated experiments."""
+    bounds = [(row["threshold_low_mm_s"], row["threshold_high_mm_s"]) for row in found]
+    factors = [float(np.sqrt(high / low)) for low, high in bounds if low and high]
+    return {
+        "of": name,
+        "factor": float(np.median(factors)) if factors else None,
+        "n_without_interval": len(found) - len(factors),
+        "without_threshold": sum(row["n_without_threshold"] for row in found) / sum(row["n_runs"] for row in found),
+    }
 
 
 def _describe_family(family: str, design: Design) -> dict[str, Any]:
@@ -174,9 +216,9 @@ def _describe_family(family: str, design: Design) -> dict[str, Any]:
 
 def _terms(preflight: Preflight, found: _Plan) -> dict[str, Any]:
     protocol = preflight.experiment.protocol
-    known = {
+    return {
+        "date": datetime.now(UTC).date().isoformat(),
+        **found.terms,
         "protocol (SHA-256)": preflight.experiment.sources.protocol.sha256,
         "equivalence margin": (protocol.model_dump().get("analysis") or {}).get("equivalence_margin"),
     }
-    tests = {family["name"]: len(family["scopes"]) for family in found.families}
-    return {"date": datetime.now(UTC).date().isoformat(), **terms_of(found.answers, tests, known)}

@@ -51,15 +51,26 @@ def refuse_open_levels(preflight: Preflight) -> None:
     InputError
         If they do.
     """
-    protocol = preflight.experiment.protocol
-    adaptive, levels = "adaptive runs, which have no fixed conditions", "levels calibrated by participant"
+    adaptive = "adaptive runs, which have no fixed conditions"
+    given = preflight.experiment.protocol.adaptive
+    _refuse(preflight, (given, ("adaptive",), adaptive, "fixed levels", "plan with a protocol of fixed levels"))
+    refuse_own_levels(preflight)
+
+
+def refuse_own_levels(preflight: Preflight) -> None:
+    """Refuse a protocol whose levels differ between participants.
+
+    Raises
+    ------
+    InputError
+        If they do.
+    """
     _refuse(
         preflight,
-        (protocol.adaptive, ("adaptive",), adaptive, "fixed levels", "plan with a protocol of fixed levels"),
         (
-            protocol.conditions.sensation_levels,
+            preflight.experiment.protocol.conditions.sensation_levels,
             ("conditions", "sensation_levels"),
-            f"{levels}, which depend on thresholds not yet known",
+            "levels calibrated by participant, which depend on thresholds not yet known",
             "fixed levels",
             "plan with peak velocities as you expect them",
         ),

@@ -61,13 +61,13 @@ def _find(preflight: Preflight, place: SessionFolder, thresholds_from: str) -> d
         dataset = replace(place, protocol=thresholds_from).dataset
         _refuse(preflight, f"{thresholds_from!r}, of which {who} has no complete session in {dataset}",
                 "a protocol that has found the participant's threshold", anew)  # fmt: skip
-    from modaltouch.analysis import analyse_runs, read_responses
+    from modaltouch.analysis import analyse_responses, read_responses
 
     responses = read_responses(log, mode=place.mode)
     if not responses.is_adaptive:
         _refuse(preflight, f"{thresholds_from!r}, whose session {log.parent} is not adaptive",
                 "an adaptive protocol", "name the one that finds thresholds")  # fmt: skip
-    runs = [run.as_dict() for run in analyse_runs(responses).runs]
+    runs = analyse_responses(responses).as_dict()["thresholds"]
     silent = [run for run in runs if run["threshold_mm_s"] is None or run["is_uncertain"]]
     if silent:
         first = silent[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,6 +15,7 @@ from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding, correct, to_frame
 from modaltouch.analysis.models import model_table, tidy_files, zone_files
 from modaltouch.analysis.outcome import plain_row
+from modaltouch.analysis.preregistration import ALL_PARTS, Registration, terms_of_tests
 from modaltouch.analysis.ratings import questions_of
 from modaltouch.analysis.responses import Responses, cell_of
 from modaltouch.analysis.statistics import uncorrected
@@ -76,6 +77,8 @@ class PartsAnalysis:
         Files written, by name.
     design : DesignAnalysis, optional
         What the answers tell of each participant, beside counts, and of groups.
+    registration : Registration
+        The preregistration that it was held against.
     """
 
     responses: Responses
@@ -83,6 +86,24 @@ class PartsAnalysis:
     findings: tuple[tuple[CrossedPart, Finding], ...]
     files: dict[str, Path]
     design: DesignAnalysis | None = None
+    registration: Registration = Registration()
+
+    @property
+    def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
+        """The tests that are corrected in families, as a `RegisteredAnalysis` has them."""
+        found = [(ALL_PARTS, self.parts[0].counts, row) for row in self.whole]
+        numbers = {part.name: f"part {number}" for number, part in enumerate(self.parts, start=1)}
+        found += [(numbers[part.name], part.counts, row) for part, row in self.findings]
+        return [each for each in found if each[2].family]
+
+    def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
+        """Return what a preregistration fixes of it, by name."""
+        return {
+            "participants": int(self.responses.frame["participant"].nunique()),
+            "crossed parts, with repetitions": {part.name: part.counts.n_repetitions for part in self.parts},
+            "answers": list(self.responses.answers.names),
+            **terms_of_tests(tests),
+        }
 
     @cached_property
     def whole(self) -> list[Finding]:
@@ -131,6 +152,7 @@ class PartsAnalysis:
             "mode": self.responses.source.mode or None,
             "source": self.responses.source.path,
             "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
+            **self.registration.as_dict(),
         }
 
 
@@ -257,6 +279,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         certified=analysis.design.certified if analysis.design else "",
         limits=analysis.design.limits if analysis.design else (),
         responses=responses,
+        registration=analysis.registration,
         whole=[_line(finding) for finding in analysis.whole],
         alpha=ALPHA,
         record=describe_record(responses.sessions),

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from modaltouch.analysis.certificates import say_certificates
+from modaltouch.analysis.counts import AnswerCounts
+from modaltouch.analysis.findings import Finding
+from modaltouch.analysis.preregistration import Registration
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.thresholds.runs import Run, find_runs, in_words, is_forced, over_participants
@@ -29,11 +32,36 @@ class ThresholdAnalysis:
         Every run with its fit.
     files : dict of str to Path
         Files written, by name.
+    registration : Registration
+        The preregistration that it was held against.
     """
 
     responses: Responses
     runs: tuple[Run, ...]
     files: dict[str, Path]
+    registration: Registration = Registration()
+
+    @property
+    def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
+        """None: thresholds are estimated."""
+        return []
+
+    def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
+        """Return what a preregistration fixes of it, by name."""
+        adaptive = self.responses.start["design"]["adaptive"]
+        return {
+            "participants": len({run.participant for run in self.runs}),
+            "runs": sorted({run.kind for run in self.runs}),
+            "levels [mm/s]": list(self.bounds),
+            "method": adaptive["method"],
+            "trials a run": adaptive["trials"],
+            "answers": list(self.responses.answers.names),
+        }
+
+    @property
+    def thresholds(self) -> list[dict[str, Any]]:
+        """Mean thresholds over participants, one row for each kind of run."""
+        return over_participants(self.runs)
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -45,7 +73,7 @@ class ThresholdAnalysis:
         """Return everything as plain values for ``--json``; what the answers do not tell is null."""
         return {
             "thresholds": [run.as_dict() for run in self.runs],
-            "over_participants": over_participants(self.runs),
+            "over_participants": self.thresholds,
             "files": {name: str(path) for name, path in self.files.items()},
             "n_participants": len({run.participant for run in self.runs}),
             "n_responses": int(self.responses.frame["response"].count()),
@@ -59,6 +87,7 @@ class ThresholdAnalysis:
             "mode": self.responses.source.mode or None,
             "source": self.responses.source.path,
             "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
+            **self.registration.as_dict(),
         }
 
 
@@ -84,7 +113,7 @@ def render_runs(analysis: ThresholdAnalysis) -> dict[str, Any]:
     from modaltouch.analysis.thresholds.figures import draw_runs, draw_thresholds
 
     rows = [run.as_dict() for run in analysis.runs]
-    together = over_participants(analysis.runs)
+    together = analysis.thresholds
     pictures = [ReportFigure("thresholds", draw_thresholds(analysis.runs, analysis.bounds))]
     sessions = list(dict.fromkeys((run.participant, run.session) for run in analysis.runs))
     for participant, session in sessions[:MOST_FIGURES]:
@@ -119,6 +148,7 @@ def _report_files(
         runs=[{"run": run, "words": in_words(run.fitted.threshold) if run.fitted.threshold else None}
               for run in analysis.runs],
         together=together,
+        registration=analysis.registration,
         bounds=analysis.bounds,
         adaptive=design["adaptive"],
         both="" if both is None else both.name,
