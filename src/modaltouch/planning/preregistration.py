@@ -108,21 +108,17 @@ def preregister(
             raise
         refuse_own_levels(preflight)
         found = _by_sessions(study, n_experiments or N_RECORDED, seed, on_progress)
-    terms = _terms(preflight, found)
+    terms, size = _terms(preflight, found), {"n": n_participants, "observer": observer.name, "seed": seed}
     return render_page(
         "modaltouch.planning",
         "prereg.md.j2",
         protocol=protocol,
         path=path,
         plan=found,
-        n=n_participants,
         times=say_times,
         level=100 * ALPHA,
-        observer=observer.name,
-        seed=seed,
-        repeated_by=found.repeated_by.format(
-            path=path, n=n_participants, experiments=found.n_experiments, observer=observer.name, seed=seed
-        ),
+        repeated_by=found.repeated_by.format(path=path, experiments=found.n_experiments, **size),
+        **size,
         terms=terms,
         block=json.dumps(terms, indent=1, ensure_ascii=False),
         version=version(),
