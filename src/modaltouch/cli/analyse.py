@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 _SOURCE = Annotated[
     list[Path],
     typer.Argument(
-        help="A results folder, one of each of several labs, or a CSV with the columns participant, "
+        help="A results folder, one results folder per lab, or a CSV with the columns participant, "
         "finger_condition, zone_left, zone_right, velocity_mm_s, response.",
         show_default=False,
     ),
@@ -26,8 +26,8 @@ _SOURCE = Annotated[
 _OUT = Annotated[
     Path | None,
     typer.Option(
-        help="Folder for what is written.",
-        show_default="derivatives/analysis among the results, or <name>_analysis beside a CSV",
+        help="Folder for the output.",
+        show_default="derivatives/analysis in the results folder, or <name>_analysis next to a CSV",
     ),
 ]
 _FIGURES = Annotated[
@@ -40,7 +40,9 @@ _FIGURES = Annotated[
 
 _SPEED = Annotated[
     Literal["nominal", "predicted", "delivered"],
-    typer.Option(help="Speed taken as the level: asked at the focus, predicted or delivered under the faster finger."),
+    typer.Option(
+        help="Speed used as the level: nominal at the focus, or predicted or delivered under the faster finger."
+    ),
 ]
 
 
@@ -49,28 +51,34 @@ def analyse(
     out: _OUT = None,
     mode: MODE = None,
     stimulus: Annotated[
-        str | None, typer.Option(help="Whose trials to take, of sessions with several stimuli.", show_default="all")
+        str | None,
+        typer.Option(
+            help="The stimulus whose trials to analyse, for sessions with several stimuli.", show_default="all"
+        ),
     ] = None,
     protocol: Annotated[
         str | None,
         typer.Option(
-            help="Protocol that a CSV's answers were given in: what could be answered, and the margin of equivalence."
+            help="Protocol that the answers of a CSV belong to: defines the possible answers and the equivalence "
+            "margin."
         ),
     ] = None,
     answers: Annotated[
-        str | None, typer.Option(help="What a CSV's words stand for, such as L=left,B=both,R=right.")
+        str | None, typer.Option(help="What the words in a CSV stand for, such as L=left,B=both,R=right.")
     ] = None,
     missing: Annotated[
         str | None,
-        typer.Option(help="Words of a CSV that stand for no answer, such as NA,-; an empty field and n/a always do."),
+        typer.Option(help="Words in a CSV that stand for no answer, such as NA,-; an empty field and n/a always do."),
     ] = None,
     figures: _FIGURES = "",
     prereg: Annotated[
         Path | None,
-        typer.Option(help="Preregistration to hold it against.", show_default="PROTOCOL.prereg.md beside the protocol"),
+        typer.Option(
+            help="Preregistration to compare the analysis with.", show_default="PROTOCOL.prereg.md next to the protocol"
+        ),
     ] = None,
     model: Annotated[
-        bool, typer.Option("--model", help="Also fit a mixed logistic model, refused where answers are separated.")
+        bool, typer.Option("--model", help="Also fit a mixed logistic model; refused if the answers are separated.")
     ] = False,
     speed: _SPEED = "nominal",
     json_output: JSON = False,

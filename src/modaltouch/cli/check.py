@@ -49,19 +49,19 @@ def check(
     ] = False,
     designs: Annotated[
         bool,
-        typer.Option("--designs", help="Also show designs of lower peak voltage for the field, and their cost."),
+        typer.Option("--designs", help="Also show designs with a lower peak voltage for the field, and their cost."),
     ] = False,
     contrast: Annotated[
         bool,
         typer.Option(
             "--contrast",
-            help="Also show how much faster than the other touched zone the focus could move; some seconds.",
+            help="Also show how much faster the focus could move than the other touched zone; takes some seconds.",
         ),
     ] = False,
     fingers: Annotated[
         str | None,
         typer.Option(
-            help="Also show each level under fingers: `typical`, or a YAML file; `none` for the untouched beam alone.",
+            help="Also show each level under fingers: `typical`, or a YAML file; `none` for the untouched beam only.",
             show_default="those that the protocol is designed for",
         ),
     ] = None,
@@ -73,8 +73,8 @@ def check(
 ) -> None:
     """Validate a protocol, synthesise its stimuli and predict the speeds at the zones.
 
-    Nothing is opened, and nothing written but what --export names. All faults are reported at once, each with file,
-    line and column.
+    No instrument is opened, and only --export writes a file. All faults are reported at once, each with file, line and
+    column.
     """
     from modaltouch.preflight import check_legibility, examine
 

@@ -19,14 +19,16 @@ Estimator = Literal["H1", "H2", "Hv"]
 FILES = Annotated[
     list[Path] | None,
     typer.Argument(
-        help="Measured responses or records over time (.uff, .unv, .csv, .npz, .lvm, .txt), or folders of earlier "
-        "scans, instead of a rig; what is measured again is a repeat.",
+        help="Measured responses or time records (.uff, .unv, .csv, .npz, .lvm, .txt), or folders of earlier scans, "
+        "instead of a rig; anything measured again counts as a repeat.",
         show_default=False,
     ),
 ]
 OUT = Annotated[Path, typer.Option(help="Folder for scans, apparatus file, table and figures.")]
 POINTS = Annotated[int, typer.Option(min=2, help="Evenly spaced points of the scan.")]
-AVERAGES = Annotated[int, typer.Option(min=1, help="Records averaged at each point; of a file, how many were.")]
+AVERAGES = Annotated[
+    int, typer.Option(min=1, help="Records averaged at each point; for a file, how many were averaged.")
+]
 DRIVE = Annotated[float, typer.Option("--drive-V", help="Peak of the excitation at the beam [V].")]
 EXCITATION = Annotated[
     Excitation, typer.Option(help="multisine: all modes at once; chirp: one after the other, as in the paper.")
@@ -39,20 +41,21 @@ MARGIN = Annotated[float, typer.Option("--margin-mm", help="Distance from the be
 ROWS = Annotated[
     int,
     typer.Option(
-        min=1, help="Rows of points over the width to measure, an odd number; from 3 on shapes are maps with torsion."
+        min=1,
+        help="Rows of points over the width to measure, an odd number; with 3 or more, shapes are maps with torsion.",
     ),
 ]
 SETS = Annotated[list[str] | None, typer.Option("--set", help="Actuator set, repeatable.", show_default="all sets")]
 MODES = Annotated[
-    str, typer.Option(help="Modes of the new table: `listed` in the apparatus file, `all`, or labels as 1,3,5.")
+    str, typer.Option(help="Modes of the new table: `listed` in the apparatus file, `all`, or labels such as 1,3,5.")
 ]
-QUANTITY = Annotated[Quantity | None, typer.Option(help="What a file holds, where it does not say so.")]
+QUANTITY = Annotated[Quantity | None, typer.Option(help="What a file contains, if it does not say so.")]
 CONJUGATED = Annotated[bool, typer.Option("--conjugated", help="The files follow exp(-i w t).")]
 LOWEST = Annotated[
-    float | None, typer.Option("--lowest-Hz", help="Lowest frequency used of a file.", show_default="the whole band")
+    float | None, typer.Option("--lowest-Hz", help="Lowest frequency used from a file.", show_default="the whole band")
 ]
 SPACING = Annotated[
-    float | None, typer.Option("--spacing-Hz", help="Frequency step of a file that holds numbers alone.")
+    float | None, typer.Option("--spacing-Hz", help="Frequency step of a file that contains only numbers.")
 ]
 LEAVE_OUT = Annotated[
     list[float] | None,
@@ -63,10 +66,10 @@ USE_CLIPPED = Annotated[
 ]
 ESTIMATOR = Annotated[
     Estimator,
-    typer.Option(help="H1; H2 where the measured drive is noisy; Hv lies between."),
+    typer.Option(help="H1; H2 if the measured drive is noisy; Hv lies between."),
 ]
 SEED = Annotated[
-    int | None, typer.Option(min=0, help="Seed of the simulated rig, instead of that in the apparatus file.")
+    int | None, typer.Option(min=0, help="Seed of the simulated rig, instead of the one in the apparatus file.")
 ]
 EXPORT = Annotated[
     Path | None,
@@ -103,8 +106,8 @@ def identify(
 ) -> None:
     """Identify natural frequencies, damping ratios, gains and shapes of a beam, each with its 95 % interval.
 
-    Each point is on the disk as soon as it is measured. A scan that was stopped goes on when the same command is given
-    again. The result is an apparatus file that `modaltouch check` reads, with a table and figures beside it.
+    Each point is on disk as soon as it is measured. To continue an interrupted scan, run the same command again. The
+    result is an apparatus file that `modaltouch check` reads, with a table and figures next to it.
     """
     from modaltouch.lab import IdentifyOptions
     from modaltouch.lab import identify as measure

@@ -94,22 +94,24 @@ def calibrate(
     protocol: PROTOCOL,
     out: Annotated[Path, typer.Option(help="File for the calibration; never overwritten.", show_default=False)],
     rig: MEASURED_RIG = "simulated",
-    person: Annotated[str, typer.Option(help="Who calibrates, for the file.", show_default="nobody named")] = "",
+    person: Annotated[
+        str, typer.Option(help="Who calibrates, to be named in the file.", show_default="nobody named")
+    ] = "",
     accept: Annotated[
-        bool, typer.Option("--accept", help="Write a calibration that misses its limits too, with a mark.")
+        bool, typer.Option("--accept", help="Write the calibration even if it misses its limits, and mark it.")
     ] = False,
     record: RECORD = None,
     json_output: JSON = False,
 ) -> None:
-    """Measure what each stimulus really does at the focusing instant, and correct its targets until both agree.
+    """Measure what each stimulus actually does at the focusing instant, and correct its targets until both agree.
 
     Amplifier, clock, modes and vibrometer are identified first. Then velocity and displacement of every modelled mode
-    are read off the free decay after the focus, and the targets of the exact law corrected, until nothing is left that
-    noise does not explain. Last, every velocity level is verified at the focus; where adaptive runs
-    or participants have levels of their own, the bounds and three levels between them at equal ratios (2, 6.325, 20,
-    63.25 and 200 of 2 to 200 mm/s). Of a protocol with
-    several stimuli all are calibrated, into one file. Nothing is written before the end, and nothing that misses the
-    protocol's `calibration.limits`, unless --accept is given: `run` then takes it with --with-marked-calibration alone.
+    are measured in the free decay after the focus, and the targets of the exact law are corrected until only errors
+    that noise explains remain. Last, every velocity level is verified at the focus; where adaptive runs or participants
+    have levels of their own, the bounds and three levels between them at equal ratios are verified (2, 6.325, 20, 63.25
+    and 200 for 2 to 200 mm/s). All stimuli of a protocol are calibrated, into one file. Nothing is written before the
+    end. A calibration that misses the protocol's `calibration.limits` needs --accept to be written, and `run` needs
+    --with-marked-calibration to use it.
     """
     from modaltouch.lab import calibrate as measure
 
@@ -196,7 +198,9 @@ def compare(
     beams: Annotated[
         int,
         typer.Option(
-            min=0, max=10_000, help="Other beams, drawn around the learned one, on which the drives are played."
+            min=0,
+            max=10_000,
+            help="Other beams, drawn at random around the learned one, on which the drives are played.",
         ),
     ] = 20,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first other beam.")] = 1,
@@ -255,14 +259,16 @@ def validate(
     averages: Annotated[int, typer.Option(min=1, max=1000, help="Records at each point.")] = 10,
     rows: Annotated[
         int,
-        typer.Option(min=1, help="Rows of points over the width to measure, an odd number; from 3 on Fig. 7 is a map."),
+        typer.Option(
+            min=1, help="Rows of points over the width to measure, an odd number; with 3 or more, Fig. 7 is a map."
+        ),
     ] = 1,
     record: RECORD = None,
     json_output: JSON = False,
 ) -> None:
     """Play the drive by both laws, scan the beam, and show the paper's Fig. 2 and 5 to 8 on one page.
 
-    The highest level of the protocol is played. The measured field is compared with the desired one, errors in mm/s.
+    The highest level of the protocol is played. The measured field is compared with the target; errors are in mm/s.
     """
     from modaltouch.lab import validate as measure
 
@@ -312,7 +318,7 @@ def probe(
     out: Annotated[Path, typer.Option(help="File for the fingers; never overwritten.")] = Path("fingers.yaml"),
     rig: MEASURED_RIG = "simulated",
     pair: Annotated[
-        str, typer.Option(help="Zones that the fingers lie on, such as A-C.", show_default="the first pair")
+        str, typer.Option(help="Zones that the fingers rest on, such as A-C.", show_default="the first pair")
     ] = "",
     hand: Annotated[
         Literal["left", "right"] | None, typer.Option(help="Hand used in one_hand.", show_default="the protocol's")
@@ -324,16 +330,19 @@ def probe(
         ),
     ] = None,
     speed_mm_s: Annotated[
-        float, typer.Option("--speed-mm-s", min=0.1, max=50, help="Highest under fingers and laser; 15 is felt.")
+        float,
+        typer.Option(
+            "--speed-mm-s", min=0.1, max=50, help="Highest speed under the fingers and the laser; 15 can be felt."
+        ),
     ] = 15.0,
     seed: SEED_OF_TWIN = None,
     json_output: JSON = False,
 ) -> None:
     """Probe the beam with hands off and on, and write what each finger adds to it.
 
-    Sines of at most 15 mm/s, unless told otherwise, are played for half a second each time. What comes of it is a file
-    that `stimulus.fingers` and `modaltouch check --fingers` take, with the level that a design for these fingers
-    reaches under them, and its 95 % interval. The table must have all modes of the beam, even ones too; `modaltouch
+    Sines of at most 15 mm/s, unless told otherwise, are played for half a second each time. The result is a file for
+    `stimulus.fingers` and `modaltouch check --fingers`, which gives the level that a design for these fingers reaches
+    under them, with its 95 % interval. The table must contain all modes of the beam, including even ones; `modaltouch
     identify --modes all` finds them.
     """
     from modaltouch.lab import probe_fingers

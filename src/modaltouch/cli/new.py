@@ -24,7 +24,7 @@ def new(
 ) -> None:
     """Write a study: a shipped protocol with the shipped apparatus, texts and schemas, ready to be changed.
 
-    Its README.md lists the commands in their order. Nothing is ever overwritten.
+    Its README.md lists the commands in order. Nothing is ever overwritten.
     """
     with reporting(json_output=json_output):
         files = write_study(folder, template)

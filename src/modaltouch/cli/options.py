@@ -21,7 +21,7 @@ class ThemeChoice(StrEnum):
 
 
 # Eager: known before a protocol is looked for.
-JSON = Annotated[bool, typer.Option("--json", help="One JSON object on standard output.", is_eager=True)]
+JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.", is_eager=True)]
 
 
 def _find(context: typer.Context, protocol: Path) -> Path:
@@ -39,12 +39,12 @@ PROTOCOL = Annotated[
 CALIBRATION = Annotated[
     Path | None,
     typer.Option(
-        help="Calibration file to use, as `modaltouch calibrate` wrote it.", show_default="the one the protocol names"
+        help="Calibration file to use, written by `modaltouch calibrate`.", show_default="the one the protocol names"
     ),
 ]
 WITH_MARKED = Annotated[
     bool,
-    typer.Option("--with-marked-calibration", help="Take a calibration that is marked since it misses its limits."),
+    typer.Option("--with-marked-calibration", help="Accept a calibration marked as missing its limits."),
 ]
 APPARATUS = Annotated[Path, typer.Option("--apparatus", help="Apparatus: a YAML file, or a shipped one.")]
 _OBSERVER = "Who is simulated: a YAML file, or a shipped observer such as `paper` or `near_miss`."
@@ -63,14 +63,14 @@ FULLSCREEN = Annotated[
     bool | None,
     typer.Option(
         "--fullscreen/--windowed",
-        help="Answer window over the whole screen.",
+        help="Show the answer window full screen.",
         show_default="windowed; a resumed session keeps its own",
     ),
 ]
 SIZE = Annotated[
     str | None,
     typer.Option(
-        help="Size of the answer window in pixels, where it is not full screen.",
+        help="Size of the answer window in pixels, unless it is full screen.",
         show_default="1280x800; a resumed session keeps its own",
     ),
 ]
@@ -84,13 +84,15 @@ SCREEN = Annotated[
         min=0, help="Which screen shows the answer window.", show_default="0; a resumed session keeps its own"
     ),
 ]
-SCREENSHOTS = Annotated[Path | None, typer.Option(help="Folder for a picture of each kind of screen.")]
+SCREENSHOTS = Annotated[Path | None, typer.Option(help="Folder for a screenshot of each kind of screen.")]
 
 EVENTS = Annotated[
     Path | None,
-    typer.Option(help="File or named pipe for the session's state as JSON lines; a pipe nobody reads delays nothing."),
+    typer.Option(
+        help="File or named pipe for the session's state as JSON lines; a pipe that nobody reads causes no delay."
+    ),
 ]
-PLAIN = Annotated[bool, typer.Option("--plain", help="Plain lines instead of the live console, and no keys.")]
+PLAIN = Annotated[bool, typer.Option("--plain", help="Print plain lines instead of the live console, without keys.")]
 
 MEASURED_RIG = Annotated[
     str, typer.Option(help="`simulated`, or the generator's VISA address; a real one is measured with a PicoScope.")
@@ -98,8 +100,11 @@ MEASURED_RIG = Annotated[
 RECORD = Annotated[
     Path | None,
     typer.Option(
-        help="Folder where another scope leaves its records as CSV or NPZ files, each as it is asked for.",
+        help="Folder where another scope leaves its records as CSV or NPZ files, one by one as the program asks for "
+        "them.",
         show_default="measured with a PicoScope",
     ),
 ]
-SEED_OF_TWIN = Annotated[int | None, typer.Option(min=0, help="Instead of the seed in the apparatus file.")]
+SEED_OF_TWIN = Annotated[
+    int | None, typer.Option(min=0, help="Seed of the simulated rig, instead of the one in the apparatus file.")
+]

@@ -42,12 +42,12 @@ def power(
     participants: PARTICIPANTS = "6:40:2",
     reps: REPETITIONS = None,
     observer: OBSERVER = "paper",
-    experiments: Annotated[int, typer.Option(min=1, max=1_000_000, help="Experiments simulated of each size.")] = 1000,
+    experiments: Annotated[int, typer.Option(min=1, max=1_000_000, help="Experiments simulated for each size.")] = 1000,
     questions: Annotated[
         str | None,
         typer.Option(
             help="Which families of tests: a1, a2, b, c, d, the means `a2 mean` to `d mean`, and `c alike`.",
-            show_default="a1,a2,b,c,d, and c alike where the protocol fixes a margin",
+            show_default="a1,a2,b,c,d, and c alike if the protocol sets a margin",
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed; the same seed gives the same figures.")] = 1,
@@ -59,11 +59,11 @@ def power(
     ] = None,
     json_output: JSON = False,
 ) -> None:
-    """Say how likely an experiment of each size is to answer its questions, by simulating the protocol itself.
+    """Estimate how likely an experiment of each size is to answer its questions, by simulating the protocol itself.
 
     Simulated participants answer every condition of the protocol, and the exact tests of the analysis, with Holm's
-    correction, are done on their answers. Where the protocol has several stimuli, each is planned by itself, as
-    `modaltouch analyse --stimulus` takes it. Ctrl-C keeps what is done.
+    correction, are run on their answers. If the protocol has several stimuli, each is planned separately, as in
+    `modaltouch analyse --stimulus`. Ctrl-C keeps the results so far.
     """
     sizes_n = parse_sizes(participants, "--participants", _MOST_PARTICIPANTS)
     sizes_r = parse_sizes(reps, "--reps", _MOST_ANSWERS) if reps is not None else None
@@ -281,14 +281,16 @@ def _simulate_study(preflight: Preflight, population: Observer, n_participants: 
 
 def prereg(
     protocol: PROTOCOL,
-    participants: Annotated[int, typer.Option("--participants", "-n", min=1, max=1000, help="How many are planned.")],
+    participants: Annotated[
+        int, typer.Option("--participants", "-n", min=1, max=1000, help="Planned number of participants.")
+    ],
     observer: USUAL_OBSERVER = None,
     experiments: Annotated[
         int | None,
         typer.Option(
             min=1,
             max=1_000_000,
-            help="Experiments simulated for the power.",
+            help="Experiments simulated to find the power.",
             show_default="1000; 20 where whole sessions are simulated",
         ),
     ] = None,
@@ -300,9 +302,9 @@ def prereg(
 ) -> None:
     """Write design, hypotheses, tests, margins, exclusion rules and sample size as one page of Markdown.
 
-    The power is that of the protocol itself, simulated: by counts of answers where two fingers are compared, else by
-    whole sessions and their analysis. A page that is there already is never overwritten.
-    `modaltouch analyse` says what departs from it.
+    The power is found by simulating the protocol itself: by counts of answers where two fingers are compared, otherwise
+    by whole sessions and their analysis. An existing page is never overwritten. `modaltouch analyse` lists departures
+    from it.
     """
     from modaltouch.planning import preregister, read_observer, usual_observer
     from modaltouch.preflight import examine
@@ -344,8 +346,8 @@ def fit(
 ) -> None:
     """Fit a simulated observer to recorded answers, such as a pilot's, to plan the next study with.
 
-    The observer that is given is the centre of the priors, and its front end is kept. Where the protocol has several
-    stimuli, one observer is fitted to the answers to all of them.
+    The given observer is the centre of the priors, and its front end is kept. If the protocol has several stimuli, one
+    observer is fitted to the answers to all of them.
     """
     from modaltouch.planning import fit_answers, read_observer, write_observer
     from modaltouch.preflight import examine

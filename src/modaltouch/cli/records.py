@@ -30,7 +30,7 @@ def verify(
     session: Annotated[Path, typer.Argument(help=f"{RECORDS}.", show_default=False)],
     json_output: JSON = False,
 ) -> None:
-    """Check the record of a session, or of all in a folder: lines, order, drive and BIDS view, all recomputed."""
+    """Check the record of a session, or of all in a folder: recompute lines, order, drive and BIDS view."""
     from modaltouch.record import Session, audit_session
 
     with reporting(json_output=json_output):
@@ -76,15 +76,15 @@ def _look_at(place: Path, look: Callable[[Path, bool], _Seen], *, json_output: b
 def doctor(
     session: Annotated[
         Path | None,
-        typer.Argument(help=f"{RECORDS}: say what of it can be recovered.", show_default=False),
+        typer.Argument(help=f"{RECORDS}: say what can be recovered.", show_default=False),
     ] = None,
     into: Annotated[
         Path | None,
-        typer.Option(help="Recover what is damaged into this new results folder.", show_default=False),
+        typer.Option(help="Recover damaged records into this new results folder.", show_default=False),
     ] = None,
     results: Annotated[Path, typer.Option(help="Folder where sessions would be recorded.")] = Path("results"),
     timing: Annotated[
-        bool, typer.Option("--timing", help="Measure frames, keys, generator and clock instead, some seconds.")
+        bool, typer.Option("--timing", help="Measure frames, keys, generator and clock instead; takes some seconds.")
     ] = False,
     packages: Annotated[
         bool, typer.Option("--packages", help="Print only the Debian packages that are missing, for `apt install`.")
@@ -95,10 +95,10 @@ def doctor(
     apparatus: APPARATUS = SHIPPED_APPARATUS,
     json_output: JSON = False,
 ) -> None:
-    """Check this machine for what a session needs, and say how to get what is missing.
+    """Check that this machine has what a session needs, and say how to get what is missing.
 
-    With a SESSION, or a folder of them, look at the records instead: what is damaged, what can still be verified, and
-    with --into a new record of that. The damaged one is never touched.
+    With a SESSION, or a folder of sessions, examine the records instead: what is damaged and what can still be
+    verified. --into writes the verified part to a new record. The damaged record is never touched.
     """
     with reporting(json_output=json_output):
         if session is not None:
@@ -190,13 +190,13 @@ _MAKER = '<meta name="generator" content="modaltouch study">'
 def study(
     results: Annotated[Path, typer.Argument(help="A results folder, or a folder in it.", show_default=False)],
     html: Annotated[
-        Path | None, typer.Option(help="Also write it as a page into this file, such as study.html.")
+        Path | None, typer.Option(help="Also write the result as a page to this file, such as study.html.")
     ] = None,
     json_output: JSON = False,
 ) -> None:
     """Show who has done which session, what is open, and who is next with which order.
 
-    Only the logs are read, and nothing is changed; `modaltouch verify` recomputes them.
+    This reads only the logs and changes nothing; `modaltouch verify` recomputes them.
     """
     from modaltouch.session import survey_results
 

@@ -42,11 +42,11 @@ def check(
     apparatus: APPARATUS = SHIPPED_APPARATUS,
     scope: Annotated[
         bool,
-        typer.Option("--scope", help="A PicoScope listens at the trigger output: measure the trigger's latency."),
+        typer.Option("--scope", help="Measure the trigger's latency with a PicoScope at the trigger output."),
     ] = False,
     json_output: JSON = False,
 ) -> None:
-    """Find out what a generator really does where its manual is silent, and whether it is fit for a session.
+    """Find out what a generator actually does where its manual is silent, and whether it is fit for a session.
 
     Nothing is played: the outputs stay off, except where a question says otherwise.
     """
@@ -74,7 +74,7 @@ def check(
 @rig.command("simulate")
 def simulate(
     apparatus: APPARATUS = SHIPPED_APPARATUS,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port on this machine; 0 takes a free one.")] = 0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port on this machine; 0 for any free one.")] = 0,
     seed: SEED_OF_TWIN = None,
     played: Annotated[
         Path | None,
@@ -82,16 +82,18 @@ def simulate(
     ] = None,
     follow: Annotated[
         Path | None,
-        typer.Option(metavar="LOG", help="Log of the session, whose placements lay fingers here.", show_default=False),
+        typer.Option(
+            metavar="LOG", help="Log of the session whose finger placements the rig follows.", show_default=False
+        ),
     ] = None,
 ) -> None:
-    """Run a simulated rig for other programs, on this machine alone, until it is interrupted.
+    """Run a simulated rig for other programs on this machine, until it is interrupted.
 
-    The first line on standard output is its VISA address, the second that of its raw socket. `--played` tells what it
-    really played: `start_s` and `end_s` on this machine's monotonic clock, whether the burst is `whole`,
+    The first line on standard output is its VISA address, the second that of its raw socket. `--played` records what it
+    actually played: `start_s` and `end_s` on this machine's monotonic clock, whether the burst is `whole`,
     `amplitude_Vpp` of both outputs, the peak speed `zone_peak_mm_s` at each zone's centre, and the `link` that
-    triggered it: 0 for the front panel, null for a burst that came by itself. With `--follow FOLDER/session.jsonl`,
-    which may begin later, fingers lie where that session places them, and `finger_peak_mm_s` is the peak speed under
+    triggered it: 0 for the front panel, null for a burst that nobody triggered. With `--follow FOLDER/session.jsonl`,
+    which may begin later, fingers rest where that session places them, and `finger_peak_mm_s` is the peak speed under
     each.
     """
     from modaltouch.protocol import Apparatus

@@ -50,7 +50,8 @@ class AnswersChoice(StrEnum):
 RIG = Annotated[
     str | None,
     typer.Option(
-        help="The generator's VISA address, such as TCPIP::192.168.1.20::INSTR, or `simulated`: nothing then vibrates.",
+        help="The generator's VISA address, such as TCPIP::192.168.1.20::INSTR, or `simulated`, where nothing "
+        "vibrates.",
         show_default="asked",
     ),
 ]
@@ -68,29 +69,29 @@ SESSION_NUMBER = Annotated[
     int | None,
     typer.Option("--session", "-s", min=1, help="Number of the session.", show_default="the participant's next"),
 ]
-PILOT = Annotated[bool, typer.Option("--pilot", help="Mark the session as a pilot, whose data are kept apart.")]
+PILOT = Annotated[bool, typer.Option("--pilot", help="Mark the session as a pilot; pilot data are kept separate.")]
 YES = Annotated[bool, typer.Option("--yes", "-y", help="Begin without asking.")]
 THRESHOLD = Annotated[
     float | None,
     typer.Option(
         "--threshold",
         min=1e-3,
-        help="The participant's own threshold in mm/s, where the protocol calibrates levels by participant and it was "
-        "measured otherwise.",
+        help="The participant's own threshold in mm/s, if the protocol calibrates levels by participant and the "
+        "threshold was measured in another way.",
         show_default="from the participant's session that found it",
     ),
 ]
 
 GROUP = Annotated[
-    str | None, typer.Option(help="The participant's group, where the protocol has groups.", show_default="the one due")
+    str | None, typer.Option(help="The participant's group, if the protocol has groups.", show_default="the one due")
 ]
 ANY_GAP = Annotated[
-    bool, typer.Option("--any-gap", help="Begin however little time has passed since the session before.")
+    bool, typer.Option("--any-gap", help="Begin even if the minimum time since the previous session has not passed.")
 ]
 PEOPLE = Annotated[
     Path | None,
     typer.Option(
-        help="YAML file with what the protocol asks about the participant, a line to each field.",
+        help="YAML file with the answers to the protocol's questions about the participant, one line per field.",
         show_default="asked, before the first session",
     ),
 ]
@@ -124,8 +125,8 @@ def run(
     """Run one participant's session, after a full check of the protocol.
 
     In a terminal it asks for what is missing, shows the check and waits for `start`; then the terminal is the
-    experimenter's console. Every answer is on the disk before the next trial. If anything ends the session early, the
-    outputs are off and `modaltouch resume` goes on where it stopped.
+    experimenter's console. Every answer is on disk before the next trial. If anything ends the session early, the
+    outputs are off and `modaltouch resume` continues where it stopped.
     """
     from modaltouch.cli.prompts import ask_participant, ask_rig, can_ask, wait_for_start
     from modaltouch.preflight import check_legibility, examine
@@ -184,12 +185,12 @@ def _try_masking(setup: Setup) -> None:
 
 def resume(
     session: SESSION,
-    rig: Annotated[str | None, typer.Option(help="Another VISA address than the recorded one.")] = None,
+    rig: Annotated[str | None, typer.Option(help="VISA address to use instead of the recorded one.")] = None,
     answers: Annotated[
-        AnswersChoice | None, typer.Option(help="Another way of answering than the recorded one.")
+        AnswersChoice | None, typer.Option(help="Way of answering to use instead of the recorded one.")
     ] = None,
     restart: Annotated[
-        bool, typer.Option("--restart", help="Close it, its answers kept, and begin it anew as the next session.")
+        bool, typer.Option("--restart", help="Close the session, keep its answers, and start over as the next session.")
     ] = False,
     fullscreen: FULLSCREEN = None,
     size: SIZE = None,
@@ -200,12 +201,12 @@ def resume(
     plain: PLAIN = False,
     json_output: JSON = False,
 ) -> None:
-    """Go on with an interrupted session: the trials that are left, in the order they had.
+    """Continue an interrupted session: the remaining trials, in their original order.
 
-    Where the protocol says so (`schedule.resume`), the block that was cut begins anew, or the whole session does.
+    Where the protocol says so (`schedule.resume`), the interrupted block or the whole session starts over.
 
-    Everything is taken from the record itself, so it does not matter what became of the protocol's files. The answer
-    window opens as it was, unless an option says otherwise.
+    Everything is taken from the record itself, so later changes to the protocol's files do not matter. The answer
+    window opens as before, unless an option says otherwise.
     """
     from modaltouch.session import resume as go_on
     from modaltouch.session import wire_resume
@@ -230,7 +231,7 @@ def demo(
 ) -> None:
     """Run a whole short session on the simulated rig, in the real window, and report it.
 
-    A simulated participant answers by typing into the window. Without a screen a virtual one is started.
+    A simulated participant answers by typing into the window. Without a screen, a virtual one is started.
     """
     from modaltouch.window import WindowOptions
 

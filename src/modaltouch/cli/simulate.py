@@ -24,7 +24,7 @@ def simulate(
 ) -> None:
     """Run a cohort of simulated participants through the same code on the simulated rig.
 
-    One session each, or of a protocol with kinds of session all of them.
+    Each has one session, or every kind of session that the protocol lists.
     """
     from modaltouch.planning import read_observer, usual_observer
     from modaltouch.preflight import examine
