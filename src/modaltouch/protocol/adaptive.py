@@ -23,16 +23,17 @@ class StaircaseSection(Section):
     """Weighted and transformed up-down: down after so many successes in a row, up after each failure."""
 
     down_after: Annotated[Count, Field(le=6)] = described(
-        "Successes in a row after which the level falls; each failure lifts it.", default=1
+        "Number of successes in a row that lowers the level; each failure raises it.", default=1
     )
     steps_dB: tuple[Decibels, ...] = described(  # noqa: N815
-        "Steps down, the next one after each reversal, the last one for the rest of the run [dB, 20 to a decade].",
+        "Sizes of the steps down: the next size after each reversal, the last one for the rest of the run [dB, 20 per "
+        "decade].",
         default=(8.0, 4.0, 2.0),
         min_length=1,
         max_length=20,
     )
     up_over_down: Annotated[float, Field(strict=True, gt=0, le=10)] = described(
-        "Step up relative to the step down.", default=1.0
+        "Size of a step up relative to a step down.", default=1.0
     )
 
     @property
@@ -50,26 +51,28 @@ class AdaptiveSection(Section):
     """A run over the level for each finger condition, pair of zones and stimulus, instead of fixed levels."""
 
     method: Literal["staircase", "quest_plus"] = described(
-        "staircase: up and down by the latest answers; quest_plus: the level that is expected to be most informative.",
+        "staircase: up and down according to the latest answers; quest_plus: the level expected to be most "
+        "informative.",
         default="quest_plus",
     )
     trials: Annotated[int, Field(strict=True, ge=8, le=1000)] = described(
-        "Trials of each run, of which there is one for each finger condition, pair and stimulus.", default=40
+        "Trials in each run; there is one run for each finger condition, pair and stimulus.", default=40
     )
     start_mm_s: Positive = described("Level of the first trial of each run [mm/s].")
     success: Literal["focus_named", "felt", "correct"] | Word = described(
-        "Which answers count as success: focus_named, the finger in focus alone; felt, any but none; correct, the "
-        "right one where a trial has several intervals; or the name of one answer, as stronger.",
+        "Which answers count as success: focus_named, only the finger on the focus; felt, any but none; correct, the "
+        "right one if a trial has several intervals; or the name of one answer, such as stronger.",
         default="focus_named",
     )
     guess_rate: GuessRate = described(
-        "Share of successes where nothing is felt [1]; fitted instead where there are catch trials.", default=0.0
+        "Share of successes where nothing is felt [1]; fitted instead if there are catch trials.", default=0.0
     )
     lapse_rate: LapseRate = described(
-        "Share of failures where everything is felt, as assumed by quest_plus and as the largest a fit may find [1].",
+        "Share of failures where everything is felt: the value that quest_plus assumes, and the largest that a fit may "
+        "find [1].",
         default=0.06,
     )
-    staircase: StaircaseSection = described("The rule of the staircase.", default=StaircaseSection())
+    staircase: StaircaseSection = described("Rule of the staircase.", default=StaircaseSection())
 
     @property
     def algorithm(self) -> dict[str, Any]:

@@ -51,18 +51,18 @@ class Beam(Section):
     width_mm: Positive = described("Width of the beam [mm].")
     thickness_mm: Positive = described("Thickness of the beam [mm].")
     mass_g: Positive | None = described(
-        "Moving mass, patches included, that fingers add to [g]; null for plain aluminium of these sizes.",
+        "Moving mass without fingers, including the patches [g]; null for a plain aluminium beam of this size.",
         default=None,
     )
     theory: Literal["euler_bernoulli", "timoshenko", "measured"] = described(
-        "Where the mode shapes come from: those of a slender uniform free-free beam, of one with shear and rotary "
-        "inertia, or of a scan (`measured_shapes`).",
+        "Source of the mode shapes: a slender uniform free-free beam, one with shear and rotary inertia, or a scan "
+        "(`measured_shapes`).",
         default="euler_bernoulli",
     )
     poissons_ratio: Annotated[float, Field(strict=True, gt=-1, le=0.5)] = described(
-        "Poisson's ratio, by which the timoshenko theory knows the shear stiffness [1].", default=0.33
+        "Poisson's ratio, which sets the shear stiffness in the timoshenko theory [1].", default=0.33
     )
-    measured_shapes: ShapeTable | None = described("Shapes of a scan, for `theory: measured`.", default=None)
+    measured_shapes: ShapeTable | None = described("Mode shapes from a scan, for `theory: measured`.", default=None)
 
     @property
     def mass(self) -> float:
@@ -88,7 +88,7 @@ class ActuatorSet(Section):
 
     channel: Annotated[int, Field(strict=True, ge=1, le=2)] = described("Generator output that feeds the set.")
     patches_mm: tuple[tuple[Number, Number], ...] = described(
-        "Left and right end of each patch [mm from mid-beam], by which `check` offers missing gains.", default=()
+        "Left and right end of each patch [mm from mid-beam]; from them `check` suggests missing gains.", default=()
     )
 
 
@@ -99,8 +99,8 @@ class Mode(Section):
     natural_frequency_Hz: Positive = described("Natural frequency [Hz].")  # noqa: N815
     damping_ratio: DampingRatio = described("Damping ratio [1].")
     gain_mm_s2_per_V: dict[Word, Number] = described(  # noqa: N815
-        "Modal acceleration per volt at the beam [mm/s^2 per V], by actuator set; a set that is left out is "
-        "unknown and taken as zero."
+        "Modal acceleration per volt at the beam [mm/s^2 per V], by actuator set; the gain of a set that is left out "
+        "is unknown and taken as zero."
     )
     assumed: tuple[Word, ...] = described("Actuator sets whose gain is assumed, not measured.", default=())
     intervals_95: Intervals | None = described("95 % intervals, as identified.", default=None)
@@ -127,20 +127,20 @@ class Safety(Section):
 class GeneratorSection(Section):
     """The arbitrary function generator."""
 
-    model: Text = described("Model as its identity names it.", default="AFG3022B")
+    model: Text = described("Model, as given in the instrument's identity.", default="AFG3022B")
     load: Literal["high_impedance", "50_ohm"] = described(
-        "What its outputs see: high_impedance or 50_ohm.", default="high_impedance"
+        "Load on the outputs: high_impedance or 50_ohm.", default="high_impedance"
     )
     repetition: Literal["single", "timer", "continuous", "wired", "burst"] = described(
-        "single: each burst is triggered by its own command, counted and dated; timer: the generator's free "
-        "timer, whose bursts are neither; wired: a pulse source at the trigger input, which counts them; continuous: "
-        "one record that holds burst and silence, for a generator whose burst mode cannot be used (it cannot be exact: "
-        "check --compare says by how much). `burst` is the former name of timer.",
+        "single: each burst is triggered by its own command, counted and timed; timer: the generator's free timer, "
+        "whose bursts are neither counted nor timed; wired: a pulse source at the trigger input, which counts them; "
+        "continuous: one record of burst and silence, for a generator whose burst mode cannot be used (this cannot be "
+        "exact: check --compare shows the error). `burst` is the former name of timer.",
         default="single",
     )
     trigger_latency_ms: Latency | None = described(
-        "From the command that triggers a burst to its first sample, as `rig check --scope` measures it "
-        "[ms]; null where it is unknown, and no instant is then claimed to less than a millisecond.",
+        "Time from the command that triggers a burst to its first sample, as measured by `rig check --scope` [ms]; "
+        "null if unknown, in which case no instant is claimed to better than a millisecond.",
         default=None,
     )
 
@@ -165,24 +165,25 @@ class AcquisitionSection(Section):
     """What velocity and drive are measured with, as its knobs are set."""
 
     sensitivity_mm_s_per_V: Positive = described(  # noqa: N815
-        "What a volt of the vibrometer's output stands for [mm/s per V].", default=50.0
+        "Velocity per volt of the vibrometer's output [mm/s per V].", default=50.0
     )
     sensitivity_uncertainty_percent: NotNegative = described(
-        "Half width of its 95 % interval, by data sheet or certificate [%]. It is part of the uncertainty that a "
-        "calibration states; it scales all speeds alike, so the limits judge them as this vibrometer shows them.",
+        "Half width of the 95 % interval of the sensitivity, from the data sheet or certificate [%]. It is part of the "
+        "uncertainty that a calibration states. It scales all speeds alike, so the limits do not include it.",
         default=1.0,
     )
     range_mm_s: Positive = described("Highest velocity in the vibrometer's range [mm/s, peak].", default=500.0)
     vibrometer_bandwidth_kHz: Positive | None = described(  # noqa: N815
-        "Corner of the vibrometer's first-order low-pass by its data sheet [kHz]; null for one that needs none.",
+        "Corner frequency of the vibrometer's first-order low-pass, from its data sheet [kHz]; null to assume none.",
         default=None,
     )
     probe_attenuation: Positive = described("Volts at the beam per volt at the scope's inputs [V/V].", default=100.0)
     trigger_latency_us: NotNegative = described(
-        "From the generator's first sample to the scope's, as both wired straight together show it [us].", default=0.0
+        "Time from the generator's first sample to the scope's, measured with the two wired directly together [us].",
+        default=0.0,
     )
     trigger_latency_uncertainty_us: NotNegative = described(
-        "Half width of that time's 95 % interval, part of a calibration's uncertainty [us].", default=0.05
+        "Half width of the 95 % interval of that time, part of a calibration's uncertainty [us].", default=0.05
     )
 
 
@@ -192,7 +193,7 @@ class ScreenSection(Section):
     width_mm: Positive = described("Width of the picture [mm], such as 531 for 24 inches of 16:9.")
     width_px: Count = described("Width of the picture [pixels], such as 1920.")
     height_px: Count = described("Height of the picture [pixels], such as 1080.")
-    distance_mm: Positive = described("From the participant's eyes to the screen [mm], such as 700.")
+    distance_mm: Positive = described("Distance from the participant's eyes to the screen [mm], such as 700.")
 
 
 class Sound(Section):
@@ -203,7 +204,7 @@ class Sound(Section):
         "Samples per second [Hz].", default=48_000.0
     )
     full_scale_dB_SPL: Annotated[float, Field(strict=True, ge=0, le=200)] | None = described(  # noqa: N815
-        "Sound pressure level at the ear for a sine of full scale [dB SPL]; null where it was not measured.",
+        "Sound pressure level at the ear for a sine of full scale [dB SPL]; null if not measured.",
         default=None,
     )
 
@@ -212,23 +213,21 @@ class Apparatus(Section):
     """Everything a lab has on its table."""
 
     apparatus: FileName = described("Name of the apparatus.")
-    description: Text = described("What it is, in a sentence.", default="")
+    description: Text = described("Description of the apparatus, in one sentence.", default="")
     beam: Beam = described("The bare beam.")
-    zones: dict[Word, Zone] = described(
-        "Stretches of the beam that fingers touch, by name.", min_length=1, max_length=100
-    )
+    zones: dict[Word, Zone] = described("Parts of the beam that fingers touch, by name.", min_length=1, max_length=100)
     actuator_sets: dict[Word, ActuatorSet] = described("Actuator sets, by name, each on its own output.", min_length=1)
-    modes: tuple[Mode, ...] = described("Modelled modes, as identified.", min_length=1, max_length=200)
-    amplifier: AmplifierSection = described("What connects generator and beam.")
+    modes: tuple[Mode, ...] = described("Identified modes that the model contains.", min_length=1, max_length=200)
+    amplifier: AmplifierSection = described("The amplifier between generator and beam.")
     safety: Safety = described("Limits that no protocol can raise.")
     generator: GeneratorSection = described("The arbitrary function generator.", default=GeneratorSection())
     acquisition: AcquisitionSection = described(
-        "What velocity and drive are measured with.", default=AcquisitionSection()
+        "The instruments that measure velocity and drive.", default=AcquisitionSection()
     )
     identified: Identified | None = described("The identification that the table of modes comes from.", default=None)
-    sound: Sound = described("What plays sound to the participant.", default=Sound())
-    screen: ScreenSection | None = described("The participant's screen, by which type is checked.", default=None)
-    twin: TwinSection = described("What the simulated rig has that the tables lack.", default=TwinSection())
+    sound: Sound = described("The device that plays sound to the participant.", default=Sound())
+    screen: ScreenSection | None = described("The participant's screen, used to check the size of text.", default=None)
+    twin: TwinSection = described("Properties of the simulated rig that are not in the tables.", default=TwinSection())
 
     def modal_model(self) -> ModalModel:
         """Return the identified plant in SI units.

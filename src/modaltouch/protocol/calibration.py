@@ -37,7 +37,9 @@ class CalibratedApparatus(Section):
     """Which apparatus file it was made with."""
 
     name: Text = described("Name of the apparatus.")
-    sha256: Hash = described("Hash of its values: beam, sets, modes, amplifier, generator, acquisition, twin.")
+    sha256: Hash = described(
+        "Hash of the apparatus values: beam, sets, modes, amplifier, generator, acquisition, twin."
+    )
 
 
 class Instruments(Section):
@@ -45,7 +47,7 @@ class Instruments(Section):
 
     generator: Text = described("Reply of the generator to *IDN?, with its serial number.")
     scope: Text = described("Model and serial number of the scope.")
-    mode: Literal["simulated", "real"] = described("Whether any of them was simulated.")
+    mode: Literal["simulated", "real"] = described("Whether any instrument was simulated.")
 
 
 class CalibratedAmplifier(Section):
@@ -61,7 +63,7 @@ class MeasuringChain(Section):
 
     vibrometer_delay_us: NotNegative = described("Pure delay of the vibrometer [us].")
     vibrometer_lag_us: NotNegative = described("Time constant of its low-pass [us].")
-    clock_offset_ppm: Number = described("How much the scope's clock runs fast against the generator's [ppm].")
+    clock_offset_ppm: Number = described("How much faster the scope's clock runs than the generator's [ppm].")
 
 
 class CalibratedMode(Section):
@@ -75,9 +77,9 @@ class CalibratedMode(Section):
     target_mm_s: Number = described("Modal velocity aimed at [mm/s].")
     target_displacement_mm_s: Number = described("Modal displacement times angular frequency aimed at [mm/s].")
     error_before_mm_s: tuple[Number, Number] = described(
-        "Errors of velocity and of displacement times angular frequency before [mm/s]."
+        "Errors of velocity and of displacement times angular frequency before the calibration [mm/s]."
     )
-    error_after_mm_s: tuple[Number, Number] = described("The same after [mm/s].")
+    error_after_mm_s: tuple[Number, Number] = described("The same errors after the calibration [mm/s].")
     uncertainty_mm_s: NotNegative = described(
         "Half width of the 95 % interval of each error: noise, disagreement of the points, vibrometer and its "
         "sensitivity, trigger [mm/s]."
@@ -89,26 +91,26 @@ class CalibratedLevel(Section):
 
     velocity_mm_s: Positive = described("The level [mm/s].")
     amplitude_factor: Annotated[float, Field(strict=True, gt=0.5, lt=2, allow_inf_nan=False)] = described(
-        "Factor of the amplitude that proportion would give [1]."
+        "Factor relative to the amplitude that is proportional to the level [1]."
     )
     amplitude_Vpp: tuple[NotNegative, ...] = described("Amplitude of each output [V peak to peak, open circuit].")  # noqa: N815
     at_focus_mm_s: Number = described("Velocity measured at the focusing instant [mm/s].")
     uncertainty_mm_s: NotNegative = described(
-        "Half width of its 95 % interval, from noise and the vibrometer's sensitivity [mm/s]."
+        "Half width of the 95 % interval of that velocity, from noise and the vibrometer's sensitivity [mm/s]."
     )
-    highest_mm_s: NotNegative = described("Highest speed over the whole burst there [mm/s].")
+    highest_mm_s: NotNegative = described("Highest speed there over the whole burst [mm/s].")
 
 
 class MissedLimit(Section):
     """A limit of the protocol, or of what a calibration believes, that was missed."""
 
     limit: Word = described(
-        "velocity_mm_s, displacement_mm_s, level_percent: as in the protocol's limits; frequencies_mm_s: what changed "
-        "natural frequencies make of the focus; drive_percent: what the amplifier's peaks lack."
+        "velocity_mm_s, displacement_mm_s, level_percent: as in the protocol's limits; frequencies_mm_s: effect of "
+        "changed natural frequencies on the focus; drive_percent: shortfall of the amplifier's peaks."
     )
-    level_mm_s: Positive = described("At which level [mm/s].")
-    reached: NotNegative = described("What was reached, with its uncertainty, in the unit of the limit.")
-    allowed: NotNegative = described("What was allowed.")
+    level_mm_s: Positive = described("Level at which it was missed [mm/s].")
+    reached: NotNegative = described("The value reached, with its uncertainty, in the unit of the limit.")
+    allowed: NotNegative = described("The limit.")
 
     def __str__(self) -> str:
         """Return the limit in words."""
@@ -118,10 +120,12 @@ class MissedLimit(Section):
 class IterationFigures(Section):
     """What one turn of the loop measured, at the reference level."""
 
-    iteration: Annotated[int, Field(strict=True, ge=0)] = described("0 before the calibration.")
+    iteration: Annotated[int, Field(strict=True, ge=0)] = described(
+        "Number of the iteration; 0 is before the calibration."
+    )
     worst_velocity_error_mm_s: NotNegative = described("Largest error of a modal velocity [mm/s].")
     worst_displacement_error_mm_s: NotNegative = described(
-        "Largest modal displacement times angular frequency, desired to be 0 [mm/s]."
+        "Largest modal displacement times angular frequency; the target is 0 [mm/s]."
     )
     peak_voltage_V: NotNegative = described("Highest voltage at the beam [V].")  # noqa: N815
 
@@ -130,16 +134,18 @@ class Calibration(Section):
     """What every calibration file holds: who made it, with what, and what holds for the rig."""
 
     calibration: Literal[1] = described("Version of this format.")
-    made: Text = described("When, with the offset from UTC (ISO 8601).")
-    made_by: Text = described("Program, version and commit.")
-    person: Text = described("Who made it.", default="")
-    protocol: Text = described("Name of the protocol whose stimulus it is.")
-    apparatus: CalibratedApparatus = described("Which apparatus file it was made with.")
-    instruments: Instruments = described("Which instruments it was made with.")
-    amplifier: CalibratedAmplifier = described("The way from the generator to the beam.")
-    measuring_chain: MeasuringChain = described("What the measurement itself adds.")
-    unlisted_modes_Hz: tuple[Positive, ...] = described("Modes seen that the table lacks [Hz].", default=())  # noqa: N815
-    positions_mm: tuple[Number, ...] = described("Where the beam was measured [mm].")
+    made: Text = described("Date and time, with the offset from UTC (ISO 8601).")
+    made_by: Text = described("Version and commit of the program.")
+    person: Text = described("Person who made the calibration.", default="")
+    protocol: Text = described("Name of the protocol that the stimulus belongs to.")
+    apparatus: CalibratedApparatus = described("The apparatus file that was used.")
+    instruments: Instruments = described("The instruments that were used.")
+    amplifier: CalibratedAmplifier = described("The path from the generator to the beam.")
+    measuring_chain: MeasuringChain = described("Effects of the measurement itself.")
+    unlisted_modes_Hz: tuple[Positive, ...] = described(  # noqa: N815
+        "Modes seen that are not in the table [Hz].", default=()
+    )
+    positions_mm: tuple[Number, ...] = described("Positions at which the beam was measured [mm].")
 
     @property
     @abstractmethod
@@ -192,9 +198,9 @@ class CalibratedStimulus(Section):
     modes: tuple[CalibratedMode, ...] = described("The modelled modes.", min_length=1, max_length=200)
     levels: tuple[CalibratedLevel, ...] = described("The velocity levels.", min_length=1, max_length=100)
     missed: tuple[MissedLimit, ...] = described(
-        "Marks it: the limits that it misses; none for a proved one.", default=()
+        "The limits that the calibration misses; empty if it keeps them all.", default=()
     )
-    causes: tuple[Text, ...] = described("Why it misses them, with the remedy.", default=())
+    causes: tuple[Text, ...] = described("Why it misses them, and the remedy.", default=())
 
     @property
     def worst_error_mm_s(self) -> float:
@@ -236,7 +242,7 @@ class CalibrationOfSeveral(Calibration):
     """A calibration of every stimulus of a protocol with several, on one rig."""
 
     stimuli: dict[Word, CalibratedStimulus] = described(
-        "What holds for each stimulus, by the name that it has in the protocol.", min_length=1, max_length=20
+        "Results for each stimulus, by its name in the protocol.", min_length=1, max_length=20
     )
 
     @property

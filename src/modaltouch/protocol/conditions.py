@@ -32,20 +32,19 @@ class CellsSection(Section):
     """Cells of a design that is not crossed: one pair of zones at one level or several."""
 
     pair: Contacts = described(
-        "Zones under the fingers, from left to right as the participant sees the beam: mostly two, or one or three for "
-        "finger conditions of as many fingers."
+        "Zones under the fingers, from left to right as the participant sees the beam: usually two; one or three for "
+        "finger conditions with that many fingers."
     )
     peak_velocities_mm_s: Annotated[tuple[Positive, ...], Field(min_length=1)] = described(
         "Peak velocities of this pair at the centre of the focus zone at the focusing instant [mm/s]."
     )
     finger_conditions: tuple[Word, ...] = described(
-        "Finger conditions that have these cells; all if omitted.", default=()
+        "Finger conditions that contain these cells; all if omitted.", default=()
     )
-    stimuli: tuple[Word, ...] = described(
-        "Names of the stimuli that these cells are presented with; all if omitted.", default=()
-    )
+    stimuli: tuple[Word, ...] = described("Names of the stimuli presented in these cells; all if omitted.", default=())
     weight: Annotated[Count, Field(le=10_000)] = described(
-        "Trials of each of these cells for each of schedule.repetitions, such as 2 for twice as many.", default=1
+        "Number of trials of each of these cells per repetition (schedule.repetitions), such as 2 for twice as many.",
+        default=1,
     )
 
 
@@ -74,7 +73,7 @@ class ConditionsSection(Section):
     )
 
     finger_conditions: tuple[FingerCondition, ...] = described(
-        "one_hand: index and middle finger of one hand; two_hands: both index fingers; or those named under fingers.",
+        "one_hand: index and middle finger of one hand; two_hands: both index fingers; or names defined under fingers.",
         min_length=1,
         json_schema_extra=_UNIQUE,
     )
@@ -86,9 +85,9 @@ class ConditionsSection(Section):
     )
     hand: Literal["right", "left"] = described("The hand used in one_hand.", default="right")
     placements: tuple[Placement, ...] = described(
-        "Placements that participants take turns in, so that zone, side and finger can be told apart: normal; "
-        "mirrored, the beam turned end to end; swapped, the other hand, or crossed hands where both are on the beam "
-        "as in two_hands; or both.",
+        "Placements that alternate between participants, so that effects of zone, side and finger can be separated: "
+        "normal; mirrored, with the beam turned end to end; swapped, with the other hand, or with crossed hands if "
+        "both are on the beam as in two_hands; or both.",
         default=("normal",),
         min_length=1,
         json_schema_extra=_UNIQUE,
@@ -104,8 +103,8 @@ class ConditionsSection(Section):
     )
     zones: tuple[Contacts, ...] = described(
         "Zones under one to three fingers, from left to right as the participant sees the beam, in place of "
-        "zone_pairs: [[C], [E]] for one finger, [[A, C, E]] for three. A place that is no zone yet becomes one in the "
-        "apparatus file (centre_mm, width_mm).",
+        "zone_pairs: [[C], [E]] for one finger, [[A, C, E]] for three. To use a place that is not a zone yet, define "
+        "it in the apparatus file (centre_mm, width_mm).",
         default=(),
         min_length=1,
         max_length=100,
@@ -119,28 +118,28 @@ class ConditionsSection(Section):
         json_schema_extra=_UNIQUE,
     )
     cells: Annotated[tuple[CellsSection, ...], Field(max_length=10_000)] = described(
-        "The cells one by one, in place of zone_pairs and peak_velocities_mm_s, where the design is not crossed: "
+        "The cells one by one, in place of zone_pairs and peak_velocities_mm_s, for a design that is not crossed: "
         "levels of each pair, weights, an order of your own (schedule.order: as_listed), such as "
         "{pair: [A, C], peak_velocities_mm_s: [80, 100], weight: 2}.",
         default=(),
         exclude_if=lambda given: not given,
     )
     table: Text | None = described(
-        "CSV file with the cells, relative to this file, in place of zone_pairs and peak_velocities_mm_s: a line to "
-        "each, with the columns zone_left, zone_right (empty for one finger), peak_velocity_mm_s and, where needed, "
+        "CSV file with the cells, relative to this file, in place of zone_pairs and peak_velocities_mm_s: one line per "
+        "cell, with the columns zone_left, zone_right (empty for one finger), peak_velocity_mm_s and, where needed, "
         "zone_between, finger_condition, stimulus and weight (as under cells). Null for none.",
         default=None,
         exclude_if=lambda given: given is None,
     )
     exclude: tuple[ExcludedCells, ...] = described(
-        "Cells left out of the design, such as {pair: [A, C], peak_velocity_mm_s: 80}: those that agree with every "
-        "key that is given.",
+        "Cells left out of the design, such as {pair: [A, C], peak_velocity_mm_s: 80}: all cells that match every key "
+        "given.",
         default=(),
         exclude_if=lambda given: not given,
     )
     sensation_levels: SensationLevelsSection | None = described(
-        "Levels calibrated for each participant, as multiples of their own threshold; the peak velocities are "
-        "then the lowest and the highest level that anyone may get. Null for the same levels for all.",
+        "Levels calibrated for each participant, as multiples of their own threshold; the peak velocities are then the "
+        "lowest and the highest level that anyone may receive. Null for the same levels for all.",
         default=None,
     )
 

@@ -22,7 +22,7 @@ Spread = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=3)]
 class MaxwellSection(Section):
     """A spring behind a damper, which gives way in time."""
 
-    stiffness_N_per_mm: Positive = described("Stiffness while it has not given way [N/mm].")  # noqa: N815
+    stiffness_N_per_mm: Positive = described("Stiffness before it relaxes [N/mm].")  # noqa: N815
     relaxation_ms: Positive = described("Relaxation time [ms].")
 
 
@@ -31,7 +31,7 @@ class SecondMassSection(Section):
 
     mass_g: Positive = described("The mass [g].")
     stiffness_N_per_mm: Positive = described("Stiffness of the spring [N/mm].")  # noqa: N815
-    damping_N_s_per_m: NotNegative = described("Of the damper that holds the mass [N s/m].", default=0.0)  # noqa: N815
+    damping_N_s_per_m: NotNegative = described("Damping between the mass and the beam [N s/m].", default=0.0)  # noqa: N815
 
     @property
     def values(self) -> tuple[float, float, float]:
@@ -47,11 +47,11 @@ class FingerSection(Section):
     stiffness_N_per_mm: NotNegative = described("Stiffness [N/mm].", default=0.0)  # noqa: N815
     contact_width_mm: Positive = described("Width of the contact along the beam [mm].", default=10.0)
     maxwell: Annotated[tuple[MaxwellSection, ...], Field(max_length=8)] = described(
-        "Springs behind dampers, beside the rest.", default=()
+        "Springs in series with dampers, in addition to the rest.", default=()
     )
     second_mass: SecondMassSection | None = described("A second mass behind a spring; null for none.", default=None)
     offset_mm: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-10, le=10)] = described(
-        "From the centre of the zone on which it lies, to the right [mm].", default=0.0
+        "Distance to the right of the centre of the zone that it rests on [mm].", default=0.0
     )
 
     def at(self, centre: float) -> Finger:
@@ -94,11 +94,11 @@ def _kind_of_fingers(value: object) -> str:
 class FingerSpread(Section):
     """How much fingertips differ: standard deviations of logarithms, and of the place."""
 
-    mass: Spread = described("Of the mass.", default=0.0)
-    damping: Spread = described("Of the damping.", default=0.0)
-    stiffness: Spread = described("Of the stiffness.", default=0.0)
+    mass: Spread = described("Spread of the mass.", default=0.0)
+    damping: Spread = described("Spread of the damping.", default=0.0)
+    stiffness: Spread = described("Spread of the stiffness.", default=0.0)
     offset_mm: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=5)] = described(
-        "Of the place along the beam [mm].", default=0.0
+        "Spread of the position along the beam [mm].", default=0.0
     )
 
     def drawn(self, typical: FingerSection, rng: np.random.Generator) -> FingerSection:
@@ -118,35 +118,37 @@ class FingerProbe(Section):
     """A probe that fingers were measured by."""
 
     placement: Text = described("Zones from left to right, and the fingers on them.")
-    date: Text = described("When it was taken.")
+    date: Text = described("When the probe was made.")
     mode: Text = described("simulated or real.")
-    misfit: NotNegative = described("Mean square of what the fit leaves over that of the noise [1].")
-    level_percent: Interval = described("95 % interval of the level at the focus, of the level asked [%].")
+    misfit: NotNegative = described("Mean square of the residuals of the fit, relative to that of the noise [1].")
+    level_percent: Interval = described(
+        "95 % interval of the level at the focus, as a share of the level asked for [%]."
+    )
     covariance: Annotated[tuple[tuple[Number, ...], ...], Field(max_length=100)] = described(
-        "Of logarithms of mass, damping and stiffness, of the offset [mm] and of logarithms of the stiffnesses in "
-        "`maxwell`, finger after finger."
+        "Covariance of the logarithms of mass, damping and stiffness, the offset [mm] and the logarithms of the "
+        "stiffnesses in `maxwell`, finger after finger."
     )
 
 
 class FingersFile(Section):
     """Fingertips on the beam."""
 
-    description: Text = described("What they stand for.", default="")
+    description: Text = described("What these fingers represent.", default="")
     sources: tuple[Text, ...] = described("Where the numbers come from.", default=())
     fingers: Annotated[
         Annotated[FingerSection, Tag("all")] | Annotated[HandsSection, Tag("hands")], Discriminator(_kind_of_fingers)
-    ] = described("One for all fingers, or each by hand and finger.")
-    spread: FingerSpread = described("How much they differ between people.", default=FingerSpread())
+    ] = described("One entry for all fingers, or one for each hand and finger.")
+    spread: FingerSpread = described("How much fingers differ between people.", default=FingerSpread())
     placement_spread: FingerSpread = described(
-        "How much those of a person differ from one placement to the next, on the simulated beam.",
+        "How much one person's fingers differ from one placement to the next, on the simulated beam.",
         default=FingerSpread(),
     )
     trial_spread: FingerSpread = described(
-        "How much those of a placement differ from one trial to the next, on the simulated beam.",
+        "How much the fingers of one placement differ from one trial to the next, on the simulated beam.",
         default=FingerSpread(),
     )
     probes: Annotated[tuple[FingerProbe, ...], Field(max_length=100)] = described(
-        "The probes that they were measured by, as `modaltouch fingers probe` wrote them.", default=()
+        "The probes with which the fingers were measured, written by `modaltouch fingers probe`.", default=()
     )
 
     def of(self, name: str) -> FingerSection | None:

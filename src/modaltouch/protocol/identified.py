@@ -29,41 +29,41 @@ Interval = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
 class Intervals(Section):
     """95 % intervals of a mode's numbers, as identified."""
 
-    natural_frequency_Hz: Interval | None = described("Of the natural frequency [Hz].", default=None)  # noqa: N815
-    damping_ratio: Interval | None = described("Of the damping ratio [1].", default=None)
+    natural_frequency_Hz: Interval | None = described("Interval of the natural frequency [Hz].", default=None)  # noqa: N815
+    damping_ratio: Interval | None = described("Interval of the damping ratio [1].", default=None)
     gain_mm_s2_per_V: dict[Word, Interval] = described(  # noqa: N815
-        "Of the modal acceleration per volt at the beam, by actuator set [mm/s^2 per V].", default={}
+        "Interval of the modal acceleration per volt at the beam, by actuator set [mm/s^2 per V].", default={}
     )
 
 
 class Provenance(Section):
     """Where each number of a mode comes from, in words."""
 
-    natural_frequency_Hz: Text = described("Of the natural frequency.", default="")  # noqa: N815
-    damping_ratio: Text = described("Of the damping ratio.", default="")
-    gain_mm_s2_per_V: Text = described("Of the gains.", default="")  # noqa: N815
+    natural_frequency_Hz: Text = described("Source of the natural frequency.", default="")  # noqa: N815
+    damping_ratio: Text = described("Source of the damping ratio.", default="")
+    gain_mm_s2_per_V: Text = described("Source of the gains.", default="")  # noqa: N815
 
 
 class Identified(Section):
     """The identification that the table of modes comes from."""
 
     date: Text = described("When it was measured.")
-    mode: Text = described("simulated, real, or file for responses measured elsewhere.")
+    mode: Text = described("simulated; real; or file, for responses measured elsewhere.")
     source: Text = described("Folder or files of the measurement.")
-    generator: Text = described("Generator, as its identity names it.", default="")
+    generator: Text = described("Generator, as given in its identity.", default="")
     scope: Text = described("Vibrometer and scope.", default="")
     method: Text = described("How the numbers were found.", default="")
-    n_points: Count | None = described("Positions that were measured.", default=None)
-    n_averages: Count | None = described("Records averaged at each of them.", default=None)
+    n_points: Count | None = described("Number of positions measured.", default=None)
+    n_averages: Count | None = described("Number of records averaged at each position.", default=None)
     velocity_delay_us: Number | None = described(
-        "Delay of the measured velocity against the measured drive, beyond the vibrometer's low-pass [us].",
+        "Delay of the measured velocity relative to the measured drive, in addition to the vibrometer's low-pass [us].",
         default=None,
     )
-    velocity_delay_interval_us: Interval | None = described("Its 95 % interval [us].", default=None)
+    velocity_delay_interval_us: Interval | None = described("95 % interval of that delay [us].", default=None)
     misfit: NotNegative | None = described(
-        "Mean square of what the fit leaves over that of the noise [1].", default=None
+        "Mean square of the residuals of the fit, relative to that of the noise [1].", default=None
     )
-    warnings: tuple[Text, ...] = described("What you should know about these numbers, a sentence each.", default=())
+    warnings: tuple[Text, ...] = described("What you should know about these numbers, one sentence each.", default=())
     replaced_sha256: Text = described("Hash of the apparatus file that this one was made from.", default="")
 
 
@@ -74,7 +74,7 @@ class MeasuredShape(Section):
     """The shape of one mode."""
 
     label: Label = described("Label of the mode, as in the table of modes.")
-    values: Numbers = described("Value at each position, in any unit; scale and sign are taken out.")
+    values: Numbers = described("Value at each position, in any unit; scale and sign do not matter.")
 
 
 class ShapeTable(Section):

@@ -23,11 +23,11 @@ class StandardSection(Section):
     """The stimulus that the comparison is compared with; it lies under the same fingers."""
 
     velocity_mm_s: NotNegative | None = described(
-        "Level of the standard [mm/s], as 100; 0 for an interval of silence; null for the level of the comparison.",
+        "Level of the standard [mm/s], such as 100; 0 for a silent interval; null for the level of the comparison.",
         default=None,
     )
     stimulus: Word | None = described(
-        "Which of the protocol's stimuli the standard is, by its name under stimuli; null for that of the comparison.",
+        "Name, under stimuli, of the stimulus that is the standard; null for that of the comparison.",
         default=None,
     )
 
@@ -35,22 +35,22 @@ class StandardSection(Section):
 class IntervalsSection(Section):
     """A trial presents several stimuli one after the other: one is its condition, the others are the standard."""
 
-    number: Annotated[int, Field(strict=True, ge=2, le=3)] = described("Intervals of each trial.", default=2)
+    number: Annotated[int, Field(strict=True, ge=2, le=3)] = described("Number of intervals in each trial.", default=2)
     gap_s: Annotated[NotNegative, Field(le=60)] = described(
-        "From the end of an interval's last burst until the next is prepared, the outputs off [s]. Its first burst "
-        "comes about a tenth of a second later; the record has the instant.",
+        "Time from the end of an interval's last burst until the next interval is prepared, with the outputs off [s]. "
+        "Its first burst comes about a tenth of a second later; the instant is in the record.",
         default=0.5,
     )
-    standard: StandardSection = described("What the other intervals present; a level, a stimulus, or both.")
+    standard: StandardSection = described("What the other intervals present: a level, a stimulus, or both.")
     comparison_in: tuple[IntervalNumber, ...] | None = described(
-        "Intervals in which the comparison, the trial's condition, may stand: it takes them equally often in each "
-        "condition. Null for all; [2] has the standard first in every trial.",
+        "Intervals that may contain the comparison, the trial's condition: each is used equally often in each "
+        "condition. Null for all; [2] puts the standard first in every trial.",
         default=None,
         json_schema_extra={"uniqueItems": True},
     )
     asked: Literal["comparison", "stronger"] = described(
-        "Which interval is correct: that of the comparison (which one was different, which one vibrated), or "
-        "that of the higher level (which one was stronger), which may be the standard's.",
+        "Which interval is correct: the one with the comparison (which one was different, which one vibrated), or the "
+        "one with the higher level (which one was stronger), which may be the standard.",
         default="comparison",
     )
 

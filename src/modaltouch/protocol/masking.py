@@ -19,19 +19,20 @@ class MaskingSection(Section):
     """Noise in the participant's ears, from before the first trial until after the last, without a break."""
 
     noise: Literal["pink", "white"] = described(
-        "pink: equal power in every octave; white: in every hertz; both from 20 Hz to 20 kHz.", default="pink"
+        "pink: equal power per octave; white: equal power per hertz; both from 20 Hz to 20 kHz.", default="pink"
     )
     level_dB_FS: Decibels | None = described(  # noqa: N815
-        "Level of the noise against a sine of full scale [dB FS, rms].", default=None
+        "Level of the noise relative to a full-scale sine [dB FS, rms].", default=None
     )
     level_dB_SPL: Decibels | None = described(  # noqa: N815
-        "Instead, its level at the ear [dB SPL]; needs sound.full_scale_dB_SPL in the apparatus.", default=None
+        "Level at the ear instead [dB SPL]; needs sound.full_scale_dB_SPL in the apparatus.", default=None
     )
-    fade_s: Annotated[Positive, Field(le=60)] = described("Time to fade in, and out [s].", default=2.0)
+    fade_s: Annotated[Positive, Field(le=60)] = described("Time to fade in and out [s].", default=2.0)
     required: bool = Field(
         strict=True,
         default=True,
-        description="Whether a session may not begin or continue without it; else the record says where it is missing.",
+        description="Whether a session must not begin or continue without the noise; if not required, the record says "
+        "where it is missing.",
     )
 
     def level(self, sound: Sound) -> float | None:

@@ -20,15 +20,17 @@ Gain = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=100)]
 class SuppressionSection(Section):
     """How much the stronger finger pushes the weaker one down."""
 
-    one_hand: Gain = described("Between two fingers of one hand [1].", default=0.65)
-    two_hands: Gain = described("Between fingers of different hands [1].", default=0.6)
+    one_hand: Gain = described("Suppression between two fingers of one hand [1].", default=0.65)
+    two_hands: Gain = described("Suppression between fingers of different hands [1].", default=0.6)
 
 
 class ReactionSection(Section):
     """How long answers take."""
 
     quickest_s: NotNegative = described("Shortest reaction time [s].", default=0.35)
-    decision_s: NotNegative = described("Median time of an easy decision, on top of the quickest [s].", default=0.5)
+    decision_s: NotNegative = described(
+        "Median time of an easy decision, in addition to the quickest [s].", default=0.5
+    )
     hesitation: Gain = described("How much longer the hardest decision takes, relative to the easy one.", default=1.0)
     spread: Spread = described("Standard deviation of the logarithm of the decision time.", default=0.35)
 
@@ -41,10 +43,11 @@ class TypicalSection(Section):
         default=0.246,
     )
     near_miss: Small = described(
-        "Exponent by which the noise falls with speed above 100 mm/s; 0 where Weber's law holds.", default=0.0
+        "Exponent with which the noise falls with speed above 100 mm/s; 0 if Weber's law holds.", default=0.0
     )
     criterion: Gain = described(
-        "Least difference, a logarithm of a ratio after suppression, for which one side is named rather than both.",
+        "Smallest difference, as the logarithm of a ratio after suppression, at which one side is named rather than "
+        "both.",
         default=0.33,
     )
     suppression: SuppressionSection = described(
@@ -53,7 +56,7 @@ class TypicalSection(Section):
     side_bias: Small = described("Preference for the right side, as a difference; negative for the left.", default=0.0)
     lapse_rate: Share = described("Share of trials answered at random.", default=0.005)
     detection_speed_mm_s: NotNegative = described(
-        "Speed that is just felt, in the terms of the front end [mm/s].", default=1.0
+        "Speed that is just felt, as the front end expresses it [mm/s].", default=1.0
     )
     internal_noise_mm_s: NotNegative = described(
         "Standard deviation of what each finger feels without a stimulus, as an equivalent speed: 1/0.954 of the "
@@ -66,24 +69,24 @@ class TypicalSection(Section):
 class SpreadSection(Section):
     """How much participants differ: standard deviations; of logarithms, but for the side bias."""
 
-    weber_fraction: Spread = described("Of the noise's logarithm.", default=0.2)
-    criterion: Spread = described("Of the criterion's logarithm.", default=0.2)
-    suppression: Spread = described("Of the logarithm of one plus the suppression.", default=0.08)
-    side_bias: Spread = described("Of the side bias itself.", default=0.12)
-    pace: Spread = described("Of the decision time's logarithm.", default=0.2)
+    weber_fraction: Spread = described("Spread of the logarithm of the noise.", default=0.2)
+    criterion: Spread = described("Spread of the logarithm of the criterion.", default=0.2)
+    suppression: Spread = described("Spread of the logarithm of one plus the suppression.", default=0.08)
+    side_bias: Spread = described("Spread of the side bias itself.", default=0.12)
+    pace: Spread = described("Spread of the logarithm of the decision time.", default=0.2)
 
 
 class ObserverFile(Section):
     """A population of simulated participants."""
 
     observer: FileName = described("Name of the observer.")
-    description: Text = described("What it stands for.", default="")
+    description: Text = described("What this observer represents.", default="")
     front_end: Literal["peak_at_focus", "peak", "rms", "below_1_khz", "envelope"] = described(
-        "What a finger makes of the velocity under it: speed at the focusing instant, highest speed, root mean square "
-        "over a repetition, highest speed of what lies below 1 kHz, or highest of the rectified and smoothed velocity.",
+        "What a finger feels of the velocity under it: speed at the focusing instant, highest speed, root mean square "
+        "over a repetition, highest speed of the part below 1 kHz, or maximum of the rectified and smoothed velocity.",
         default="peak",
     )
-    typical: TypicalSection = described("The participant in the middle of the population.", default=TypicalSection())
+    typical: TypicalSection = described("The typical participant of the population.", default=TypicalSection())
     spread: SpreadSection = described("How much participants differ.", default=SpreadSection())
 
     @classmethod

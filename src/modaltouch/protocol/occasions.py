@@ -35,14 +35,16 @@ class Overrides(Section):
 class SessionKind(Overrides):
     """A kind of session, in the order in which each participant has them."""
 
-    name: Word = described("Name of the kind, such as training; in record, tables and report.")
-    times: Annotated[Count, Field(le=1000)] = described("Sessions of this kind, one after the other.", default=1)
+    name: Word = described("Name of the kind, such as training; used in the record, tables and report.")
+    times: Annotated[Count, Field(le=1000)] = described(
+        "Number of sessions of this kind, one after the other.", default=1
+    )
     min_gap_days: NotNegative = described(
-        "Least time since the participant's session before, whatever its kind [days]; `run` refuses earlier ones.",
+        "Least time since the participant's previous session of any kind [days]; `run` refuses to begin earlier.",
         default=0.0,
     )
     analysed: bool = Field(
-        strict=True, default=True, description="Whether `analyse` takes sessions of this kind; false for training."
+        strict=True, default=True, description="Whether `analyse` uses sessions of this kind; false for training."
     )
 
 

@@ -28,16 +28,16 @@ class PersonField(Section):
     """One question about the participant; its key is the column of participants.tsv."""
 
     kind: Literal["number", "choice", "text", "consent"] = described(
-        "number; choice: one of the choices; text: some words; consent: yes or no, and without a yes to one that is "
-        "required the session does not begin and nothing is stored."
+        "number; choice: one of the choices; text: some words; consent: yes or no, where without a yes to a required "
+        "consent the session does not begin and nothing is stored."
     )
-    question: Text = described("What is asked, in the participant's language.")
+    question: Text = described("The question, in the participant's language.")
     choices: tuple[Text, ...] = described(
-        "Possible answers to a choice.", default=(), json_schema_extra={"uniqueItems": True}
+        "Possible answers, for a choice.", default=(), json_schema_extra={"uniqueItems": True}
     )
     lowest: Number | None = described("Smallest number that is accepted; null for any.", default=None)
     highest: Number | None = described("Largest number that is accepted; null for any.", default=None)
-    unit: Text = described("Unit of a number, for the description of its column.", default="")
+    unit: Text = described("Unit of the number, for the description of its column.", default="")
     required: bool = Field(strict=True, default=True, description="Whether the question must be answered.")
     identifies: bool = Field(
         strict=True, default=False, description="Whether the answer may identify a person: names, addresses, birthdays."

@@ -68,31 +68,32 @@ class ScaleSection(Section):
     """A scale that is answered by a number."""
 
     kind: Literal["vas", "likert", "number"] = described(
-        "vas: a visual analogue scale, a line on which a mark is set; likert: some points, one of which is chosen; "
-        "number: a number that is typed, as in magnitude estimation."
+        "vas: a visual analogue scale, a line on which a mark is set; likert: a choice of one of several points; "
+        "number: a typed number, as in magnitude estimation."
     )
     lowest: Number | None = described(
-        "Number of the left end, or smallest number that is typed; null for 0 on a line, 1 of points, and any number "
-        "above 0 that is typed.",
+        "Number at the left end, or smallest number that may be typed; null for 0 on a line, 1 on points, and any "
+        "typed number above 0.",
         default=None,
     )
     highest: Number | None = described(
-        "Number of the right end, or largest number that is typed; null for 100 on a line, 7 of points, and no limit "
-        "of what is typed.",
+        "Number at the right end, or largest number that may be typed; null for 100 on a line, 7 on points, and no "
+        "limit on a typed number.",
         default=None,
     )
     step: Positive | None = described(
-        "From one place of the mark, or one point, to the next; null for 1. Of what is typed always null.", default=None
+        "Step from one position of the mark, or one point, to the next; null for 1. Always null for a typed number.",
+        default=None,
     )
     words: tuple[Text, ...] = described(
-        "Words at the two ends, such as [not at all, extremely], or at each point; each in words, or by its name "
-        "under `answers` in the texts.",
+        "Words at the two ends, such as [not at all, extremely], or at each point; each written out, or given by its "
+        "name under `answers` in the texts.",
         default=(),
     )
     keys: dict[ScaleAction, Keys] = described(
         "Keys that move the mark and confirm it, for a foot switch or a button box, such as {lower: [f1], higher: "
-        "[f3], confirm: [f2]}. Without an entry: left and down, right and up, enter and space. Home and End go to the "
-        "ends, digits choose points and type numbers.",
+        "[f3], confirm: [f2]}. By default: left and down, right and up, enter and space. Home and End go to the ends, "
+        "digits choose points and type numbers.",
         default={},
     )
 
@@ -228,25 +229,25 @@ class AskedSection(Section):
     """
 
     question: Text | None = described(
-        "The question, in words, or the name of a text under `further` in the texts. Null for the text `question`; of "
-        "a further question, and of one of the form, for the text under `further` that is called as it is.",
+        "The question, written out, or the name of a text under `further` in the texts. Null for the text `question`; "
+        "for a further question, or one of the form, null for the text under `further` that has its name.",
         default=None,
         exclude_if=lambda given: given is None,
     )
     keys: dict[Word, Keys] = described(
-        "Keys of each of two to seven answers: left, both and right as in the paper, with `none`, felt nowhere, or "
-        "without; or answers of other names, which stand in this order and have their labels in the texts. Left out "
-        "where there is a scale.",
+        "Keys for each of two to seven answers: left, both and right as in the paper, with or without `none` (felt "
+        "nowhere); or answers with other names, shown in this order with labels from the texts. Omitted if there is a "
+        "scale.",
         default={},
     )
     scale: ScaleSection | None = described(
-        "A scale that is answered by a number, in place of a list of answers.",
+        "A scale that is answered with a number, in place of a list of answers.",
         default=None,
         exclude_if=lambda given: given is None,
     )
     time_out_s: Annotated[Positive, Field(le=600)] | None = described(
-        "Longest time from the question to an answer; then it is recorded as timed out, and the trial ends [s]. Null "
-        "for no limit.",
+        "Longest time from the question to an answer; after it the answer is recorded as timed out and the trial ends "
+        "[s]. Null for no limit.",
         default=None,
         exclude_if=lambda given: given is None,
     )

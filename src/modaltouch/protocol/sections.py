@@ -28,7 +28,7 @@ class CalibrationLimits(Section):
 
     velocity_mm_s: Positive = described("Error of a modal velocity at the focusing instant [mm/s].", default=0.3)
     displacement_mm_s: Positive = described(
-        "Modal displacement times angular frequency there, desired to be 0 [mm/s].", default=0.3
+        "Modal displacement times angular frequency at that instant; the target is 0 [mm/s].", default=0.3
     )
     level_percent: Positive = described("Deviation of a level at the focus [percent].", default=1.0)
 
@@ -37,17 +37,17 @@ class CalibrationSection(Section):
     """Which calibration the stimulus needs."""
 
     file: Text | None = described(
-        "File of the calibration that `modaltouch calibrate` wrote, relative to this file; null for none.", default=None
+        "Calibration file written by `modaltouch calibrate`, relative to this file; null for none.", default=None
     )
     max_age_days: Positive | None = described(
-        "Greatest age of a calibration that a session may begin with [days]; null for any.", default=None
+        "Maximum age of the calibration when a session begins [days]; null for no limit.", default=None
     )
     required: bool = Field(
         strict=True, default=False, description="Whether a session without a calibration is refused."
     )
     limits: CalibrationLimits = described(
-        "Largest errors that a calibration may leave, with their uncertainty but without that of the vibrometer's "
-        "sensitivity; one that misses them is marked.",
+        "Largest errors that a calibration may leave, including their uncertainty but not that of the vibrometer's "
+        "sensitivity; a calibration that misses them is marked.",
         default=CalibrationLimits(),
     )
 
@@ -84,8 +84,8 @@ class AnswersSection(AskedSection):
     )
     ways: dict[FingerCondition, AnswerWay] = described(
         "How the participant gives the answer: with a free hand, by lifting a finger off the beam, or by a foot "
-        "switch that types keys. Without an entry: lifting in two_hands, else a free hand; where both hands are on the "
-        "beam in a finger condition of your own, an entry is required.",
+        "switch that types keys. By default: lifting in two_hands, otherwise a free hand; for a finger condition of "
+        "your own with both hands on the beam, an entry is required.",
         default={},
     )
     change_until_confirmed: bool = Field(
@@ -97,61 +97,62 @@ class AnswersSection(AskedSection):
         "Whether the stimulus plays until the answer, or stops before the question.", default="answer"
     )
     presentation_bursts: Annotated[Count, Field(le=100_000)] | None = described(
-        "Bursts of the stimulus where it stops before the question; null where presentation_s says how long it is.",
+        "Number of bursts of a stimulus that stops before the question; null if presentation_s gives its length.",
         default=None,
     )
     presentation_s: Annotated[Positive, Field(le=600)] | None = described(
-        "Length of the stimulus where it stops before the question, a whole number of bursts [s]; null for as many as "
-        "are nearest to 2 s.",
+        "Length of a stimulus that stops before the question, a whole number of bursts [s]; null for the number "
+        "nearest to 2 s.",
         default=None,
     )
     longest_presentation_s: Annotated[Positive, Field(le=600)] | None = described(
-        "Longest stimulus where it plays until the answer, a whole number of bursts [s]; null for as many as are "
+        "Maximum length of a stimulus that plays until the answer, a whole number of bursts [s]; null for the number "
         "nearest to 60 s.",
         default=None,
     )
     after_longest: Literal["ask", "time_out"] = described(
-        "What follows the longest stimulus: the question stays with the beam at rest, or the trial ends as timed out.",
+        "What happens at the maximum length: the question stays with the beam at rest, or the trial ends as timed out.",
         default="ask",
     )
-    question_delay_s: Seconds = described("From the first burst to the question [s].", default=0.5)
+    question_delay_s: Seconds = described("Time from the first burst to the question [s].", default=0.5)
     pause_s: Seconds = described(
-        "Between an answer, or a key to go on, and the next stimulus [s]; settling_s where that is longer and a hand "
-        "has to come back to the beam.",
+        "Time from an answer, or a continue key, to the next stimulus [s]; settling_s applies instead if it is longer "
+        "and a hand has to return to the beam.",
         default=1.0,
     )
     settling_s: Seconds = described(
-        "The same where a hand or finger that rests on the beam presses: in two_hands without foot switch or "
+        "The same time if a hand or finger that rests on the beam presses the key: in two_hands without foot switch or "
         "experimenter, and in lifting [s]; the participant sees a countdown.",
         default=1.5,
     )
     then: dict[Word, QuestionSection] = described(
-        "Further questions after the answer of each trial, by the name of their column, in this order: how sure "
-        "somebody is, for instance. They are asked once the stimulus is confirmed to have ended, and not after a "
+        "Further questions after the answer of each trial, by the name of their column, in this order: for example, "
+        "how sure the participant is. They are asked once the stimulus is confirmed to have ended, and not after a "
         "time-out.",
         default={},
         exclude_if=lambda given: not given,
     )
     fingers: dict[Word, tuple[Side, ...]] = described(
-        "Fingers that answers of other names stand for, by their place on the beam: [left], [right], [left, right], "
-        "[between] for the middle one of three, or [] for felt nowhere. An answer without an entry says nothing of the "
-        "fingers.",
+        "Fingers that answers with other names stand for, by their place on the beam: [left], [right], [left, right], "
+        "[between] for the middle one of three, or [] for felt nowhere. An answer without an entry says nothing about "
+        "the fingers.",
         default={},
         exclude_if=lambda given: not given,
     )
     below: tuple[Word, ...] = described(
-        "Answers whose buttons stand below the others; felt nowhere does beside more than one other answer.",
+        "Answers whose buttons are placed below the others; the button for felt nowhere always is if there are two or "
+        "more other answers.",
         default=(),
         exclude_if=lambda given: not given,
     )
     intervals: dict[Word, Meaning] = described(
-        "What answers say of the intervals of a trial, by their names: the number of the interval that was it, as in "
-        "{first: 1, second: 2}, or same and different where all are compared.",
+        "What each answer, by its name, says about the intervals of a trial: the number of an interval, as in {first: "
+        "1, second: 2}, or same and different if all are compared.",
         default={},
         exclude_if=lambda given: not given,
     )
     continue_keys: tuple[KeyName, ...] = described(
-        "Keys that go on from a screen that waits.", default=("space", "enter", "num_enter"), min_length=1
+        "Keys that continue from a screen that waits.", default=("space", "enter", "num_enter"), min_length=1
     )
     emergency_keys: tuple[KeyName, ...] = described(
         "Keys that switch the outputs off at once and end the session, on every screen and at the console.",
@@ -208,7 +209,8 @@ class AnalysisSection(Section):
     """What the analysis is to be judged by, fixed before anybody answers."""
 
     equivalence_margin: Annotated[float, Field(strict=True, gt=0, lt=1)] | None = described(
-        "Difference of the share of an answer within which finger conditions count as alike; null for no such test.",
+        "Largest difference in the share of an answer at which finger conditions count as equivalent; null for no such "
+        "test.",
         default=None,
     )
 
@@ -216,14 +218,14 @@ class AnalysisSection(Section):
 class Protocol(Section):
     """The whole experiment as one frozen value."""
 
-    protocol: FileName = described("Name of the protocol; it names the folder of its results.")
+    protocol: FileName = described("Name of the protocol, and of the folder of its results.")
     title: Text = described("Title on reports.", default="")
     apparatus: Text = described("File of the apparatus, relative to this file.")
     texts: Text = described("File of the participant's texts, relative to this file.")
-    stimulus: StimulusSection = described("The burst that every trial plays, up to its level.")
+    stimulus: StimulusSection = described("The burst that every trial plays, at the level of the trial.")
     stimuli: dict[Word, StimulusVariant] = described(
-        "Several stimuli, by name, that every condition is presented with, each in its own memories; the section "
-        "stimulus holds what they share. Empty for that one alone.",
+        "Several stimuli, by name; every condition is presented with each of them, each in its own memories. The "
+        "section stimulus contains what they share. Empty for that one stimulus only.",
         default={},
     )
     conditions: ConditionsSection = described("The cells of the design.")
@@ -232,10 +234,10 @@ class Protocol(Section):
         default=None,
         exclude_if=lambda given: given is None,
     )
-    schedule: ScheduleSection = described("How the trials are ordered.", default=ScheduleSection())
+    schedule: ScheduleSection = described("Order of the trials.", default=ScheduleSection())
     groups: dict[Word, Overrides] = described(
-        "Groups of participants, by name, and what differs for each; participants are assigned in turn, or as "
-        "schedule.balance says. Such as {low: {conditions: {peak_velocities_mm_s: [80]}}, high: {}}.",
+        "Groups of participants, by name, and what differs for each, such as {low: {conditions: {peak_velocities_mm_s: "
+        "[80]}}, high: {}}. Participants are assigned in turn, or as schedule.balance says.",
         default={},
         exclude_if=lambda given: not given,
     )
@@ -249,16 +251,16 @@ class Protocol(Section):
     )
     speech: dict[str, object] | None = described("No longer used: screens are not spoken.", default=None)
     adaptive: AdaptiveSection | None = described(
-        "Runs in which the next level follows from the answers; the peak velocities are then their lowest and highest "
-        "level. Null for fixed levels.",
+        "Adaptive runs, in which the answers determine the next level; the peak velocities are then the lowest and the "
+        "highest level. Null for fixed levels.",
         default=None,
     )
     answers: AnswersSection = described("How the question is asked and answered.")
     calibration: CalibrationSection = described("Which calibration the stimulus needs.", default=CalibrationSection())
     analysis: AnalysisSection = described("Criteria of the analysis.", default=AnalysisSection())
     people: dict[Word, PersonField] = described(
-        "What each participant is asked once, before the first session, by column of participants.tsv; nothing that "
-        "identifies a person.",
+        "Questions that each participant is asked once, before the first session, by the name of their column in "
+        "participants.tsv; nothing that identifies a person.",
         default={},
         exclude_if=lambda given: not given,
     )
@@ -268,7 +270,7 @@ class Protocol(Section):
         exclude_if=lambda given: not given,
     )
     instructions: Text | None = described(
-        "What the experiment asks of the participant, in words, or the name of a text under `further` in the texts; "
+        "What the experiment asks of the participant, written out, or the name of a text under `further` in the texts; "
         "null for the text `instructions`.",
         default=None,
         exclude_if=lambda given: given is None,

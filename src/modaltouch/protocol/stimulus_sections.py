@@ -29,14 +29,14 @@ class FieldSection(Section):
     """Target velocity field at the focusing instant."""
 
     shape: Literal["triangle", "box", "half_cosine", "raised_cosine", "gaussian", "sampled"] = described(
-        "Shape of the velocity over the beam; sampled: straight lines between points.", default="triangle"
+        "Shape of the velocity along the beam; sampled: straight lines between points.", default="triangle"
     )
     base_mm: Positive = described(
         "Width of its base; for the gaussian, its full width at half maximum [mm].", default=56.0
     )
     points: Annotated[tuple[tuple[Number, Number], ...], Field(min_length=2, max_length=10_000)] | None = described(
-        "Points of a sampled field: position [mm from mid-beam] and velocity, in any unit, since the level is what the "
-        "centre of the focus zone reaches.",
+        "Points of a sampled field: position [mm from mid-beam] and velocity, in any unit, since the level sets the "
+        "velocity at the centre of the focus zone.",
         default=None,
     )
     file: Text | None = described(
@@ -55,48 +55,53 @@ class StimulusSection(Section):
     """The burst that every trial plays, up to its level."""
 
     law: Literal["exact", "paper"] = described(
-        "Drive law: exact (least energy, every modelled mode met) or paper (its equations 6 and 7).",
+        "Drive law: exact (least energy, every modelled mode on target) or paper (the paper's equations 6 and 7).",
         default="exact",
     )
     design: Literal["least_energy", "norm_4", "norm_8", "least_peak"] = described(
-        "Which of the exact law's voltages: of least energy, or of less peak voltage for more energy, down to the "
-        "least peak, which jumps from end to end and shakes what is not modelled.",
+        "Which voltages the exact law chooses: those with least energy, or those with less peak voltage but more "
+        "energy, down to the least peak, which switches between the extremes and excites modes that are not modelled.",
         default="least_energy",
     )
     focus: ZoneName = described("Zone whose centre reaches the peak velocity.")
     further_foci: Annotated[tuple[ZoneName, ...], Field(max_length=20)] = described(
-        "Further zones at whose centres the same shape is made at the same time.", default=()
+        "Further zones that are focused at the same time, with the same shape.", default=()
     )
     field: FieldSection = described("Target velocity field at the focusing instant.", default=FieldSection())
     decomposed_modes: Annotated[Count, Field(le=1000)] = described(
-        "Number of modes on which the target field is projected.", default=50
+        "Number of modes onto which the target field is projected.", default=50
     )
     selected_modes: Selection = described(
-        "Number of modelled modes to drive, the strongest first, or a list of their labels.", default=6
+        "Number of modelled modes to drive, strongest first, or a list of their labels.", default=6
     )
-    focusing_instant_ms: Positive = described("When the field reaches its target [ms from the start].", default=25.0)
+    focusing_instant_ms: Positive = described(
+        "Focusing instant, when the field reaches its target [ms from the start].", default=25.0
+    )
     duration_ms: Positive = described("Length of a burst [ms].", default=50.0)
     release: Literal["braked", "free"] = described(
         "After the focusing instant: braked to rest at the end of the burst, or free to decay.",
         default="braked",
     )
     n_samples: SampleCount = described(
-        "Samples of a burst; 125,000 are held exactly 100 clocks each by the generator.", default=125_000
+        "Number of samples of a burst; with 125,000, the generator holds each for exactly 100 clock cycles.",
+        default=125_000,
     )
     repetition_rate_Hz: Positive = described("Bursts per second [Hz].", default=7.0)  # noqa: N815
     fingers: Text = described(
-        "Fingers that the stimulus is designed for, one design for each pair of zones: none (the untouched beam), a "
-        "file (from this file), shipped fingers such as typical, or measured: by a vibrometer, at each placement.",
+        "Fingers that the stimulus is designed for, with one design for each pair of zones: none (the untouched beam), "
+        "a file (relative to this file), shipped fingers such as typical, or measured (with a vibrometer, at each "
+        "placement).",
         default=NO_FINGERS,
     )
     priority: Literal["field", "level"] = described(
-        "What has priority where the amplifier does not allow both: the whole field, at a level that it allows; or the "
-        "level at the focus, exactly, with the field as near as it allows, which changes the spectrum.",
+        "What has priority if the amplifier does not allow both: the whole field, at a level that the amplifier "
+        "allows; or the exact level at the focus, with the field as close as the amplifier allows, which changes the "
+        "spectrum.",
         default="field",
     )
     equalise_band_Hz: tuple[Positive, Positive] | None = described(  # noqa: N815
-        "Band, from and to [Hz], in which the root mean square velocity at the focus is the same at every placement, "
-        "that of the first: levels of the others are scaled. Null for the same peak.",
+        "Band, from and to [Hz], in which the root mean square velocity at the focus is made the same at every "
+        "placement as at the first, by scaling the levels of the others. Null for the same peak.",
         default=None,
         exclude_if=lambda given: given is None,
     )
@@ -122,12 +127,13 @@ class StimulusVariant(Section):
     n_samples: SampleCount | None = described("As in the section stimulus.", default=None)
     repetition_rate_Hz: Positive | None = described("As in the section stimulus.", default=None)  # noqa: N815
     presentation_bursts: Annotated[Count, Field(le=100_000)] | None = described(
-        "Bursts of this stimulus where it stops before the question; null for as many as the section answers says.",
+        "Number of bursts of this stimulus if it stops before the question; null for the number in the section "
+        "answers.",
         default=None,
         exclude_if=lambda given: given is None,
     )
     masked: Annotated[bool, Field(strict=True)] | None = described(
-        "Whether the masking noise is on with this stimulus; null for on, where there is a section masking.",
+        "Whether the masking noise is on with this stimulus; null for on, if there is a section masking.",
         default=None,
         exclude_if=lambda given: given is None,
     )

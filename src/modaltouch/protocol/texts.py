@@ -70,23 +70,23 @@ class Texts(Section):
 
     language: Text = described("Name of the language, in that language.")
     language_code: Text | None = described("Its code (BCP 47), such as en or fr.", default=None)
-    font: FontFile = described("Installed font that is asked before Noto's, such as Amiri-Regular.ttf.", default="")
+    font: FontFile = described("Installed font that is used before Noto's, such as Amiri-Regular.ttf.", default="")
     welcome: Text = described("Greeting on the first screen.")
     instructions: Text = described("What the experiment asks of the participant.")
-    how_to_answer: Text = described("How to answer and to pause; holds {pause_key}, may hold {n_answers}.")
+    how_to_answer: Text = described("How to answer and to pause; contains {pause_key}, may contain {n_answers}.")
     how_to_answer_or_none: Text | None = described(
-        "Instead of how_to_answer where an answer says that nothing was felt; holds {pause_key}, may hold {n_answers} "
-        "and {nothing_felt}, the label of that answer.",
+        "Used instead of how_to_answer if an answer says that nothing was felt; contains {pause_key}, may contain "
+        "{n_answers} and {nothing_felt}, the label of that answer.",
         default=None,
     )
     numbers: tuple[Text, ...] = described(
-        "Words for two answers, for three, and so on; a digit for more than are here.", default=()
+        "Words for the numbers two, three and so on; a digit is used for larger numbers.", default=()
     )
     place_fingers: Text = described(
-        "Which finger goes where; holds {left_finger}, {left_zone}, {right_finger}, {right_zone}."
+        "Which finger goes where; contains {left_finger}, {left_zone}, {right_finger}, {right_zone}."
     )
     place_each_finger: Text | None = described(
-        "The same for one finger or three, a line for each finger; holds {finger} and {zone}.", default=None
+        "The same for one finger or three, one line per finger; contains {finger} and {zone}.", default=None
     )
     practice: Text = described("Announces the practice trials.")
     start: Text = described("Announces the trials that count.")
@@ -95,45 +95,47 @@ class Texts(Section):
     left: Text = described("The answer left.")
     both: Text = described("The answer both.")
     right: Text = described("The answer right.")
-    none: Text | None = described("The answer none, where the protocol offers it.", default=None)
+    none: Text | None = described("The answer none, if the protocol offers it.", default=None)
     answers: dict[Word, Annotated[Text, Field(min_length=1), AfterValidator(_check_text)]] = described(
-        "Labels of answers of other names, by the name that the protocol gives them.", default={}
+        "Labels of answers with other names, by their name in the protocol.", default={}
     )
     further: dict[Word, Annotated[Text, Field(min_length=1), AfterValidator(_check_text)]] = described(
-        "Further texts by name, which a protocol names as its question, its instructions, or a further question.",
+        "Further texts, by name, which a protocol can use as its question, its instructions, or a further question.",
         default={},
     )
-    trial_of: Text = described("Progress; holds {number} and {total}.")
-    practice_of: Text = described("Progress in practice; holds {number} and {total}.")
+    trial_of: Text = described("Progress; contains {number} and {total}.")
+    practice_of: Text = described("Progress in practice; contains {number} and {total}.")
     rest: Text = described("Shown in a break.")
-    pause: Text = described("Shown in a pause that cut a trial; holds {key} and {end_key}.")
-    pause_between_trials: Text = described("Shown in any other pause; holds {key} and {end_key}.")
-    session_ended: Text = described("Shown for a moment where a session ends early, other than by the participant.")
+    pause: Text = described("Shown in a pause that interrupted a trial; contains {key} and {end_key}.")
+    pause_between_trials: Text = described("Shown in any other pause; contains {key} and {end_key}.")
+    session_ended: Text = described("Shown for a moment if a session ends early, unless the participant ended it.")
     goodbye: Text = described("Thanks at the end.")
-    press_to_continue: Text = described("How to go on; holds {key}.")
+    press_to_continue: Text = described("How to continue; contains {key}.")
     experimenter_answers: Text = described("Says that the experimenter types the spoken answer.")
     placed_by_free_hand: Text | None = described(
-        "Instead of press_to_continue where a hand that is not on the beam confirms a placement; holds {key}, {hand}.",
+        "Used instead of press_to_continue if a hand that is not on the beam confirms a placement; contains {key}, "
+        "{hand}.",
         default=None,
     )
     placed_by_hand_on_beam: Text | None = described(
-        "The same where a hand that rests on the beam confirms it and then returns; holds {key}, {hand}.", default=None
+        "The same if a hand that rests on the beam confirms it and then returns; contains {key}, {hand}.", default=None
     )
-    placed_by_experimenter: Text | None = described("The same where the experimenter confirms it.", default=None)
-    free_hand_answers: Text | None = described("Says that the free hand answers; holds {hand}.", default=None)
+    placed_by_experimenter: Text | None = described("The same if the experimenter confirms it.", default=None)
+    free_hand_answers: Text | None = described("Says that the free hand answers; contains {hand}.", default=None)
     lift_to_answer: Text = described(
-        "Says that a hand or finger leaves the beam to press the answer, and that lifting it is none; may hold {hand}."
+        "Says that a hand or finger leaves the beam to press the answer, and that lifting it is no answer; may "
+        "contain {hand}."
     )
     foot_switch_answers: Text = described("Says that the foot switch answers.")
     fingers_back: Text = described(
-        "Asks for the fingers back on the beam, over the countdown to the next stimulus or alone."
+        "Asks for the fingers back on the beam, above the countdown to the next stimulus or by itself."
     )
     stalled: Text = described(
-        "Shown for a moment where the computer was held up and a stimulus comes again.",
+        "Shown for a moment if the computer was held up and a stimulus is presented again.",
         default="One moment, please.\n\nThe computer was held up.\n\nThe last vibration comes again.",
     )
     hands_off: Text = described(
-        "Asks for hands off the beam, which is then measured, where fingers are measured in the session.",
+        "Asks for hands off the beam, which is then measured, if fingers are measured in the session.",
         default="Please lift your hands.\n\nThe beam is measured without them.",
     )
     measuring: Text = described(
@@ -141,24 +143,24 @@ class Texts(Section):
         default="One moment, please.\n\nThe beam is measured. Keep still.",
     )
     measure_again: Text = described(
-        "Asks for the fingers once more where they could not be measured.",
+        "Asks for the fingers once more if they could not be measured.",
         default="Once more, please.\n\nYour fingers could not be measured. Lay them down as before, and keep still.",
     )
     how_to_rate: Text = described(
-        "Instead of how_to_answer where the answer is a place or number on a scale; holds {pause_key}.",
+        "Used instead of how_to_answer if the answer is a place or number on a scale; contains {pause_key}.",
         default="Each time, answer on this scale, and confirm.\n\nThere is no right or wrong here: tell us what you "
         "feel, and if in doubt trust your first impression. Press {pause_key} whenever you need a pause.",
     )
     confirm_rating: Text = described(
-        "On the button that confirms the mark or number on a scale; holds {key}.", default="Confirm: {key}"
+        "Label of the button that confirms the mark or number on a scale; contains {key}.", default="Confirm: {key}"
     )
-    confirm_answer: Text = described("How to confirm or change an answer, where the protocol lets it be changed.")
+    confirm_answer: Text = described("How to confirm or change an answer, if the protocol allows changes.")
     practice_agreed: Text = described("After a practice trial: the answer was the stronger finger.")
     practice_was_left: Text = described("After a practice trial: the left finger's vibration was the stronger one.")
     practice_was_both: Text = described("After a practice trial: both vibrations were about equally strong.")
     practice_was_right: Text = described("After a practice trial: the right finger's vibration was the stronger one.")
     practice_was: Text = described(
-        "After a practice trial whose answers name intervals, or one of three fingers: the right one, {answer}.",
+        "After a practice trial whose answers name intervals, or one of three fingers: the right answer, {answer}.",
         default="This time the right answer was: {answer}",
     )
     practice_again: Text = described("Announces another round of practice.")
@@ -167,12 +169,12 @@ class Texts(Section):
     left_index: Text = described("The left index finger.")
     left_middle: Text = described("The left middle finger.")
     fingers: dict[FingerName, Annotated[Text, AfterValidator(_check_text)]] = described(
-        "Further fingers, where the protocol has them, such as `right ring: right ring finger`.", default={}
+        "Further fingers, if the protocol uses them, such as `right ring: right ring finger`.", default={}
     )
-    right_hand: Text = described("The right hand, that which presses.", default="right hand")
-    left_hand: Text = described("The left hand, that which presses.", default="left hand")
+    right_hand: Text = described("The right hand, when it presses the key.", default="right hand")
+    left_hand: Text = described("The left hand, when it presses the key.", default="left hand")
     key_names: dict[str, Text] = described(
-        "Keys as the participant knows them, by the name a protocol gives them.", default={}
+        "Keys as the participant knows them, by their name in the protocol.", default={}
     )
 
     @field_validator("*")

@@ -15,11 +15,12 @@ class UnlistedMode(Section):
     """A mode that the beam has and the table of modes has not."""
 
     family: Literal["bending", "torsion"] = described(
-        "Of which family: bending (rigid motions included), or torsion, which the mid-line does not show.",
+        "Family of the mode: bending (including rigid motions), or torsion, which does not show on the mid-line.",
         default="bending",
     )
     label: Label = described(
-        "Number of the mode: for bending as in the table of modes; for torsion 1 is the first with a node at mid-beam."
+        "Number of the mode: for bending, as in the table of modes; for torsion, 1 is the first with a node at "
+        "mid-beam."
     )
     natural_frequency_Hz: Positive = described("Natural frequency [Hz].")  # noqa: N815
     damping_ratio: DampingRatio = described("Damping ratio [1].")
@@ -43,15 +44,15 @@ class Vibrometer(Section):
     bandwidth_kHz: Positive | None = described(  # noqa: N815
         "Corner of its first-order low-pass [kHz]; null for none.", default=250.0
     )
-    delay_us: NotNegative = described("From the motion to its output [us].", default=4.0)
+    delay_us: NotNegative = described("Delay from the motion to the vibrometer's output [us].", default=4.0)
     noise_um_s_per_sqrt_Hz: NotNegative = described(  # noqa: N815
         "Density of its white noise before the low-pass [um/s per root Hz].", default=0.5
     )
     offset_mm: Number = described(
-        "How far off the mid-line its spot lies [mm across the beam], where torsion shows.", default=0.2
+        "Distance of the laser spot from the mid-line [mm across the beam], where torsion shows.", default=0.2
     )
     dropouts_Hz: NotNegative = described(  # noqa: N815
-        "How often its light is lost for 0.2 ms, as by a loose sensor or dark speckles [Hz].", default=0.0
+        "How often the light is lost for 0.2 ms, as from a loose sensor or dark speckles [Hz].", default=0.0
     )
 
 
@@ -61,16 +62,16 @@ class ScopeSection(Section):
     bits: Annotated[int, Field(strict=True, ge=4, le=24)] = described("Resolution of its converters [bits].", default=8)
     noise_steps: NotNegative = described("Noise of its inputs [steps of the converter, rms].", default=0.3)
     clock_MHz: Positive = described(  # noqa: N815
-        "Highest sampling rate; every other is a whole fraction of it [MHz].", default=125.0
+        "Highest sampling rate; the others are this rate divided by whole numbers [MHz].", default=125.0
     )
     clock_offset_ppm: Number = described(
-        "How much its clock runs fast against the generator's [parts per million].", default=5.0
+        "How much faster its clock runs than the generator's [parts per million].", default=5.0
     )
     memory_samples: Annotated[int, Field(strict=True, ge=2)] = described(
-        "Samples of its memory, shared by its channels.", default=4_000_000
+        "Number of samples in its memory, shared by its channels.", default=4_000_000
     )
     trigger_latency_us: NotNegative = described(
-        "From the generator's first sample to the scope's first [us].", default=0.05
+        "Time from the generator's first sample to the scope's first [us].", default=0.05
     )
     trigger_jitter_ns: NotNegative = described(
         "Standard deviation of that time from one record to the next [ns].", default=2.0
@@ -80,8 +81,8 @@ class ScopeSection(Section):
 class Latency(Section):
     """Bounds of the time from a trigger's command to its burst."""
 
-    low: NotNegative = described("At least [ms].")
-    high: NotNegative = described("At most [ms].")
+    low: NotNegative = described("Shortest [ms].")
+    high: NotNegative = described("Longest [ms].")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -94,12 +95,14 @@ class TrueGenerator(Section):
     """The generator as it is: how long its hardware takes."""
 
     trigger_latency_ms: Latency = described(
-        "From the command of a trigger to the first sample of its burst, anywhere between two bounds.",
+        "Time from the trigger command to the first sample of its burst, anywhere between two bounds.",
         default=Latency(low=0.1, high=0.3),
     )
-    relay_ms: NotNegative = described("From the command to the relay of an output, on or off [ms].", default=4.0)
+    relay_ms: NotNegative = described(
+        "Time from the command to the switching of an output relay, on or off [ms].", default=4.0
+    )
     external_pulses_Hz: Positive | None = described(  # noqa: N815
-        "Rate of the pulse source at the trigger input [Hz]; null with nothing wired to it.", default=None
+        "Rate of the pulse source at the trigger input [Hz]; null if nothing is wired to it.", default=None
     )
 
 
@@ -117,45 +120,47 @@ class TwinSection(Section):
         "Relative standard deviation of the gains [1].", default=0.0
     )
     cross_gain: Annotated[float, Field(strict=True, ge=-1, le=1)] = described(
-        "Gain of a set that does not drive a mode, relative to the one that does [1].", default=0.0
+        "Gain of a set for a mode that only the other set should drive, relative to that other set [1].", default=0.0
     )
     generator_gain_mismatch: Annotated[float, Field(strict=True, ge=0, lt=0.5)] = described(
-        "Relative standard deviation of the generator's output voltages, one error to each output [1].", default=0.0
+        "Relative standard deviation of the generator's output voltages, one error per output [1].", default=0.0
     )
     frequency_drift: Annotated[float, Field(strict=True, ge=-0.01, le=0.01)] = described(
-        "Relative change of every natural frequency from one measurement to the next, as of a beam that warms [1].",
+        "Relative change of every natural frequency from one measurement to the next, as in a beam that warms up [1].",
         default=0.0,
     )
     softening: Annotated[float, Field(strict=True, ge=-0.2, le=0.2)] = described(
-        "Relative fall of every natural frequency at the amplifier's limit; with the square of a burst's peak [1].",
+        "Relative fall of every natural frequency at the amplifier's limit; proportional to the square of a burst's "
+        "peak [1].",
         default=0.0,
     )
     hysteresis: Annotated[float, Field(strict=True, ge=0, lt=1)] = described(
         "Share of the actuators' force at the amplifier's limit that lags behind the voltage [1].", default=0.0
     )
     unlisted_modes: tuple[UnlistedMode, ...] = described(
-        "Modes of the beam that the table lacks.", default=(), max_length=200
+        "Modes of the beam that are not in the table.", default=(), max_length=200
     )
     beam_mass_g: Positive | None = described(
-        "True moving mass of the beam, that fingers add to [g]; null for that of the section beam.", default=None
+        "True moving mass of the beam without fingers [g]; null for the value in the section beam.", default=None
     )
     fingers: FingerSection | None = described(
-        "What a finger adds to the beam where it touches; null for fingers that only feel.", default=None
+        "What a finger adds to the beam where it touches; null for fingers that do not load the beam.", default=None
     )
     finger_spread: FingerSpread = described(
-        "How much fingers differ from one placement to the next, in a session that is followed.",
+        "How much fingers differ from one placement to the next, in a session that the simulated rig follows.",
         default=FingerSpread(),
     )
     finger_trial_spread: FingerSpread = described(
-        "How much the fingers of a placement differ from one trial to the next, in a session that is followed.",
+        "How much the fingers of a placement differ from one trial to the next, in a session that the simulated rig "
+        "follows.",
         default=FingerSpread(),
     )
     finger_press_N: Positive | None = described(  # noqa: N815
-        "Force with which each finger presses [N]; where the beam pulls harder, skin and beam part; null for fingers "
-        "that never let go.",
+        "Force with which each finger presses [N]; where the beam pulls harder, the skin loses contact; null for "
+        "fingers that never lose contact.",
         default=None,
     )
-    amplifier: TrueAmplifier = described("The amplifier as it is.", default=TrueAmplifier())
-    generator: TrueGenerator = described("The generator as it is.", default=TrueGenerator())
-    vibrometer: Vibrometer = described("The vibrometer as it is.", default=Vibrometer())
-    scope: ScopeSection = described("The oscilloscope as it is.", default=ScopeSection())
+    amplifier: TrueAmplifier = described("The true amplifier.", default=TrueAmplifier())
+    generator: TrueGenerator = described("The true generator.", default=TrueGenerator())
+    vibrometer: Vibrometer = described("The true vibrometer.", default=Vibrometer())
+    scope: ScopeSection = described("The true oscilloscope.", default=ScopeSection())
