@@ -18,8 +18,8 @@ STATUSES = (
     ("RIG_FAILED", "Generator, vibrometer or window failed, or a measurement missed its limits. The outputs are off; "
      "the answers are kept, and `modaltouch resume` continues the session."),
     ("RECORD_AT_RISK", "A record is damaged, would be overwritten, or could not be written. The outputs are off."),
-    ("INTERRUPTED", "Ctrl-C, a signal, Escape in the window or the experimenter ended it. The outputs are off; the "
-     "answers are kept."),
+    ("INTERRUPTED", "Ctrl-C, a signal, Escape in the window or the experimenter ended the command. The outputs are off; "
+     "the answers are kept."),
 )  # fmt: skip
 """What each exit status means, by its name in the program."""
 
@@ -72,9 +72,7 @@ def write_commands(folder: Path) -> None:
         names.append(name)
         rows.append((f"[`modaltouch {words}`]({name}.md)", first))
         write(folder / f"{name}.md", page(f"modaltouch {words}", *blocks))
-    lead = (
-        "`--help` says the same as these pages, which are made from it. Commands that report something take `--json`."
-    )
+    lead = "These pages are made from `--help` and say the same. Commands that report something accept `--json`."
     write(folder / "index.md", page("Commands", lead, table(("command", "does"), rows), toctree(*names)))
 
 
@@ -86,8 +84,8 @@ def write_statuses(folder: Path) -> None:
     if set(known) != {name for name, _ in STATUSES}:
         raise ValueError(f"the exit statuses are {', '.join(known)}: say in docs/generator/commands.py what each means")
     lead = (
-        "A command that fails says why in words on standard error, without a traceback. With `--json` the words are the "
-        "`error` of one object on standard output."
+        "A command that fails explains why on standard error, without a traceback. With `--json` the explanation is "
+        "the field `error` of one object on standard output."
     )
     rows = [(f"`{known[name]}`", meaning) for name, meaning in STATUSES]
     bug = (

@@ -200,7 +200,7 @@ def _write_log(folder: Path, log: Found) -> None:
     kinds = meanings()["kinds"]
     blocks = [
         "`session.jsonl` is the record of a session: one JSON object per line, appended and synced, each with a checksum "
-        "that includes the line before. The table beside it is derived from it and can be made again at any time. "
+        "that includes the line before. The table next to it is derived from it and can be regenerated at any time. "
         "`modaltouch verify` recomputes every line.",
         "## On every line",
         *_entries("log", {name: next(iter(log.values())).get(name) for name in every}, "log-every"),
@@ -220,8 +220,9 @@ def _write_events(folder: Path, told: Found) -> None:
                 together[path] = value
     kinds = [(f"`{kind}`", text) for kind, text in meanings()["kinds"].items()]
     lead = (
-        "`modaltouch run --events PATH` writes the state of the session, as one JSON object per line, whenever something "
-        "happens. Every line has all fields, `null` where there is nothing to say. `line` is the line's number in the log."
+        "`modaltouch run --events PATH` writes the state of the session, as one JSON object per line, whenever "
+        "something happens. Every line has all fields, with `null` for those that are empty. `line` is the number of "
+        "the line in the log."
     )
     write(
         folder / "events.md",
@@ -239,18 +240,19 @@ def _write_table(folder: Path) -> None:
         **view.INTERVALS,
         "masked": view.MASKED,
         "stimulus": view.STIMULUS,
-        "value": {"Description": "Number that was answered on a scale; n/a without an answer"},
-        "<question>": {"Description": "What was answered to a further question, by its name: an answer or a number"},
+        "value": {"Description": "Number given on a scale; n/a without an answer"},
+        "<question>": {"Description": "Answer to the further question of this name: an answer or a number"},
         "<question>_time": view.QUESTION_TIME,
     }
     groups = {
-        "Of every session": view.COLUMNS,
-        "Of sessions whose bursts are counted": {**view.COUNTED, **view.LINE},
-        "Where the protocol has them": extra,
+        "In every session": view.COLUMNS,
+        "In sessions whose bursts are counted": {**view.COUNTED, **view.LINE},
+        "If the protocol has them": extra,
     }
     blocks = [
-        "`sub-<participant>_ses-<n>_task-<protocol>_beh.tsv`: one row for each answer that counts, in the form of BIDS, "
-        "tab-separated, `n/a` where there is nothing. Its sidecar file of the same name, `.json`, says the same as this page."
+        "`sub-<participant>_ses-<n>_task-<protocol>_beh.tsv`: one row for each answer that counts, in BIDS format, "
+        "tab-separated, with `n/a` for empty cells. The sidecar file of the same name, `.json`, says the same as this "
+        "page."
     ]
     for title, columns in groups.items():
         blocks.append(f"## {title}")
@@ -274,7 +276,7 @@ def _write_json(folder: Path, said: Found) -> None:
         )
     lead = (
         "With `--json` a command prints one object and nothing else on standard output; progress goes to standard "
-        "error. The unit is the end of a name. If a command fails, the object has `error`, the reason in words, and "
+        "error. Names end in the unit. If a command fails, the object has `error`, the reason in words, and "
         "`problems`, each with file, line and column. [How this may change](../explanation/what_is_public.md)."
     )
     write(folder / "json.md", page("JSON outputs", lead, toctree(*names)))

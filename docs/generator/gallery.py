@@ -105,7 +105,7 @@ def write_gallery(folder: Path, static: Path) -> None:
         scale = preflight.experiment.protocol.answers.scale
         answers = ", ".join(preflight.experiment.protocol.answers.keys) if scale is None else ANSWERED_ON[scale.kind]
         facts = [
-            ("trials", f"{values['n_trials']}, and {values['n_practice_trials']} for practice"),
+            ("trials", f"{values['n_trials']}, plus {values['n_practice_trials']} for practice"),
             ("length", f"about {values['estimated_duration_min']:.0f} min"),
             ("levels", _levels(preflight.experiment.protocol)),
             ("answers", answers),
@@ -119,7 +119,7 @@ def write_gallery(folder: Path, static: Path) -> None:
             "## The predicted field",
             f"```{{image}} ../static/field_{name}.svg\n:alt: Predicted and target velocity along the beam.\n:class: drawn\n```",
             "## The report",
-            f'```{{raw}} html\n<p><a href="../../_static/report_{name}.html">The report of {COHORT.get(name, 6)} simulated participants'
+            f'```{{raw}} html\n<p><a href="../../_static/report_{name}.html">The report for {COHORT.get(name, 6)} simulated participants'
             "</a></p>\n```",
             "## The file", f"```{{literalinclude}} ../../../protocols/{file.name}\n:language: yaml\n```",
         ]  # fmt: skip
@@ -133,7 +133,9 @@ def write_gallery(folder: Path, static: Path) -> None:
                 f"{values['estimated_duration_min']:.0f} min",
             )
         )
-    lead = "Every protocol that is shipped, by its name known in any folder: `modaltouch check NAME`, `modaltouch new --from NAME`."
+    lead = (
+        "Every shipped protocol. Its name works in any folder: `modaltouch check NAME`, `modaltouch new --from NAME`."
+    )
     names = [file.stem for file in protocols()]
     write(
         folder / "index.md",

@@ -21,8 +21,8 @@ EXAMPLES = ROOT / "docs" / "examples"
 FILES = {
     "protocol": ("The protocol", "What an experiment is. Shipped ones are in `protocols/`."),
     "apparatus": ("The apparatus", "The beam, its modes and the instruments. A lab has one for each rig."),
-    "texts": ("The texts", "Every word that a participant reads, one file a language."),
-    "fingers": ("Fingers", "What a finger adds to the beam where it lies, typical or probed."),
+    "texts": ("The texts", "Every word that a participant reads, one file per language."),
+    "fingers": ("Fingers", "What a finger adds to the beam where it touches, typical or measured."),
     "observer": ("An observer", "A model of how people answer, for `simulate`, `power` and `fit`."),
     "calibration": ("A calibration", "Written by `modaltouch calibrate`; read, never edited."),
 }
@@ -190,7 +190,7 @@ def write_keys(folder: Path) -> None:
         write(folder / f"{kind}.md", page(title, lead, *blocks))
     lead = (
         "What each file of an experiment may contain. Every key has its meaning, its type with unit and bounds, its "
-        "default, and an example from a real file. The unit is the end of a key: `pause_s` is in seconds, `base_mm` in "
-        "millimetres. A key that is not listed is refused by line and column, and the nearest one is suggested."
+        "default, and an example from a real file. Keys end in the unit: `pause_s` is in seconds, `base_mm` in "
+        "millimetres. A key that is not listed is refused, with its line and column, and the nearest one is suggested."
     )
     write(folder / "index.md", page("YAML keys", lead, toctree(*FILES)))
