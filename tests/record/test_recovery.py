@@ -278,3 +278,15 @@ def test_the_command_says_what_can_be_saved_and_saves_it(damaged, tmp_path):
     assert saved.exit_code == 0
     assert json.loads(saved.output)["missing"] == [7, 8]
     assert next((tmp_path / "new").rglob("*_beh.tsv")).read_text().count("\n") > 1
+
+
+def test_lines_that_are_gone_from_the_end_are_missed_by_the_view(damaged, sound, tmp_path):
+    """A log that ends early is whole by its own checks; its view was made from more lines, and tells which are gone."""
+    n_lines = len(sound.splitlines())
+    log = survey(damaged(lambda lines: lines)).write(tmp_path / "whole")  # one more line: that it was recovered
+    log.write_bytes(b"".join(sound.splitlines(keepends=True)[:-9]))
+    found = survey(log)
+    assert found.missing == tuple(range(n_lines - 8, n_lines + 2))
+    assert not found.is_sound
+    assert not found.is_cut
+    assert found.lines[1] == f"gone: the lines numbered {n_lines - 8} to {n_lines + 1}"

@@ -26,6 +26,7 @@ from modaltouch.record.chain import (
 from modaltouch.record.files import OWNER_ALONE, replace_file
 from modaltouch.record.folders import SessionFolder, find_log
 from modaltouch.record.log import SessionLog
+from modaltouch.record.view import lines_in_view
 
 
 @dataclass(frozen=True)
@@ -189,9 +190,11 @@ def survey(path: Path) -> Recovery:
     left_out = [line for line in left_out if describe_torn(line.content) not in declared]
     events = tuple(proved[number] for number in order)
     written = {event["n"] for event in events}
-    missing = tuple(n for n in range(1, max(written, default=0)) if n not in written)
+    # Lines that were removed from the end leave no gap in the log, but the view was made from them, too.
+    in_view = lines_in_view(path.parent)
+    missing = tuple(n for n in range(1, max(in_view, *written, 0) + 1) if n not in written)
     chain = parse_chain(data, str(path))
-    is_cut = bool(chain.problems and not chain.damage)
+    is_cut = bool(chain.problems and not chain.damage) and in_view <= len(chain.checks) + 1
     return Recovery(path, hashlib.sha256(data).hexdigest(), events, tuple(order), tuple(left_out), missing, is_cut)
 
 

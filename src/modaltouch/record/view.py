@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from modaltouch.protocol import TIME_OUT, AnswerList
@@ -354,3 +355,19 @@ def check_view(session: Session) -> ViewFound:
 
 
 _REMAKE = "`modaltouch resume` makes it anew"
+
+
+def lines_in_view(folder: Path) -> int:
+    """Return from how many lines of the log the BIDS view was made; 0 where no view says so.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the log.
+    """
+    for side in folder.glob("*_beh.json"):
+        try:
+            return int(json.loads(side.read_text(encoding="utf-8"))["SessionLog"]["lines"])
+        except (OSError, ValueError, LookupError, TypeError, RecursionError):
+            continue  # the side file of the form has no such entry
+    return 0
