@@ -229,3 +229,14 @@ def test_a_line_that_nobody_can_read_ends_in_a_sentence(sound, tmp_path, command
         assert f"line {line} is left out: it cannot be read: " in told.output
     else:
         assert f"session.jsonl:{line}: cannot be read: " in told.output
+
+
+def test_a_damaged_log_is_neither_called_short_nor_offered_to_be_resumed(folder):
+    """What lies beyond a broken line was not read, so that it is not gone; and `resume` refuses such a log."""
+    log = folder / "session.jsonl"
+    lines = log.read_bytes().splitlines(keepends=True)
+    lines[9] = lines[9].replace(b'"event":"', b'"event":"x')
+    log.write_bytes(b"".join(lines))
+    audit = audit_session(Session.find(folder))
+    assert audit.problems == (f"{log}:10: the chain breaks: a line was changed, removed, doubled or moved",)
+    assert audit.lines[-1] == "not complete; the analysis leaves it out"

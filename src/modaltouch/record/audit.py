@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -103,15 +103,17 @@ def audit_session(session: Session) -> Audit:
     mendable = (seen.problem,) if seen.is_mendable else ()
     lines += [seen.line] if seen.line else []
     problems += [seen.problem] if seen.problem else []
-    lines += [_completeness(session)] if lines else []
-    return Audit(path, tuple(lines), tuple(problems), (*cut, *mendable))
+    audit = Audit(path, tuple(lines), tuple(problems), (*cut, *mendable))
+    return replace(audit, lines=(*lines, _completeness(session, audit))) if lines else audit
 
 
-def _completeness(session: Session) -> str:
+def _completeness(session: Session, audit: Audit) -> str:
     if session.complete:
         return "complete"
     if session.begun_anew_as is not None:
         return f"closed and not complete: begun anew as session {session.begun_anew_as}"
+    if not set(audit.problems) <= set(audit.to_mend):
+        return "not complete; the analysis leaves it out"  # and `modaltouch resume` refuses it
     return "not complete: `modaltouch resume` continues it; until then the analysis leaves it out"
 
 

@@ -327,6 +327,8 @@ def check_view(session: Session) -> ViewFound:
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         return ViewFound(problem=f"{table}: the BIDS view cannot be read ({error}); move it away, and {_REMAKE}")
     if n_lines > len(checks):
+        if session.chain.damage:  # nothing was read beyond it: whether lines are gone is not known here
+            return ViewFound()
         return ViewFound(
             problem=f"{session.path}: the BIDS view was made from {n_lines} lines, the log has {len(checks)}: "
             "lines were removed from its end",
