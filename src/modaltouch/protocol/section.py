@@ -222,7 +222,10 @@ def _unit(key: str) -> str:
     return next((_UNITS[end] for n in range(1, len(words)) if (end := "_".join(words[n:])) in _UNITS), "")
 
 
-_WITH_UNIT = re.compile(r"\s*([-+]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][-+]?\d+)?)\s*([^\d\s].*|)")
+# What follows the number begins as a unit does: the 1 of 1_000, 1/3 or a date is not the number that was meant.
+_WITH_UNIT = re.compile(
+    r"\s*([-+]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(?:(?:[^\W\d_]|[%°]).*|)"
+)
 
 
 def number_meant(word: str) -> str:
