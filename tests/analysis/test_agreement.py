@@ -60,6 +60,13 @@ class TestInterval:
         interval = ac1_interval(np.tile([1, 0, 0], (2, 4, 1)))
         assert (interval.low, interval.high) == (-1, 1)
 
+    def test_neither_names_nor_labels_matter(self) -> None:
+        """Participants in another order have the same interval, and answers by other names nearly so."""
+        answers = np.random.default_rng(1).multinomial(1, [0.45, 0.45, 0.1], (8, 4))
+        interval, renamed, relabelled = map(ac1_interval, (answers, answers[::-1], answers[..., ::-1]))
+        assert (renamed.low, renamed.high) == (interval.low, interval.high)
+        assert (relabelled.low, relabelled.high) == pytest.approx((interval.low, interval.high), abs=0.02)
+
     @pytest.mark.parametrize(("share", "n"), [(0.1, 10), (0.3, 20)])
     def test_a_minority_that_disagrees_is_covered(self, share, n) -> None:
         """Population: some answer 2, the others 1, each with 5 % slips; 300 experiments, 95 % less 3 sd."""

@@ -22,7 +22,7 @@ from modaltouch.analysis.shares import mean_of_known
 
 FloatArray = NDArray[np.float64]
 
-_SEED, _DRAWS, _TAIL = 20080501, 999, (1 - CONFIDENCE) / 2
+_SEED, _DRAWS, _TAIL = 20080501, 4999, (1 - CONFIDENCE) / 2
 
 _LEVEL = 0.05
 """Level of the tests within participants [1]."""
@@ -32,8 +32,8 @@ def ac1_interval(answers: ArrayLike) -> Interval:
     """Return AC1 between participants, with an interval over them; from -1 to 1 with fewer than three.
 
     As for a bounded mean, one more participant joins: for the lower bound one who gives the answer that is rarest with
-    each item, for the upper bound the most frequent. The bounds are quantiles over random weights of all participants.
-    Coverage is shown by simulation alone.
+    each item, for the upper bound the most frequent; those that tie share in one. The bounds are quantiles over random
+    weights of all participants, the same whatever their order. Coverage is shown by simulation alone.
 
     Parameters
     ----------
@@ -49,11 +49,13 @@ def ac1_interval(answers: ArrayLike) -> Interval:
     _, estimate = agreement_between(table, np.ones((1, n)))
     if n < 3:
         return Interval(estimate[..., 0], *(np.full(table.shape[:-3], each)[()] for each in (-1.0, 1.0, n)))
-    weights, kinds = np.random.default_rng(_SEED).dirichlet(np.ones(n + 1), _DRAWS), np.arange(table.shape[-1])
+    order = np.lexsort(np.moveaxis(table.reshape(*table.shape[:-2], -1), -1, 0))  # so that names do not matter
+    table = np.take_along_axis(table, order[..., np.newaxis, np.newaxis], axis=-3)
+    weights = np.random.default_rng(_SEED).dirichlet(np.ones(n + 1), _DRAWS)
     bounds = []
     total = table.sum(axis=-3, keepdims=True)
-    for chosen, tail in ((total.argmin(axis=-1), _TAIL), (total.argmax(axis=-1), 1 - _TAIL)):
-        further = (chosen[..., np.newaxis] == kinds).astype(float)
+    for chosen, tail in ((total.min(axis=-1, keepdims=True), _TAIL), (total.max(axis=-1, keepdims=True), 1 - _TAIL)):
+        further = (total == chosen).astype(float)
         _, drawn = agreement_between(np.concatenate([table, further], axis=-3), weights)
         bounds.append(np.quantile(drawn, tail, axis=-1))
     low, high = np.minimum(bounds[0], estimate[..., 0]), np.maximum(bounds[1], estimate[..., 0])
