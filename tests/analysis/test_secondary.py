@@ -1,12 +1,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.covariates import (
     centre_interval,
     order_findings,
+    secondary_findings,
     side_findings,
     speed_findings,
     time_findings,
@@ -73,6 +75,41 @@ def test_the_first_finger_condition_is_told_from_the_second(build) -> None:
     assert finding.p == sign_flip_test([12] * 4).p
     assert finding.estimate == 1
     assert "2 began with one hand, 2 began with two hands" in finding.note
+
+
+def test_sessions_that_count_their_trials_anew_are_told_apart(build) -> None:
+    """Synthetic: one hand first in session 1, two hands first in session 2; the zone wins whatever comes first."""
+    frame = build["tidy"](build["constant"](4, "both"))
+    one = frame["finger_condition"] == "one_hand"
+    sessions = []
+    for session, first in (("1", one), ("2", ~one)):
+        own = frame.assign(session=session, trial=np.where(first, 0, 100) + np.arange(len(frame)) % 12)
+        own["response"] = own["response"].where(~first, own["zone_left"].map({"A": "right", "B": "left", "C": "left"}))
+        sessions.append(own)
+    both = pd.concat(sessions, ignore_index=True)
+    drift, first = order_findings(count_answers(both), both)
+    assert (first.estimate, first.note[-45:]) == (1, "4 began with one hand, 4 began with two hands")
+    mixed = both.sample(frac=1, random_state=1)
+    assert next(iter(order_findings(count_answers(mixed), mixed))).estimate == drift.estimate
+
+
+@pytest.mark.parametrize(("trial", "told"), [(1, False), (2, True)])
+def test_an_order_that_all_share_is_no_order_effect(build, trial, told) -> None:
+    """All began with one hand: order and fingers go together. Where both begin alike, nothing tells the order."""
+    frame = build["tidy"](build["random"](4, 1))
+    frame = frame.assign(trial=np.where(frame["finger_condition"] == "one_hand", 1, trial))
+    found = list(order_findings(count_answers(frame), frame))[1:]
+    assert ["cannot be told from the finger condition" in each.note for each in found] == [True] * told
+
+
+def test_answers_without_a_time_are_counted_beside_the_others(build) -> None:
+    """One empty time no longer takes the comparison of all times away."""
+    frame = build["tidy"](build["paper"]())
+    frame = frame.assign(response_time=np.linspace(0.5, 1.5, len(frame)))
+    frame.loc[3, "response_time"] = np.nan
+    found = [each for each in secondary_findings(count_answers(frame), frame) if each.question == "time"]
+    assert len(found) == 6
+    assert all("1 more answer without a reaction time" in each.note for each in found)
 
 
 @pytest.mark.parametrize("n", [6, 8])

@@ -39,7 +39,7 @@ def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
         return None
     ranked = ranked_answers(answers, frame)
     labels = ranked["zone_left"] + "-" + ranked["zone_right"]
-    trials = ranked.groupby("participant", observed=True)["trial"].rank(method="first")
+    trials = ranked.groupby(["participant", "session"], observed=True)["trial"].rank(method="first")
     step = int(np.ceil(trials.max() / MOST_TRIALS))
     shares = ranked["dominant"].groupby([(trials - 1) // step * step + (step + 1) / 2, labels]).mean().unstack()
     with house_style(6.4, 2.8) as (figure, [[axes]]):
@@ -54,7 +54,7 @@ def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
             )  # fmt: skip
         axes.set_ylim(-0.04, 1.04)
         axes.set_xlabel(
-            "answer of the participant, in the order of trials" + (f", in groups of {step}" if step > 1 else "")
+            "answer of the session, in the order of trials" + (f", in groups of {step}" if step > 1 else "")
         )
         axes.set_ylabel("share of the\ndominant zone")
         figure.legend(loc="outside right upper", frameon=False)
@@ -65,7 +65,7 @@ def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
 
 def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
     """Return reaction times by pair and answer; None where the table holds none."""
-    if not has_values(frame, "response_time"):
+    if "response_time" not in frame or not has_values(frame.dropna(subset=["response_time"]), "response_time"):
         return None
     kept = frame[frame["response_time"] >= ANTICIPATION]
     if kept.empty:

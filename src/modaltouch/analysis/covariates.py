@@ -42,8 +42,9 @@ def secondary_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[F
         yield from side_findings(answers)
         if has_values(frame, "trial"):
             yield from order_findings(answers, frame)
-    if has_values(frame, "response_time"):
-        yield from time_findings(answers, frame)
+    timed = frame.dropna(subset=["response_time"]) if "response_time" in frame else frame[:0]
+    if len(timed) and has_values(timed, "response_time"):
+        yield from time_findings(answers, timed, len(frame) - len(timed))
     if answers.compares and has_values(frame, "speed_left_mm_s") and has_values(frame, "speed_right_mm_s"):
         yield from speed_findings(answers, frame)
 
@@ -116,20 +117,23 @@ def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
     )  # fmt: skip
     if len(answers.finger_conditions) != 2:
         return
-    first = ranked.groupby(["participant", "finger_condition"], observed=True)["trial"].min().unstack()
-    began = first.columns.to_numpy()[first.to_numpy().argmin(axis=1)]
-    total = ranked.groupby(["participant", "finger_condition"], observed=True)["dominant"].mean().unstack()
-    sign = np.where(began == total.columns[0], 1, -1)
-    score = sign * (total.iloc[:, 0] - total.iloc[:, 1]).to_numpy()
-    counted = ", ".join(
-        f"{int((began == name).sum())} began with {name.replace('_', ' ')}" for name in answers.finger_conditions
-    )
+    parts = ranked.groupby(["participant", "session", "finger_condition"], observed=True)
+    starts, shares = (getattr(parts[name], how)().unstack() for name, how in (("trial", "min"), ("dominant", "mean")))
+    if len(starts.columns) < 2:
+        return
+    lead = np.sign(starts.iloc[:, 1] - starts.iloc[:, 0])  # 0 where both begin alike: the table does not tell
+    led = [int((lead == sign).sum()) for sign in (1, -1)]
+    if not any(led):
+        return
+    score = (lead.where(lead != 0) * (shares.iloc[:, 0] - shares.iloc[:, 1])).groupby("participant").mean()
+    notes = [", ".join(f"{n} began with {name.replace('_', ' ')}" for n, name in zip(led, starts.columns, strict=True))]
+    notes += ["which came first cannot be told from the finger condition itself"] if not all(led) else []
     yield _mean_finding(
-        "order", "first against second finger condition", "all", score, "P(dominant), first less second", [counted]
+        "order", "first against second finger condition", "all", score, "P(dominant), first less second", notes
     )
 
 
-def time_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
+def time_findings(answers: AnswerCounts, frame: pd.DataFrame, n_untimed: int = 0) -> Iterator[Finding]:
     """Yield whether reaction times differ between pairs: medians within participants, sign flips over them."""
     kept = frame[frame["response_time"] >= ANTICIPATION]
     dropped, known = len(frame) - len(kept), known_to(frame)
@@ -143,6 +147,7 @@ def time_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findin
             test, unfiltered = (sign_flip_test(np.rint(values * 1000).astype(np.int64)) for values in (gap, every))
             notes = [f"{dropped} of {len(frame)} answers below {ANTICIPATION:g} s left out in all"]
             notes += [f"with them p = {unfiltered.p:.2g}"] if dropped else []
+            notes += [f"{n_untimed} more answer{'s' * (n_untimed > 1)} without a reaction time"] if n_untimed else []
             notes += [f"reaction times are known to {known * 1e3:.2g} ms"] if known else []
             yield finding_of(
                 "time", "exact sign-flip test of median reaction times",
@@ -217,7 +222,7 @@ def _medians(frame: pd.DataFrame, condition: str) -> pd.DataFrame:
 
 
 def ranked_answers(answers: AnswerCounts, frame: pd.DataFrame) -> pd.DataFrame:
-    """Return each answer with its order within participant, finger condition and pair, centred on zero.
+    """Return each answer with its order within session, finger condition and pair, centred on zero.
 
     Parameters
     ----------
@@ -228,14 +233,15 @@ def ranked_answers(answers: AnswerCounts, frame: pd.DataFrame) -> pd.DataFrame:
     """
     keys = ["participant", "finger_condition", "zone_left", "zone_right"]
     table = frame[keys].astype(str).assign(trial=frame["trial"].to_numpy())
+    table["session"] = frame["session"].to_numpy() if "session" in frame else ""
     named = np.zeros(len(table), dtype=bool)
     for pair in answers.pairs:
         own = (table["zone_left"] == pair.left) & (table["zone_right"] == pair.right)
         word = answers.answers[answers.dominant_place(pair)].name
         named |= (own & (frame["response"] == word)).to_numpy(dtype=bool)
     table["dominant"] = named.astype(int)
-    ranks = table.groupby(keys)["trial"].rank(method="first").astype(int)
-    centred = 2 * ranks - (table.groupby(keys)["trial"].transform("size") + 1)
+    trials = table.groupby([*keys, "session"], observed=True)["trial"]
+    centred = (2 * trials.rank() - (trials.transform("size") + 1)).astype(int)
     table["drift"] = centred * table["dominant"]
     table["reach"] = centred.where(centred > 0, 0)
     return table
