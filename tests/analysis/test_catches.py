@@ -120,7 +120,7 @@ def test_catch_trials_without_the_answer_none_count_no_false_alarms(tmp_path: Pa
 @pytest.mark.parametrize(
     ("old", "new", "fault"),
     [
-        (",80,right,0", ",0,right,0", "velocity_mm_s: given '0'; allowed: a peak velocity in mm/s, above 0"),
+        (",80,right,0", ",0,right,0", "velocity_mm_s: given '0'; allowed: a peak velocity in mm/s, 0.001 to 1"),
         (",80,right,0", ",80,right,maybe", "catch: given 'maybe'; allowed: 0 or 1"),
         (",80,right,0", ",80,nowhere,0", "response: given 'nowhere'; allowed: left, right, both, none"),
     ],

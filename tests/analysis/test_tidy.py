@@ -127,7 +127,12 @@ class TestFaults:
         [
             (",both", ",middle", r":5:21: response: given 'middle'; allowed: left, right, both"),
             (",both", ",Both", r":5:21: response: given 'Both'; .*; write both, or map it"),
-            (",80,", ",fast,", r":5:18: velocity_mm_s: given 'fast'; allowed: a peak velocity in mm/s, above 0"),
+            (
+                ",80,",
+                ",8e-5,",
+                r":5:18: velocity_mm_s: given '8e-5'; allowed: a peak velocity in mm/s, 0.001 to 100000",
+            ),
+            (",80,", ",fast,", r":5:18: velocity_mm_s: given 'fast'; allowed: a peak velocity in mm/s, 0.001 to 1"),
             (",80,", ",-80,", r"given '-80'"),
             (",80,", ",nan,", r"given 'nan'"),
             (",80,", ",inf,", r"given 'inf'"),
@@ -253,12 +258,30 @@ class TestBalance:
         problems = fails(write_csv([*rows, rows[0]]))
         assert any("again (first on line 2)" in problem for problem in problems)
 
-    @pytest.mark.parametrize("n", ["1.5", "-1", "x", ""])
+    @pytest.mark.parametrize(("n", "of"), [(1, "p01, in the same time, twice"), (0, "p99, .* as those of p01")])
+    def test_answers_copied_with_their_times_are_refused(self, write_csv, paper_rows, n, of) -> None:
+        """A table pasted under itself, and one participant's rows under another id."""
+        rows = [{**row, "response_time": 0.8 + place / 1000} for place, row in enumerate(paper_rows)]
+        own = [{**row, "participant": "p99"} for row in rows if row["participant"] == "p01"]
+        assert re.search(f"every answer of {of}", fails(write_csv([*rows, *(rows if n else own)]))[0])
+
+    def test_names_that_differ_in_capitals_are_refused(self, write_csv, paper_rows) -> None:
+        """One participant's condition in capitals: not a cell that everybody else lacks."""
+        rows = [dict(row) for row in paper_rows]
+        rows[-1]["finger_condition"] = "Two_hands"
+        assert any("given 'Two_hands' beside 'two_hands'" in problem for problem in fails(write_csv(rows)))
+
+    @pytest.mark.parametrize(("times", "said"), [(1100, "divide by 1000"), (-0.5, "allowed: 0 to 86400 s")])
+    def test_reaction_times_are_seconds(self, write_csv, paper_rows, times, said) -> None:
+        """Milliseconds were taken for seconds, and times below zero for early answers."""
+        assert said in fails(write_csv([{**row, "response_time": times} for row in paper_rows]))[0]
+
+    @pytest.mark.parametrize("n", ["1.5", "-1", "x", "", "999999999"])
     def test_a_count_is_a_whole_number(self, write_csv, paper_rows, n) -> None:
         """Counts from 0."""
         rows = [{**row, "n": 1} for row in paper_rows]
         rows[4]["n"] = n
-        assert any("allowed: a whole number, 0 or above" in problem for problem in fails(write_csv(rows)))
+        assert any("allowed: a whole number, 0 to 100000" in problem for problem in fails(write_csv(rows)))
 
     def test_many_faulty_participants_do_not_flood_the_screen(self, write_csv, build) -> None:
         """Forty participants without their last cell: twenty are listed, the rest counted."""
@@ -336,9 +359,9 @@ def test_multiples_of_the_threshold_are_the_level_where_they_are_told(write_csv,
 @pytest.mark.parametrize(
     ("word", "words"),
     [
-        ("n/a", "given nothing; allowed: a multiple of the participant's own threshold, above 0"),
-        ("-1", "a multiple of the participant's own threshold, above 0"),
-        ("2 x", "a multiple of the participant's own threshold, above 0"),
+        ("n/a", "given nothing; allowed: a multiple of the participant's own threshold, 0.001 to 100000"),
+        ("-1", "a multiple of the participant's own threshold, 0.001 to 100000"),
+        ("2 x", "a multiple of the participant's own threshold, 0.001 to 100000"),
         ("1.5", "2 answers of participant p01 in one_hand A-C 1.5 x threshold"),
         ("7", "no answer of participant p01 in one_hand A-C 0.8 x threshold"),
     ],

@@ -16,6 +16,10 @@ _MOST_MISSING = 0.25
 """A participant who lacks so many of the design's answers did another design, or gave up [1]."""
 
 
+_FEWEST_TIMES = 4
+"""Different reaction times that are no coincidence when all of them come again."""
+
+
 def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True) -> tuple[list[Problem], int]:
     """Return doubled rows, lacking cells and surplus answers, and how many answers most cells hold.
 
@@ -36,8 +40,9 @@ def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True)
     """
     if frame["n"].sum() == 0:
         return [Problem(table.file, 1, 1, "", "no answers", "at least one answer that is not practice", "")], 0
+    again = [*_doubled(table, frame), *_copied(table, frame)]
     if not is_crossed:
-        return _doubled(table, frame), 0
+        return again, 0
     answers = answers_per_cell(frame)
     counts = answers.to_numpy()
     usual = int(np.bincount(counts[counts > 0]).argmax())
@@ -68,7 +73,7 @@ def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True)
     fewer = list(answers.index[far | ((counts == 0) & (counts == 0).all(axis=0)).any(axis=1)])
     more = [(answers.index[who], *cells[cell]) for who, cell in np.argwhere(counts > usual).tolist()]
     problems = [
-        *_doubled(table, frame),
+        *again,
         *list_faults(table.file, fewer, "participants with missing answers", missing, f"{usual} in every cell"),
         *list_faults(table.file, more, "cells with surplus answers", surplus, f"{usual} in every cell"),
     ]
@@ -89,3 +94,20 @@ def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:
         return table.problem(int(lines[1]), keys[-1], given, allowed, "remove one of the rows, or number them")
 
     return list_faults(table.file, list(again.groupby(keys, observed=True).groups.values()), "doubled rows", problem)
+
+
+def _copied(table: Table, frame: pd.DataFrame) -> list[Problem]:
+    """Return participants who gave every answer twice, or another's answers, each in the very same time."""
+    timed = frame.dropna(subset=["response_time"]) if "response_time" in frame else frame[:0]
+    seen: dict[tuple[Any, ...], Any] = {}
+    problems = []
+    for participant, own in timed.groupby("participant", sort=False, observed=True):
+        rows = own[[*cell_of(own.columns), "response", "response_time"]]
+        if rows["response_time"].nunique() < _FEWEST_TIMES:
+            continue
+        other = seen.setdefault(tuple(sorted(map(str, rows.itertuples(index=False)))), participant)
+        twice = rows.duplicated(keep=False).all()
+        if twice or other != participant:
+            given = f"every answer of {participant}, in the same time, {'twice' if twice else f'as those of {other}'}"
+            problems.append(table.problem(int(own.index[-1]), "participant", given, "each once", "remove the copies"))
+    return problems

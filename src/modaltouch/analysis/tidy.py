@@ -32,6 +32,12 @@ _SPEEDS = ("speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s")
 NUMBERS = ("trial", "block", "response_time", *_SPEEDS)
 """Further columns the analysis uses where they are there, named as in the record's own table."""
 
+_LEAST_LEVEL, _MOST = 0.001, 100_000
+"""Finest step between levels that a trend is told by, and the highest level and count of equal answers."""
+
+_LONGEST, _LONG = 86_400.0, 60.0
+"""Longest reaction time, and longest median of all: beyond, milliseconds were written [s]."""
+
 _TRUTH = {"0": False, "false": False, "no": False, "": False, "1": True, "true": True, "yes": True}
 _EMPTY = ("", "n/a")
 
@@ -66,6 +72,8 @@ def read_csv(
     fields, columns = table.fields, _Columns(table)
     caught, practice = columns.flags("catch", "a catch trial"), columns.flags("practice", "a practice trial")
     frame, answers = _frame_of(columns, fields, caught, table_format)
+    for name in (*REQUIRED[:2], *zones_of(fields.columns)):
+        columns.check_spelling(name)
     columns.check_zones()
     caught &= ~practice
     columns.check_stimuli(~practice & ~caught)
@@ -169,23 +177,27 @@ def _frame_of(
     frame["zone_right"] = frame.get("zone_right", "")
     level = VELOCITY if set(fields.get(OWN_THRESHOLD.column, ())) <= set(_EMPTY) else OWN_THRESHOLD
     allowed = {
-        VELOCITY: "a peak velocity in mm/s, above 0",
-        OWN_THRESHOLD: "a multiple of the participant's own threshold, above 0",
+        VELOCITY: f"a peak velocity in mm/s, {_LEAST_LEVEL:g} to {_MOST}",
+        OWN_THRESHOLD: f"a multiple of the participant's own threshold, {_LEAST_LEVEL:g} to {_MOST}",
     }
-    frame[level.column] = columns.numbers(level.column, allowed[level], lambda value: value > 0, where=~caught)
+    frame[level.column] = columns.numbers(
+        level.column, allowed[level], lambda value: _LEAST_LEVEL <= value <= _MOST, where=~caught
+    )
     given = {table_format.words.get(word, word) for word in fields["response"].cat.categories}
     remedy = "map it as in --answers L=left,R=right, or, if it stands for no answer, name it with --missing"
     if answers is None:
         answers = AnswerList.of_words(("none",) if "none" in given else ())
         remedy += "; or name the protocol that offers other answers with --protocol"
     frame["response"] = columns.answers(answers.ranked.names, remedy, table_format)
-    frame["n"] = columns.whole_numbers("n", 0) if "n" in fields else 1
+    frame["n"] = columns.whole_numbers("n", 0, _MOST) if "n" in fields else 1
     if "repetition" in fields:
         frame["repetition"] = columns.whole_numbers("repetition", 1)
     scales = _scales(table_format.design)
     for name in fields.columns.difference([*frame.columns, "catch", VELOCITY.column, OWN_THRESHOLD.column], sort=False):
         if name in scales:
             frame[name] = columns.numbers(name, f"{scales[name].allowed}, or nothing", scales[name].takes, empty=True)
+        elif name == "response_time":
+            frame[name] = columns.times(name)
         elif name in NUMBERS:
             frame[name] = columns.numbers(name, "a number, or nothing", empty=True)
         else:
@@ -302,6 +314,28 @@ class _Columns:
         column = table.fields[name] if where is None else table.fields.loc[where, name]
         self.problems += table.check_words(column, is_fit, allowed, say)
         return self._values(name, lambda word: _number(word, table.separator))
+
+    def times(self, name: str) -> pd.Series:
+        """Return a column of times in seconds."""
+        values = self.numbers(
+            name, f"0 to {_LONGEST:g} s, or nothing", lambda value: 0 <= value <= _LONGEST, empty=True
+        )
+        if (middle := values.median()) > _LONG:
+            line, given = int(values.index[values > _LONG][0]), f"times of {middle:g} s in the median"
+            remedy = "divide by 1000 what is in milliseconds"
+            self.problems.append(self._table.problem(line, name, given, f"seconds, {_LONG:g} in the median", remedy))
+        return values
+
+    def check_spelling(self, name: str) -> None:
+        """Refuse words of a column that differ in capitals alone: one of them is a slip."""
+        column = self._table.fields[name]
+        usual = {str(word).casefold(): str(word) for word in reversed([*column.unique()])}  # the first of each in the file
+
+        def say(word: str) -> tuple[str, str]:
+            return f"{word!r} beside {usual[word.casefold()]!r}", "write it one way, or name apart what is apart"
+
+        is_usual = {*usual.values()}.__contains__
+        self.problems += self._table.check_words(column, is_usual, "one way to write a name", say)
 
     def whole_numbers(self, name: str, least: int, most: int | None = None) -> pd.Series:
         """Return a column of whole numbers."""
