@@ -329,7 +329,8 @@ class _Columns:
     def check_spelling(self, name: str) -> None:
         """Refuse words of a column that differ in capitals alone: one of them is a slip."""
         column = self._table.fields[name]
-        usual = {str(word).casefold(): str(word) for word in reversed([*column.unique()])}  # the first of each in the file
+        words = map(str, reversed([*column.unique()]))
+        usual = {word.casefold(): word for word in words}  # the first of each in the file
 
         def say(word: str) -> tuple[str, str]:
             return f"{word!r} beside {usual[word.casefold()]!r}", "write it one way, or name apart what is apart"
