@@ -1,4 +1,4 @@
-"""What each participant tells, over participants and between groups: observers whose numbers are known."""
+"""Results of each participant, over participants and between groups: observers whose numbers are known."""
 
 from __future__ import annotations
 

@@ -156,8 +156,8 @@ def test_groups_are_compared_by_one_number_of_each_participant() -> None:
     assert dominant["p"] == pytest.approx(2 / 70)
     assert dominant["p_holm"] == pytest.approx(holm([2 / 70, 1.0])[0])
     page = render_parts(found)["report.html"]
-    assert "Over all parts" in page and "groups are compared by one number of each participant" in page
-    assert "The participants are of the groups high, low." in page and "Not every participant met" not in page
+    assert "Over all parts" in page and "groups are compared by one number per participant" in page
+    assert "The participants are from the groups high, low." in page and "Not every participant met" not in page
 
 
 def test_stimuli_are_parts_and_compared_within_participants() -> None:

@@ -347,7 +347,7 @@ def test_kinds_of_runs_are_told_apart_by_colour_and_mark() -> None:
           "answers": {"keys": {"first": ["left"], "second": ["right"]}, "intervals": {"first": 1, "second": 2}},
           "adaptive": {"success": "correct"}},
          "standard, of 90 mm/s.</li> <li>Success is a correct answer: the interval of the higher level. The threshold "
-         "is thus the level from which the comparison is told from the standard."),
+         "is thus the level from which the comparison can be distinguished from the standard."),
         ({"intervals": {"number": 3, "standard": {"velocity_mm_s": 0}},
           "answers": {"keys": {"one": ["a"], "two": ["b"], "three": ["c"]},
                       "intervals": {"one": 1, "two": 2, "three": 3}},
@@ -356,7 +356,7 @@ def test_kinds_of_runs_are_told_apart_by_colour_and_mark() -> None:
          "comparison."),
         ({"answers": {"keys": {"rough": ["left"], "smooth": ["right"]}}, "adaptive": {"success": "rough"}},
          "<ul> <li>Success is the answer “rough”; any other answer is a failure. The threshold is thus the level from "
-         "which that is answered."),
+         "which that answer is given."),
     ],
 )  # fmt: skip
 def test_the_report_says_what_was_a_success_and_what_the_standard(design: dict, words: str) -> None:
@@ -378,7 +378,7 @@ def test_the_report_says_what_was_a_success_and_what_the_standard(design: dict, 
     assert words in page and "timed out" not in page
     late = analyse_runs(replace(responses, frame=frame[1:]))
     assert [run.n_missing for run in late.runs] == [late.as_dict()["n_missing"]] == [1]
-    assert "1 trial timed out without an answer. The level followed" in render_runs(late)["report.html"]
+    assert "1 trial timed out without an answer. The next level was chosen" in render_runs(late)["report.html"]
     assert "which is in focus" not in page
 
 
