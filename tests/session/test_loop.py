@@ -21,8 +21,7 @@ from modaltouch.session.console.interface import Console, Request
 from modaltouch.session.console.status import Status
 from modaltouch.session.loop import SessionRun, conduct
 from modaltouch.system.clock import VirtualClock
-from modaltouch.window.interface import Presentation, Progress, SessionStopped, TrialInterrupted
-from modaltouch.window.masking import Masking, MaskingError
+from modaltouch.window.interface import Masking, MaskingError, Presentation, Progress, SessionStopped, TrialInterrupted
 
 SPEEDS = {"A": 0.12, "B": 0.115, "C": 0.2, "D": 0.115, "E": 0.12}
 

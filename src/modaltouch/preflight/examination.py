@@ -383,9 +383,9 @@ def _check_masking_level(findings: Findings) -> Iterator[Problem]:
     level = None if section is None else section.level(sound)
     if section is None or level is None:
         return
-    from modaltouch.window import Masking
+    from modaltouch.window import highest_level
 
-    highest = Masking.highest_level(section.noise, sound.sampling_rate_Hz)
+    highest = highest_level(section.noise, sound.sampling_rate_Hz)
     if level <= highest:
         return
     unit = section.level_key.removeprefix("level_").replace("_", " ")

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         AnswerWindow,
         Event,
         Intervention,
+        Masking,
         Presentation,
         SessionStopped,
         Tick,
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     )
     from modaltouch.window.legibility import smallest_type
     from modaltouch.window.machine import examine_surroundings, measure_timing
-    from modaltouch.window.masking import Masking
+    from modaltouch.window.masking import highest_level, open_masking
     from modaltouch.window.opening import AnswersBy, WindowOptions, open_window
     from modaltouch.window.simulated import Answerer
     from modaltouch.window.typesetting import Fonts, find_font
@@ -33,11 +34,11 @@ else:
         {
             "typesetting": "Fonts find_font",
             "interface": (
-                "AnswerWindow Event Intervention Presentation SessionStopped Tick TrialInterrupted WindowError"
+                "AnswerWindow Event Intervention Masking Presentation SessionStopped Tick TrialInterrupted WindowError"
             ),
             "legibility": "smallest_type",
             "machine": "examine_surroundings measure_timing",
-            "masking": "Masking",
+            "masking": "highest_level open_masking",
             "opening": "AnswersBy WindowOptions open_window",
             "simulated": "Answerer",
         },
@@ -58,8 +59,10 @@ __all__ = [
     "WindowError",
     "WindowOptions",
     "examine_surroundings",
+    "highest_level",
     "find_font",
     "measure_timing",
+    "open_masking",
     "open_window",
     "smallest_type",
 ]

@@ -259,3 +259,57 @@ class AnswerWindow:
 
     def __exit__(self, *exc: object) -> None:
         self.close()
+
+
+class MaskingError(WindowError):
+    """The masking noise that a protocol demands cannot be played."""
+
+    ending = "masking lost"
+
+
+class Masking:
+    """What the session asks of masking noise; this one plays nothing.
+
+    Parameters
+    ----------
+    reason : str
+        Why, where the protocol wants masking; empty where it does not.
+    """
+
+    def __init__(self, reason: str = "") -> None:
+        self._reason = reason
+
+    def describe(self) -> dict[str, Any] | None:
+        """Return noise, level and device for the start record; None where the protocol wants no masking."""
+        return {"state": "not masked", "reason": self._reason} if self._reason else None
+
+    def start(self) -> None:
+        """Begin to fade in."""
+
+    def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
+        """See before a trial that the noise is at its level, or silent; open the device again where it was lost.
+
+        Calls `tick` while it waits.
+
+        Raises
+        ------
+        MaskingError
+            If it is lost and the protocol demands it.
+        """
+
+    @property
+    def is_on(self) -> bool | None:
+        """Whether the noise has been on since `ensure`; None where the protocol wants no masking."""
+        return False if self._reason else None
+
+    def stop(self, *, hurry: bool) -> None:
+        """Fade out, in an instant where something went wrong, and let the device go; a second call does nothing.
+
+        How often the device got no samples in time, a click each, goes into the record.
+        """
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        """Let the device go, whatever happened."""

@@ -13,9 +13,9 @@ import contextlib
 import math
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
-from modaltouch.window.interface import Log, WindowError
+from modaltouch.window.interface import Log, Masking, MaskingError
 
 if TYPE_CHECKING:
     from modaltouch.protocol import Apparatus, MaskingSection
@@ -27,97 +27,41 @@ _HURRY = 0.1
 """Longest fade where something went wrong [s]."""
 
 
-class MaskingError(WindowError):
-    """The masking noise that a protocol demands cannot be played."""
-
-    ending = "masking lost"
-
-
-class Masking:
-    """What the session asks of masking noise; this one plays nothing.
+def open_masking(section: MaskingSection, apparatus: Apparatus, log: Log, *, is_heard: bool = True) -> Masking:
+    """Return the masking that a protocol wants, silent until `Masking.start`.
 
     Parameters
     ----------
-    reason : str
-        Why, where the protocol wants masking; empty where it does not.
+    section : MaskingSection
+        What the protocol wants.
+    apparatus : Apparatus
+        What plays it.
+    log : callable
+        Takes what happens to it for the record.
+    is_heard : bool
+        Whether a person answers; for a simulated participant none is played.
+
+    Raises
+    ------
+    MaskingError
+        If it cannot be played and the protocol demands it.
     """
+    if not is_heard:
+        return SimulatedMasking(section, apparatus)
+    try:
+        return NoiseMasking(section, apparatus, log)
+    except MaskingError as error:
+        if section.required:
+            raise
+        log("masking_lost", reason=str(error))
+        return Masking(str(error))
 
-    def __init__(self, reason: str = "") -> None:
-        self._reason = reason
 
-    @staticmethod
-    def open(section: MaskingSection | None, apparatus: Apparatus, log: Log, *, is_heard: bool = True) -> Masking:
-        """Return the masking that a protocol wants, silent until `start`.
+def highest_level(kind: Kind, sampling_rate: float) -> float:
+    """Return the level at which the highest peak of a noise just reaches full scale [dB FS]."""
+    from modaltouch.window.noise import SINE_DB, make_noise
 
-        Parameters
-        ----------
-        section : MaskingSection or None
-            What the protocol wants.
-        apparatus : Apparatus
-            What plays it.
-        log : callable
-            Takes what happens to it for the record.
-        is_heard : bool
-            Whether a person answers; for a simulated participant none is played.
-
-        Raises
-        ------
-        MaskingError
-            If it cannot be played and the protocol demands it.
-        """
-        if section is None:
-            return Masking()
-        if not is_heard:
-            return SimulatedMasking(section, apparatus)
-        try:
-            return NoiseMasking(section, apparatus, log)
-        except MaskingError as error:
-            if section.required:
-                raise
-            log("masking_lost", reason=str(error))
-            return Masking(str(error))
-
-    @staticmethod
-    def highest_level(kind: Kind, sampling_rate: float) -> float:
-        """Return the level at which the highest peak of a noise just reaches full scale [dB FS]."""
-        from modaltouch.window.noise import SINE_DB, make_noise
-
-        return SINE_DB - 20 * math.log10(float(abs(make_noise(kind, sampling_rate)).max()))
-
-    def describe(self) -> dict[str, Any] | None:
-        """Return noise, level and device for the start record; None where the protocol wants no masking."""
-        return {"state": "not masked", "reason": self._reason} if self._reason else None
-
-    def start(self) -> None:
-        """Begin to fade in."""
-
-    def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
-        """See before a trial that the noise is at its level, or silent; open the device again where it was lost.
-
-        Calls `tick` while it waits.
-
-        Raises
-        ------
-        MaskingError
-            If it is lost and the protocol demands it.
-        """
-
-    @property
-    def is_on(self) -> bool | None:
-        """Whether the noise has been on since `ensure`; None where the protocol wants no masking."""
-        return False if self._reason else None
-
-    def stop(self, *, hurry: bool) -> None:
-        """Fade out, in an instant where something went wrong, and let the device go; a second call does nothing.
-
-        How often the device got no samples in time, a click each, goes into the record.
-        """
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        """Let the device go, whatever happened."""
+    return SINE_DB - 20 * math.log10(float(abs(make_noise(kind, sampling_rate)).max()))
 
 
 class _Noise(Masking):
