@@ -143,6 +143,17 @@ def test_how_many_participants_a_sign_flip_test_takes(build, write_csv, tmp_path
     assert f"a family of {size}: its smallest p is 2/2^3 = 0.25. The fewest participants that can are {fewest}." in told
 
 
+def test_bars_of_several_answers_each_say_what_their_intervals_are(build, write_csv, tmp_path) -> None:
+    """Shares of three answers are no counts, so their intervals are not exact."""
+    files = analyse(write_csv(build["random"](3, 1, repetitions=3)), tmp_path / "out").files
+    page = files["report.html"].read_text(encoding="utf-8")
+    assert (
+        "3 answers each. Error bars: Clopper and Pearson&#39;s 95 % intervals, as if each participant had given one"
+        in page
+    )
+    assert "exact 95 % intervals" not in page
+
+
 def test_one_answer_is_the_smallest_analysis(write_csv, paper_rows, tmp_path) -> None:
     """One participant, condition, pair and level."""
     analysis = analyse(write_csv(paper_rows[:1]), tmp_path / "out")

@@ -134,12 +134,12 @@ def test_faults_of_catch_trials_have_their_place(table: Path, old: str, new: str
 
 
 def test_the_report_and_the_json_tell_the_outcome(table: Path, tmp_path: Path) -> None:
-    """One table with a row for each participant; the words say that catch trials are in no other."""
+    """One table with a row for each participant; the words say where else catch trials count."""
     analysis = analyse(table, tmp_path / "out")
     page = (tmp_path / "out" / "report.html").read_text()
     assert "Catch trials and the answer “none”" in page
     assert "<td>2 of 12</td><td>3 of 12</td>" in page
-    assert "Catch trials are in no other table or test" in page
+    assert page.count("Beside d&#39;, criteria and detection thresholds, catch trials are in no other table") == 2
     assert analysis.as_dict()["catch_trials"][-1]["n_missed"] == 3
     with (tmp_path / "out" / "counts.csv").open() as file:
         assert sum(int(row["none"]) for row in csv.DictReader(file)) == 3

@@ -88,6 +88,14 @@ def test_points_of_equality_and_differences_are_those_of_the_observers(compared)
     assert len(values["PSE"]) == 8
 
 
+def test_a_just_noticeable_difference_is_never_below_zero(compared) -> None:
+    """Synthetic: nobody ever errs, so the steepest function fits as well; its bound was minus infinity."""
+    sure = np.where((compared["velocity_mm_s"] > 80) == (compared["interval"] == 1), "first", "second")
+    design = analyse_design(take(compared.assign(response=sure), TWO))
+    own = [each.interval for each in design.values if each.measure.name == "JND"]
+    assert [interval.low for interval in own] == [0.0] * 8
+
+
 def test_d_prime_of_a_comparison_is_that_of_its_distance_from_the_standard(compared) -> None:
     """Known: for 120 against 80 mm/s P(comparison) = Phi(3.1 / 2), so d' = sqrt 2 times 1.55, less the correction."""
     findings, _ = found(take(compared, TWO))

@@ -34,6 +34,7 @@ FIGURES = {
 """Caption and section of the report of each figure that is drawn where it is asked for."""
 
 INTERVALS = "Error bars: exact 95 % intervals (Clopper-Pearson) over participants."
+OF_SEVERAL = "Error bars: Clopper and Pearson's 95 % intervals, as if each participant had given one answer."
 
 
 def draw_all(answers: AnswerCounts, responses: Responses, asked: Collection[str] = ()) -> tuple[ReportFigure, ...]:
@@ -80,6 +81,6 @@ def _bars(answers: AnswerCounts) -> list[ReportFigure]:
         number = {"fig_10": "Fig. 10. ", "fig_11": "Fig. 11. "}.get(name, "")
         several = f", {answers.n_repetitions} answers each" if answers.n_repetitions > 1 else ""
         whose = f"{condition.replace('_', ' ')}, {n} participant{'s' * (n != 1)}"
-        caption = f"{number}Answers with {whose}{several}. {INTERVALS}"
+        caption = f"{number}Answers with {whose}{several}. {OF_SEVERAL if several else INTERVALS}"
         pictures.append(ReportFigure(name, figure, caption, "answers", condition))
     return pictures

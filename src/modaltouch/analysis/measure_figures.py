@@ -35,7 +35,7 @@ def draw_design(design: DesignAnalysis) -> Iterator[ReportFigure]:
     """
     scale, groups = design.scale, design.groups
     if design.fits:
-        caption = "Psychometric functions. Dots: share of successes of each participant, the larger the more answers."
+        caption = "Psychometric functions. Dots: the share of each participant, the larger the more answers."
         yield ReportFigure("functions", draw_functions(design.fits, scale), caption, "each")
     for measure, own in by_measure(design.values):
         if measure != CRITERION and any(math.isfinite(each.interval.estimate) for each in own):

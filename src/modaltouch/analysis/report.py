@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -24,6 +25,9 @@ from modaltouch.report import ReportFigure, page_files, say_number
 
 MOST_ROWS = 8
 """Rows of a table that stand open; longer ones are unfolded on request, and not printed."""
+
+
+CATCHES = "Beside d', criteria and detection thresholds, catch trials are in no other table, figure or test."
 
 
 def _cautions(answers: AnswerCounts) -> dict[str, str]:
@@ -49,7 +53,7 @@ def _cautions(answers: AnswerCounts) -> dict[str, str]:
         "e": "Gwet's AC1 is 1 where all agree; kappa is undefined there and is not used."
         if answers.n_participants > 1
         else "One participant alone: agreement between participants has no meaning.",
-        "catch": "Catch trials are in no other table or test.",
+        "catch": CATCHES,
     }
 
 
@@ -79,6 +83,7 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
         families=state_families(analysis.findings),
         most_rows=MOST_ROWS,
         catches=analysis.design.catches if analysis.design else (),
+        catches_enter=CATCHES,
         catch_words=[*(answer.name for answer in answers.answers if answer.says_nothing_felt), *felt]
         if answers.offers_none
         else ["none", *felt],
@@ -97,8 +102,9 @@ def design_limits(analysis: Analysis) -> list[str]:
     """Return what the design of these answers cannot tell, in words."""
     answers, n = analysis.answers, analysis.answers.n_participants
     both, nothing = answers.answers.naming("left", "right"), answers.answers.naming()
-    m = min(Counter(row.family for row in analysis.findings if row.family in ("a2", "c", "d")).values(), default=1)
-    fewest = 1 + math.ceil(math.log2(m / ALPHA))
+    flips = Counter(row.family for row in analysis.findings if row.family and re.search("sign.flip", row.name))
+    m = min(flips.values(), default=0)
+    fewest = 1 + math.ceil(math.log2(m / ALPHA)) if m else 0
     known = [
         (
             analysis.responses.source.mode == "simulated",

@@ -119,7 +119,11 @@ def measures_of_fits(fits: tuple[FittedCell, ...], task: TrialTask, scale: Level
         yield Own(equal if each.is_choice else threshold, *each.cell, value, n, fitted.why_not)
         if each.is_choice:
             yield Own(
-                jnd, *each.cell, _interval(fitted.spread, lambda spread: JND_OF_SPREAD * spread), n, fitted.why_not
+                jnd,
+                *each.cell,
+                _interval(fitted.spread, lambda spread: JND_OF_SPREAD * max(spread, 0.0)),
+                n,
+                fitted.why_not,
             )
 
 
