@@ -215,3 +215,14 @@ def test_further_figures_draw_what_they_are_given(paper_frame) -> None:
     for words in ("in the order of trials", "reaction time [s]", "right / left finger"):
         assert words in labels
     assert all(render(figure, "svg").startswith(b"<?xml") for figure in figures if figure)
+
+
+def test_a_cell_without_answers_has_no_error_bar_and_one_with_few_counts_them_alone(table) -> None:
+    """Ten participants, but seven answers to one level and none to another: 1 of 7, from 0.36 to 57.87 %."""
+    table = table.copy()
+    table.loc["A-C", 80.0] = [1, 0, 6]
+    table.loc["A-C", 100.0] = [0, 0, 0]
+    with np.errstate(all="raise"):
+        segments = draw_counts(table, "one_hand", n_participants=10).axes[0].collections[0].get_segments()
+    assert segments[0][:, 1] == pytest.approx([7 * 0.003610, 7 * 0.578723], abs=1e-4)
+    assert segments[1][:, 1].tolist() == [0, 0]

@@ -176,8 +176,8 @@ def _draw_bars(
     axes: Axes, places: NDArray[Any], counts: NDArray[Any], totals: NDArray[Any], colours: list[str], n: int | None
 ) -> None:
     axes.bar(places, counts, width=0.82, color=colours, edgecolor=INK, linewidth=0.5)
-    trials = np.full(totals.shape, n) if n else totals
-    interval = clopper_pearson(counts * trials / totals, trials)
+    trials = np.minimum(totals, n) if n else totals  # where answers are missing, there may be fewer than participants
+    interval = clopper_pearson(counts * trials / np.maximum(totals, 1), trials)
     # A white line under the dark one keeps the interval visible within a dark bar.
     for colour, width in (("white", 2.6), (INK, 1.1)):
         axes.vlines(places, totals * interval.low, totals * interval.high, colors=colour, linewidth=width)
