@@ -114,11 +114,11 @@ def test_what_stays_out_is_named_with_its_reason(record, tmp_path) -> None:
     responses = read_responses(tmp_path / "results")
     told = reasons(responses)
     assert set(responses.frame["participant"]) == {"p01"}
-    assert told["sub-p02"] == "incomplete: 20 of 24 trials answered (go on with `modaltouch resume`)"
+    assert told["sub-p02"] == "incomplete: 20 of 24 trials answered (continue with `modaltouch resume`)"
     assert told["sub-p03"].startswith("damaged: ")
     assert told["sub-p04"].startswith("pilot, not real")
     assert told["sub-p05"].startswith("simulated, not real")
-    assert told["sub-p06"] == "closed: begun anew as session 2"
+    assert told["sub-p06"] == "closed: started over as session 2"
 
 
 def test_a_chosen_mode_leaves_the_others_out(record, tmp_path) -> None:

@@ -44,7 +44,7 @@ def test_a_table_without_speeds_is_refused(tmp_path: Path) -> None:
     """It cannot tell them."""
     rows = ["participant,finger_condition,zone_left,zone_right,velocity_mm_s,response"]
     (tmp_path / "answers.csv").write_text("\n".join([*rows, "p1,one_hand,A,C,80,right"]) + "\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"do not tell the speeds predicted.*recorded sessions.*take --speed nominal"):
+    with pytest.raises(InputError, match=r"without the speeds predicted.*recorded sessions.*take --speed nominal"):
         analyse(tmp_path / "answers.csv", speed="predicted")
 
 

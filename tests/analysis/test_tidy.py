@@ -506,7 +506,9 @@ def test_a_table_of_a_design_that_is_not_crossed_has_its_parts(write_csv, build)
     found = analyse_parts(read_responses(write_csv(rows), table_format=TableFormat(design=design)))
     assert sorted(part.name.split(" ", 3)[3] for part in found.parts) == ["A-C at 80 mm/s", "B-D at 150 mm/s"]
     assert {part.counts.n_participants for part in found.parts} == {6} and found.parts[0].counts.pairs[0].focused
-    with pytest.raises(InputError, match="unequally often.*give every trial a row, without a response where none came"):
+    with pytest.raises(
+        InputError, match="unequally often.*give every trial a row, with an empty response where none was given"
+    ):
         analyse_parts(read_responses(write_csv(rows[1:], "less.csv"), table_format=TableFormat(design=design)))
 
 

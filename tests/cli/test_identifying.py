@@ -52,7 +52,7 @@ def test_file_becomes_table_and_figures(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--points", "15"], "15 points are too few to tell modes 14 and 16 apart"),
+        (["--points", "15"], "15 points are too few to distinguish modes 14 and 16"),
         (["--set", "left"], "'left' is not an actuator set"),
         (["--modes", "some"], "--modes is 'some': give `listed`, `all`, or labels"),
         (["--drive-V", "400"], "an excitation of 400 V was asked for: allowed above 0, up to 250 V"),
@@ -129,7 +129,7 @@ def test_an_interrupted_scan_says_what_is_kept(
     said = RUN.invoke(app, list(command))
     assert said.exit_code == 130
     assert f"ended by SIGINT: the outputs are off; {kept}" in " ".join(said.stderr.split())
-    assert ("; give the same command to go on" in said.stderr) is ("kept" in command)
+    assert ("; run the same command again to continue" in said.stderr) is ("kept" in command)
     assert len(list(tmp_path.rglob("position_*.npz"))) == 2 * ("kept" in command)
 
 
@@ -146,4 +146,4 @@ def test_ctrl_c_while_the_vibrometer_is_aimed_says_what_is_kept(tmp_path: Path, 
     monkeypatch.setattr(Laboratory, "record", record)
     said = RUN.invoke(app, ["validate", "demo", "--scan", "kept"])
     assert said.exit_code == 130
-    assert "interrupted: the outputs are off; 1 of 41 points are kept in kept/exact_field; give" in said.stderr
+    assert "interrupted: the outputs are off; 1 of 41 points are kept in kept/exact_field; run" in said.stderr

@@ -80,7 +80,7 @@ def test_a_single_group_and_sessions_that_nobody_analyses_are_told(edit: Edit) -
     kinds = "groups: {low: {}}\nschedule:\n  sessions: [{name: training, analysed: false}]\n"
     said = design_warnings(read(edit, ("schedule:\n", kinds)))
     assert any("no kind of session is analysed" in each for each in said)
-    assert any("there is one group alone" in each for each in said)
+    assert any("there is only one group" in each for each in said)
 
 
 @pytest.mark.parametrize(("analysed", "is_told"), [("false", False), ("true", True)])

@@ -283,7 +283,7 @@ def test_the_table_shows_every_level_under_every_pair() -> None:
             peaks = [f"{speed:.0f}" for speed in each["zone_peak_mm_s"].values()]
             others = [f"{each['zone_at_focus_mm_s']['C']:.0f}", f"{each['attainable_mm_s']:.0f}"]
             assert rows[f"{row['velocity_mm_s']:g}", pair] == [*peaks, *others, f"{each['pull_N']:.2f}"]
-    assert "a finger that presses with less lifts off" in " ".join(done.stdout.split())
+    assert "a finger that presses with less force lifts off" in " ".join(done.stdout.split())
 
 
 def test_the_export_holds_what_the_beam_gets_at_the_highest_level(
@@ -472,7 +472,7 @@ def test_the_level_first_is_labelled_and_reaches_any_level(edit: Edit) -> None:
     for found in values["stimuli"][-1]["touched"].values():
         assert found["zone_at_focus_mm_s"]["C"] == pytest.approx(200, rel=1e-6)
     (said,) = (warning for warning in values["warnings"] if warning.startswith("priority level"))
-    assert "do not compare it with sessions of priority field" in said
+    assert "do not compare it with sessions that have priority field" in said
 
 
 @pytest.mark.parametrize(("key", "value"), [("law", "paper"), ("design", "norm_4")])

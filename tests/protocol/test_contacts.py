@@ -92,7 +92,7 @@ def faults(file: Path) -> list[str]:
         (
             [ONE, (PAIRS, "zones: [[C]]"), (KEYS, "    felt: [y]\n    no: [n]\n  fingers: {felt: [left]}\n")],
             "answers.fingers.felt: given 'felt', with the one of tip; allowed: answers that name no finger, such as "
-            "`yes` and `none`; one finger is not told from another; remove its entry under fingers",
+            "`yes` and `none`; there is only one finger; remove its entry under fingers",
         ),
         (
             [(KEYS, f"{KEYS}    middle: [m]\n  fingers: {{middle: [between]}}\n")],

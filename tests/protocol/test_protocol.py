@@ -80,7 +80,7 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
             "conditions.peak_velocities_mm_s[1]: given .nan, which is not finite; allowed: a number",
         ),
         (LEVELS, "[-80]", "conditions.peak_velocities_mm_s[0]: given -80; allowed: a number [mm/s] above 0"),
-        (LEVELS, "[80 mm/s]", "write the number alone: 80"),
+        (LEVELS, "[80 mm/s]", "write only the number: 80"),
         (LEVELS, "[true]", "conditions.peak_velocities_mm_s[0]: given true; allowed: a number [mm/s] above 0"),
         (LEVELS, "[501]", "given 501 mm/s, beyond the safety limit of the apparatus; allowed: at most 500 mm/s"),
         (LEVELS, str(list(range(10, 111))), "given a list of 101; allowed: a list of at least 1 and at most 100"),

@@ -429,7 +429,7 @@ OF_INTERVALS: dict[str, tuple[Lie, str]] = {
         in_interval(1, lambda each: each["confirmed"].update(confirmed=False)),
         "counts though one of its intervals is not confirmed",
     ),
-    "an interval": (everywhere(lambda event: event["intervals"].pop()), "its line tells of 1"),
+    "an interval": (everywhere(lambda event: event["intervals"].pop()), "its line lists 1"),
     "where it stood": (
         everywhere(lambda event: event["trial"].update(interval=3 - event["trial"]["interval"])),
         "has the interval",

@@ -114,5 +114,5 @@ def test_what_is_no_session_is_refused(tmp_path):
         find_log(tmp_path / "beh.tsv")
     with pytest.raises(RecordInputError, match="no such file or folder"):
         find_log(tmp_path / "gone")
-    with pytest.raises(RecordInputError, match="holds 0 sessions, exactly one is needed"):
+    with pytest.raises(RecordInputError, match="holds 0 sessions, but exactly one is needed"):
         find_log(tmp_path)

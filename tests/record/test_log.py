@@ -310,7 +310,7 @@ def test_a_log_that_is_missing_or_holds_no_line_is_not_continued(tmp_path):
         SessionLog.reopen(path)
     path.write_bytes(b'{"n":1,"ti')
     for _ in range(2):
-        with pytest.raises(RecordError, match="holds no whole line: there is nothing to continue"):
+        with pytest.raises(RecordError, match="contains no complete line: there is nothing to continue"):
             SessionLog.reopen(path)
 
 

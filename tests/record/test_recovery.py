@@ -150,8 +150,8 @@ def test_what_is_lost_is_said_in_words_and_values(damaged, sound):
     assert found.missing == tuple(gone)
     assert found.lines == [
         f"{n_lines - 4} lines prove themselves, {answers - 2} answers among them",
-        f"line {first - 1} is left out: it was changed, or the line before it is gone, so that it cannot be proved",
-        f"line {last - 1} is left out: it was changed, or the line before it is gone, so that it cannot be proved",
+        f"line {first - 1} is left out: it was changed, or the line before it is missing, so it cannot be proved",
+        f"line {last - 1} is left out: it was changed, or the line before it is missing, so it cannot be proved",
         f"gone: the lines numbered {first - 1} to {first + 1}, {last + 1}",
     ]
     plain = found.as_dict()
@@ -218,7 +218,7 @@ def test_a_replaced_answer_stays_replaced_under_its_new_number(tmp_path, damaged
     last = session.events[-1]
     assert last["lines"] == [1, *range(4, len(events) + 1)]
     assert last["sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
-    unproved = "it was changed, or the line before it is gone, so that it cannot be proved"
+    unproved = "it was changed, or the line before it is missing, so it cannot be proved"
     assert last["left_out"] == [{"line": 2, "reason": unproved}]
     assert last["missing"] == [2, 3]
     assert log.with_name("left_out.txt").stat().st_mode & 0o777 == 0o600

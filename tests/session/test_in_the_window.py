@@ -130,7 +130,7 @@ def test_a_session_whose_display_dies_loses_nothing_and_is_finished_on_another(t
         assert run.wait(20) == 3
         said = run.stderr.read()
         assert f"the display {name!r} is gone" in said
-        assert "go on with `modaltouch resume" in said
+        assert "continue with `modaltouch resume" in said
         assert "Traceback" not in said
         wait_until(lambda: outputs() == ("0", "0"), "both outputs off", timeout=5)
     assert read_session(log).events[-1]["reason"] == "window lost"

@@ -58,7 +58,7 @@ def test_every_session_is_told_with_its_state(real: dict[str, Any]) -> None:
         ("p01", 1, "complete", ""),
         ("p02", 1, "interrupted", "killed"),
         ("p03", 1, "damaged", real["sessions"][2]["why"]),
-        ("p04", 1, "closed", "begun anew as session 2"),
+        ("p04", 1, "closed", "started over as session 2"),
         ("p04", 2, "complete", ""),
         ("p06", 1, "interrupted", "emergency stop"),
     ]

@@ -150,7 +150,7 @@ def test_a_form_that_is_cut_goes_on_with_its_next_question(protocol: Path, tmp_p
     (log,) = (tmp_path / "results").rglob("session.jsonl")
     before = read_session(log)
     assert before.n_answered == 4 and list(before.form) == ["tired"]
-    assert before.unfit == "incomplete: the form at the end is not filled in (go on with `modaltouch resume`)"
+    assert before.unfit == "incomplete: the form at the end is not filled in (continue with `modaltouch resume`)"
     assert table(before, "demoform")[0]["dizzy"] == "n/a"
     session = resume(wire_resume(log))
     assert session.complete and [event["name"] for event in lines(session, "form")] == ["tired", "dizzy"]

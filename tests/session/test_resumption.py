@@ -139,7 +139,7 @@ def test_whatever_line_a_session_is_cut_at_the_rest_has_the_order_of_an_uninterr
             assert after == expected
             assert asked(read_session(log)) == before
             assert read_session(log).begun_anew_as == 2
-            assert audit_session(Session.find(log)).lines[-1] == "closed and not complete: begun anew as session 2"
+            assert audit_session(Session.find(log)).lines[-1] == "closed and not complete: started over as session 2"
             continue
         assert after[: len(before)] == before
         counted = [event for event in before if not event[0]]
@@ -163,7 +163,7 @@ def test_a_complete_session_whose_last_line_was_cut_is_made_whole(edit: Edit, tm
     assert audit_session(Session.find(whole.path)).problems
     told = CliRunner().invoke(app, ["doctor", str(whole.path)])
     assert told.exit_code == (4 if cut > 1 else 0), "a newline is no loss"
-    assert f"go on with `modaltouch resume {whole.path.parent}`" in told.output
+    assert f"continue with `modaltouch resume {whole.path.parent}`" in told.output
     assert "--into" not in told.output
     done = resume(on_paper(wire_resume(whole.path)))
     assert done.problems == ()
@@ -223,7 +223,7 @@ def test_a_session_that_was_begun_anew_does_not_go_on(edit: Edit, tmp_path: Path
     anew = resume(on_paper(wire_resume(log, restart=True)))
     assert anew.start["begins_anew"]["session"] == 1
     assert anew.start["schedule"]["order_hash"] == whole.start["schedule"]["order_hash"]
-    with pytest.raises(RecordInputError, match="was begun anew as session 2"):
+    with pytest.raises(RecordInputError, match="was started over as session 2"):
         wire_resume(log)
 
 
@@ -339,7 +339,9 @@ def test_the_limit_of_age_is_kept_to_the_second(seconds: float, hours: float, sa
     if not said:
         refuse_old(session, cut, hours)
         return
-    with pytest.raises(RecordInputError, match=f"was interrupted {said}, and the protocol allows it to go on within"):
+    with pytest.raises(
+        RecordInputError, match=f"was interrupted {said}, and the protocol allows it to continue within"
+    ):
         refuse_old(session, cut, hours)
 
 

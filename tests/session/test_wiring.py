@@ -43,7 +43,7 @@ def test_a_session_is_simulated_as_soon_as_anything_in_it_is(preflight, rig, ans
 def test_a_session_does_not_go_on_as_another_kind(preflight, tmp_path):
     """A simulated session resumed at a real rig by a person would be neither."""
     session = begin(wire_run(preflight, "p01", answers="simulated", results=tmp_path))
-    with pytest.raises(RecordError, match="would go on as another kind"):
+    with pytest.raises(RecordError, match="would continue as another kind"):
         wire_resume(session.path, rig=ADDRESS, answers="window")
 
 

@@ -22,7 +22,7 @@ from modaltouch.analysis.shares import mean_of_known
 
 FloatArray = NDArray[np.float64]
 
-_SEED, _DRAWS, _TAIL = 20080501, 4999, (1 - CONFIDENCE) / 2
+_SEED, _DRAWS, _TAIL = 20080501, 1999, (1 - CONFIDENCE) / 2
 
 _LEVEL = 0.05
 """Level of the tests within participants [1]."""

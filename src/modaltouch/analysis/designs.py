@@ -134,7 +134,7 @@ def _limits(responses: Responses, task: TrialTask, fits: Sequence[FittedCell]) -
     if task.named and set(responses.answers.names) - task.named.keys():
         yield "Answers that name no interval are left out of d' and of psychometric functions."
     if task.named and (task.n_intervals > 2 or responses.frame["interval"].nunique() < 2):
-        yield "d' is of somebody who prefers no interval: these answers cannot tell a preference."
+        yield "d' assumes no preference for an interval: these answers cannot show a preference."
     yield (
         "No test here is of interactions between factors, or of several measures together: answers.csv is the tidy "
         "table for one's own, and models.R fits mixed models to it."

@@ -44,7 +44,7 @@ def model_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
     names, n = list(columns), answers.n_participants
     reason, fitted = _separation(predictors, chosen, names), None
     if n < 2:
-        reason = "one participant only, so nothing tells participants apart"
+        reason = "only one participant, so participants cannot be distinguished"
     if not reason:
         fitted = _fit(predictors, chosen, table["participant"].to_numpy())
         reason = "" if fitted else "the fit did not converge"

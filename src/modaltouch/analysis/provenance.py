@@ -18,7 +18,7 @@ FAULTS = {
     "unconfirmed": "amplitudes the instrument did not confirm at once",
     "resume": "interruptions, after which the session was resumed",
     "stop": "sittings ended early",
-    "rig": "troubles with the instrument, all overcome or followed by an end",
+    "rig": "instrument problems, all overcome or followed by the end of the session",
     "masking_lost": "losses of the masking noise",
     "drifted": "trials that delivered over 5 % more or less than predicted, by the whole of a 95 % interval",
     "unheard": "trials for which the vibrometer gave no delivered speed",

@@ -52,7 +52,7 @@ def _cautions(answers: AnswerCounts) -> dict[str, str]:
         ),
         "e": "Gwet's AC1 is 1 where all agree; kappa is undefined there and is not used."
         if answers.n_participants > 1
-        else "One participant alone: agreement between participants has no meaning.",
+        else "Only one participant: agreement between participants has no meaning.",
         "catch": CATCHES,
     }
 

@@ -292,7 +292,7 @@ class Responses:
         zones = {name: f"speed_{name.split('_')[1]}_mm_s" for name in zones_of(self.frame.columns)}
         sides = [side for zone, side in zones.items() if (self.frame[zone] != "").any()]
         if column != VELOCITY.column or not set(sides) <= set(self.frame) or self.frame[sides].isna().to_numpy().any():
-            given = "answers that do not tell the speeds predicted under the fingers in mm/s"
+            given = "answers without the speeds predicted under the fingers in mm/s"
             raise InputError.of(self.source.path, given, "recorded sessions of levels in mm/s", "take --speed nominal")
         told, scale = self.frame[sides].max(axis=1), PREDICTED
         if speed == "delivered":

@@ -13,7 +13,7 @@ from modaltouch.analysis.statistics import STATISTICS, questions
 from modaltouch.report import say_number
 
 HEADINGS = {
-    "sensitivity": ("How well are the stimuli told apart?", "d' or the criterion differs"),
+    "sensitivity": ("How well can the stimuli be distinguished?", "d' or the criterion differs"),
     "function": ("At which level does the answer turn?", "the threshold, the PSE or the JND differs"),
     "rating": ("What do the ratings say?", "ratings differ"),
     "group": ("Do the groups of participants differ?", "the groups differ"),
@@ -169,7 +169,7 @@ def _estimate(own: Sequence[Finding], answers: AnswerCounts) -> str:
     if tested:
         n_low = sum(row.p <= ALPHA for row in tested)
         said.append(
-            f"Exploratory: p ≤ {ALPHA:g} in {n_low} of {len(tested)} uncorrected tests, where chance alone may give "
+            f"Exploratory: p ≤ {ALPHA:g} in {n_low} of {len(tested)} uncorrected tests; chance alone may give "
             f"{ALPHA * len(tested):.2g}"
         )
     return ". ".join(words[:1].upper() + words[1:] for words in said) + "."
@@ -195,7 +195,7 @@ def state_families(findings: Sequence[Finding]) -> str:
     if n > 1:
         together = f" Each family stands for itself: over all {n}, that chance is {min(n * level, 100):g} % at most."
     return (
-        f"Confirmatory tests, by family: {named}. Holm's correction holds the chance of any false claim within a "
+        f"Confirmatory tests, by family: {named}. Holm's correction keeps the probability of any false claim within a "
         f"family at {level:g} % at most.{together} All other tests are exploratory: their p are not corrected and "
         "support no claim."
     )

@@ -21,8 +21,9 @@ _MOST_ROWS = 12
 """Rows of the table of sensitivities that are shown, the worst first."""
 
 _PULL = (
-    "at most: the level under the finger where the amplifier is at its limit. pull: the force by which the skin would "
-    "have to stick to the beam to follow it; a finger that presses with less lifts off, and these speeds do not hold."
+    "at most: the level under the finger with the amplifier at its limit. pull: the force with which the skin would "
+    "have to stick to the beam to follow it; a finger that presses with less force lifts off, and these speeds do not "
+    "hold."
 )
 
 
@@ -275,8 +276,8 @@ def _show_contrast(console: Console, rows: list[dict[str, Any]]) -> None:
         n_words=2,
     )
     console.print(
-        "[dim]contrast: the drive that moves the other zone least, whatever becomes of the field and of modes that "
-        "the table lacks; what is felt lies below 1 kHz.[/]"
+        "[dim]contrast: the drive that moves the other zone least, regardless of the field and of modes that are not "
+        "in the table; only motion below 1 kHz is felt.[/]"
     )
 
 

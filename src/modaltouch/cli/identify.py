@@ -162,7 +162,7 @@ def _show(result: dict[str, Any]) -> None:
             f"{beam['deviation']:.2%}"
         )
     if result["apparatus_file"]:
-        console.print(f"Written: {result['apparatus_file']}, with table and figures beside it", markup=False)
+        console.print(f"Written: {result['apparatus_file']}, with a table and figures next to it", markup=False)
     else:
         console.print(
             "[dim]No apparatus file: without positions along the beam there are no shapes, without them no gains[/]"

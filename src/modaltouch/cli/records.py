@@ -136,7 +136,7 @@ def _examine_record(session: Path, several: bool, into: Path | None) -> _Seen:
         lines.append(f"recovered into {recovered}; check it with `modaltouch verify {recovered.parent}`")
     elif found.is_cut:
         lines.append(
-            f"go on with `modaltouch resume {found.path.parent}`, which declares the cut line and keeps the rest"
+            f"continue with `modaltouch resume {found.path.parent}`, which marks the truncated line and keeps the rest"
         )
     elif not found.is_sound:
         lines.append("recover it into a new results folder with --into FOLDER; this record is never touched")

@@ -57,8 +57,8 @@ class TooFewPointsError(ValueError):
         least = -(-3 * max(labels) // 2)
         if points < least:
             raise cls(
-                f"given --points {points}; allowed: at least {least}, since fewer cannot tell mode {max(labels)} from "
-                "the others; 41 suit the shipped beam"
+                f"given --points {points}; allowed: at least {least}, since fewer cannot distinguish mode "
+                f"{max(labels)} from the others; 41 suit the shipped beam"
             )
 
 

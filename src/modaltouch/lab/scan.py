@@ -102,8 +102,8 @@ class Scan:
         planned = len(self.facts["settings"]["positions_mm"])
         if not self.complete:
             raise RecordInputError(
-                f"the scan was stopped half way, with {len(self.arrays)} of {planned} positions recorded: give the "
-                "command that began it again, with the same folder, to go on with it"
+                f"the scan was stopped half-way, with {len(self.arrays)} of {planned} positions recorded: to continue "
+                f"it, run the same command again with the same folder"
             )
         return self
 
@@ -157,8 +157,8 @@ def read_position(path: Path, position: float) -> dict[str, NDArray[Any]]:
         where = float(arrays["position"])
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise RecordError(
-            f"{path}: is damaged ({error}); delete it, and give the command that began the scan again to take that "
-            "position anew"
+            f"{path}: is damaged ({error}); delete it, and run the command that began the scan again to measure that "
+            f"position again"
         ) from None
     if abs(where - position) > 1e-9:
         raise RecordError(f"{path}: was recorded at {where * 1e3:g} mm, not at {position * 1e3:g} mm; put it back")
@@ -273,7 +273,7 @@ def _way_on(folder: Path | None, n_kept: int, n_planned: int) -> str:
     """Return what is kept of a scan that is interrupted, and how it goes on."""
     if folder is None:
         return "nothing measured is kept; give a folder with --scan, and it is"
-    return f"{n_kept} of {n_planned} points are kept in {folder}; give the same command to go on"
+    return f"{n_kept} of {n_planned} points are kept in {folder}; run the same command again to continue"
 
 
 def _describe(laboratory: Laboratory, plan: ScanPlan, source: Source | None, reduction: Reduction) -> dict[str, Any]:
@@ -309,7 +309,9 @@ def _begin(folder: Path, facts: dict[str, Any], plan: ScanPlan) -> list[dict[str
     except OSError as error:
         raise RecordError(f"{folder}: cannot be used ({error.strerror}); give another folder") from error
     if strange is not None:
-        raise RecordError(f"{folder}: holds {strange}, which is no scan's; give an empty folder, or a new one")
+        raise RecordError(
+            f"{folder}: holds {strange}, which does not belong to a scan; give an empty folder, or a new one"
+        )
     save_arrays(folder / "burst.npz", {"codes": plan.burst.codes})
     replace_file(folder / DESCRIPTION, (json.dumps(facts, indent=1, ensure_ascii=False) + "\n").encode(), _REMEDY)
     return []
@@ -334,8 +336,8 @@ def _refuse_other(folder: Path, found: dict[str, Any], asked: dict[str, Any]) ->
         shown = "; ".join(f"{name} was {before.get(name)}, now {now.get(name)}" for name in different[:3])
         more = f" and {len(different) - 3} more" if len(different) > 3 else ""
         raise RecordError(
-            f"{folder}: holds a scan of other settings ({shown}{more}); go on with the settings it was begun with, "
-            "or give another folder"
+            f"{folder}: holds a scan of other settings ({shown}{more}); continue with the settings it was begun with, "
+            f"or give another folder"
         )
 
 

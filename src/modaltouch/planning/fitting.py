@@ -81,7 +81,8 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
     refuse_unlike(preflight)
     _refuse_unnamed(path, tuple(preflight.variants))
     if preflight.findings.measured:
-        given, remedy = "measured, so that everybody felt other speeds", "see `modaltouch analyse --speed predicted`"
+        given = "measured, so that everybody felt different speeds"
+        remedy = "see `modaltouch analyse --speed predicted`"
         allowed = "fingers that are the same for all"
         raise InputError([preflight.findings.problem(("stimulus", "fingers"), given, allowed, remedy)])
     is_table = path.is_file() and path.suffix != ".jsonl"

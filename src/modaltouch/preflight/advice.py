@@ -101,8 +101,8 @@ def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[di
     if worst and short and stimulus.priority == "level":
         said.append(
             f"priority level: at {worst['velocity_mm_s']:g} mm/s the level is exact and a mode misses the field by "
-            f"{worst['worst_modal_error_mm_s']:.2g} mm/s, so that the spectrum is another; do not compare it with "
-            "sessions of priority field"
+            f"{worst['worst_modal_error_mm_s']:.2g} mm/s, so the spectrum is different; do not compare it with "
+            f"sessions that have priority field"
         )
     elif worst and short:
         said.append(
@@ -148,7 +148,7 @@ def design_warnings(protocol: Protocol) -> list[str]:
     if kinds and not any(each.analysed for each in kinds):
         said.append("no kind of session is analysed (schedule.sessions): there will be nothing for `analyse`")
     if len(protocol.groups) == 1:
-        said.append("there is one group alone: nothing can be compared between groups; add another, or leave it out")
+        said.append("there is only one group: nothing can be compared between groups; add another, or leave it out")
     n_pairs, n_fingers = len(conditions.contacts), len(conditions.finger_conditions)
     # Kinds of session that are not analysed leave a single other one crossed.
     n_kinds = len({each.name for each in kinds if each.analysed})
@@ -178,8 +178,8 @@ def answer_warnings(protocol: Protocol) -> list[str]:
     warnings = []
     if n_catches and not protocol.answers.offers_none:
         warnings.append(
-            f"the {n_catches} catch trials of a block cannot be answered rightly, as there is no answer none: they "
-            "tell what is guessed, not how often; give answers.keys the keys of `none`"
+            f"the {n_catches} catch trials of a block cannot be answered correctly, since there is no answer none: "
+            f"they show what is guessed, not how often; give answers.keys the keys of `none`"
         )
     tells = any(answer.fingers or answer.interval for answer in offered)
     if not tells and protocol.answers.scale is None:

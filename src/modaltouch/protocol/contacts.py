@@ -98,7 +98,7 @@ def _check_answers(reading: Reading[Protocol], name: str, number: int) -> Iterat
     offered = offered_answers(reading)
     if number == 1:
         odd = next((answer.name for answer in offered if answer.fingers), None)
-        allowed, remedy = "answers that name no finger, such as `yes` and `none`", "one finger is not told from another"
+        allowed, remedy = "answers that name no finger, such as `yes` and `none`", "there is only one finger"
     else:
         odd = next((answer.name for answer in offered if not set(answer.fingers or ()) <= set(SIDES[number])), None)
         allowed, remedy = "left, right or both of them", "leave `between` out"

@@ -295,7 +295,7 @@ def _remedy(reading: Reading[Any], path: tuple[Step, ...], node: Node | None) ->
     if isinstance(node.content, str):
         if "number" in allowed and number_meant(node.content):
             unit = "; the unit stands in the key" if path and "_" in str(path[-1]) else ""
-            return f"write the number alone: {number_meant(node.content)}{unit}"
+            return f"write only the number: {number_meant(node.content)}{unit}"
         meant = suggest(node.content, allowed.split(", "))
         return f"did you mean '{meant}'?" if meant else ""
     if allowed == "text" and not isinstance(node.content, list | dict | None):

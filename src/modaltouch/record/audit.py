@@ -111,7 +111,7 @@ def _completeness(session: Session, audit: Audit) -> str:
     if session.complete:
         return "complete"
     if session.begun_anew_as is not None:
-        return f"closed and not complete: begun anew as session {session.begun_anew_as}"
+        return f"closed and not complete: started over as session {session.begun_anew_as}"
     if not set(audit.problems) <= set(audit.to_mend):
         return "not complete; the analysis leaves it out"  # and `modaltouch resume` refuses it
     return "not complete: `modaltouch resume` continues it; until then the analysis leaves it out"
@@ -124,7 +124,7 @@ def check_beginning(session: Session, restored: RestoredExperiment, protocol: Pr
     yield _check_mode(session.start, restored, place)
     seed = session.start["seed"]
     if schedule.as_dict() == session.start["schedule"]:
-        yield True, f"order of {len(schedule.trials)} trials drawn again from seed {seed}: the same"
+        yield True, f"order of {len(schedule.trials)} trials drawn again from seed {seed}: identical"
     else:
         yield False, f"{place} seed {seed} draws another order than the recorded one"
     yield _check_drive(session.start, restored, place)
@@ -186,7 +186,7 @@ def _check_drive(start: dict[str, Any], restored: RestoredExperiment, place: str
         return False, f"{place} the drive computed again has the amplitudes {burst.amplitude} Vpp, the record others"
     return (
         True,
-        f"{f'drives of {len(hashes)} stimuli' if hashes else 'drive'} computed again: the same codes ({found[:12]})",
+        f"{f'drives of {len(hashes)} stimuli' if hashes else 'drive'} recomputed: identical codes ({found[:12]})",
     )
 
 

@@ -228,7 +228,7 @@ def read_object(line: bytes) -> dict[str, Any]:
     except RecursionError as error:
         raise UnreadableLineError("it is nested too deep") from error
     except ValueError as error:
-        raise UnreadableLineError("it holds a number of too many digits, or is no UTF-8") from error
+        raise UnreadableLineError("it contains a number with too many digits, or is not UTF-8") from error
     if not isinstance(value, dict):
         raise UnreadableLineError("it is no JSON object")
     return value

@@ -287,7 +287,7 @@ def find_log(session: Path) -> Path:
     logs = SessionFolder.logs_under(session)
     if len(logs) != 1:
         listed = "".join(f"\n  {log.parent}" for log in logs[:10])
-        raise RecordInputError(f"{session}: holds {len(logs)} sessions, exactly one is needed; name it{listed}")
+        raise RecordInputError(f"{session}: holds {len(logs)} sessions, but exactly one is needed; name it{listed}")
     return logs[0]
 
 

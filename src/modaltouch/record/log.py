@@ -106,7 +106,9 @@ class SessionLog:
         chain = read_chain(path)
         if chain.damage or not chain.events:
             os.close(descriptor)
-            raise RecordError("\n".join(chain.damage) or f"{path}: holds no whole line: there is nothing to continue")
+            raise RecordError(
+                "\n".join(chain.damage) or f"{path}: contains no complete line: there is nothing to continue"
+            )
         return cls(path, descriptor, chain, timed_by)
 
     @classmethod

@@ -153,7 +153,7 @@ def check_intervals(event: Event, trial: Trial, begun: list[Event], given: Trial
     if section is None:
         return
     if len(told) != len(parts) or [each["interval"] for each in begun] != list(range(1, len(parts) + 1)):
-        yield f"has {len(parts)} intervals; {len(begun)} began, its line tells of {len(told)}"
+        yield f"has {len(parts)} intervals; {len(begun)} began, but its line lists {len(told)}"
         return
     over, sound = -math.inf, True
     for number, (part, said, first) in enumerate(zip(parts, told, begun, strict=True), 1):
@@ -242,11 +242,11 @@ class EventSequence:
         """What holds, in words; nothing of a session in which anything does not."""
         if self.problems:
             return []
-        lines = [f"{self._n_finished} answers, each at its place, its level and its amplitudes"]
+        lines = [f"{self._n_finished} answers, each in its place, with its level and amplitudes"]
         if self._given.schema > 1:
-            lines[0] += ", its bursts and its instants in accord"
+            lines[0] += ", and with matching bursts and instants"
         if self._n_probed:
-            lines.append(f"drives for the fingers of {self._n_probed} placements computed again: the same codes")
+            lines.append(f"drives for the fingers of {self._n_probed} placements recomputed: identical codes")
         if self._given.protocol.adaptive is not None:
             lines.append(f"levels of {self._n_settled} trials follow from the answers before them")
         return lines

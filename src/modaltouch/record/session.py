@@ -305,12 +305,12 @@ class Session:
     def unfit(self) -> str:
         """Why an analysis leaves it out, sound as it is; empty where all its answers can be used."""
         if not self.complete and self.begun_anew_as is not None:
-            return f"closed: begun anew as session {self.begun_anew_as}"
+            return f"closed: started over as session {self.begun_anew_as}"
         total = self.start.get("schedule", {}).get("n_trials", 0)
         if not self.complete and not self.lacks_trials:
-            return "incomplete: the form at the end is not filled in (go on with `modaltouch resume`)"
+            return "incomplete: the form at the end is not filled in (continue with `modaltouch resume`)"
         if not self.complete:
-            return f"incomplete: {self.n_answered} of {total} trials answered (go on with `modaltouch resume`)"
+            return f"incomplete: {self.n_answered} of {total} trials answered (continue with `modaltouch resume`)"
         kinds = self.start.get("design", {}).get("schedule", {}).get("sessions")
         kept = [kind["name"] for kind in kinds if not kind["analysed"]] if isinstance(kinds, list) else []
         return f"of the kind {self.occasion[1]}, which is not analysed (schedule.sessions)" * (self.occasion[1] in kept)

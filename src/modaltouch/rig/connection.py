@@ -209,8 +209,7 @@ class Connection:
                 return found
         raise RigError(
             f"{doing} failed, and so did {self.patience.tries} new connections to {self.address}: {last}; "
-            f"{self._last_resort()}; see that the generator is on and connected, then go on with "
-            "`modaltouch resume`"
+            f"{self._last_resort()}; see that the generator is on and connected, then continue with `modaltouch resume`"
         ) from last
 
     def _reported(self) -> str:

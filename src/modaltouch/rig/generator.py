@@ -358,7 +358,7 @@ class Generator:
             too_many = report.dropped > (0 if self._is_counted else max(MOST_DROPPED * report.due, 1))
             if report.ended == "stalled" or too_many:
                 stalled = True
-                reasons.append(f"{report.dropped} of {report.due} bursts would have come too late and were left out")
+                reasons.append(f"{report.dropped} of {report.due} bursts would have been too late and were left out")
         if faults:
             bursts = replace(bursts, played=None, whole=None)
             # Outputs that are off are the watchdog's doing in a stall.
@@ -391,7 +391,7 @@ class Generator:
         except LinkError as error:
             self._switch_off("going on without a watchdog")
             raise RigError(
-                f"{error}; the outputs are off, switched off over a new one; go on with `modaltouch resume`"
+                f"{error}; the outputs were switched off over a new connection; continue with `modaltouch resume`"
             ) from error
         if lost:
             raise StimulusLost(f"the bursts ended before the stimulus did ({lost})")
@@ -441,8 +441,8 @@ class Generator:
         except (LinkError, Unconfirmed) as error:
             self._switch_off(doing)
             raise RigError(
-                f"{doing} failed: {error}; the outputs are off; see `modaltouch rig check`, then go on with "
-                "`modaltouch resume`"
+                f"{doing} failed: {error}; the outputs are off; see `modaltouch rig check`, then continue with "
+                f"`modaltouch resume`"
             ) from error
         except BaseException:
             if self._on:

@@ -97,7 +97,7 @@ class Scope(abc.ABC):
         RigError
             If no trigger comes, or the scope cannot tell.
         """
-        raise RigError(f"{self.identity}: when a burst began cannot be told; use a PicoScope")
+        raise RigError(f"{self.identity}: cannot tell when a burst began; use a PicoScope")
 
     @abc.abstractmethod
     def close(self) -> None:
@@ -293,7 +293,7 @@ class PicoScope(Scope):
             self._call("ChangePowerSource", status)
         elif status != OK:
             self._open = False
-            raise RigError(f"the PicoScope does not open (status {status} of Pico's library): connect it anew")
+            raise RigError(f"the PicoScope does not open (status {status} of Pico's library): reconnect it")
 
     def _about(self, what: int) -> str:
         text, needed = ctypes.create_string_buffer(32), ctypes.c_int16()

@@ -125,8 +125,8 @@ def is_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datet
     if kind is not None and len(logs) < drawn_as - 1:
         return (
             f"given session {drawn_as}, of the kind {kind.name}, but participant {place.participant} has had "
-            f"{len(logs)}; allowed: session {len(logs) + 1}; leave --session out, or begin it all the same with "
-            "--any-gap, which the record then says"
+            f"{len(logs)}; allowed: session {len(logs) + 1}; leave --session out, or begin it anyway with --any-gap, "
+            f"which is then recorded"
         )
     events = read_session(logs[-1]).events if kind is not None and kind.min_gap_days and logs else ()
     if kind is None or not events:
@@ -139,7 +139,7 @@ def is_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datet
         else (
             f"{logs[-1]}: the session before ended {ended:%Y-%m-%d %H:%M} UTC, and a session of the kind {kind.name} "
             f"has min_gap_days: {kind.min_gap_days:g} (schedule.sessions), so it begins from {due:%Y-%m-%d %H:%M} UTC "
-            "on; wait, or begin it all the same with --any-gap, which the record then says"
+            "on; wait, or begin it anyway with --any-gap, which is then recorded"
         )
     )
 

@@ -77,7 +77,7 @@ def way_on(reason: str, folder: Path) -> str:
     """
     if reason == PRACTICE_FAILED:
         return f"`modaltouch resume --restart {folder}` begins it anew, practice included"
-    return f"go on with `modaltouch resume {folder}`"
+    return f"continue with `modaltouch resume {folder}`"
 
 
 def describe_ending(error: BaseException) -> dict[str, str]:

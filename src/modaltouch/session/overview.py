@@ -168,7 +168,7 @@ def _state(session: Session) -> tuple[str, str]:
     known = (
         (session.complete, "complete", ""),
         (session.is_running, "running", ""),
-        (anew is not None, "closed", f"begun anew as session {anew}"),
+        (anew is not None, "closed", f"started over as session {anew}"),
         (True, "interrupted", str(last.get("reason", "")) if last["event"] == "stop" else "killed"),
     )
     return next((state, why) for holds, state, why in known if holds)

@@ -91,7 +91,7 @@ def refuse_old(session: Session, interruption: dict[str, Any], within_hours: flo
     if within_hours is None:
         return
     anew = f"`modaltouch resume --restart {session.path.parent}` begins it anew, and keeps what was answered"
-    limit = f"the protocol allows it to go on within {within_hours:g} h"
+    limit = f"the protocol allows it to continue within {within_hours:g} h"
     if interruption["clock_set_back_s"]:
         raise RecordInputError(
             f"{session.path}: the clock of this machine is at least {interruption['clock_set_back_s'] / 3600:.2g} h "
@@ -310,7 +310,7 @@ def _refuse_another_kind(session: Session, rig: str, answers: AnswersBy, *, rest
     as_begun = (rig, answers) == (start["rig_choice"], start["answers_choice"])
     if not as_begun and mode_of(rig, answers, pilot=session.mode == "pilot") != session.mode:
         raise RecordError(
-            f"{log}: is a {session.mode} session, and with rig {rig!r} and answers {answers!r} it would go on as "
+            f"{log}: is a {session.mode} session, and with rig {rig!r} and answers {answers!r} it would continue as "
             "another kind; give --rig and --answers as it began"
         )
 
@@ -328,7 +328,7 @@ def _place_anew(place: SessionFolder, session: Session) -> SessionFolder:
         anew = replace(place, session=number)
         if anew.log.exists():
             raise RecordInputError(
-                f"{place.log}: was begun anew as session {number}; go on with `modaltouch resume {anew.folder}`"
+                f"{place.log}: was started over as session {number}; continue with `modaltouch resume {anew.folder}`"
             )
         return anew
     number = place.session + 1

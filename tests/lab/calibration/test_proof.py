@@ -135,7 +135,7 @@ def test_other_causes_are_told_from_the_states(preflight: Preflight, outcome: Ca
 @pytest.mark.parametrize(
     ("departures", "said"),
     [
-        ({"dropouts_Hz": 20.0}, r"the velocity has gaps or blows: 0\.\d+% of its samples .*; see whether the sensor"),
+        ({"dropouts_Hz": 20.0}, r"the velocity has gaps or shocks: 0\.\d+% of its samples .*; see whether the sensor"),
         ({"limit_V": 60.0}, r"the amplifier saturates: of the 1\d\d V of output 1 the measured peaks lack \d\d%"),
         (
             {"hysteresis": 0.4},

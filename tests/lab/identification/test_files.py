@@ -164,7 +164,7 @@ def test_plain_numbers_need_their_spacing(tmp_path: Path, frequency: np.ndarray)
     """One complex number a line, as Python prints it; without the spacing nobody knows the frequencies."""
     path = tmp_path / "point.txt"
     path.write_text("\n".join(str(value) for value in noisy(accelerance(frequency, RESIDUES[0]))))
-    with pytest.raises(ValueError, match=r"point.txt: holds bare numbers.*--spacing-Hz"):
+    with pytest.raises(ValueError, match=r"point.txt: contains only numbers.*--spacing-Hz"):
         read_responses([path], ResponseFormat("acceleration"))
     found = identify_each(read_responses([path], ResponseFormat("acceleration", spacing=0.5)))
     assert found.modes[0].natural_frequency.value == pytest.approx(120, rel=1e-3)
@@ -204,7 +204,7 @@ def test_wrong_quantity_is_refused(tmp_path: Path, frequency: np.ndarray) -> Non
     with pytest.raises(ValueError, match="does not say whether it holds a velocity.*--quantity"):
         read_responses([path])
     named = write_uff(tmp_path / "modes.uff", frequency)
-    with pytest.raises(ValueError, match="holds a acceleration by its own word, --quantity says velocity"):
+    with pytest.raises(ValueError, match="holds a acceleration according to the file, but --quantity says velocity"):
         read_responses([named], ResponseFormat("velocity"))
 
 
@@ -263,7 +263,7 @@ def test_set_missing_at_a_position_is_named(tmp_path: Path, frequency: np.ndarra
     path = write_csv(tmp_path / "modes.csv", frequency)
     other = [line.replace("hammer", "shaker") for line in path.read_text().splitlines() if ",-20," in line]
     path.write_text(path.read_text() + "\n" + "\n".join(other))
-    with pytest.raises(ValueError, match="shaker has no response at 20 mm, where another has"):
+    with pytest.raises(ValueError, match="shaker has no response at 20 mm, where another excitation has one"):
         read_responses([path], ResponseFormat("acceleration"))
 
 

@@ -75,7 +75,7 @@ def test_two_days_of_one_beam_agree_within_their_intervals(tmp_path: Path) -> No
         assert one.natural_frequency.low < other.natural_frequency.high
         assert other.natural_frequency.low < one.natural_frequency.high
     assert any(one.low > other.high or other.low > one.high for one, other in zip(*alone, strict=True))
-    assert repeatability(whole[0]) == "the intervals hold the scatter of 3 measurements"
+    assert repeatability(whole[0]) == "the intervals include the scatter of 3 measurements"
 
 
 def test_files_without_places_are_measurements_each(tmp_path: Path) -> None:

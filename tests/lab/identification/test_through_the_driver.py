@@ -127,7 +127,7 @@ def test_stopped_scan_keeps_its_range(laboratory: Laboratory, tmp_path: Path) ->
     with pytest.raises(StoppedError):
         small().scan(laboratory, source, tmp_path, on_progress=nothing, check=check)
     half = read_scan(tmp_path / "scan_centre")
-    with pytest.raises(RecordInputError, match="stopped half way, with 1 of 3 positions"):
+    with pytest.raises(RecordInputError, match="stopped half-way, with 1 of 3 positions"):
         responses_of({"centre": half})
     shown: list[tuple[int, int]] = []
     scans = small().scan(laboratory, source, tmp_path, on_progress=lambda *n: shown.append(n), check=never)

@@ -111,7 +111,7 @@ def test_stopped_scan_goes_on_where_it_was(laboratory: Laboratory, tmp_path: Pat
     assert laboratory.simulator.outputs == (False, False)
     half = read_scan(folder)
     assert len(half.positions) == 2
-    with pytest.raises(RecordInputError, match="stopped half way, with 2 of 4 positions recorded: give the command"):
+    with pytest.raises(RecordInputError, match="stopped half-way, with 2 of 4 positions recorded: to continue it"):
         half.require_complete()
     before = [position_file(folder, index).read_bytes() for index in range(2)]
     shown: list[tuple[int, int]] = []
@@ -160,7 +160,7 @@ def test_scan_of_other_settings_is_not_gone_on_with(
 def test_folder_with_something_else_is_refused(laboratory: Laboratory, tmp_path: Path) -> None:
     """A stranger's file is named, and nothing is written beside it."""
     (tmp_path / "thesis.txt").write_text("years of work")
-    with pytest.raises(RecordError, match="holds thesis.txt, which is no scan's; give an empty folder"):
+    with pytest.raises(RecordError, match="holds thesis.txt, which does not belong to a scan; give an empty folder"):
         take_scan(laboratory, plan(), tmp_path)
     assert [each.name for each in tmp_path.iterdir()] == ["thesis.txt"]
 

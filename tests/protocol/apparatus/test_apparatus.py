@@ -127,7 +127,7 @@ def test_a_50_ohm_load_halves_the_open_circuit_voltage(edit: Edit) -> None:
             "apparatus: ../beam",
             r":3:12: apparatus: given '../beam', which is no plain file name",
         ),
-        ("limit_V: 250", "limit_V: 250 V", r"write the number alone: 250"),
+        ("limit_V: 250", "limit_V: 250 V", r"write only the number: 250"),
         ("load: high_impedance", "load: 50", r"generator.load: given 50; allowed: high_impedance, 50_ohm"),
         ("velocity_limit_mm_s: 500", "velocity_limit_mm_s: -1", r"safety.velocity_limit_mm_s: given -1"),
     ],

@@ -147,7 +147,7 @@ class PartsAnalysis:
             "missing": missing,
             "notes": [
                 *self.responses.notes,
-                *[f"{len(self.parts)} crossed parts of the design are analysed each by itself"] * (len(self.parts) > 1),
+                *[f"{len(self.parts)} crossed parts of the design are analysed separately"] * (len(self.parts) > 1),
             ],
             "mode": self.responses.source.mode or None,
             "source": self.responses.source.path,
@@ -214,7 +214,7 @@ def _asked(responses: Responses, own: pd.DataFrame, cell: list[str]) -> list[tup
         given = f"participants of one group who met {' '.join(map(str, odd[0]))} unequally often ({shown})"
         remedy = "give a folder with the sessions of one version of the protocol"
         if not responses.sessions:
-            remedy = "give every trial a row, without a response where none came"
+            remedy = "give every trial a row, with an empty response where none was given"
         raise InputError.of(responses.source.path, given, "each cell equally often for all of a group", remedy)
     return [(name, int(wide[name].iloc[0])) for name in wide.columns.sort_values()]
 

@@ -115,7 +115,7 @@ def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> No
             raise RigError(
                 f"mode {label} was found at {found.natural_frequency[row]:.0f} Hz, {moved:+.1%} from the listed "
                 f"{listed.natural_frequency[row]:.0f} Hz: allowed {FURTHEST:.0%}; the outputs are off; identify the "
-                "beam anew with `modaltouch identify`"
+                f"beam again with `modaltouch identify`"
             )
     _refuse_phases(plant, margin)
     known = listed.modal_gain != 0
@@ -130,7 +130,7 @@ def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> No
             f"the gain of mode {listed.label[row]} by output {channel + 1} was found as "
             f"{found.modal_gain[row, channel] * 1e3:.4g} mm/s^2 per V, listed is "
             f"{listed.modal_gain[row, channel] * 1e3:.4g}: allowed 0.4 to 2.5 times that; the outputs are off; see "
-            "whether the sets are wired as listed, or identify the beam anew with `modaltouch identify`"
+            "whether the sets are wired as listed, or identify the beam again with `modaltouch identify`"
         )
 
 
@@ -170,13 +170,13 @@ def refuse_doubtful_velocity(recording: Recording) -> None:
     where = f"at {recording.position * 1e3:g} mm"
     if noise > 0 and far > MOST_FAR_OFF:
         raise RigError(
-            f"{where} the velocity has gaps or blows: {far:.3%} of its samples lie beyond {FAR_OFF:g} standard "
+            f"{where} the velocity has gaps or shocks: {far:.3%} of its samples lie beyond {FAR_OFF:g} standard "
             f"deviations of the noise, allowed {MOST_FAR_OFF:.3%}; {remedy}"
         )
     if steady < LEAST_COHERENCE:
         raise RigError(
-            f"{where} the velocity differs from burst to burst: {max(steady, 0.0):.0%} of its power comes again, "
-            f"needed are {LEAST_COHERENCE:.0%}; {remedy}"
+            f"{where} the velocity differs from burst to burst: {max(steady, 0.0):.0%} of its power repeats, but at "
+            f"least this share is needed: {LEAST_COHERENCE:.0%}; {remedy}"
         )
 
 
@@ -306,14 +306,14 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]
         )
     elif (last.disagreement > np.maximum(4 * last.spread, allowed / 4)).any():
         yield (
-            "the points along the beam do not agree: the sensor is loose, or its spot not where it was asked for; "
-            "fasten it, aim anew and calibrate again"
+            "the points along the beam do not agree: the sensor is loose, or its spot is not where it should be; "
+            "fasten it, aim again and calibrate again"
         )
     elif all(each["level_mm_s"] != outcome.inputs.reference for each in missed):
         yield HYSTERESIS
     else:
         yield (
-            "nothing in the records shows the cause; identify the beam anew with `modaltouch identify`, and calibrate "
+            "nothing in the records shows the cause; identify the beam again with `modaltouch identify`, and calibrate "
             "with what it finds"
         )
 

@@ -324,8 +324,8 @@ class _Beam:
         for name in self.sets:
             if not (folder / f"scan_{name}").is_dir():
                 raise ValueError(
-                    f"{folder}: holds no scan of the actuator set {name} (scan_{name} is missing); measure it, or "
-                    "name the sets that were measured with --set"
+                    f"{folder}: holds no scan of the actuator set {name} (scan_{name} is missing); measure it, or use "
+                    f"--set to name the sets that were measured"
                 )
         rows = kept_rows(folder, f"scan_{self.sets[0]}")
         return [{name: read_scan(folder / f"scan_{name}{row}") for name in self.sets} for row in rows]

@@ -195,7 +195,7 @@ def _quantity(path: Path, part: Part, how: ResponseFormat) -> Quantity:
         raise ValueError(f"{path}: does not say whether it holds a velocity, a displacement or an acceleration; say so "
                          "with --quantity")  # fmt: skip
     if said is not None and found is not None and said != found:
-        raise ValueError(f"{path}: holds a {found} by its own word, --quantity says {said}; leave that out")
+        raise ValueError(f"{path}: holds a {found} according to the file, but --quantity says {said}; leave that out")
     return said or found  # type: ignore[return-value]
 
 
@@ -210,14 +210,17 @@ def _assemble(
     for (name, place), values in response.items():
         if not np.isfinite(values[usable]).all():
             where = "" if place is None else f" at {place}"
-            raise ValueError(f"{path}: the response to {name}{where} holds what is no finite number; measure it again")
+            raise ValueError(
+                f"{path}: the response to {name}{where} contains a value that is not a finite number; measure it again"
+            )
     sets = tuple(dict.fromkeys(name for name, _ in response))
     places = sorted({place for _, place in response if place is not None})
     whole = bool(places) and all((name, place) in response for name in sets for place in places)
     if not whole and places and len(places) > 1:
         name, place = next((s, p) for s in sets for p in places if (s, p) not in response)
         raise ValueError(
-            f"{path}: {name} has no response at {place}, where another has; give every excitation at every position"
+            f"{path}: {name} has no response at {place}, where another excitation has one; give every excitation at "
+            f"every position"
         )
     keys = [[(name, place) for place in places] for name in sets] if whole else [[key] for key in response]
     certain = [[coherence[key] for key in row] for row in keys]
@@ -355,7 +358,7 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
 def _read_text(path: Path, how: ResponseFormat) -> Part:
     """Read one complex number a line, as Python prints it, from 0 Hz on."""
     if how.spacing is None:
-        raise ValueError(f"{path}: holds bare numbers; say how far its bins are apart with --spacing-Hz")
+        raise ValueError(f"{path}: contains only numbers; give the spacing of its bins with --spacing-Hz")
     values = []
     for line, text in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
         if not text.strip():

@@ -313,8 +313,8 @@ def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
     turning = sum(np.sign(peak.rotation) * np.sqrt(peak.height) for peak in peaks if peak.rotates)
     if turning > 0 and _rises(responses, peaks):
         raise ValueError(
-            "the phase of the responses rises through their resonances, where that of a beam falls: they are "
-            "conjugated, as by the time law exp(-i w t); say so with --conjugated, or export them by exp(+i w t)"
+            "the phase of the responses rises through their resonances, but that of a beam falls: they are conjugated, "
+            "as with the time convention exp(-i w t); say so with --conjugated, or export them with exp(+i w t)"
         )
     spacing = responses.spacing
     resolved = [peak for peak in peaks if peak.rotates and 2 * peak.width >= FEWEST_BINS * spacing]
@@ -336,8 +336,8 @@ def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
     score = (np.exp(4j * np.pi * np.outer(tried, frequency)) @ np.array(twice)).real
     if frequency.size >= FEWEST_PHASES and -score.min() > score.max() + WRONG_QUANTITY * frequency.size:
         raise ValueError(
-            "the responses are imaginary at their resonances, where a velocity is real: they are of a displacement or "
-            "an acceleration; say which with --quantity"
+            "the responses are imaginary at their resonances, but those of a velocity are real: they are of a "
+            "displacement or an acceleration; say which with --quantity"
         )
     good = np.flatnonzero(score >= 0.97 * score.max())
     return float(tried[good[np.abs(tried[good]).argmin()]])

@@ -74,8 +74,8 @@ def check_points(places: Sequence[Place], labels: Sequence[int], length: float) 
     one, other = np.unravel_index(int(likeness.argmax()), likeness.shape)
     if likeness[one, other] >= ALIKE or positions.size < highest:
         raise ValueError(
-            f"{positions.size} points are too few to tell modes {one + 1} and {other + 1} apart: on them their shapes "
-            f"are alike (MAC {likeness[one, other]:.2f}); give at least {needed} evenly spaced points"
+            f"{positions.size} points are too few to distinguish modes {one + 1} and {other + 1}: on them their "
+            f"shapes are alike (MAC {likeness[one, other]:.2f}); give at least {needed} evenly spaced points"
         )
     if positions.size < needed:
         raise ValueError(

@@ -189,12 +189,14 @@ def warnings(identification: Identification) -> list[str]:
             names = ", ".join(each.name for each in chosen)
             left = max(max(each.rest.smooth, each.rest.share) for each in chosen)
             said.append(
-                f"up to {left:.1%} of the response about {names} is left, and the intervals may not hold it: "
+                f"up to {left:.1%} of the response about {names} is left, and the intervals may not cover it: "
                 f"{_cause(chosen)}"
             )
     if identification.misfit > WELL_FITTED:
         split = _split(identification.modes) if identification.length else ""
-        said.append(split or f"{misfit_verdict(identification)}: the intervals are widened by it, and may not hold it")
+        said.append(
+            split or f"{misfit_verdict(identification)}: the intervals are widened accordingly, but may not cover it"
+        )
     return said
 
 
@@ -211,4 +213,4 @@ def repeatability(identification: Identification) -> str:
     if max(n) < 2:
         return "repeatability is unknown: the intervals are those of one measurement; repeat it, and give all of them"
     alone = sum(each < 2 for each in n)
-    return f"the intervals hold the scatter of {max(n)} measurements" + (f", but for {alone} modes" if alone else "")
+    return f"the intervals include the scatter of {max(n)} measurements" + (f", but for {alone} modes" if alone else "")

@@ -79,7 +79,7 @@ class BurstRecord:
         if silence.size < 4 * N_SILENT:
             lasts, least = (n / rate * 1e3 for n in (silence.size, 4 * N_SILENT))
             raise ValueError(
-                f"the silence after a burst, which tells the noise, lasts {lasts:.2g} ms, at least {least:.2g} are "
+                f"the silence after a burst, which shows the noise, lasts {lasts:.2g} ms, at least {least:.2g} are "
                 "needed: lower repetition_rate_Hz"
             )
         bins = self._bins(n_held * hold)
