@@ -98,6 +98,16 @@ def test_an_answer_that_did_not_come_is_missing_and_its_participant_stays() -> N
     assert found.as_dict()["n_responses"] == 58
 
 
+def test_a_part_that_nobody_answered_has_no_test_and_no_figure() -> None:
+    """All time out in B-D, whose trials are missing; the other part is as it was."""
+    every = [row | {"response": "time_out"} if row["zone_left"] == "B" else row for row in rows()]
+    found = analyse_parts(responses(every))
+    assert {part.name for part, _ in found.findings} == {"one_hand A-C, C-E at 80, 150 mm/s"}
+    assert found.as_dict()["n_missing"] == 20
+    pictures = [name for name in render_parts(found) if name.endswith(".png")]
+    assert pictures == ["part_1_one_hand.png"]
+
+
 def test_answers_of_three_intervals_are_not_held_against_an_even_split() -> None:
     """Who guesses names a standard twice as often, since two of three intervals hold one: no choice of the standard."""
     places = np.random.default_rng(1).integers(1, 4, (2, 400))

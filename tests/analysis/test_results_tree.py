@@ -196,6 +196,18 @@ def test_catch_trials_of_a_session_are_counted_apart(record, edit, tmp_path) -> 
     assert responses.catches == {"p01": {"none": 2}, "p02": {"left": 2}}
 
 
+def test_who_was_never_in_time_is_named_and_a_tree_without_any_answer_refused(record, edit, tmp_path) -> None:
+    """They are in no table; that they took part, and that nobody answered for B and D, must not go unsaid."""
+    preflight = altered(edit, ("  keys:", "  time_out_s: 5\n  keys:"))
+    record("p01", preflight, answer=lambda trial: "time_out")
+    with pytest.raises(InputError, match="no answer to any trial"):
+        read_responses(tmp_path / "results")
+    record("p02", preflight, answer=lambda trial: "time_out" if trial.condition.zones[0] == "B" else "both")
+    (note,) = read_responses(tmp_path / "results").notes
+    silent = "participant p01, one_hand B-D, two_hands B-D"
+    assert note == f"Left out, since there is no answer at all: {silent}"
+
+
 @pytest.mark.parametrize("was_on", [True, False])
 def test_reading_leaves_garbage_collection_as_it_was(record, tmp_path, monkeypatch, was_on) -> None:
     """It is off while logs are read, and afterwards what it was, also where reading fails."""

@@ -522,3 +522,15 @@ def test_a_table_has_the_columns_of_its_protocol(write_csv, paper_rows, column) 
         read_responses(
             write_csv([row | usual for row in paper_rows]), table_format=TableFormat(answers, design=PROTOCOL)
         )
+
+
+def test_who_has_no_answer_at_all_is_named_and_a_table_without_any_refused(write_csv, paper_rows) -> None:
+    """Neither p03 nor, in the other table, 80 mm/s is in any result: it must not go unsaid."""
+    gone = [row | {"response": "time_out"} if row["participant"] == "p03" else row for row in paper_rows]
+    (note,) = read_responses(write_csv(gone)).notes
+    assert note == "Left out, since there is no answer at all: participant p03"
+    late = [row | {"response": ""} if float(row["velocity_mm_s"]) == 80 else row for row in paper_rows]
+    (note,) = read_responses(write_csv(late)).notes
+    assert note == "Left out, since there is no answer at all: 80 mm/s"
+    with pytest.raises(InputError, match="no answer to any trial"):
+        read_responses(write_csv([row | {"response": ""} for row in paper_rows]))

@@ -55,10 +55,20 @@ def read_responses(
             raise InputError.of(place, given, "these only with a CSV file", "leave the option out")
         from modaltouch.analysis.results_tree import read_tree
 
-        return read_tree(place, *further, mode=mode, stimulus=stimulus)
+        return _refuse_none(place, read_tree(place, *further, mode=mode, stimulus=stimulus))
     if table_format is not None and table_format.design.get("adaptive"):
         given = "a table with an adaptive protocol, whose levels followed from the answers"
         raise InputError.of(place, given, "recorded sessions", "give the folder of the sessions, without --protocol")
     from modaltouch.analysis.tidy import read_csv
 
-    return read_csv(place, table_format, mode, stimulus)
+    return _refuse_none(place, read_csv(place, table_format, mode, stimulus))
+
+
+def _refuse_none(place: Path, responses: Responses) -> Responses:
+    """Return the responses, unless there is none."""
+    if responses.frame.empty:
+        given = "no answer to any trial: each timed out, or has none"
+        raise InputError.of(
+            place, given, "at least one answer", "look at answers.time_out_s, or at the column response"
+        )
+    return responses

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Collection, Container, Iterable, Mapping
+from collections.abc import Callable, Collection, Container, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -69,6 +69,27 @@ def describe_cell(cell: Iterable[object], scale: LevelScale = VELOCITY) -> str:
     """Return a cell in words, as in ``one_hand A-C 80 mm/s``."""
     condition, *zones, level = map(str, cell)
     return f"{condition} {'-'.join(filter(None, zones))} {scale.say(float(level))}"
+
+
+def say_unanswered(asked: pd.DataFrame, given: pd.DataFrame) -> tuple[str, ...]:
+    """Return a note of the participants, pairs and levels without any answer, of whom no table or test knows.
+
+    Parameters
+    ----------
+    asked, given : DataFrame
+        Rows of all trials, and of those with an answer.
+    """
+    scale = scale_of(asked.columns)
+    words: dict[tuple[str, ...], Callable[..., str]] = {
+        ("participant",): lambda who: f"participant {who}",
+        (CELL[0], *zones_of(asked.columns)): lambda condition, *zones: f"{condition} {'-'.join(filter(None, zones))}",
+        (scale.column,): scale.say,
+    }
+    told = []
+    for names, say in words.items():
+        every, answered = (dict.fromkeys(zip(*map(frame.get, names), strict=True)) for frame in (asked, given))
+        told += [say(*each) for each in every if each not in answered]
+    return (f"Left out, since there is no answer at all: {', '.join(told)}",) if told else ()
 
 
 @dataclass(frozen=True)

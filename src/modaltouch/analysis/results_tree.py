@@ -27,6 +27,7 @@ from modaltouch.analysis.responses import (
     Responses,
     answers_per_cell,
     refuse_unequal,
+    say_unanswered,
     unmirror,
 )
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY
@@ -254,6 +255,9 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
     frame = whole.assign(response=pd.Categorical(whole["response"].where(in_time), list(answers.ranked.names)))
     if levels != "adaptive":
         frame = frame[in_time].reset_index(drop=True)
+    notes = [f"Groups are labs: {', '.join(frame['group'].cat.categories)}"] if further else []
+    if levels != "adaptive" and is_crossed:
+        notes += say_unanswered(whole, frame)
     foci, start = taken[0].foci, read_session(taken[0].path).start
     design = start.get("design", {})
     return Responses(
@@ -269,7 +273,7 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
         answers,
         design.get("analysis", {}).get("equivalence_margin"),
         asked,
-        notes=(f"Groups are labs: {', '.join(frame['group'].cat.categories)}",) if further else (),
+        notes=tuple(notes),
         scheduled=None if is_crossed else whole,
         design=design,
     )

@@ -22,6 +22,7 @@ from modaltouch.analysis.responses import (
     Responses,
     TableFormat,
     answers_per_cell,
+    say_unanswered,
     unmirror,
 )
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY
@@ -90,8 +91,9 @@ def read_csv(
     is_crossed = is_whole and len(parts) < 2
     kept = asked if is_crossed else _told_apart(parts, [usual for _, usual in checked], table_format.design)
     kept, foci = _in_order(kept, table_format.design), _foci(kept, table_format.design)
+    given = kept[kept["response"].notna()]
     return Responses(
-        kept[kept["response"].notna()],
+        given,
         (),
         tuple(left_out),
         AnswerSource(table.file, "csv", table.sha256, _mode_of(fields)),
@@ -100,7 +102,7 @@ def read_csv(
         answers=answers,
         margin=table_format.margin,
         asked=checked[-1][1] or None,
-        notes=tuple(notes),
+        notes=(*notes, *(say_unanswered(kept, given) if is_crossed else ())),
         scheduled=None if is_crossed else kept,
         design=table_format.design,
     )

@@ -172,7 +172,8 @@ def analyse_parts(responses: Responses) -> PartsAnalysis:
     given, responses = responses, responses.by_choice()
     parts, found = tuple(_find_parts(responses)), list[tuple[CrossedPart, Finding]]()
     for part in parts:
-        found += [(part, finding) for finding in uncorrected(part.counts, part.frame)]
+        if not part.frame.empty:  # one that nobody answered tells nothing; its missing answers are counted
+            found += [(part, finding) for finding in uncorrected(part.counts, part.frame)]
     corrected = correct(finding for _, finding in found)
     design = None
     if given.tells_of_each or given.stimuli:
@@ -253,7 +254,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         )
         for number, part in enumerate(analysis.parts, start=1)
         for condition in part.counts.finger_conditions
-        if len(part.counts.answers) > 1
+        if len(part.counts.answers) > 1 and not part.frame.empty
     ]
     shown, values = pictures[:MOST_FIGURES], analysis.design.rows if analysis.design else []
     if analysis.design:
