@@ -16,8 +16,10 @@ from scipy.special import ndtr, ndtri
 
 from modaltouch.analysis.designs import analyse_design
 from modaltouch.analysis.findings import Finding, correct
+from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.location import by_flips, by_ranks, group_test
 from modaltouch.analysis.means import BoundedMean
+from modaltouch.analysis.measures import Measure, Own, contrast_findings
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.ratings import friedman, power_law
@@ -379,6 +381,29 @@ def test_signed_ranks_are_those_of_the_book() -> None:
     test, interval = by_ranks(first - second)
     assert test.p == pytest.approx(stats.wilcoxon(first - second, method="exact").pvalue) == 0.0390625
     assert (interval.estimate, interval.low, interval.high) == pytest.approx((0.46, 0.010, 0.786))
+
+
+def test_drawn_shuffles_do_not_hang_on_the_names() -> None:
+    """Twelve participants in two orders: p of Friedman's test and of two groups is the same."""
+    rows = np.random.default_rng(4).normal(size=(24, 4)) + [0, 0.1, 0.2, 0.3]
+    assert friedman(rows)[0].p == friedman(rows[::-1])[0].p
+    test, interval = group_test(rows[:10, 0], rows[10:, 1])
+    turned, moved = group_test(rows[:10, 0][::-1], rows[10:, 1][::-1])
+    assert (test.p, interval.low) == (turned.p, moved.low)
+
+
+def test_an_interval_that_ends_at_zero_beside_a_rejection_says_why() -> None:
+    """Differences of 0 are left out of the signed ranks, not of their interval: p = 2 / 2^6, and [0, 1]."""
+    measure = Measure("sure", "sure", "rating", None, is_ranked=True)
+    gaps = [1.0] * 6 + [0.0] * 3
+    values = [
+        Own(measure, f"p{who}", condition, "A-C", 80.0, Interval.point(value, 1), 1)
+        for who, gap in enumerate(gaps)
+        for condition, value in (("one_hand", gap), ("two_hands", 0.0))
+    ]
+    (found,) = contrast_findings(values)
+    assert (found.p, found.low, found.high) == (2 / 2**6, 0, 1)
+    assert "the interval ends at 0, which the test rejects" in found.note
 
 
 def test_equal_means_share_their_rank() -> None:

@@ -105,6 +105,7 @@ def group_test(first: FloatArray, second: FloatArray) -> Located:
     first, second : (n,) arrays
         One value a participant; the statistic is the difference of the means, first less second.
     """
+    first, second = np.sort(first), np.sort(second)  # so that names do not matter to the orders drawn
     test, values = shuffle_test(first, second), np.concatenate([first, second])
     observed, far = float(test.statistic), 2 * float(np.ptp(values)) + 1e-9
     weights, _ = _weights(first.size, values.size)

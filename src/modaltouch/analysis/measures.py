@@ -16,7 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.certificates import why_not_95
-from modaltouch.analysis.findings import Finding, finding_of
+from modaltouch.analysis.findings import ALPHA, Finding, finding_of
 from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.location import Located, by_flips, by_ranks, flip_test, group_test
 from modaltouch.analysis.means import BoundedMean
@@ -183,17 +183,21 @@ def contrast_findings(values: Sequence[Own]) -> Iterator[Finding]:
             if first.keys().isdisjoint(second):
                 continue  # other participants, as of groups
             gaps: dict[str, list[float]] = {}
-            for who, level in first.keys() & second.keys():
+            for who, level in sorted(first.keys() & second.keys()):  # a sum may hang on its order
                 gap = first[who, level] - second[who, level]
                 if math.isfinite(gap):
                     gaps.setdefault(who, []).append(gap)
             numbers = np.array([np.mean(gaps[who]) for who in sorted(gaps)])
             test, interval = (by_ranks if measure.is_ranked else by_flips)(numbers)
             scope = f"{a[0]} - {b[0]} {a[1]}".strip() if a[1] == b[1] else f"{a[0]} {a[1]} - {b[1]}"
+            ends = measure.is_ranked and 0 in (interval.low, interval.high) and test.p <= ALPHA
+            notes = (
+                ["the interval ends at 0, which the test rejects: zeros count in the interval alone"] if ends else []
+            )
             yield finding_of(
                 measure.question, f"{measure.name} compared, {_RANKS if measure.is_ranked else _FLIPS}", scope, test,
                 f"{_difference(measure)} of {measure.quantity}", _told(measure, interval), numbers.size,
-                family=f"{measure.question} compared",
+                family=f"{measure.question} compared", notes=notes,
             )  # fmt: skip
 
 

@@ -207,6 +207,8 @@ def friedman(rows: np.ndarray) -> tuple[ExactTest, Any]:
     """
     shape, (n, k) = rows.shape[:-2], rows.shape[-2:]
     ranks = pd.DataFrame(rows.reshape(-1, k)).round(9).rank(axis=1).to_numpy().reshape(-1, n, k)
+    order = np.lexsort(np.moveaxis(ranks, -1, 0))  # so that names do not matter to the shuffles
+    ranks = np.take_along_axis(ranks, order[..., np.newaxis], axis=1)
     ties = ((ranks[..., np.newaxis] == ranks[..., np.newaxis, :]).sum(axis=-1) ** 2 - 1).sum(axis=(1, 2))
     most = n**2 * (k**3 - k) / 12 - n * ties / 12
     centred = ranks - (k + 1) / 2

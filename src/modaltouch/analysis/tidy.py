@@ -204,6 +204,8 @@ def _frame_of(
             frame[name] = columns.numbers(name, "a number, or nothing", empty=True)
         else:
             frame[name] = fields[name].astype("str")
+    if "value" in frame and "value" in table_format.asked:
+        frame["response"] = frame["response"].where(frame["value"].notna())  # no rating is no answer
     if "interval" in table_format.asked:
         frame["interval"] = columns.whole_numbers("interval", 1, table_format.design["intervals"]["number"])
     return frame, answers
