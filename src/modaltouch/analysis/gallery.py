@@ -20,10 +20,10 @@ FIGURES = {
         "zone.",
         "stimulus",
     ),
-    "order": ("Share of the dominant zone against the place in the session.", "further"),
+    "order": ("Share of the dominant zone over the course of the session.", "further"),
     "reaction_times": (
         "An answer may wait for the next burst, so reaction times are quantised and small differences mean little. "
-        "Answers too early to be answers are left out.",
+        "Answers that come too early to be genuine are left out.",
         "further",
     ),
     "speed_ratio": (

@@ -168,7 +168,7 @@ def _aliases(pairs: Sequence[Pair]) -> Iterator[str]:
         if (right, left) not in sides:
             yield (
                 f"In ({left}, {right}) zone, side and finger go together: {left} lies on the left under one and the "
-                f"same finger, so a preference for {left} cannot be separated from one for that side or finger. "
+                f"same finger, so a preference for {left} cannot be distinguished from one for that side or finger. "
                 "Mirrored placement, or swapped hands in half the participants, would separate them."
             )
 

@@ -104,11 +104,11 @@ def _readme(protocols: list[Protocol]) -> Iterator[str]:
     yield "| command | purpose |\n|---|---|"
     for file in files:
         yield f"| `modaltouch check {file}` | after each change: faults with their place, speeds, duration |"
-        yield f"| `modaltouch simulate {file} -n 10` | simulated participants, to see what the data will be |"
-    yield f"| `modaltouch analyse results/simulated/{name}` | their tables, figures, statistics and report |"
+        yield f"| `modaltouch simulate {file} -n 10` | simulated participants, to see what the data will look like |"
+    yield f"| `modaltouch analyse results/simulated/{name}` | tables, figures, statistics, report of the simulation |"
     for file in files:
         yield f"| `modaltouch run {file} -p p01 --fullscreen` | a session; asks for the generator's address |"
-    yield f"| `modaltouch verify results/{name}/sub-p01/ses-1` | its record, recomputed |"
+    yield f"| `modaltouch verify results/{name}/sub-p01/ses-1` | checks its record by recomputing it |"
     yield f"| `modaltouch analyse results/{name}` | the same for your participants |"
     yield f"\nYour beam goes into `protocols/{protocol.apparatus}`, your words into `protocols/{protocol.texts}`."
 

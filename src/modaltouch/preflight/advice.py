@@ -159,7 +159,7 @@ def design_warnings(protocol: Protocol) -> list[str]:
     elif not protocol.uncrossed_by and protocol.adaptive is None:
         numbers = {"level": len(protocol.scheduled_levels), "finger condition": n_fingers, "pair of zones": n_pairs}
         alone = " and one ".join(noun for noun, number in numbers.items() if number == 1)
-        said += [f"there is one {alone}: no test can tell whether that matters"] if alone else []
+        said += [f"there is only one {alone}: no test can show whether that matters"] if alone else []
         # All lean one way: p is 2/2^n, and Holm's method takes the smallest times the number of tests.
         fewest = 1 + math.ceil(math.log2(n_pairs * n_fingers / _ALPHA))
         told = f"with fewer than {fewest} participants no test can tell which zone of a pair is chosen more"

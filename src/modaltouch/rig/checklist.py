@@ -109,8 +109,8 @@ def _ranges(connection: Connection) -> Finding:
     return (
         "person",
         f"changes took {steps}",
-        f"listen while the level {where}: a relay that clicks tells the participant the level; the masking noise "
-        "must cover it",
+        f"listen while the level {where}: a clicking relay tells the participant the level; the masking noise must "
+        "cover it",
     )
 
 

@@ -78,7 +78,11 @@ def test_what_is_no_number_is_missed(preflight: Preflight, outcome: CalibrationR
 @pytest.mark.parametrize(
     ("departures", "missed", "cause"),
     [
-        ({"limit_V": 150.0}, "drive_percent", "the amplifier saturates: output 1 commands 1.. V,.*; lower the highest"),
+        (
+            {"limit_V": 150.0},
+            "drive_percent",
+            "the amplifier saturates: output 1 is commanded to give 1.. V,.*; lower the highest",
+        ),
         ({"softening": 0.002}, "displacement_mm_s", "the natural frequencies change with the amplitude: mode 1 by -"),
     ],
     ids=["saturation", "softening"],

@@ -292,9 +292,9 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]
     if any(each["limit"] == "drive_percent" for each in missed):
         output = int(outcome.drive_shortfall.argmax())
         yield (
-            f"the amplifier saturates: output {output + 1} commands {outcome.drive_peak[output]:.0f} V, of which the "
-            f"measured peaks lack {outcome.drive_shortfall[output]:.1%}; lower the highest level, or give "
-            "amplifier.limit_V its true value"
+            f"the amplifier saturates: output {output + 1} is commanded to give {outcome.drive_peak[output]:.0f} V, "
+            f"but the measured peaks fall short by {outcome.drive_shortfall[output]:.1%}; lower the highest level, or "
+            "give amplifier.limit_V its true value"
         )
     elif float(last.shown_slip.max()) > max(allowed / 2, noise):
         yield _changed_frequencies(outcome)
@@ -314,7 +314,7 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]
     else:
         yield (
             "nothing in the records shows the cause; identify the beam again with `modaltouch identify`, and calibrate "
-            "with what it finds"
+            "with the new apparatus file"
         )
 
 
