@@ -233,6 +233,14 @@ class TestBalance:
         assert [n for *_, n in responses.count().missing] == [1]
         assert len(responses.frame) == 239
 
+    def test_a_row_without_its_rating_is_a_missing_answer(self, write_csv, paper_rows) -> None:
+        """The protocol asks for a number; the word beside it is no answer."""
+        design = {"answers": {"scale": {"kind": "likert"}}}
+        rows = [{**row, "response": "rated", "value": 3} for row in paper_rows]
+        rows[5]["value"] = ""
+        asked = TableFormat(answers=AnswerList.of(design["answers"]), design=design)
+        assert [n for *_, n in read_responses(write_csv(rows), table_format=asked).count().missing] == [1]
+
     def test_a_cell_that_nobody_answered_is_missing_too(self, write_csv, paper_rows) -> None:
         """The design is every finger condition with every pair at every level."""
         rows = [row for row in paper_rows if (row["zone_left"], row["velocity_mm_s"]) != ("C", 200)]
