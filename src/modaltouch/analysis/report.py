@@ -103,8 +103,7 @@ def design_limits(analysis: Analysis) -> list[str]:
     answers, n = analysis.answers, analysis.answers.n_participants
     both, nothing = answers.answers.naming("left", "right"), answers.answers.naming()
     flips = Counter(row.family for row in analysis.findings if row.family and re.search("sign.flip", row.name))
-    m = min(flips.values(), default=0)
-    fewest = 1 + math.ceil(math.log2(m / ALPHA)) if m else 0
+    fewest = 1 + math.ceil(math.log2(m / ALPHA)) if (m := min(flips.values(), default=0)) else 0
     known = [
         (
             analysis.responses.source.mode == "simulated",

@@ -214,6 +214,13 @@ def _unfit(session: Session) -> str:
     return f"damaged: {faults[0]}" if faults else session.unfit
 
 
+def _in_time(whole: pd.DataFrame, answers: AnswerList, *, keep: bool) -> pd.DataFrame:
+    """Return the trials without those that timed out, or with no answer to these."""
+    in_time = whole["response"] != TIME_OUT
+    frame = whole.assign(response=pd.Categorical(whole["response"].where(in_time), list(answers.ranked.names)))
+    return frame if keep else frame[in_time].reset_index(drop=True)
+
+
 def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: str | None = None) -> Responses:
     """Return the answers of the complete, sound sessions in a folder, or in those of several labs.
 
@@ -251,10 +258,7 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
     answers = _one_list(place, taken)
     whole = _join(place, taken, levels, answers, stimulus, is_crossed=is_crossed)
     asked = int(answers_per_cell(whole).to_numpy().max()) if levels != "adaptive" else None
-    in_time = whole["response"] != TIME_OUT
-    frame = whole.assign(response=pd.Categorical(whole["response"].where(in_time), list(answers.ranked.names)))
-    if levels != "adaptive":
-        frame = frame[in_time].reset_index(drop=True)
+    frame = _in_time(whole, answers, keep=levels == "adaptive")
     notes = [f"Groups are labs: {', '.join(frame['group'].cat.categories)}"] if further else []
     if levels != "adaptive" and is_crossed:
         notes += say_unanswered(whole, frame)

@@ -73,12 +73,8 @@ def read_csv(
     fields, columns = table.fields, _Columns(table)
     caught, practice = columns.flags("catch", "a catch trial"), columns.flags("practice", "a practice trial")
     frame, answers = _frame_of(columns, fields, caught, table_format)
-    for name in (*REQUIRED[:2], *zones_of(fields.columns)):
-        columns.check_spelling(name)
-    columns.check_zones()
     caught &= ~practice
-    columns.check_stimuli(~practice & ~caught)
-    columns.check_names(~practice & ~caught, table_format.design)
+    columns.check_words(~practice & ~caught, table_format.design)
     if not columns.problems:
         asked = unmirror(frame[~practice & ~caught], answers)
         is_whole, parts = _is_crossed(table_format.design), _parts(asked, table_format.design)
@@ -329,6 +325,14 @@ class _Columns:
             remedy = "divide by 1000 what is in milliseconds"
             self.problems.append(self._table.problem(line, name, given, f"seconds, {_LONG:g} in the median", remedy))
         return values
+
+    def check_words(self, where: pd.Series, design: Mapping[str, Any]) -> None:
+        """Refuse words that differ in capitals alone, equal zones, and what the protocol does not have."""
+        for name in (*REQUIRED[:2], *zones_of(self._table.fields.columns)):
+            self.check_spelling(name)
+        self.check_zones()
+        self.check_stimuli(where)
+        self.check_names(where, design)
 
     def check_spelling(self, name: str) -> None:
         """Refuse words of a column that differ in capitals alone: one of them is a slip."""

@@ -46,6 +46,14 @@ _SPEED = Annotated[
 ]
 
 
+_PREREG = Annotated[
+    Path | None,
+    typer.Option(
+        help="Preregistration to compare the analysis with.", show_default="PROTOCOL.prereg.md next to the protocol"
+    ),
+]
+
+
 def analyse(
     source: _SOURCE,
     out: _OUT = None,
@@ -71,12 +79,7 @@ def analyse(
         typer.Option(help="Words in a CSV that stand for no answer, such as NA,-; an empty field and n/a always do."),
     ] = None,
     figures: _FIGURES = "",
-    prereg: Annotated[
-        Path | None,
-        typer.Option(
-            help="Preregistration to compare the analysis with.", show_default="PROTOCOL.prereg.md next to the protocol"
-        ),
-    ] = None,
+    prereg: _PREREG = None,
     model: Annotated[
         bool, typer.Option("--model", help="Also fit a mixed logistic model; refused if the answers are separated.")
     ] = False,
