@@ -87,6 +87,7 @@ def test_points_of_equality_and_differences_are_those_of_the_observers(compared)
     assert equal.p < 0.05 and math.isnan(noticed.p) and "described, not tested" in noticed.note
     assert "not a 95 % interval of the true mean: spreads fitted to few trials are too small" in noticed.note
     assert "95 % interval" not in equal.note
+    assert "geometric mean" in equal.note and "geometric" not in noticed.note
     assert len(values["PSE"]) == 8
 
 

@@ -40,7 +40,8 @@ def draw_design(design: DesignAnalysis) -> Iterator[ReportFigure]:
     for measure, own in by_measure(design.values):
         if measure != CRITERION and any(math.isfinite(each.interval.estimate) for each in own):
             name = "".join(letter if letter.isalnum() else "_" for letter in measure.name.replace("'", "_prime"))
-            caption = f"{measure.quantity[:1].upper()}{measure.quantity[1:]}. {_THIN}."
+            means = _THIN.replace("mean", "geometric mean") if measure.is_ratio else _THIN
+            caption = f"{measure.quantity[:1].upper()}{measure.quantity[1:]}. {means}."
             yield ReportFigure(f"measure_{name}", draw_measure(own, scale, groups), caption, "each")
     if design.shared:
         caption = f"Groups of participants, over the cells that all of them met. {_THIN.replace('Thin', 'Dots')}."

@@ -154,6 +154,7 @@ def mean_findings(values: Sequence[Own], scale: LevelScale, groups: Mapping[str,
         why_not = why_not_95(f"mean {measure.name}") if math.isfinite(interval.low + interval.high) else ""
         notes = [
             f"met by {', '.join(name for name in names if name in met)} only" if len(met) < len(names) else "",
+            "geometric mean" if measure.is_ratio else "",
             *({each.note for each in own} if len({each.note for each in own}) == 1 else ()),
             f"{left_out} participants without a value left out" if left_out else "",
             f"without a bound of one's own on one side: {n_open}" if n_open else "",
