@@ -204,9 +204,9 @@ def open_log(path: Path) -> SessionAnswers:
 
 def _names(design: Mapping[str, Any]) -> Iterator[str]:
     """Yield the names of a protocol's stimuli, groups and kinds of session, in its order."""
-    kinds = design.get("schedule", {}).get("sessions")
     yield from (*design.get("stimuli", ()), *(design.get("groups") or ()))
-    yield from (kind["name"] for kind in kinds) if isinstance(kinds, list) else ()
+    if isinstance(kinds := design.get("schedule", {}).get("sessions"), list):
+        yield from (kind["name"] for kind in kinds)
 
 
 def _unfit(session: Session) -> str:
@@ -216,9 +216,8 @@ def _unfit(session: Session) -> str:
 
 def _in_time(whole: pd.DataFrame, answers: AnswerList, *, keep: bool) -> pd.DataFrame:
     """Return the trials without those that timed out, or with no answer to these."""
-    in_time = whole["response"] != TIME_OUT
-    frame = whole.assign(response=pd.Categorical(whole["response"].where(in_time), list(answers.ranked.names)))
-    return frame if keep else frame[in_time].reset_index(drop=True)
+    told = pd.Categorical(whole["response"].where(in_time := whole["response"] != TIME_OUT), list(answers.ranked.names))
+    return whole.assign(response=told)[in_time | keep].reset_index(drop=True)
 
 
 def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: str | None = None) -> Responses:
@@ -244,8 +243,8 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
         raise InputError.of(place, f"mode {mode!r}", ", ".join(MODES), "choose one of them")
     found = _open_labs(place, *further) if further else _open_logs(place)
     modes = [item.mode for item in found if item.mode]
-    usual = "real" if "real" in modes or not modes else ""
-    chosen = mode or usual or _only(place, "modes", modes, f"choose with --mode, or {_ONE}")
+    choice = f"choose with --mode, or {_ONE}"
+    chosen = mode or ("real" if "real" in modes else _only(place, "modes", modes, choice) or "real")
     left_out: list[ExcludedSource] = []
     of_mode = _sort(found, left_out, lambda item: _other_mode(item, chosen))
     _only(place, "protocols", [f"of {item.protocol!r}" for item in of_mode if item.mode], _ONE)
@@ -263,7 +262,6 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
     if levels != "adaptive" and is_crossed:
         notes += say_unanswered(whole, frame)
     foci, start = taken[0].foci, read_session(taken[0].path).start
-    design = start.get("design", {})
     return Responses(
         frame,
         tuple(item.facts for item in taken if item.facts is not None),
@@ -275,7 +273,7 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
         stimulus or "",
         foci,
         answers,
-        design.get("analysis", {}).get("equivalence_margin"),
+        (design := start.get("design", {})).get("analysis", {}).get("equivalence_margin"),
         asked,
         notes=tuple(notes),
         scheduled=None if is_crossed else whole,
