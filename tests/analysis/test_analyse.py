@@ -158,7 +158,7 @@ def test_one_answer_is_the_smallest_analysis(write_csv, paper_rows, tmp_path) ->
     """One participant, condition, pair and level."""
     analysis = analyse(write_csv(paper_rows[:1]), tmp_path / "out")
     assert analysis.as_dict()["n_responses"] == 1
-    assert "One participant alone" in analysis.files["report.html"].read_text(encoding="utf-8")
+    assert "Only one participant" in analysis.files["report.html"].read_text(encoding="utf-8")
 
 
 def test_results_land_beside_the_data_unless_told_otherwise(tmp_path) -> None:

@@ -79,7 +79,7 @@ def test_one_participant_has_no_random_intercept(frame) -> None:
     """Nothing tells the participant from the others."""
     alone = frame[frame["participant"] == "p03"]
     (row,) = model_findings(count_answers(alone), alone)
-    assert "one participant only" in row.note
+    assert "only one participant" in row.note
 
 
 def test_an_analysis_writes_the_table_and_the_script(paper_csv, tmp_path) -> None:

@@ -97,7 +97,7 @@ def test_one_level_and_one_participant_are_said_plainly(build) -> None:
     frame = build["tidy"](build["paper"](1))
     told = paragraphs(frame[frame["velocity_mm_s"] == 80])
     assert "One level only: a trend needs two" in told["b"]
-    assert "One participant alone" in told["e"]
+    assert "Only one participant" in told["e"]
 
 
 @pytest.mark.parametrize(

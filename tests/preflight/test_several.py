@@ -145,7 +145,7 @@ def test_a_session_changes_between_them_without_an_upload(preflight: Preflight, 
     assert all(event["confirmed"]["confirmed"] for event in session.trials)
     verdict = audit_session(Session.find(session.path.parent))
     assert verdict.problems == ()
-    assert any(line.startswith("drives of 2 stimuli computed again") for line in verdict.lines)
+    assert any(line.startswith("drives of 2 stimuli recomputed") for line in verdict.lines)
     table = next(session.path.parent.glob("*_beh.tsv")).read_text(encoding="utf-8").splitlines()
     assert "stimulus" in table[0].split("\t")
     both = read_responses(tmp_path)

@@ -87,7 +87,7 @@ def test_watchdog_that_is_gone_stops_the_stimulus_and_is_replaced(
     dogs[0]._process.kill()
     dogs[0]._process.wait()
     time.sleep(0.15)
-    with pytest.raises(RigError, match="watchdog process .* is gone.*the outputs are off"):
+    with pytest.raises(RigError, match="watchdog process .* is gone.*the outputs were switched off"):
         rig.heartbeat()
     assert single_link.outputs == (False, False)
     assert rig.fire(0.1).started

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from modaltouch.analysis.findings import ALPHA, holm
     from modaltouch.analysis.intervals import wilson
     from modaltouch.analysis.pipeline import analyse, analyse_responses
-    from modaltouch.analysis.preregistration import describe_families, say_term, terms_of
+    from modaltouch.analysis.preregistration import describe_families, say_term
     from modaltouch.analysis.reading import read_responses
+    from modaltouch.analysis.registration import terms_of
     from modaltouch.analysis.responses import Responses, TableFormat
     from modaltouch.analysis.statistics import STATISTICS
     from modaltouch.analysis.words import say_scope
@@ -30,7 +31,8 @@ else:
             "findings": "ALPHA holm",
             "intervals": "wilson",
             "pipeline": "analyse analyse_responses",
-            "preregistration": "describe_families say_term terms_of",
+            "preregistration": "describe_families say_term",
+            "registration": "terms_of",
             "reading": "read_responses",
             "responses": "TableFormat Responses",
             "statistics": "STATISTICS",

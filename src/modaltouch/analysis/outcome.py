@@ -12,7 +12,7 @@ import pandas as pd
 
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding, to_frame
-from modaltouch.analysis.preregistration import Registration, terms_of
+from modaltouch.analysis.registration import Registration, terms_of
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.tables import tabulate
 from modaltouch.protocol import InputError

@@ -143,9 +143,11 @@ FRIBIDI = {"darwin": "libfribidi.0.dylib", "win32": "fribidi-0.dll"}.get(sys.pla
 """Library by which Pillow, too, orders letters."""
 _RTL, _LTR = 0x111, 0x110
 """FriBidi's numbers for the direction of a paragraph."""
-_ASCENT, _DESCENT, _LEADING = 0.97, 0.26, 0.13
+_ASCENT, _DESCENT, _LEADING = 0.93, 0.22, 0.21
 """Extent of a line over and under its baseline, about the middle of its capitals; larger where letters stand out of it;
 and what is between two lines [em]."""
+_OVERHANG = 0.04
+"""How far letters, such as descenders, may stand out of that extent: words side by side share a baseline [em]."""
 _STROKE = 0.02
 """Thickening where a font has no bold companion [em]."""
 _NARROWER = (0.6, 0.7, 0.8, 0.9)
@@ -337,8 +339,9 @@ class Typesetter:
     def _extended(self, line: Line, size: float) -> Line:
         """Return a line with its extent over and under the baseline."""
         inks = [_load(run.font.path, size).getbbox(run.text, anchor="ls", **self._shaping(run)) for run in line.runs]
-        ascent = max([_ASCENT * size, *(-ink[1] for ink in inks)])
-        return replace(line, ascent=ascent, descent=max([_DESCENT * size, *(ink[3] for ink in inks)]))
+        over = _OVERHANG * size
+        ascent, descent = (max(-ink[1] for ink in inks), max(ink[3] for ink in inks)) if inks else (0.0, 0.0)
+        return replace(line, ascent=max(_ASCENT * size, ascent - over), descent=max(_DESCENT * size, descent - over))
 
 
 def _pieces(text: str) -> Iterator[str]:

@@ -15,8 +15,8 @@ from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding, correct, to_frame
 from modaltouch.analysis.models import model_table, tidy_files, zone_files
 from modaltouch.analysis.outcome import plain_row
-from modaltouch.analysis.preregistration import ALL_PARTS, Registration, terms_of_tests
 from modaltouch.analysis.ratings import questions_of
+from modaltouch.analysis.registration import ALL_PARTS, Registration, terms_of_tests
 from modaltouch.analysis.responses import Responses, cell_of
 from modaltouch.analysis.statistics import uncorrected
 from modaltouch.analysis.tables import tabulate, zone_table

@@ -10,7 +10,7 @@ from typing import Any
 from modaltouch.analysis.certificates import say_certificates
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding
-from modaltouch.analysis.preregistration import Registration
+from modaltouch.analysis.registration import Registration
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.thresholds.runs import Run, find_runs, in_words, is_forced, over_participants
