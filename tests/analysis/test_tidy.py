@@ -273,6 +273,15 @@ class TestBalance:
         own = [{**row, "participant": "p99"} for row in rows if row["participant"] == "p01"]
         assert re.search(f"every answer of {of}", fails(write_csv([*rows, *(rows if n else own)]))[0])
 
+    def test_coarse_times_that_repeat_are_no_copies(self, write_csv, paper_rows) -> None:
+        """Five repetitions timed to half a second: every row comes again, but not equally often."""
+        rows = [
+            {**row, "repetition": n + 1, "response_time": 0.5 * (1 + place % 7) + (0.5 if n < 3 else 4.5)}
+            for place, row in enumerate(paper_rows)
+            for n in range(5)
+        ]
+        assert len(read_responses(write_csv(rows)).frame) == len(rows)
+
     def test_names_that_differ_in_capitals_are_refused(self, write_csv, paper_rows) -> None:
         """One participant's condition in capitals: not a cell that everybody else lacks."""
         rows = [dict(row) for row in paper_rows]

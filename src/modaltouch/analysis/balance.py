@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -106,7 +107,8 @@ def _copied(table: Table, frame: pd.DataFrame) -> list[Problem]:
         if rows["response_time"].nunique() < _FEWEST_TIMES:
             continue
         other = seen.setdefault(tuple(sorted(map(str, rows.itertuples(index=False)))), participant)
-        twice = rows.duplicated(keep=False).all()
+        # Coarse times repeat by chance, but not each as often as a table that stands there several times.
+        twice = math.gcd(*rows.value_counts().tolist()) > 1
         if twice or other != participant:
             given = f"every answer of {participant}, in the same time, {'twice' if twice else f'as those of {other}'}"
             problems.append(table.problem(int(own.index[-1]), "participant", given, "each once", "remove the copies"))
