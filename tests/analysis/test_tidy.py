@@ -83,6 +83,18 @@ class TestForms:
         assert len(responses.frame) == 240
         assert [(item.reason, "3 rows" in item.source) for item in responses.left_out] == [("practice trials", True)]
 
+    @pytest.mark.parametrize("name", ["excluded", "exclude", "withdrawn", "invalid"])
+    def test_rows_that_a_lab_marks_stay_out_and_are_named(self, write_csv, paper_rows, name) -> None:
+        """Even without a level; a word that is no mark is refused."""
+        rows = [{**row, name: 0} for row in paper_rows]
+        rows += [{**paper_rows[0], "velocity_mm_s": "", name: "yes"}] * 3
+        responses = read_responses(write_csv(rows))
+        assert len(responses.frame) == 240
+        (left_out,) = responses.left_out
+        assert (left_out.reason, "3 rows" in left_out.source) == (f"rows marked {name}", True)
+        with pytest.raises(InputError, match=rf"{name}: given 'too slow'; allowed: 0 or 1"):
+            read_responses(write_csv([*rows, {**paper_rows[0], name: "too slow"}]))
+
     @pytest.mark.parametrize(
         "keep",
         [

@@ -39,6 +39,10 @@ _LEAST_LEVEL, _MOST = 0.001, 100_000
 _LONGEST, _LONG = 86_400.0, 60.0
 """Longest reaction time, and longest median of all: beyond, milliseconds were written [s]."""
 
+_CAUGHT = "catch trials, counted apart"
+_LEFT_OUT = ("excluded", "exclude", "withdrawn", "invalid")
+"""Columns of 0 and 1 in which a lab marks the rows that do not count."""
+
 _TRUTH = {"0": False, "false": False, "no": False, "": False, "1": True, "true": True, "yes": True}
 _EMPTY = ("", "n/a")
 
@@ -52,7 +56,8 @@ def read_csv(
     ----------
     path : Path
         A table with the six columns, and optionally ``n`` (count of equal answers), ``repetition``, ``practice``,
-        ``catch`` (1 where nothing was driven, whatever the velocity), ``mode``, ``stimulus``, ``session`` and any
+        ``catch`` (1 where nothing was driven, whatever the velocity), ``excluded`` (1 where the row does not count;
+        also ``exclude``, ``withdrawn``, ``invalid``), ``mode``, ``stimulus``, ``session`` and any
         others, which are kept. Where any response is ``none``, that was an answer, unless `table_format` tells. Where
         ``multiple_of_threshold`` is filled in, it is the level. Sessions count as repetitions, as many as all have.
     table_format : TableFormat, optional
@@ -71,19 +76,18 @@ def read_csv(
     table = table if stimulus is None else choose_rows(table, "stimulus", stimulus)
     table, left_out, notes = choose_sessions(table)
     fields, columns = table.fields, _Columns(table)
-    caught, practice = columns.flags("catch", "a catch trial"), columns.flags("practice", "a practice trial")
-    frame, answers = _frame_of(columns, fields, caught, table_format)
-    caught &= ~practice
-    columns.check_words(~practice & ~caught, table_format.design)
+    apart = columns.apart()
+    caught, counts = apart[_CAUGHT], ~pd.DataFrame(apart).any(axis=1)
+    frame, answers = _frame_of(columns, fields, counts, table_format)
+    columns.check_words(counts, table_format.design)
     if not columns.problems:
-        asked = unmirror(frame[~practice & ~caught], answers)
+        asked = unmirror(frame[counts], answers)
         is_whole, parts = _is_crossed(table_format.design), _parts(asked, table_format.design)
         checked = [check_balance(table, part, is_crossed=is_whole) for part in parts]
         columns.problems += [problem for problems, _ in checked for problem in problems]
     if columns.problems:
         raise InputError(columns.problems)
-    apart = ((practice, "practice trials"), (caught, "catch trials, counted apart"))
-    left_out += [ExcludedSource(f"{table.file}: {rows.sum()} rows", why) for rows, why in apart if rows.any()]
+    left_out += [ExcludedSource(f"{table.file}: {rows.sum()} rows", why) for why, rows in apart.items() if rows.any()]
     is_crossed = is_whole and len(parts) < 2
     kept = asked if is_crossed else _told_apart(parts, [usual for _, usual in checked], table_format.design)
     kept, foci = _in_order(kept, table_format.design), _foci(kept, table_format.design)
@@ -163,7 +167,7 @@ def _scales(design: Mapping[str, Any]) -> dict[str, ScaleSection]:
 
 
 def _frame_of(
-    columns: _Columns, fields: pd.DataFrame, caught: pd.Series, table_format: TableFormat
+    columns: _Columns, fields: pd.DataFrame, counts: pd.Series, table_format: TableFormat
 ) -> tuple[pd.DataFrame, AnswerList]:
     """Return the values of all rows, and what could be answered."""
     answers = table_format.answers
@@ -179,7 +183,7 @@ def _frame_of(
         OWN_THRESHOLD: f"a multiple of the participant's own threshold, {_LEAST_LEVEL:g} to {_MOST}",
     }
     frame[level.column] = columns.numbers(
-        level.column, allowed[level], lambda value: _LEAST_LEVEL <= value <= _MOST, where=~caught
+        level.column, allowed[level], lambda value: _LEAST_LEVEL <= value <= _MOST, where=counts
     )
     given = {table_format.words.get(word, word) for word in fields["response"].cat.categories}
     remedy = "map it as in --answers L=left,R=right, or, if it stands for no answer, name it with --missing"
@@ -279,6 +283,16 @@ class _Columns:
         self.problems += self._table.check_words(column, is_sound, ", ".join(words), say)
         found = column.astype("str").map(lambda word: table_format.words.get(word, word))
         return pd.Series(pd.Categorical(found.where(found.isin(words)), list(words)), column.index)
+
+    def apart(self) -> dict[str, pd.Series]:
+        """Return the rows that are not analysed, by the reason; none has two."""
+        reasons = {name: (f"rows marked {name}", "a row that does not count") for name in _LEFT_OUT}
+        reasons |= {"practice": ("practice trials", "a practice trial"), "catch": (_CAUGHT, "a catch trial")}
+        apart, free = {}, pd.Series(True, index=self._table.fields.index)
+        for name, (reason, what) in reasons.items():
+            apart[reason] = self.flags(name, what) & free
+            free &= ~apart[reason]
+        return apart
 
     def flags(self, name: str, what: str) -> pd.Series:
         """Return which rows a column of 0 and 1 marks, none where there is no such column."""
