@@ -77,7 +77,7 @@ def audit_session(session: Session) -> Audit:
     problems = list(dict.fromkeys((*chain.problems, *shape)))
     place = f"{path}:1:"
     if shape or not start:
-        return Audit(path, (), (*problems, *(() if start else (f"{place} is no start record",))))
+        return Audit(path, (), tuple(problems) or (f"{place} is no start record",))
     lines = [] if problems else [f"{len(session.events)} lines, each continuing the one before"]
     try:
         restored = restore(Sources.from_dict(start["sources"]), session.occasion)

@@ -172,7 +172,9 @@ def parse_chain(data: bytes, name: str) -> Chain:
         events.append(event)
         checks.append(check)
         previous = check
-    if b"\n" in pending:
+    if pending and has_carriage_returns(data):
+        damage.append(f"{name}:1: every line ends in CR LF: a program that converts line ends changed the file")
+    elif b"\n" in pending:
         damage.append(f"{name}:{pending_line}: the chain breaks: a line was changed, removed, doubled or moved")
     elif pending:
         cut.append(f"{name}:{pending_line}: the last line was cut while being written ({len(pending)} bytes)")
@@ -180,6 +182,11 @@ def parse_chain(data: bytes, name: str) -> Chain:
         cut.append(f"{name}:{len(events)}: the last line lacks its newline; its content is whole")
     ends_in_newline = data.endswith(b"\n") or not data
     return Chain(tuple(events), tuple(checks), (*damage, *cut), tuple(damage), pending, ends_in_newline)
+
+
+def has_carriage_returns(data: bytes) -> bool:
+    """Return whether each line of a log ends in CR LF, as no line is written."""
+    return 0 < data.count(b"\n") == data.count(b"\r\n")
 
 
 def describe_torn(torn: bytes) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from modaltouch.record.chain import (
     RecordError,
     UnreadableLineError,
     describe_torn,
+    has_carriage_returns,
     line_check,
     parse_chain,
     read_log,
@@ -66,6 +67,8 @@ class Recovery:
         The other lines.
     missing : tuple of int
         Numbers of lines that were written and are gone.
+    has_carriage_returns : bool
+        Whether every line ends in CR LF, as no line is written; the lines prove themselves without it.
     is_cut : bool
         Whether the only fault of the file is a cut at its end, with which `modaltouch resume` goes on.
     """
@@ -76,12 +79,14 @@ class Recovery:
     numbers: tuple[int, ...]
     left_out: tuple[UnrecoveredLine, ...]
     missing: tuple[int, ...]
+    has_carriage_returns: bool
     is_cut: bool
 
     @property
     def is_sound(self) -> bool:
         """Whether nothing is lost; a cut line that the next one declares is none of the record."""
-        return not self.left_out and not self.missing and self.numbers == tuple(sorted(self.numbers))
+        is_whole = not self.left_out and not self.missing and not self.has_carriage_returns
+        return is_whole and self.numbers == tuple(sorted(self.numbers))
 
     @property
     def lines(self) -> list[str]:
@@ -90,6 +95,8 @@ class Recovery:
         said = [f"{len(self.events)} lines prove themselves, {answers} answers among them"]
         if self.numbers != tuple(sorted(self.numbers)):
             said.append("they were moved; the order in which they were written is known")
+        if self.has_carriage_returns:
+            said.append("every line ends in CR LF: a program that converts line ends changed the file")
         said += [f"line {line.number} is left out: {line.reason}" for line in self.left_out]
         if self.missing:
             said.append(f"gone: the lines numbered {_ranges(self.missing)}")
@@ -169,7 +176,8 @@ def survey(path: Path) -> Recovery:
     """
     path = find_log(path)
     data = read_log(path)
-    lines = data.split(b"\n")
+    is_converted = has_carriage_returns(data)
+    lines = (data.replace(b"\r\n", b"\n") if is_converted else data).split(b"\n")
     if lines and not lines[-1]:
         lines.pop()
     claimed = {number: tail.group(1).decode() for number, line in enumerate(lines, 1) if (tail := TAIL.search(line))}
@@ -195,7 +203,8 @@ def survey(path: Path) -> Recovery:
     missing = tuple(n for n in range(1, max(in_view, *written, 0) + 1) if n not in written)
     chain = parse_chain(data, str(path))
     is_cut = bool(chain.problems and not chain.damage) and in_view <= len(chain.checks) + 1
-    return Recovery(path, hashlib.sha256(data).hexdigest(), events, tuple(order), tuple(left_out), missing, is_cut)
+    sha256 = hashlib.sha256(data).hexdigest()
+    return Recovery(path, sha256, events, tuple(order), tuple(left_out), missing, is_converted, is_cut)
 
 
 def _facts(event: dict[str, Any]) -> dict[str, Any]:
