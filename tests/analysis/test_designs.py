@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections import Counter
+from dataclasses import replace
 from itertools import permutations, product
 from pathlib import Path
 
@@ -199,6 +200,16 @@ def test_groups_are_compared_over_the_cells_that_both_met() -> None:
     assert ["met by low only" in notes[0], "met by" in notes[1], "met by high only" in notes[2]] == [True, False, True]
     (shared,) = {each.level for each in analyse_design(rated(low=(40, 80), high=(80, 160))).shared}
     assert shared == 80
+
+
+def test_participants_who_lack_a_level_are_counted_beside_a_comparison_of_groups() -> None:
+    """The mean of who lacks the highest level is lower for that alone."""
+    whole = rated(low=(40, 80), high=(40, 80))
+    lacking = whole.frame[~((whole.frame["participant"] == "p0") & (whole.frame["velocity_mm_s"] == 80))]
+    findings, _ = found(replace(whole, frame=lacking))
+    said = "participants without a value in some cell, who count by the others: 1"
+    assert findings["rating between groups", "low - high"].note.endswith(said)
+    assert "some cell" not in found(whole)[0]["rating between groups", "low - high"].note
 
 
 def test_groups_without_a_common_cell_are_described_and_not_tested() -> None:

@@ -6,6 +6,7 @@ The participant is the unit: what is tested is one number of each, never the poo
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -232,12 +233,15 @@ def group_findings(
             yield finding_of("group", name, scope, None, quantity, Interval.point(math.nan, 0), 0, notes=[why])
             continue
         test, interval = group_test(first, second)
+        n_values = Counter(each.participant for each in compared[measure] if math.isfinite(_linear(each)))
+        n_partial = sum(n < max(n_values.values()) for n in n_values.values())
         yield finding_of(
             "group", f"{measure.name} between groups, permutation test of participants", scope, test, quantity,
             _told(measure, interval), first.size + second.size, family="groups",
             notes=[
                 f"{a}: {first.size}, {b}: {second.size} participants; interval of a shift",
                 "over the cells that both groups met" if shared is not values else "",
+                f"participants without a value in some cell, who count by the others: {n_partial}" if n_partial else "",
             ],
         )  # fmt: skip
 
