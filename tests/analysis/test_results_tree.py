@@ -262,6 +262,13 @@ def test_labs_are_told_apart_by_the_names_of_their_folders(record, tmp_path) -> 
         read_responses(tmp_path / "results", path)
 
 
+def test_the_table_of_one_session_is_refused_with_the_folder_to_give(record) -> None:
+    """It has no column for the participant, whom its folder names."""
+    (table,) = record("p01").parent.glob("*_beh.tsv")
+    with pytest.raises(InputError, match=rf"given the table of one recorded session; .*give its folder {table.parent}"):
+        read_responses(table)
+
+
 def test_a_session_that_is_there_twice_is_refused(record, tmp_path) -> None:
     """A folder within another one's, and a copy beside the original: both places are named."""
     session = record("p01").parents[1]

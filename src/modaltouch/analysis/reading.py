@@ -56,6 +56,9 @@ def read_responses(
         from modaltouch.analysis.results_tree import read_tree
 
         return _refuse_none(place, read_tree(place, *further, mode=mode, stimulus=stimulus))
+    if place.name.endswith("_beh.tsv") and (place.parent / "session.jsonl").exists():
+        remedy = f"give its folder {place.parent}, or that of the whole study"
+        raise InputError.of(place, "the table of one recorded session", "a CSV file or a results folder", remedy)
     if table_format is not None and table_format.design.get("adaptive"):
         given = "a table with an adaptive protocol, whose levels followed from the answers"
         raise InputError.of(place, given, "recorded sessions", "give the folder of the sessions, without --protocol")
