@@ -7,6 +7,8 @@ from typing import Any, NoReturn
 # Before NumPy is imported. The matrices are small: further threads of BLAS only wait for each other, busily, and take
 # the processor from the window and from the process that watches the outputs.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# No section of a file has a plugin: to look for some would read the metadata of every installed package.
+os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 
 
 def _leave() -> NoReturn:

@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -352,6 +351,8 @@ def _python() -> MachineCheck:
 
 
 def _packages() -> list[MachineCheck]:
+    from importlib.metadata import PackageNotFoundError, version
+
     required = ("numpy", "scipy", "pandas", "statsmodels", "PyVISA", "PyVISA-py", "psychopy")
     found, missing = [], []
     for package in required:
@@ -366,6 +367,8 @@ def _packages() -> list[MachineCheck]:
 
 def _usb() -> MachineCheck:
     if importlib.util.find_spec("usb") is not None:
+        from importlib.metadata import version
+
         return MachineCheck("USB", "ok", f"pyusb {version('pyusb')}")
     found = "pyusb is absent: a generator on USB is not found"
     return MachineCheck("USB", "warning", found, "connect it by LAN, or install pyusb")

@@ -82,7 +82,9 @@ class Fonts:
         return chosen
 
     def lacking(self, text: str) -> str:
-        """Return the characters that no font has."""
+        """Return the characters that no font has; every font for text has those of ASCII, and need not be read."""
+        if text.isascii():
+            return ""
         return "".join(letter for letter, font in zip(text, self.choose(text), strict=True) if not font.has(letter))
 
 
