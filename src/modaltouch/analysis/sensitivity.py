@@ -219,9 +219,8 @@ def _corrected(given: int, n: int) -> float:
 def _profile(statistic: Statistic, first: Count, second: Count) -> Interval:
     """Return a statistic of two rates, and its ends where their likelihood together has fallen by `DROP`."""
     estimate = statistic(*(np.asarray(_corrected(*count)) for count in (first, second)))
-    # At an end, one rate takes a part of the drop and the other the rest; sine squared keeps both ends fine.
-    part = DROP * np.sin(np.linspace(0, np.pi / 2, 61)) ** 2
-    one, other = _rates(*first, part), _rates(*second, DROP - part)
+    # At an end, one rate takes a part of the drop and the other the rest.
+    one, other = _rates(*first), _rates(*second)[:, ::-1]
     with np.errstate(invalid="ignore"):
         values = statistic(one[:, np.newaxis], other[np.newaxis])
     # What rounding leaves of zero is none, and has no sign.
@@ -229,8 +228,16 @@ def _profile(statistic: Statistic, first: Count, second: Count) -> Interval:
     return Interval(best, low, high, first[1] + second[1])
 
 
-def _rates(given: int, n: int, drop: FloatArray) -> FloatArray:
-    """Return the lowest and highest rates whose log likelihood is a drop below the best at most, (2, n) array."""
+@lru_cache(maxsize=4096)
+def _rates(given: int, n: int) -> FloatArray:
+    """Return the lowest and highest rates whose log likelihood is, at most, each part of `DROP` below the best.
+
+    Returns
+    -------
+    (2, 61) array
+        The parts rise from none to all of it.
+    """
+    drop = DROP * np.sin(np.linspace(0, np.pi / 2, 61)) ** 2  # fine at both ends
     if n == 0:
         return np.stack([np.zeros(drop.shape), np.ones(drop.shape)])
     share = given / n
