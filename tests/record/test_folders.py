@@ -54,6 +54,15 @@ def test_a_log_is_found_from_itself_its_folder_and_any_folder_above(tmp_path):
         assert find_log(named) == place.log
 
 
+def test_a_participant_who_differs_in_capitals_alone_is_refused(tmp_path):
+    """Windows and macOS take both folders for one; elsewhere it is a slip that makes two people of one."""
+    make_log(tmp_path, participant="p02")
+    with pytest.raises(RecordInputError, match="given participant P02, but there is p02, who differs in capitals"):
+        SessionFolder(tmp_path, "simulated", "demo", "P02").refuse_existing()
+    SessionFolder(tmp_path, "simulated", "demo", "p02", 2).refuse_existing()
+    SessionFolder(tmp_path, "simulated", "demo", "p03").refuse_existing()
+
+
 def test_two_sessions_under_one_folder_are_not_guessed_between(tmp_path):
     """The message lists them."""
     make_log(tmp_path)

@@ -134,13 +134,23 @@ class SessionFolder:
         return self.folder / f"sub-{self.participant}_ses-{self.session}_task-{task}{part}_beh.tsv"
 
     def refuse_existing(self) -> None:
-        """Raise if a session has been recorded here.
+        """Raise if a session has been recorded here, or of a participant whose name differs in capitals alone.
 
         Raises
         ------
         RecordExistsError
             If the log exists, with the way to go on.
+        RecordInputError
+            If there is such a participant, whose folder Windows and macOS take for this one.
         """
+        own = f"sub-{self.participant}"
+        names = [folder.name for folder in self.dataset.glob("sub-*") if folder.name.casefold() == own.casefold()]
+        if names and own not in names:
+            other = names[0].removeprefix("sub-")
+            raise RecordInputError(
+                f"given participant {self.participant}, but there is {other}, who differs in capitals alone; give "
+                f"{other} for the same person, or another id for another"
+            )
         refuse_existing(self.log)
 
     @staticmethod
