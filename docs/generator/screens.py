@@ -21,7 +21,7 @@ SIZE = (800, 500)
 def screens(experiment) -> list[Picture]:
     """Return the screens of a session in their order: one placement and question for each finger condition."""
     protocol, texts = experiment.protocol, experiment.texts
-    design, zones = protocol.conditions, tuple(experiment.apparatus.zones)
+    design, zones = protocol.conditions, experiment.apparatus.zone_spans
 
     def asking(answers):
         layout = lay_out(*SIZE, zones, answers.offered, answers.scale)

@@ -42,7 +42,7 @@ polls = []
 def tick():
     polls.append(time.time())
     raise Shown
-window = open_window("window", experiment.protocol, experiment.texts, zones=tuple(experiment.apparatus.zones),
+window = open_window("window", experiment.protocol, experiment.texts, zones=experiment.apparatus.zone_spans,
                      tick=tick, log=lambda event, **facts: None)
 try:
     window.welcome(Trial(1, 0, Condition("one_hand", "A", "C", 80.0), practice=True))
@@ -159,7 +159,7 @@ def count_idle_frames() -> int:
         "window",
         experiment.protocol,
         experiment.texts,
-        zones=tuple(experiment.apparatus.zones),
+        zones=experiment.apparatus.zone_spans,
         tick=tick,
         log=lambda event, **facts: None,
     ) as window:

@@ -68,7 +68,7 @@ def test_the_names_of_three_fingers_side_by_side_are_measured() -> None:
     """Expected: on neighbouring zones the longest of them, set smaller than on zones apart."""
     experiment = Findings.read(Path(__file__).parents[2] / "docs/examples/protocol_three_fingers.yaml").experiment()
     trials = {trial.condition.zones: trial for trial in Schedule.draw(experiment.protocol, "p01", 1).trials}
-    zones = tuple(experiment.apparatus.zones)
+    zones = experiment.apparatus.zone_spans
     near, far = (
         smallest_type(experiment.protocol, experiment.texts, zones, [trials[tuple(own)]], (1280, 800))
         for own in ("BCD", "ACE")

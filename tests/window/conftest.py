@@ -175,7 +175,7 @@ def furnish(display: Any, experiment: Experiment, clock: Clock, *, seconds: floa
         Watched(display, room),
         protocol,
         options.pop("texts", experiment.texts),
-        zones=tuple(experiment.apparatus.zones),
+        zones=experiment.apparatus.zone_spans,
         theme=options.pop("theme", DARK),
         tick=room.tick,
         log=lambda event, **facts: room.log.append((event, facts)),

@@ -141,7 +141,7 @@ def test_a_digit_is_its_key_where_the_layout_wants_shift_for_it(tap: tuple[Event
     window.script = [press(key.AMPERSAND), press(key.user_key(11)), press(key.A)]
     one, two, letter = events.poll()
     assert (one.key, one.digit, two.digit, letter.digit) == ("ampersand", "1", "2", "")
-    layout = lay_out(1280, 800, ("A", "B", "C"), AnswerList.of({}))
+    layout = lay_out(1280, 800, {"A": (-0.5, 0.0), "B": (0.0, 0.5)}, AnswerList.of({}))
     digits = Reader(layout, {"1": "left", "2": "both"}, frozenset({"2"}))
     assert [digits.answer(event) for event in (one, two, letter)] == ["left", "both", None]
     assert [digits.name(event) for event in (one, two, letter)] == ["1", "2", "a"]

@@ -13,7 +13,15 @@ from modaltouch.window.layout import Layout, lay_out
 from modaltouch.window.shapes import Box
 
 SIZES = [(800, 600), (1280, 800), (1920, 1080), (768, 1024), (3840, 2160)]
-ZONES = tuple("ABCDE")
+
+
+def evenly(names: str) -> dict[str, tuple[float, float]]:
+    """Return zones of equal width that fill the beam."""
+    n = len(names)
+    return {name: (place / n - 0.5, (place + 1) / n - 0.5) for place, name in enumerate(names)}
+
+
+ZONES = evenly("ABCDE")
 PAPER = AnswerList.of({})
 WITH_NONE = AnswerList.of({"keys": ["left", "both", "right", "none"]})
 GRADES = AnswerList.of({"keys": ["a", "b", "c", "d", "e", "unsure", "nowhere"], "below": ["unsure", "nowhere"]})
@@ -23,7 +31,7 @@ def boxes(layout: Layout) -> dict[str, Box]:
     """Return everything of the question screen that must not overlap."""
     return {
         "headline": layout.headline,
-        "beam": layout.beam(),
+        "beam": layout.beam,
         **{f"button {answer}": box for answer, box in layout.buttons.items()},
         "note": layout.note,
         "label": layout.label,
@@ -41,7 +49,7 @@ def overlap(first: Box, second: Box) -> bool:
 @given(st.integers(320, 8000), st.integers(320, 8000), st.integers(2, 9))
 def test_everything_lies_inside_any_window(width_px: int, height_px: int, n_zones: int) -> None:
     """Expected bounds: half the window's width and height in units of its height."""
-    layout = lay_out(width_px, height_px, tuple("ABCDEFGHI"[:n_zones]), PAPER)
+    layout = lay_out(width_px, height_px, evenly("ABCDEFGHI"[:n_zones]), PAPER)
     half_width = width_px / height_px / 2
     everything = [*boxes(layout).values(), *layout.zones.values(), layout.body, layout.page, layout.go_on]
     for box in everything:
@@ -108,11 +116,23 @@ def test_a_click_hits_a_button_exactly_where_it_is_drawn(x: float, y: float) -> 
     assert layout.answer_at(x, y) == (hit[0] if hit else None)
 
 
+def test_zones_stand_to_scale_and_turn_with_the_beam() -> None:
+    """By hand: a zone of a tenth of the beam at its left end, and one of a fifth right of the middle."""
+    layout = lay_out(1280, 800, {"X": (-0.5, -0.4), "Y": (0.1, 0.3)}, PAPER)
+    left, right = layout.zones.values()
+    assert left.left == pytest.approx(layout.beam.left)
+    assert (left.width, right.width) == pytest.approx((layout.beam.width / 10, layout.beam.width / 5))
+    assert right.x == pytest.approx(layout.beam.width / 5)
+    turned = layout.turned().zones
+    assert list(turned) == ["Y", "X"]
+    assert turned["X"].right == pytest.approx(layout.beam.right)
+
+
 @pytest.mark.parametrize("n_zones", [2, 3, 5, 8])
 def test_zones_stand_in_order_and_touch_each_other(n_zones: int) -> None:
     """Expected: zones of equal width from the left, centred on the screen, whatever their number."""
-    layout = lay_out(1280, 800, tuple("ABCDEFGH"[:n_zones]), PAPER)
+    layout = lay_out(1280, 800, evenly("ABCDEFGH"[:n_zones]), PAPER)
     places = list(layout.zones.values())
-    assert layout.beam().x == pytest.approx(0)
+    assert layout.beam.x == pytest.approx(0)
     for left, right in itertools.pairwise(places):
         assert left.right == pytest.approx(right.left)

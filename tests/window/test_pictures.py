@@ -31,7 +31,7 @@ def make_trial(pair: str = "AC", finger_condition: str = "one_hand", velocity: f
 def illustrate(experiment: Experiment, hand: str = "right", **changes: Any) -> Illustrator:
     """Return the pictures of the demonstration in a window of 1280 x 800 pixels."""
     answers = experiment.protocol.answers.model_copy(update=changes)
-    layout = lay_out(1280, 800, tuple(experiment.apparatus.zones), AnswerList.of({}))
+    layout = lay_out(1280, 800, experiment.apparatus.zone_spans, AnswerList.of({}))
     return Illustrator(layout, DARK, experiment.texts, answers, hand)
 
 
@@ -331,7 +331,7 @@ def test_feedback_says_where_it_was_stronger(experiment: Experiment, expected: s
 
 def test_an_unknown_pair_of_fingers_has_no_picture(experiment: Experiment, trial: Trial) -> None:
     """Expected: three zones draw as well as five, and the middle pair has the name of its zones."""
-    layout = lay_out(1280, 800, ("X", "Y", "Z"), AnswerList.of({}))
+    layout = lay_out(1280, 800, {"X": (-0.5, -0.2), "Y": (-0.2, 0.2), "Z": (0.2, 0.5)}, AnswerList.of({}))
     pictures = Illustrator(layout, DARK, experiment.texts, experiment.protocol.answers, "right")
     assert pictures.feel(make_trial("XZ"), PROGRESS).name == "feel_one_hand_XZ"
 
@@ -340,7 +340,7 @@ def test_four_answers_are_shown_with_their_words_and_keys(experiment: Experiment
     """Expected: the texts' own words; the instruction that names four answers; a key cap on each button."""
     keys = {**experiment.protocol.answers.keys, "both": ("up",), "none": ("down",)}
     answers = experiment.protocol.answers.model_copy(update={"keys": keys})
-    layout = lay_out(800, 600, tuple(experiment.apparatus.zones), answers.offered)
+    layout = lay_out(800, 600, experiment.apparatus.zone_spans, answers.offered)
     pictures = Illustrator(layout, DARK, experiment.texts, answers, "right")
     question = pictures.question(make_trial(), PROGRESS)
     for answer, word in (("left", "Left"), ("both", "Both"), ("right", "Right"), ("none", "Nowhere")):
@@ -373,7 +373,7 @@ def test_the_instructions_count_the_answers_of_the_list(
     file = Path(__file__).parents[2] / "protocols" / "texts" / f"{language}.yaml"
     texts = Texts(**YAML(typ="safe", pure=True).load(file.read_text(encoding="utf-8")))
     texts = texts.model_copy(update={"answers": dict.fromkeys(keys, "Label")})
-    layout = lay_out(800, 600, tuple(experiment.apparatus.zones), answers.offered)
+    layout = lay_out(800, 600, experiment.apparatus.zone_spans, answers.offered)
     pictures = Illustrator(layout, DARK, texts, answers, "right")
     assert words in pictures.answering(make_trial()).texts[0]
     wordless = replace(pictures, texts=texts.model_copy(update={"numbers": ()}))
@@ -386,7 +386,7 @@ def test_answers_of_any_names_are_shown_in_the_order_of_the_file(experiment: Exp
     keys = {name: (key,) for name, key in zip(names, ("up", "space", "down", "0"), strict=True)}
     answers = experiment.protocol.answers.model_copy(update={"keys": keys, "below": ("unsure",)})
     texts = experiment.texts.model_copy(update={"answers": {name: name.title() for name in names}})
-    layout = lay_out(800, 600, tuple(experiment.apparatus.zones), answers.offered)
+    layout = lay_out(800, 600, experiment.apparatus.zone_spans, answers.offered)
     pictures = Illustrator(layout, DARK, texts, answers, "right")
     question = pictures.question(make_trial(), PROGRESS, chosen="alike")
     row = [find_words(question, name.title()).box.x for name in names[:3]]

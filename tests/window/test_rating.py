@@ -236,7 +236,7 @@ def test_an_entry_says_what_to_do_next() -> None:
 @pytest.mark.parametrize("given", [VAS, LIKERT | {"words": list("abcde")}, LIKERT | {"highest": 11}, NUMBER])
 def test_no_part_of_a_scale_covers_another(experiment: Any, size: tuple[int, int], given: dict[str, Any]) -> None:
     """Neither do the words under it, nor the lines of the question's screen below."""
-    layout = lay_out(*size, ("A", "B", "C"), AnswerList.of({}), ScaleSection.model_validate(given))
+    layout = lay_out(*size, {"A": (-0.5, 0.0), "B": (0.0, 0.5)}, AnswerList.of({}), ScaleSection.model_validate(given))
     boxes = [*layout.buttons.values(), layout.note, layout.label]
     for place, box in enumerate(boxes):
         assert box.left >= -layout.width / 2 and box.right <= layout.width / 2
@@ -250,7 +250,7 @@ def test_the_words_of_all_points_have_one_size_and_are_legible(experiment: Any, 
     """Seven points, the longest words of three: on two lines, a capital of 1.3 % of the window's height and more."""
     words = ["very unpleasant indeed", "unpleasant", "rather unpleasant", "neither", "rather pleasant", "pleasant"]
     points = ScaleSection.model_validate({"kind": "likert", "words": [*words, "very pleasant indeed"]})
-    layout = lay_out(*size, ("A", "B", "C"), AnswerList.of({}), points)
+    layout = lay_out(*size, {"A": (-0.5, 0.0), "B": (0.0, 0.5)}, AnswerList.of({}), points)
     marks = draw_scale(layout, DARK, experiment.texts, points, "", confirmed=False, keys=True)
     drawn = [mark for mark in marks if isinstance(mark, Words) and mark.text in points.words]
     (height,) = {typesetter_of(experiment.texts).set_type(mark, size[1]).size / size[1] for mark in drawn}

@@ -115,7 +115,7 @@ def make_experiment_texts(language: str) -> Texts:
 @pytest.mark.parametrize("size", [(800, 600), (768, 1024), (3840, 2160)])
 def test_every_text_fits_its_place(experiment: Experiment, language: str, size: tuple[int, int]) -> None:
     """Expected: no text of a shipped language leaves its box, nor shrinks below 60 % of its size."""
-    layout = lay_out(*size, tuple(experiment.apparatus.zones), AnswerList.of({}))
+    layout = lay_out(*size, experiment.apparatus.zone_spans, AnswerList.of({}))
     texts = make_experiment_texts(language)
     pictures = Illustrator(layout, DARK, texts, experiment.protocol.answers, "right")
     trials = [Trial(5, 1, Condition(fingers, "B", "D", 100.0)) for fingers in ("one_hand", "two_hands")]
@@ -138,7 +138,7 @@ def test_labels_of_any_answers_are_read_on_their_buttons(
     keys = {f"grade_{number}": (str(number),) for number in range(len(labels))}
     answers = experiment.protocol.answers.model_copy(update={"keys": keys})
     texts = experiment.texts.model_copy(update={"answers": dict(zip(keys, labels, strict=True))})
-    layout = lay_out(*size, tuple(experiment.apparatus.zones), answers.offered)
+    layout = lay_out(*size, experiment.apparatus.zone_spans, answers.offered)
     picture = Illustrator(layout, DARK, texts, answers, "right").question(
         Trial(5, 1, Condition("one_hand", "B", "D", 100.0)), Progress(5, 24)
     )
@@ -222,7 +222,7 @@ def test_a_session_opens_in_either_theme(display: str, experiment: Experiment, t
         "window",
         experiment.protocol,
         experiment.texts,
-        zones=tuple(experiment.apparatus.zones),
+        zones=experiment.apparatus.zone_spans,
         tick=tick,
         log=lambda event, **facts: None,
         options=WindowOptions(size=(800, 600), theme=theme, screenshots=tmp_path),

@@ -123,4 +123,4 @@ def test_an_observer_is_needed_to_simulate(experiment: object) -> None:
     """Expected: the message names the missing argument."""
     protocol, texts = experiment.protocol, experiment.texts  # type: ignore[attr-defined]
     with pytest.raises(ValueError, match="given answers by 'robot' and no observer; give `answerer`"):
-        open_window("robot", protocol, texts, zones=("A", "B"), tick=lambda: None, log=lambda event, **facts: None)
+        open_window("robot", protocol, texts, zones={}, tick=lambda: None, log=lambda event, **facts: None)

@@ -181,7 +181,7 @@ def test_a_named_font_is_asked_first_and_a_font_without_bold_is_emboldened() -> 
 def test_a_long_answer_takes_two_lines_before_it_shrinks(label: str) -> None:
     """Expected: two lines or three in a button of four, in larger type than one line would allow."""
     answers = AnswerList.of({"keys": [f"answer_{number}" for number in range(4)]})
-    button = lay_out(1280, 800, tuple("ABCDE"), answers).buttons["answer_0"]
+    button = lay_out(1280, 800, {"A": (-0.5, 0.5)}, answers).buttons["answer_0"]
     box = Box(0, 0, 0.9 * button.width, 0.52 * button.height)
     block = set_type(label, width=box.width, height=box.height, size=0.062, bold=True)
     assert block.fits(1000 * box.width, 1000 * box.height)

@@ -71,7 +71,7 @@ def _check_type(findings: Findings, window: tuple[int, int] | None) -> Iterator[
     placements = {
         (each.condition.finger_condition, each.condition.zones, each.condition.placement): each for each in trials
     }
-    zones = tuple(experiment.apparatus.zones)
+    zones = experiment.apparatus.zone_spans
     pixels, text = smallest_type(protocol, experiment.texts, zones, [*placements.values()], size)
     height = pixels * screen.width_mm / screen.width_px
     angle = math.degrees(2 * math.atan(height / 2 / screen.distance_mm)) * 60

@@ -318,6 +318,12 @@ class Apparatus(Section):
         return dict(sorted(self.zones.items(), key=lambda item: item[1].centre_mm))
 
     @property
+    def zone_spans(self) -> dict[str, tuple[float, float]]:
+        """Where each zone begins and ends, from left to right, as shares of the beam's length from its middle [1]."""
+        length = self.beam.length_mm
+        return {name: (zone.edges[0] / length, zone.edges[1] / length) for name, zone in self.ordered_zones.items()}
+
+    @property
     def measured_hash(self) -> str:
         """SHA-256 of the values that a calibration depends on; keys at their default do not count."""
         free = {"beam": {"mass_g"}}  # on which nothing depends that is measured on a beam that nobody touches

@@ -251,7 +251,7 @@ class SessionParts:
             self.answers,
             experiment.protocol,
             experiment.texts,
-            zones=tuple(experiment.apparatus.ordered_zones),
+            zones=experiment.apparatus.zone_spans,
             tick=tick,
             log=log,
             answerer=None if self.answers == "window" else self._answerer(),

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from modaltouch.protocol import AnswerList, ScaleSection
 from modaltouch.window.shapes import Box
+
+Spans = Mapping[str, tuple[float, float]]
+"""Where each zone begins and ends, by name from the left, as shares of the beam's length from its middle [1]."""
 
 _FULL_ASPECT = 1.32
 """Windows at least this much wider than high show everything at full size; narrower ones shrink it to fit."""
@@ -24,8 +28,10 @@ class Layout:
         Size of what must fit across the window, relative to a wide window [1].
     type_scale : float
         Size of the type, relative to a wide window [1].
+    beam : Box
+        The whole beam.
     zones : dict of str to Box
-        Zones of the beam from the left, by name.
+        Its zones from the left, by name, to scale.
     buttons : dict of str to Box
         Answer buttons, by answer; or the parts of a scale.
     answer_width : float
@@ -38,6 +44,7 @@ class Layout:
     width: float
     unit: float
     type_scale: float
+    beam: Box
     zones: dict[str, Box]
     buttons: dict[str, Box]
     answer_width: float
@@ -59,21 +66,16 @@ class Layout:
         """
         return next((answer for answer, box in self.buttons.items() if box.contains(x, y)), None)
 
-    def beam(self) -> Box:
-        """Return the whole bar of zones."""
-        boxes = tuple(self.zones.values())
-        left, right = min(box.left for box in boxes), max(box.right for box in boxes)
-        return Box((left + right) / 2, boxes[0].y, right - left, boxes[0].height)
-
     def turned(self) -> Layout:
         """Return the layout for the beam turned end to end, its last zone on the left."""
-        return replace(self, zones=dict(zip(reversed(self.zones), self.zones.values(), strict=True)))
+        boxes = reversed(self.zones.items())
+        return replace(self, zones={name: replace(box, x=-box.x) for name, box in boxes})
 
 
 def lay_out(
     width_px: int,
     height_px: int,
-    zones: tuple[str, ...],
+    zones: Spans,
     answers: AnswerList,
     scale: ScaleSection | None = None,
 ) -> Layout:
@@ -83,8 +85,8 @@ def lay_out(
     ----------
     width_px, height_px : int
         Size of the window [pixels].
-    zones : tuple of str
-        Names of the zones from the left.
+    zones : mapping of str to (float, float)
+        As `Spans`.
     answers : AnswerList
         Answers that are offered.
     scale : ScaleSection, optional
@@ -94,12 +96,16 @@ def lay_out(
     unit = min(1.0, width / _FULL_ASPECT)
     type_scale = max(unit, min(1.0, 0.2 + 0.8 * width))
     across = 1.2 * unit
-    zone_width = min(0.22, 1.1 / len(zones)) * unit
+    beam = Box(0, 0.16, 1.1 * unit, 0.105 * unit)
     return Layout(
         width=width,
         unit=unit,
         type_scale=type_scale,
-        zones=_row(zones, Box(0, 0.16, zone_width, 0.105 * unit)),
+        beam=beam,
+        zones={
+            name: replace(beam, x=(left + right) / 2 * beam.width, width=(right - left) * beam.width)
+            for name, (left, right) in zones.items()
+        },
         **(_answer_buttons(answers, across, unit) if scale is None else _scale_parts(scale, across, unit)),
         headline=Box(0, 0.405, 1.24 * unit, 0.14),
         body=Box(0, 0.24 - 0.06 * (1 - unit), 1.18 * unit, 0.21),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from modaltouch.protocol import Protocol, Texts, Trial
 from modaltouch.window.buttons import typesetter_of
 from modaltouch.window.interface import Progress
-from modaltouch.window.layout import lay_out
+from modaltouch.window.layout import Spans, lay_out
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.shapes import Picture, Words
 from modaltouch.window.theme import DARK
@@ -49,7 +49,11 @@ def every_picture(pictures: Illustrator, trial: Trial) -> list[Picture]:
 
 
 def smallest_type(
-    protocol: Protocol, texts: Texts, zones: tuple[str, ...], trials: list[Trial], size: tuple[int, int]
+    protocol: Protocol,
+    texts: Texts,
+    zones: Spans,
+    trials: list[Trial],
+    size: tuple[int, int],
 ) -> tuple[float, str]:
     """Return the height of a capital where the type is smallest [pixels], and the text that is set in it.
 

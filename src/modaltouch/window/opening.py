@@ -14,6 +14,7 @@ from modaltouch.window.interface import AnswerWindow, Log, Tick
 
 if TYPE_CHECKING:
     from modaltouch.protocol import Protocol, Texts
+    from modaltouch.window.layout import Spans
     from modaltouch.window.simulated import Answerer
 
 AnswersBy = Literal["window", "simulated", "robot"]
@@ -84,7 +85,7 @@ def open_window(
     protocol: Protocol,
     texts: Texts,
     *,
-    zones: tuple[str, ...],
+    zones: Spans,
     tick: Tick,
     log: Log,
     answerer: Answerer | None = None,

@@ -16,7 +16,7 @@ from modaltouch.window.answering import SETTLE, AskedQuestion, chosen, is_press
 from modaltouch.window.display_loop import POLL_INTERVAL, DisplayLoop, Moment, Sitter
 from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import AnswerWindow, Event, Log, Presentation, Progress, Tick, TrialInterrupted
-from modaltouch.window.layout import lay_out
+from modaltouch.window.layout import Spans, lay_out
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.rating import as_read
 from modaltouch.window.shapes import Picture
@@ -50,8 +50,8 @@ class ParticipantWindow(AnswerWindow):
         What is asked, and by which keys it is answered.
     texts : Texts
         Every word on the screen.
-    zones : tuple of str
-        Names of the beam's zones, from the participant's left.
+    zones : mapping of str to (float, float)
+        As `layout.Spans`.
     theme : Theme
         Colours.
     tick : callable
@@ -72,7 +72,7 @@ class ParticipantWindow(AnswerWindow):
         protocol: Protocol,
         texts: Texts,
         *,
-        zones: tuple[str, ...],
+        zones: Spans,
         theme: Theme,
         tick: Tick,
         log: Log,

@@ -21,8 +21,7 @@ _STEPS = {"thumb": 0.0, "index": 0.06, "middle": 0.052, "ring": 0.052, "little":
 
 def draw_beam(layout: Layout, theme: Theme, touched: tuple[str, ...]) -> tuple[Mark, ...]:
     """Return the beam with its zones; every touched zone looks the same."""
-    unit, beam = layout.unit, layout.beam()
-    boxes = list(layout.zones.values())
+    unit, beam = layout.unit, layout.beam
     rim = 0.007 * unit
     marks: list[Mark] = [
         *framed(
@@ -33,14 +32,15 @@ def draw_beam(layout: Layout, theme: Theme, touched: tuple[str, ...]) -> tuple[M
             0.004 * unit,
         )
     ]
-    for left, right in zip(boxes[:-1], boxes[1:], strict=True):
-        x = (left.right + right.left) / 2
+    edges = {round(edge, 6) for box in layout.zones.values() for edge in (box.left, box.right)}
+    for x in sorted(edges - {round(beam.left, 6), round(beam.right, 6)}):
         marks.append(rectangle(Box(x, beam.y, 0.003 * unit, beam.height), theme.beam_edge))
+    room = min((right.x - left.x for left, right in pairwise(layout.zones.values())), default=beam.width)
     for name, box in layout.zones.items():
         is_touched = name in touched
         if is_touched:
             marks += framed(box.inset(-0.004 * unit), 0.01 * unit, theme.text, theme.zone, 0.007 * unit)
-        above = Box(box.x, box.top + 0.042 * unit, box.width, 0.07 * unit)
+        above = Box(box.x, box.top + 0.042 * unit, room, 0.07 * unit)
         fill = theme.text if is_touched else theme.dim
         marks.append(Words(name, above, 0.05 * unit, fill, bold=is_touched))
     return tuple(marks)
@@ -78,7 +78,7 @@ def draw_hands(
             touching += on_beam
     # Crossed hands on neighbouring zones overlap: no palm hides the other hand's finger.
     marks = [*palms, *touching]
-    gap = min((abs(tips[a][0] - tips[b][0]) for a, b in pairwise(fingers)), default=layout.beam().width / 2)
+    gap = min((abs(tips[a][0] - tips[b][0]) for a, b in pairwise(fingers)), default=layout.beam.width / 2)
     for zone, name, fill in zip(zones, names, colours, strict=True):
         box = layout.zones[zone]
         above = Box(box.x, box.top + 0.094 * layout.unit, max(gap, box.width) * 0.96, 0.05 * layout.unit)
