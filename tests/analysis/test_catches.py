@@ -47,7 +47,7 @@ def test_catch_trials_are_in_no_cell(table: Path) -> None:
     answers = count_answers(responses.frame)
     assert answers.levels == (80.0, 100.0, 120.0)
     assert answers.counts.sum() == 12
-    assert responses.catches["p2"] == Counter(none=1, left=1, both=1)
+    assert responses.caught("p2") == Counter(none=1, left=1, both=1)
     assert [item.reason for item in responses.left_out] == ["catch trials, counted apart"]
 
 

@@ -37,6 +37,7 @@ TWO = {
     "answers": {"keys": {"first": ["f1"], "second": ["f2"]}, "intervals": {"first": 1, "second": 2}},
 }
 PEOPLE = tuple(f"p{number}" for number in range(8))
+SILENT = {(who, "one_hand", ""): Counter(nothing=12) for who in PEOPLE}
 
 
 def presented(levels: tuple[float, ...], times: int, n_intervals: int = 1) -> pd.DataFrame:
@@ -226,7 +227,7 @@ def test_felt_or_not_gives_a_threshold_and_d_prime_by_level() -> None:
     felt = rng.random(len(frame)) < ndtr(20 * np.log10(frame["velocity_mm_s"] / 12) / 4)
     design = {"answers": {"keys": {"felt": ["f1"], "nothing": ["f2"]}, "fingers": {"nothing": []}}}
     answers = frame.assign(response=np.where(felt, "felt", "nothing"))
-    findings, values = found(take(answers, design, catches={who: Counter(nothing=12) for who in PEOPLE}))
+    findings, values = found(take(answers, design, catches=SILENT))
     threshold = findings["detection threshold over participants", "one_hand A-C"]
     assert threshold.estimate == pytest.approx(12, rel=0.15)
     # All 12 felt and no false alarm of 12: z(12.5 / 13) - z(0.5 / 13).
@@ -447,6 +448,23 @@ def test_friedman_is_that_of_scipy_and_of_all_shuffles() -> None:
     assert test.p == pytest.approx(reached, abs=4 * math.sqrt(reached * (1 - reached) / 9999))
 
 
+@pytest.mark.parametrize("factor", ["finger_condition", "session_kind"])
+def test_false_alarms_count_where_they_were_made(factor: str) -> None:
+    """By hand: half felt in both; 0 of 4 false alarms in the first, 2 of 4 in the second: d' is -z(0.1), and 0."""
+    frame, own = presented((5, 10), 6), (("first", 0), ("second", 2))
+    frame = pd.concat([frame.assign(**{factor: name}) for name, _ in own])
+    felt = frame.assign(response=np.where(frame["repetition"] <= 3, "felt", "nothing"))
+    design = {"answers": {"keys": {"felt": ["f1"], "nothing": ["f2"]}, "fingers": {"nothing": []}}}
+    place = {"finger_condition": lambda name: (name, ""), "session_kind": lambda name: ("one_hand", name)}[factor]
+    caught = {(who, *place(name)): Counter(felt=n, nothing=4 - n) for who in PEOPLE for name, n in own}
+    told = analyse_design(take(felt, design, catches=caught)).values
+    by_name = {f"{each.finger_condition} {each.pair}": each for each in told if each.measure.name == "d'"}
+    expected = {"first": -ndtri(0.5 / 5), "second": 0.0}
+    for name, own_value in by_name.items():
+        assert own_value.interval.estimate == pytest.approx(expected["first" if "first" in name else "second"])
+    assert len(by_name) == 2
+
+
 def test_sign_flips_of_large_numbers_are_those_of_small_ones() -> None:
     """A unit changes neither p nor what the interval holds."""
     values = np.array([0.2, 0.9, 1.4, -0.3, 2.2, 1.1, 0.8])
@@ -459,7 +477,7 @@ def test_people_who_all_reach_the_ceiling_give_no_upper_bound() -> None:
     """Synthetic: all 12 felt and no false alarm of 12, by all: nobody's d' has an upper bound, nor has the mean."""
     frame = presented((5, 10), 12).assign(response="felt")
     design = {"answers": {"keys": {"felt": ["f1"], "nothing": ["f2"]}, "fingers": {"nothing": []}}}
-    findings, _ = found(take(frame, design, catches={who: Counter(nothing=12) for who in PEOPLE}))
+    findings, _ = found(take(frame, design, catches=SILENT))
     d_prime = findings["d' over participants", "one_hand A-C 5 mm/s"]
     assert d_prime.high == math.inf and d_prime.low == pytest.approx(d_prime.estimate, abs=1e-3)
     assert "on one side: 8" in d_prime.note

@@ -193,7 +193,9 @@ def test_catch_trials_of_a_session_are_counted_apart(record, edit, tmp_path) -> 
     responses = read_responses(tmp_path / "results")
     assert len(responses.frame) == 72
     assert responses.frame["velocity_mm_s"].min() == 80
-    assert responses.catches == {"p01": {"none": 2}, "p02": {"left": 2}}
+    words = {"p01": "none", "p02": "left"}
+    fingers = ("one_hand", "two_hands")
+    assert responses.catches == {(who, each, ""): {word: 1} for who, word in words.items() for each in fingers}
 
 
 def test_who_was_never_in_time_is_named_and_a_tree_without_any_answer_refused(record, edit, tmp_path) -> None:

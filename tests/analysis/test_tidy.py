@@ -381,7 +381,7 @@ def test_multiples_of_the_threshold_are_the_level_where_they_are_told(write_csv,
     answers = count_answers(responses.frame)
     assert answers.levels == (0.8, 1.0, 1.5, 2.0)
     assert answers.scale.unit == "x threshold"
-    assert responses.catches["p01"].total() == 1
+    assert responses.caught("p01").total() == 1
     assert "velocity_mm_s" not in responses.frame
 
 

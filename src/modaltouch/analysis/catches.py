@@ -5,7 +5,6 @@ A false alarm is a catch trial in which something was felt; a miss is a trial wi
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -71,7 +70,7 @@ def catch_rows(responses: Responses) -> tuple[CatchRow, ...]:
     name = nothing.name if nothing else _ABSENT
     frame, rows = responses.frame, []
     for who, part in frame.groupby(frame["participant"].astype(str)):
-        own = responses.catches.get(str(who), Counter())
+        own = responses.caught(str(who))
         given, n_missed = {word: own[word] for word in words}, int(part["n"][part["response"] == name].sum())
         rows.append(CatchRow(str(who), sum(given.values()), given, int(part["n"].sum()), n_missed, name))
     total = {word: sum(row.answers[word] for row in rows) for word in words}

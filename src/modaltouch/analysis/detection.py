@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 
 import pandas as pd
 
 from modaltouch.analysis.intervals import Interval
-from modaltouch.analysis.measures import Cell, Measure, Own, cells
+from modaltouch.analysis.measures import Cell, Measure, Own, cells, kind_of
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.sensitivity import (
@@ -69,7 +68,8 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
         if responses.answers.compares:  # which finger it was is asked, so that all felt is one thing
             frame, by_level = frame.assign(finger_condition="all", zone_left="", zone_right=""), False
         for cell, part in cells(frame, scale, by_level=by_level):
-            caught = responses.catches.get(cell[0], Counter())
+            # A false alarm under other fingers, or before a training, tells nothing of the criterion here.
+            caught = responses.caught(cell[0], cell[1], kind_of(part))
             alarms = caught.total() - sum(caught[word] for word in nothing), caught.total()
             if caught:
                 yield from _told(cell, yes_no(_share(part, ~part["response"].isin(nothing)), alarms), part)

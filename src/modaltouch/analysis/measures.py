@@ -259,6 +259,11 @@ def label_places(frame: pd.DataFrame) -> pd.Series:
     return label.astype(pd.CategoricalDtype(order["label"]))
 
 
+def kind_of(part: pd.DataFrame) -> str:
+    """Return the kind of session of a cell's answers; empty where there are none."""
+    return str(part["session_kind"].iloc[0]) if "session_kind" in part.columns else ""
+
+
 def cells(frame: pd.DataFrame, scale: LevelScale, *, by_level: bool) -> Iterator[tuple[Cell, pd.DataFrame]]:
     """Yield participant, finger condition, pair of zones and level of each cell, with its answers.
 

@@ -185,8 +185,9 @@ class Responses:
         Zone at which the vibration was focused, if known.
     start : dict
         Start record of the first session; empty for a CSV.
-    catches : dict of str to Counter
-        Answers to catch trials by participant, which are not in the table; empty without any.
+    catches : dict of (str, str, str) to Counter
+        Answers to catch trials by participant, finger condition and kind of session, which are not in the table; empty
+        without any.
     stimulus : str
         Which of several stimuli the answers are to; empty where there is one.
     foci : dict of str to str
@@ -212,7 +213,7 @@ class Responses:
     source: AnswerSource
     focus: str = ""
     start: dict[str, Any] = field(default_factory=dict)
-    catches: dict[str, Counter[str]] = field(default_factory=dict)
+    catches: dict[tuple[str, str, str], Counter[str]] = field(default_factory=dict)
     stimulus: str = ""
     foci: dict[str, str] = field(default_factory=dict)
     answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
@@ -247,6 +248,15 @@ class Responses:
         detects = bool(self.catches) or self.answers.naming() is not None or len(self.answers) == 2
         rated = "value" in self.frame.columns or bool((self.design.get("answers") or {}).get("then"))
         return detects or rated or bool(self.design.get("intervals")) or bool(self.groups)
+
+    def caught(self, participant: str, finger_condition: str = "all", kind: str = "") -> Counter[str]:
+        """Return a participant's answers to catch trials, of one finger condition and kind of session, or of all."""
+        own = (
+            words
+            for (who, condition, occasion), words in self.catches.items()
+            if who == participant and finger_condition in ("all", condition) and kind in ("", occasion)
+        )
+        return sum(own, Counter())
 
     @property
     def groups(self) -> dict[str, str]:

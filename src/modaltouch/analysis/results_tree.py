@@ -63,7 +63,7 @@ class SessionAnswers:
     answers : AnswerList
         What could be answered.
     catches : Counter
-        Its answers to catch trials.
+        Its answers to catch trials, with their finger condition.
     kind : (str, str)
         The participant's group, and which of several kinds of session it is; empty without.
     is_crossed : bool
@@ -86,7 +86,7 @@ class SessionAnswers:
     facts: SessionFacts | None = None
     focus: str = ""
     answers: AnswerList = field(default_factory=lambda: AnswerList.of({}))
-    catches: Counter[str] = field(default_factory=Counter)
+    catches: Counter[tuple[str, str]] = field(default_factory=Counter)
     levels: str = "fixed"
     foci: dict[str, str] = field(default_factory=dict)
     kind: tuple[str, str] = ("", "")
@@ -179,6 +179,7 @@ def open_log(path: Path) -> SessionAnswers:
     if reason := _unfit(session):
         return SessionAnswers(path, session.mode, session.participant, session.protocol, reason)
     design = session.start.get("design", {})
+    caught = [row for row in session.table() if row["catch"] and row["response"] != TIME_OUT]
     return SessionAnswers(
         path,
         session.mode,
@@ -194,7 +195,7 @@ def open_log(path: Path) -> SessionAnswers:
             name: str(own.get("focus") or design.get("stimulus", {}).get("focus", ""))
             for name, own in design.get("stimuli", {}).items()
         },
-        catches=Counter(row["response"] for row in session.table() if row["catch"] and row["response"] != TIME_OUT),
+        catches=Counter((row["finger_condition"], row["response"]) for row in caught),
         kind=session.occasion,
         is_crossed=not any(design.get("conditions", {}).get(key) for key in ("cells", "exclude")),
         columns=session.question_columns,
@@ -394,12 +395,11 @@ def _one_list(place: Path, taken: Sequence[SessionAnswers]) -> AnswerList:
     return longest
 
 
-def _sum_catches(found: Sequence[SessionAnswers]) -> dict[str, Counter[str]]:
-    """Return the answers to catch trials by participant, over sessions."""
-    catches: dict[str, Counter[str]] = {}
-    for item in found:
-        if item.catches:
-            catches.setdefault(item.participant, Counter()).update(item.catches)
+def _sum_catches(found: Sequence[SessionAnswers]) -> dict[tuple[str, str, str], Counter[str]]:
+    """Return the answers to catch trials by participant, finger condition and kind of session."""
+    catches: dict[tuple[str, str, str], Counter[str]] = {}
+    for item, (finger_condition, word) in ((one, each) for one in found for each in one.catches.elements()):
+        catches.setdefault((item.participant, finger_condition, item.kind[1]), Counter())[word] += 1
     return catches
 
 

@@ -247,11 +247,14 @@ def choose_sessions(table: Table) -> tuple[Table, list[ExcludedSource], list[str
     return replace(table, fields=table.fields[~beyond]), left_out, notes
 
 
-def _count_catches(frame: pd.DataFrame) -> dict[str, Counter[str]]:
-    """Return the answers to catch trials by participant."""
-    catches: dict[str, Counter[str]] = {}
-    for participant, word, n in zip(frame["participant"], frame["response"], frame["n"], strict=True):
-        catches.setdefault(str(participant), Counter())[str(word)] += int(n)
+def _count_catches(frame: pd.DataFrame) -> dict[tuple[str, str, str], Counter[str]]:
+    """Return the answers to catch trials by participant, finger condition and kind of session."""
+    kinds = frame["session_kind"] if "session_kind" in frame else [""] * len(frame)
+    catches: dict[tuple[str, str, str], Counter[str]] = {}
+    told = (frame["participant"], frame["finger_condition"], kinds, frame["response"], frame["n"])
+    for participant, finger_condition, kind, word, n in zip(*told, strict=True):
+        key = str(participant), str(finger_condition), str(kind)
+        catches.setdefault(key, Counter())[str(word)] += int(n)
     return catches
 
 

@@ -8,7 +8,6 @@ trials tell how often that is guessed.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from statistics import NormalDist
@@ -18,7 +17,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.intervals import Interval
-from modaltouch.analysis.measures import Cell, Measure, Own, cells
+from modaltouch.analysis.measures import Cell, Measure, Own, cells, kind_of
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import LevelScale, scale_of
 from modaltouch.analysis.task import TrialTask
@@ -94,7 +93,7 @@ def _fit(
     else:
         nothing = {each.name for each in responses.answers if each.says_nothing_felt}
         success, guess_rate = ~answers["response"].isin(nothing), 0.0
-        catches = [word not in nothing for word in responses.catches.get(cell[0], Counter()).elements()]
+        catches = [word not in nothing for word in responses.caught(cell[0], cell[1], kind_of(part)).elements()]
     if is_choice:
         guess_rate = np.linspace(0.0, MOST_LAPSE, 3)
     given = answers[scale.column].to_numpy(dtype=float)
