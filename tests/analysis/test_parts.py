@@ -191,6 +191,21 @@ def test_stimuli_are_parts_and_compared_within_participants() -> None:
     assert "stimulus" in files["models.R"] and "The answers are to the stimuli slow, usual." in files["report.html"]
 
 
+def test_kinds_of_session_are_compared_within_participants() -> None:
+    """By hand, as for stimuli: all answer left before and right after, so that of 2^10 sign flips two are as far."""
+    before_after = [
+        row | {"response": word}
+        for kind, word in (("post", "right"), ("pre", "left"))
+        for row in rows(session_kind=kind)
+        if row["zone_left"] == "A"
+    ]
+    found = analyse_parts(responses(before_after))
+    (row,) = found.tests.query("part == 'all' and quantity == 'difference of P(C)'").to_dict("records")
+    assert (row["scope"], row["family"]) == ("one_hand A-C post - A-C pre", "shares compared")
+    assert (row["estimate"], row["p"], row["n"]) == (1.0, 2 / 2**10, 10)
+    assert "; kinds of session are compared by each participant" in render_parts(found)["report.html"]
+
+
 def test_participants_of_a_group_who_met_other_cells_are_refused() -> None:
     """Two versions of a protocol make no denominators."""
     with pytest.raises(InputError, match=r"met one_hand B D 120.0 unequally often \(p01 2, p04 3\)"):

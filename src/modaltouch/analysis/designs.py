@@ -92,13 +92,14 @@ def analyse_design(responses: Responses) -> DesignAnalysis:
     task, scale, groups = responses.task, scale_of(responses.frame.columns), responses.groups
     fits, names = fit_cells(responses, task), tuple(dict.fromkeys(groups.values()))
     values = tuple(_measures(responses, fits))
-    shares = tuple(_shares(responses)) if groups or responses.stimuli else ()
+    is_within = bool(responses.stimuli or responses.kinds)
+    shares = tuple(_shares(responses)) if groups or is_within else ()
     every = (*values, *shares)
     shared = {some: _shared(responses, some, every) for some in (*combinations(names, 2), names) if some}
     findings = (
         *catch_findings(responses),
         *mean_findings(values, scale, groups),
-        *contrast_findings(every if responses.stimuli else values),
+        *contrast_findings(every if is_within else values),
         *level_findings(values),
         *(row for two in combinations(names, 2) for row in group_findings(every, shared[two], groups, two)),
     )

@@ -170,7 +170,7 @@ def mean_findings(values: Sequence[Own], scale: LevelScale, groups: Mapping[str,
 
 
 def contrast_findings(values: Sequence[Own]) -> Iterator[Finding]:
-    """Yield each measure under one finger condition, for one pair of zones or to one stimulus against another.
+    """Yield each measure in one finger condition, pair of zones, stimulus or kind of session against another.
 
     A participant's difference is the mean over the levels at which both have a value.
     """

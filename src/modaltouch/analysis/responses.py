@@ -276,7 +276,15 @@ class Responses:
     @property
     def stimuli(self) -> tuple[str, ...]:
         """Which of several stimuli the answers are to, where they are to several."""
-        names = tuple(map(str, self.frame["stimulus"].sort_values().unique())) if self.scheduled is not None else ()
+        return self._several("stimulus")
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Of which of several kinds of session the answers are, where they are of several."""
+        return self._several("session_kind")
+
+    def _several(self, column: str) -> tuple[str, ...]:
+        names = tuple(map(str, self.frame[column].sort_values().unique())) if self.scheduled is not None else ()
         return names if len(names) > 1 else ()
 
     def by_choice(self) -> Responses:

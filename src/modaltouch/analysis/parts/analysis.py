@@ -176,7 +176,7 @@ def analyse_parts(responses: Responses) -> PartsAnalysis:
             found += [(part, finding) for finding in uncorrected(part.counts, part.frame)]
     corrected = correct(finding for _, finding in found)
     design = None
-    if given.tells_of_each or given.stimuli:
+    if given.tells_of_each or given.stimuli or given.kinds:
         from modaltouch.analysis.designs import analyse_design
 
         design = analyse_design(given)
