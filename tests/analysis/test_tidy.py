@@ -447,6 +447,22 @@ class TestSessionsAndModes:
         alone = read_responses(path, stimulus="far", table_format=TableFormat(design=design))
         assert [*dict.fromkeys(alone.groups.values())] == ["old", "new"]
 
+    def test_kinds_of_session_are_told_apart_as_in_a_results_folder(self, write_csv, paper_rows) -> None:
+        """As many answers in each kind as the paper's table alone; a training stays out; the order is as planned."""
+        sessions = [{"name": "pre"}, {"name": "training", "analysed": False}, {"name": "post"}]
+        rows = [
+            row | {"session_kind": kind["name"], "session": number}
+            for number, kind in enumerate(sessions)
+            for row in paper_rows
+        ]
+        path, design = write_csv(rows), {"schedule": {"sessions": sessions}}
+        read = read_responses(path, table_format=TableFormat(design=design))
+        assert read.kinds == ("pre", "post") and not read.notes
+        assert "of a kind of session that is not analysed" in read.left_out[0].reason
+        for part in analyse_parts(read).parts:
+            assert (part.counts.counts == counted(write_csv(paper_rows, "alone.csv"))).all()
+        assert read_responses(path).kinds == ("post", "pre", "training")
+
     def test_a_row_without_a_stimulus_is_refused_where_others_have_one(self, write_csv, paper_rows) -> None:
         """At its line; catch and practice trials need none, nor does a table whose column is empty."""
         rows = [row | {"stimulus": name, "catch": 0} for name in ("near", "far") for row in paper_rows]
@@ -484,6 +500,7 @@ PROTOCOL = {
     "answers": {"scale": {"kind": "vas"}, "then": {"sure": {"scale": {"kind": "likert", "highest": 4}}}},
     "stimuli": {"near": {}, "far": {}},
     "groups": {"old": {}, "new": {}},
+    "schedule": {"sessions": [{"name": "pre"}, {"name": "post"}]},
 }
 
 
@@ -494,12 +511,13 @@ PROTOCOL = {
         ("sure", "0", "given '0'; allowed: 1 to 4 by 1, or nothing"),
         ("stimulus", "nera", "given 'nera'; allowed: near, far; write one of them"),
         ("group", "od", "given 'od'; allowed: old, new; write one of them"),
+        ("session_kind", "p", "given 'p'; allowed: pre, post; write one of them"),
         ("group", "new", "given 'new' of participant p01, who was in another group before; allowed: one group of each"),
     ],
 )
 def test_a_table_holds_what_its_protocol_can_give(write_csv, paper_rows, column, word, fault) -> None:
     """A rating beyond its scale, names that the protocol lacks, a participant of two groups: each at its line."""
-    usual = {"value": 50, "sure": 2, "stimulus": "near", "group": "old", "response": "rated"}
+    usual = {"value": 50, "sure": 2, "stimulus": "near", "group": "old", "session_kind": "pre", "response": "rated"}
     rows = [row | usual for row in paper_rows]
     rows[5][column] = word
     answers = AnswerList.of(PROTOCOL["answers"])
@@ -541,10 +559,10 @@ def test_a_table_of_a_design_that_is_not_crossed_has_its_parts(write_csv, build)
         analyse_parts(read_responses(write_csv(rows[1:], "less.csv"), table_format=TableFormat(design=design)))
 
 
-@pytest.mark.parametrize("column", ["value", "sure", "stimulus", "group"])
+@pytest.mark.parametrize("column", ["value", "sure", "stimulus", "group", "session_kind"])
 def test_a_table_has_the_columns_of_its_protocol(write_csv, paper_rows, column) -> None:
-    """Without them stimuli and groups would be pooled, and ratings left out, without a word."""
-    usual = {"value": 50, "sure": 2, "stimulus": "near", "group": "old", "response": "rated"}
+    """Without them stimuli, groups and kinds of session would be pooled, and ratings left out, without a word."""
+    usual = {"value": 50, "sure": 2, "stimulus": "near", "group": "old", "session_kind": "pre", "response": "rated"}
     del usual[column]
     answers = AnswerList.of(PROTOCOL["answers"])
     with pytest.raises(InputError, match=f"{column}: given columns participant.*; add the column {column}"):

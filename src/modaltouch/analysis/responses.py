@@ -121,7 +121,8 @@ class TableFormat:
         """Columns that the protocol asks for: without them other designs would be analysed in silence."""
         answers = self.design.get("answers") or {}
         told = {"interval": self.design.get("intervals"), "value": answers.get("scale"),
-                "stimulus": self.design.get("stimuli"), "group": self.design.get("groups")}  # fmt: skip
+                "stimulus": self.design.get("stimuli"), "group": self.design.get("groups"),
+                "session_kind": len(kinds_of(self.design)) > 1}  # fmt: skip
         return (*(name for name, section in told.items() if section), *(answers.get("then") or {}))
 
 
@@ -376,6 +377,12 @@ def refuse_unequal(place: Path, frame: pd.DataFrame) -> None:
     given = f"participants who answered different conditions ({len(odd)} of {len(answers)}; {shown})"
     remedy = "give a folder with the sessions of one version of the protocol"
     raise InputError.of(place, given, "the same conditions, equally often, for every participant", remedy)
+
+
+def kinds_of(design: Mapping[str, Any]) -> dict[str, bool]:
+    """Return the kinds of session that the sections of a protocol list, and whether each is analysed."""
+    listed = (design.get("schedule") or {}).get("sessions")
+    return {kind["name"]: kind.get("analysed", True) for kind in listed} if isinstance(listed, (list, tuple)) else {}
 
 
 def unmirror(frame: pd.DataFrame, answers: AnswerList) -> pd.DataFrame:

@@ -26,6 +26,7 @@ from modaltouch.analysis.responses import (
     ExcludedSource,
     Responses,
     answers_per_cell,
+    kinds_of,
     refuse_unequal,
     say_unanswered,
     unmirror,
@@ -205,9 +206,7 @@ def open_log(path: Path) -> SessionAnswers:
 
 def _names(design: Mapping[str, Any]) -> Iterator[str]:
     """Yield the names of a protocol's stimuli, groups and kinds of session, in its order."""
-    yield from (*design.get("stimuli", ()), *(design.get("groups") or ()))
-    if isinstance(kinds := design.get("schedule", {}).get("sessions"), list):
-        yield from (kind["name"] for kind in kinds)
+    yield from (*design.get("stimuli", ()), *(design.get("groups") or ()), *kinds_of(design))
 
 
 def _unfit(session: Session) -> str:

@@ -22,6 +22,7 @@ from modaltouch.analysis.responses import (
     Responses,
     TableFormat,
     answers_per_cell,
+    kinds_of,
     say_unanswered,
     unmirror,
 )
@@ -57,9 +58,10 @@ def read_csv(
     path : Path
         A table with the six columns, and optionally ``n`` (count of equal answers), ``repetition``, ``practice``,
         ``catch`` (1 where nothing was driven, whatever the velocity), ``excluded`` (1 where the row does not count;
-        also ``exclude``, ``withdrawn``, ``invalid``), ``mode``, ``stimulus``, ``session`` and any
-        others, which are kept. Where any response is ``none``, that was an answer, unless `table_format` tells. Where
-        ``multiple_of_threshold`` is filled in, it is the level. Sessions count as repetitions, as many as all have.
+        also ``exclude``, ``withdrawn``, ``invalid``), ``mode``, ``stimulus``, ``session``,
+        ``session_kind`` and any others, which are kept. Where any response is ``none``, that was an answer, unless
+        `table_format` tells. Where ``multiple_of_threshold`` is filled in, it is the level. Sessions of a kind count as
+        repetitions, as many as all have.
     table_format : TableFormat, optional
         How the words are to be read.
     mode, stimulus : str, optional
@@ -76,7 +78,7 @@ def read_csv(
     table = table if stimulus is None else choose_rows(table, "stimulus", stimulus)
     table, left_out, notes = choose_sessions(table)
     fields, columns = table.fields, _Columns(table)
-    apart = columns.apart()
+    apart = columns.apart(kinds_of(table_format.design))
     caught, counts = apart[_CAUGHT], ~pd.DataFrame(apart).any(axis=1)
     frame, answers = _frame_of(columns, fields, counts, table_format)
     columns.check_words(counts, table_format.design)
@@ -119,17 +121,23 @@ def _with_missing(part: pd.DataFrame, usual: int) -> pd.DataFrame:
     missing = lacks.loc[lacks.index.repeat(lacks["n"].clip(lower=0))]
     rows = pd.concat([part.loc[part.index.repeat(part["n"])], missing])
     rows["response"] = pd.Categorical(rows["response"], part["response"].cat.categories)
-    return rows.assign(n=1, stimulus=part["stimulus"].iloc[0])
+    return rows.assign(n=1, **{name: part[name].iloc[0] for name in ("stimulus", "session_kind") if name in part})
 
 
 def _in_order(frame: pd.DataFrame, design: Mapping[str, Any]) -> pd.DataFrame:
-    """Return answers whose stimuli and groups are in the order of the protocol, others after them."""
-    for column, section in (("stimulus", "stimuli"), ("group", "groups")):
+    """Return answers whose stimuli, groups and kinds of session are in the protocol's order, others after them."""
+    for column, names in _names(design).items():
         if column in frame:
-            named = [name for name in design.get(section) or () if (frame[column] == name).any()]
+            named = [name for name in names if (frame[column] == name).any()]
             order = [*named, *sorted({*frame[column]} - {*named})]
             frame = frame.assign(**{column: pd.Categorical(frame[column], order)})
     return frame
+
+
+def _names(design: Mapping[str, Any]) -> dict[str, Sequence[str]]:
+    """Return the words that a protocol has for some columns."""
+    own = {"stimulus": design.get("stimuli"), "group": design.get("groups"), "session_kind": kinds_of(design)}
+    return {column: tuple(names or ()) for column, names in own.items()}
 
 
 def _told_apart(parts: Sequence[pd.DataFrame], usual: Sequence[int], design: Mapping[str, Any]) -> pd.DataFrame:
@@ -141,8 +149,9 @@ def _told_apart(parts: Sequence[pd.DataFrame], usual: Sequence[int], design: Map
 
 
 def _parts(asked: pd.DataFrame, design: Mapping[str, Any]) -> list[pd.DataFrame]:
-    """Return the answers to each stimulus, of each group of the protocol."""
+    """Return the answers to each stimulus, in each kind of session, of each group of the protocol."""
     by = ["stimulus", *["group"] * ("group" in asked and bool(design.get("groups")))]
+    by += ["session_kind"] * ("session_kind" in asked)
     named = asked if "stimulus" in asked else asked.assign(stimulus="")
     return [part for _, part in named.groupby(by, sort=False)]
 
@@ -238,12 +247,13 @@ def choose_sessions(table: Table) -> tuple[Table, list[ExcludedSource], list[str
     if "session" not in table.fields:
         return table, [], []
     who, session = (table.fields[name].astype("str") for name in ("participant", "session"))
-    place = session.groupby(who, sort=False).transform(lambda own: pd.factorize(own)[0])
-    fewest = int(place.groupby(who).max().min()) + 1
-    beyond = place >= fewest
-    reason = f"sessions beyond the first {fewest}: not every participant has as many"
+    kind = table.fields.get("session_kind", who.map(lambda _: "")).astype("str")
+    place = session.groupby([who, kind], sort=False).transform(lambda own: pd.factorize(own)[0])
+    fewest = place.groupby([who, kind]).max().groupby(level=1).min() + 1
+    beyond, most = place >= kind.map(fewest), int(fewest.max())
+    reason = f"sessions beyond the first {most}: not every participant has as many"
     left_out = [ExcludedSource(f"{table.file}: {beyond.sum()} rows", reason)] if beyond.any() else []
-    notes = [f"{fewest} sessions of each participant taken together, as repetitions"] if fewest > 1 else []
+    notes = [f"{most} sessions of each participant taken together, as repetitions"] if most > 1 else []
     return replace(table, fields=table.fields[~beyond]), left_out, notes
 
 
@@ -287,14 +297,17 @@ class _Columns:
         found = column.astype("str").map(lambda word: table_format.words.get(word, word))
         return pd.Series(pd.Categorical(found.where(found.isin(words)), list(words)), column.index)
 
-    def apart(self) -> dict[str, pd.Series]:
-        """Return the rows that are not analysed, by the reason; none has two."""
+    def apart(self, kinds: Mapping[str, bool]) -> dict[str, pd.Series]:
+        """Return the rows that are not analysed, by the reason; none has two. `kinds` of session may not be."""
         reasons = {name: (f"rows marked {name}", "a row that does not count") for name in _LEFT_OUT}
         reasons |= {"practice": ("practice trials", "a practice trial"), "catch": (_CAUGHT, "a catch trial")}
         apart, free = {}, pd.Series(True, index=self._table.fields.index)
         for name, (reason, what) in reasons.items():
             apart[reason] = self.flags(name, what) & free
             free &= ~apart[reason]
+        if "session_kind" in self._table.fields:
+            training = self._table.fields["session_kind"].isin([name for name, counts in kinds.items() if not counts])
+            apart["of a kind of session that is not analysed (schedule.sessions)"] = training & free
         return apart
 
     def flags(self, name: str, what: str) -> pd.Series:
@@ -386,19 +399,20 @@ class _Columns:
         )
 
     def check_stimuli(self, where: pd.Series) -> None:
-        """Refuse rows without a stimulus where others name theirs."""
+        """Refuse rows without a stimulus, or a kind of session, where others name theirs."""
         fields = self._table.fields
-        if "stimulus" in fields and not set(fields["stimulus"]) <= set(_EMPTY):
-            self.problems += self._table.check_words(
-                fields.loc[where, "stimulus"], lambda word: word not in _EMPTY, "the name of a stimulus in every row",
-                lambda word: ("nothing", "fill it in"),
-            )  # fmt: skip
+        for name, what in (("stimulus", "stimulus"), ("session_kind", "kind of session")):
+            if name in fields and not set(fields[name]) <= set(_EMPTY):
+                self.problems += self._table.check_words(
+                    fields.loc[where, name], lambda word: word not in _EMPTY, f"the name of a {what} in every row",
+                    lambda word: ("nothing", "fill it in"),
+                )  # fmt: skip
 
     def check_names(self, where: pd.Series, design: Mapping[str, Any]) -> None:
-        """Refuse stimuli and groups that the protocol does not have, and a participant of several groups."""
+        """Refuse stimuli, groups and kinds that the protocol does not have, and a participant of several groups."""
         table, fields = self._table, self._table.fields
-        for column, section in (("stimulus", "stimuli"), ("group", "groups")):
-            if column in fields and (names := tuple(design.get(section) or ())):
+        for column, names in _names(design).items():
+            if column in fields and names:
                 self.problems += table.check_words(
                     fields.loc[where, column], names.__contains__, ", ".join(names),
                     lambda word: (repr(word), "write one of them, as the protocol does"),
