@@ -465,6 +465,15 @@ def test_false_alarms_count_where_they_were_made(factor: str) -> None:
     assert len(by_name) == 2
 
 
+def test_fingers_without_catch_trials_have_no_d_prime_and_say_so() -> None:
+    """False alarms of one hand are none of two."""
+    frame = pd.concat([presented((5, 10), 6).assign(finger_condition=name) for name in ("one_hand", "two_hands")])
+    design = {"answers": {"keys": {"felt": ["f1"], "nothing": ["f2"]}, "fingers": {"nothing": []}}}
+    told = analyse_design(take(frame.assign(response="felt"), design, catches=SILENT)).values
+    notes = {each.finger_condition: each.note for each in told if each.measure.name == "d'"}
+    assert notes == {"one_hand": "yes-no model", "two_hands": "no d' from answers without catch trials of their own"}
+
+
 def test_sign_flips_of_large_numbers_are_those_of_small_ones() -> None:
     """A unit changes neither p nor what the interval holds."""
     values = np.array([0.2, 0.9, 1.4, -0.3, 2.2, 1.1, 0.8])

@@ -73,6 +73,8 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
             alarms = caught.total() - sum(caught[word] for word in nothing), caught.total()
             if caught:
                 yield from _told(cell, yes_no(_share(part, ~part["response"].isin(nothing)), alarms), part)
+            elif responses.catches:
+                yield from _untold(cell, "answers without catch trials of their own", part)
 
 
 def _of_intervals(part: pd.DataFrame, task: TrialTask, level: float) -> SignalDetection:
