@@ -571,6 +571,24 @@ def test_a_table_has_the_columns_of_its_protocol(write_csv, paper_rows, column) 
         )
 
 
+def test_a_word_for_no_answer_stands_for_no_rating_either(write_csv, paper_rows) -> None:
+    """One rating was given as -99, which is beyond the scale where it is not named."""
+    design = {"answers": {"scale": {"kind": "likert"}}}
+    answers = AnswerList.of(design["answers"])
+    rows = [row | {"response": "rated", "value": 4} for row in paper_rows]
+    path = write_csv([rows[0] | {"value": -99}, *rows[1:]])
+    with pytest.raises(InputError, match="value: given '-99'; allowed: 1 to 7 by 1, or nothing"):
+        read_responses(path, table_format=TableFormat(answers, design=design))
+    read = read_responses(path, table_format=TableFormat(answers, missing=("-99",), design=design))
+    assert (len(read.frame), read.frame["value"].min()) == (len(rows) - 1, 4)
+
+
+def test_a_level_of_zero_is_said_to_be_that_of_a_catch_trial(write_csv, paper_rows) -> None:
+    """As the record's own table writes it, where the column `catch` was lost."""
+    with pytest.raises(InputError, match=r"given '0'; allowed: .*; mark catch trials by a 1 in a column `catch`"):
+        read_responses(write_csv([*paper_rows, paper_rows[0] | {"velocity_mm_s": 0}]))
+
+
 def test_who_has_no_answer_at_all_is_named_and_a_table_without_any_refused(write_csv, paper_rows) -> None:
     """Neither p03 nor, in the other table, 80 mm/s is in any result: it must not go unsaid."""
     gone = [row | {"response": "time_out"} if row["participant"] == "p03" else row for row in paper_rows]

@@ -187,12 +187,12 @@ def _frame_of(
     fields = fields.drop(columns=absent)
     frame["zone_right"] = frame.get("zone_right", "")
     level = VELOCITY if set(fields.get(OWN_THRESHOLD.column, ())) <= set(_EMPTY) else OWN_THRESHOLD
-    allowed = {
+    levels = {
         VELOCITY: f"a peak velocity in mm/s, {_LEAST_LEVEL:g} to {_MOST}",
         OWN_THRESHOLD: f"a multiple of the participant's own threshold, {_LEAST_LEVEL:g} to {_MOST}",
     }
     frame[level.column] = columns.numbers(
-        level.column, allowed[level], lambda value: _LEAST_LEVEL <= value <= _MOST, where=counts
+        level.column, levels[level], lambda value: _LEAST_LEVEL <= value <= _MOST, where=counts
     )
     given = {table_format.words.get(word, word) for word in fields["response"].cat.categories}
     remedy = "map it as in --answers L=left,R=right, or, if it stands for no answer, name it with --missing"
@@ -206,7 +206,8 @@ def _frame_of(
     scales = _scales(table_format.design)
     for name in fields.columns.difference([*frame.columns, "catch", VELOCITY.column, OWN_THRESHOLD.column], sort=False):
         if name in scales:
-            frame[name] = columns.numbers(name, f"{scales[name].allowed}, or nothing", scales[name].takes, empty=True)
+            allowed, words = f"{scales[name].allowed}, or nothing", table_format.missing
+            frame[name] = columns.numbers(name, allowed, scales[name].takes, empty=True, missing=words)
         elif name == "response_time":
             frame[name] = columns.times(name)
         elif name in NUMBERS:
@@ -327,23 +328,26 @@ class _Columns:
         is_sound: Callable[[float], bool] = lambda value: True,
         *,
         empty: bool = False,
+        missing: Sequence[str] = (),
         where: pd.Series | None = None,
     ) -> pd.Series:
-        """Return a column of finite numbers; `empty` allows nothing, `where` are the rows that are checked."""
+        """Return a column of finite numbers; `empty` allows nothing, or words for it; `where` are the rows checked."""
         table = self._table
 
         def say(word: str) -> tuple[str, str]:
             if "," in word and math.isnan(_number(word, table.separator)):
                 return repr(word), "write a decimal point"
+            if name == VELOCITY.column and _number(word, table.separator) == 0:
+                return repr(word), "mark catch trials by a 1 in a column `catch`"
             return "nothing" if word in _EMPTY else repr(word), "write a plain number such as 80 or 92.5"
 
         def is_fit(word: str) -> bool:
             value = _number(word, table.separator)
-            return (empty and word in (*_EMPTY, TIME_OUT)) or (math.isfinite(value) and is_sound(value))
+            return (empty and word in (*_EMPTY, TIME_OUT, *missing)) or (math.isfinite(value) and is_sound(value))
 
         column = table.fields[name] if where is None else table.fields.loc[where, name]
         self.problems += table.check_words(column, is_fit, allowed, say)
-        return self._values(name, lambda word: _number(word, table.separator))
+        return self._values(name, lambda word: math.nan if word in missing else _number(word, table.separator))
 
     def times(self, name: str) -> pd.Series:
         """Return a column of times in seconds."""
