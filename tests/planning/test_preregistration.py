@@ -147,6 +147,28 @@ def test_adaptive_runs_and_designs_that_are_not_crossed_are_simulated_in_session
     assert find_departures(terms, found) == ("participants: 12 preregistered, 2 analysed",)
 
 
+@pytest.mark.parametrize(
+    ("sessions", "planned"),
+    [
+        ("2", ["| sessions per participant | 2 |", "| trials of a session | 12: every condition once; 1 more"]),
+        (
+            "[{name: pre}, {name: training, analysed: false, schedule: {repetitions: 2}}, {name: post}]",
+            [
+                "| 3: pre, training (not analysed), post |",
+                "| trials of a session, training | 24; 1 more for practice |",
+            ],
+        ),
+    ],
+)
+def test_every_session_of_a_participant_is_planned(edit, tmp_path: Path, sessions: str, planned: list[str]) -> None:
+    """By the protocol: a training that is not analysed costs the participant's time all the same."""
+    file = tmp_path / "plan.md"
+    source = edit("demo.yaml", ("schedule:\n", f"schedule:\n  sessions: {sessions}\n"))
+    assert run("prereg", source, "-n", 2, "--experiments", 1, "--out", file).exit_code == 0
+    text = file.read_text(encoding="utf-8")
+    assert all(line in text for line in planned) and "| trials per participant |" not in text
+
+
 def test_what_is_no_preregistration_is_refused(tmp_path: Path) -> None:
     """With its name, and what to do."""
     file = tmp_path / "notes.md"

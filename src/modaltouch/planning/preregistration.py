@@ -108,11 +108,13 @@ def preregister(
             raise
         refuse_own_levels(preflight)
         found = _by_sessions(study, n_experiments or N_RECORDED, seed, on_progress)
+    several = (preflight, *preflight.others) if preflight.others else ()
     terms, size = _terms(preflight, found), {"n": n_participants, "observer": observer.name, "seed": seed}
     return render_page(
         "modaltouch.planning",
         "prereg.md.j2",
         protocol=protocol,
+        occasions=[(" ".join(filter(None, each.findings.occasion)), each.experiment.protocol) for each in several],
         path=path,
         plan=found,
         times=say_times,
