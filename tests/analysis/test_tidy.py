@@ -285,6 +285,14 @@ class TestBalance:
         own = [{**row, "participant": "p99"} for row in rows if row["participant"] == "p01"]
         assert re.search(f"every answer of {of}", fails(write_csv([*rows, *(rows if n else own)]))[0])
 
+    def test_trials_copied_with_their_numbers_are_refused(self, write_csv, paper_rows) -> None:
+        """A table pasted under itself would have twice the answers, and smaller p; two sessions have their numbers."""
+        rows = [{**row, "trial": place} for place, row in enumerate(paper_rows)]
+        remedy = "remove the copies, or number sessions under session"
+        assert f"every trial of p01 twice; allowed: each once; {remedy}" in fails(write_csv([*rows, *rows]))[0]
+        sessions = [{**row, "session": number} for number in (1, 2) for row in rows]
+        assert len(read_responses(write_csv(sessions)).frame) == 2 * len(rows)
+
     def test_coarse_times_that_repeat_are_no_copies(self, write_csv, paper_rows) -> None:
         """Five repetitions timed to half a second: every row comes again, but not equally often."""
         rows = [

@@ -98,7 +98,7 @@ def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:
 
 
 def _copied(table: Table, frame: pd.DataFrame) -> list[Problem]:
-    """Return participants who gave every answer twice, or another's answers, each in the very same time."""
+    """Return participants whose every trial is there twice, or has another's answer, in the very same time."""
     timed = frame.dropna(subset=["response_time"]) if "response_time" in frame else frame[:0]
     seen: dict[tuple[Any, ...], Any] = {}
     problems = []
@@ -112,4 +112,10 @@ def _copied(table: Table, frame: pd.DataFrame) -> list[Problem]:
         if twice or other != participant:
             given = f"every answer of {participant}, in the same time, {'twice' if twice else f'as those of {other}'}"
             problems.append(table.problem(int(own.index[-1]), "participant", given, "each once", "remove the copies"))
+    numbered = frame.dropna(subset=["trial"]) if "trial" in frame and not problems else frame[:0]
+    told = [name for name in ("trial", "block", "repetition", "session") if name in frame]
+    for participant, own in numbered.groupby("participant", sort=False, observed=True):
+        if math.gcd(*own.value_counts([*cell_of(own.columns), "response", *told], dropna=False).tolist()) > 1:
+            given, remedy = f"every trial of {participant} twice", "remove the copies, or number sessions under session"
+            problems.append(table.problem(int(own.index[-1]), "participant", given, "each once", remedy))
     return problems
