@@ -127,6 +127,15 @@ def test_repetitions_enter_as_one_participant(build) -> None:
     assert (rows(tests, "a1")["n"] <= 2).all()
 
 
+def test_who_gave_no_answer_is_not_said_to_be_tied(build) -> None:
+    """Of three people, one was never in time in the first cell."""
+    frame = build["tidy"](build["random"](3, 3, repetitions=2)).assign(response="right")
+    keys = ["participant", "finger_condition", "zone_left", "velocity_mm_s"]
+    is_first = (frame[keys] == frame[keys].iloc[0]).all(axis=1)
+    said = rows(run_tests(frame[~is_first]), "a1")["note"].str.extract(r"most frequent.*, (\d .*) and left out")[0]
+    assert (said == "1 tied or without an answer").sum() == 1
+
+
 def test_order_times_and_speeds_are_used_where_they_are_there(build) -> None:
     """Columns trial, response_time, speed_left_mm_s and speed_right_mm_s bring their questions."""
     frame = build["tidy"](build["random"](8, 5)).drop(columns="repetition")

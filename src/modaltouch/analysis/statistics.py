@@ -93,7 +93,8 @@ def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
             said.append(f"{nothing.name} {n[place] - kinds[place, felt].sum()}, left out of the test")
         if answers.n_repetitions > 1:
             ties = answers.n_participants - n[place]
-            said.append(f"most frequent answer of each participant, {ties} tied and left out")
+            why = "tied or without an answer" if answers.missing else "tied"
+            said.append(f"most frequent answer of each participant, {ties} {why} and left out")
         return said
 
     cells = list(product(answers.pair_cells, answers.levels))
