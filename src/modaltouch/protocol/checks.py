@@ -45,7 +45,7 @@ def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
     n_all = n_driven * max(n_blocks, 1)
     if reading.value is not None and reading.value.uncrossed_by:
         conditions = reading.value.conditions.finger_conditions
-        each = [len(reading.value.cells(name)) * repetitions for name in conditions]
+        each = [len(reading.value.cells(name)) * reading.value.scheduled_repetitions for name in conditions]
         n_driven, n_all = min(each), sum(each)
     n_catch = reading.sound("schedule", "catch_trials") or 0
     n_trials = n_all + n_catch * max(n_blocks, 1)

@@ -116,3 +116,9 @@ def test_by_number_groups_alternate_and_each_has_every_order_equally_often(read:
         met[schedule.group, schedule.blocks[0].finger_condition] += 1
     assert set(met.values()) == {2}
     assert len(met) == 4
+
+
+def test_kinds_of_adaptive_sessions_have_as_many_trials_as_their_runs(edit: Callable[..., Path]) -> None:
+    """Ten catch trials among the forty of a run: the repetitions, which an adaptive run does not have, say nothing."""
+    kinds = "schedule:\n  sessions: [{name: pre}, {name: post}]\n"
+    assert Findings.read(edit("threshold.yaml", ("schedule:\n", kinds))).problems == ()
