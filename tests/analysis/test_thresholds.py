@@ -22,7 +22,7 @@ from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.responses import AnswerSource, Responses
 from modaltouch.analysis.thresholds import ThresholdAnalysis, analyse_runs, render_runs
 from modaltouch.analysis.thresholds.psychometric import DROP, REGION, Psychometric, fit_psychometric
-from modaltouch.analysis.thresholds.runs import is_forced
+from modaltouch.analysis.thresholds.runs import find_runs, is_forced, over_participants
 from modaltouch.cli.analyse import tell
 from modaltouch.planning.fitting import fit_answers
 from modaltouch.planning.observer import Observer, Participant
@@ -239,6 +239,19 @@ def test_a_session_ends_in_thresholds_that_the_observer_has(
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "SIMULATED DATA" in report
     assert "http://" not in report.replace("http://www.w3.org", "")
+
+
+def test_thresholds_of_several_kinds_of_session_are_told_apart(results: Path) -> None:
+    """A threshold before and one after a training are no two measurements of one; of one kind alone nothing is said."""
+    responses = read_responses(results)
+    kinds = responses.frame["participant"].map({"p01": "pre", "p02": "post"})
+    runs = find_runs(replace(responses, frame=responses.frame.assign(session_kind=kinds)))
+    rows = over_participants(runs)
+    assert [(row["session_kind"], row["n_runs"]) for row in rows] == [("pre", 1), ("pre", 1), ("post", 1), ("post", 1)]
+    assert {run.kind for run in runs} == {
+        f"{kind} one hand {pair}" for kind in ("pre", "post") for pair in ("A-C", "C-E")
+    }
+    assert all("session_kind" not in row for row in over_participants(find_runs(responses)))
 
 
 def test_thresholds_of_several_labs_are_told_by_lab(results: Path, tmp_path: Path) -> None:

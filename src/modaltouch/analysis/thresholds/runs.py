@@ -47,6 +47,8 @@ class Run:
         Trials that timed out; the level followed from them as from failures, and no fit counts them.
     group : str
         Group or lab of the participant; empty where there is one alone.
+    session_kind : str
+        Which of several kinds of session that are analysed; empty where there is one alone.
     """
 
     participant: str
@@ -59,16 +61,18 @@ class Run:
     fitted: Psychometric
     n_missing: int = 0
     group: str = ""
+    session_kind: str = ""
 
     @property
     def kind(self) -> str:
-        """Group, finger condition, pair and stimulus in words: what runs of other participants have alike."""
-        return " ".join(filter(None, (self.group, self.finger_condition.replace("_", " "), self.pair, self.stimulus)))
+        """The factors in words: what runs of other participants have alike."""
+        told = self.factors | {"finger_condition": self.finger_condition.replace("_", " ")}
+        return " ".join(told.values())
 
     @property
     def factors(self) -> dict[str, str]:
-        """The same by name; without group or stimulus where there are none."""
-        names = ("group", "finger_condition", "pair", "stimulus")
+        """Group, kind of session, finger condition, pair and stimulus by name, without those that do not vary."""
+        names = ("group", "session_kind", "finger_condition", "pair", "stimulus")
         return {name: getattr(self, name) for name in names if getattr(self, name)}
 
     @property
@@ -142,7 +146,7 @@ def is_forced(responses: Responses) -> bool:
 def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str, Any], responses: Responses) -> Run:
     participant, session, finger_condition, left, *_ = key
     focus = responses.foci.get(stimulus, responses.focus)
-    names = str(finger_condition), label_zones(part).iloc[0], stimulus
+    names, session_kind = (str(finger_condition), label_zones(part).iloc[0], stimulus), part["session_kind"].iloc[0]
     part = part[part["response"].notna()]
     succeeds = responses.answers.is_success
     success = np.array([succeeds(str(answer), rule["success"], focus, left) for answer in part["response"]])
@@ -161,14 +165,15 @@ def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str
             flat_rate=rule["guess_rate"] if is_forced(responses) else None,
         )
     group = responses.groups.get(str(participant), "")
-    return Run(str(participant), int(session), *names, level[driven], success[driven], fitted, n_missing, group)
+    kind = str(session_kind) if responses.frame["session_kind"].nunique() > 1 else ""
+    return Run(str(participant), int(session), *names, level[driven], success[driven], fitted, n_missing, group, kind)
 
 
 def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
-    """Return the geometric mean threshold of each group, finger condition, pair and stimulus, over participants.
+    """Return the geometric mean threshold of each kind of run over participants.
 
-    A participant's sessions are averaged first. Runs that give no threshold are left out and counted: where there
-    are any, the mean is one of those who have one.
+    A participant's sessions of a kind are averaged first. Runs that give no threshold are left out and counted: where
+    there are any, the mean is one of those who have one.
     """
     rows = []
     for kind in dict.fromkeys(run.kind for run in runs):
