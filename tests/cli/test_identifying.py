@@ -55,7 +55,7 @@ def test_file_becomes_table_and_figures(tmp_path: Path) -> None:
         (["--points", "15"], "15 points are too few to distinguish modes 14 and 16"),
         (["--set", "left"], "'left' is not an actuator set"),
         (["--modes", "some"], "--modes is 'some': give `listed`, `all`, or labels"),
-        (["--drive-V", "400"], "an excitation of 400 V was asked for: allowed above 0, up to 250 V"),
+        (["--drive-V", "400"], "an excitation of 400 V was asked for: allowed above 0 and up to 250 V"),
         (["--highest-kHz", "500"], "an excitation up to 500 kHz was asked for"),
         (["--averages", "1", "--estimator", "H2"], "--estimator is H2, which needs a coherence"),
         (["nothing.csv"], "nothing.csv: there is no such file"),
@@ -74,10 +74,10 @@ def test_bad_input_ends_with_2_and_writes_nothing(tmp_path: Path, arguments: lis
 
 
 def test_folder_without_a_set_is_refused(tmp_path: Path) -> None:
-    """A folder that holds no scan of a set: which one, and how to go on without it."""
+    """A folder that there is no scan of a set: which one, and how to go on without it."""
     said = RUN.invoke(app, ["identify", str(tmp_path), "--apparatus", APPARATUS, "--out", str(tmp_path / "out")])
     assert said.exit_code == 2
-    assert "holds no scan of the actuator set centre (scan_centre is missing)" in " ".join(said.stderr.split())
+    assert "there is no scan of the actuator set centre (scan_centre is missing)" in " ".join(said.stderr.split())
 
 
 def test_folder_of_another_command_is_left_alone(tmp_path: Path) -> None:
@@ -110,7 +110,7 @@ def test_nobody_to_aim_ends_the_scan(tmp_path: Path, monkeypatch: pytest.MonkeyP
         (("identify", "--apparatus", APPARATUS, "--out", "kept"), "2 of 41 points are kept in kept/scan_centre"),
         (("validate", "demo", "--scan", "kept"), "2 of 41 points are kept in kept/exact_field"),
         (("compare", "demo", "--scan", "kept"), "2 of 41 points are kept in kept/scan_centre"),
-        (("validate", "demo"), "nothing measured is kept; give a folder with --scan, and it is"),
+        (("validate", "demo"), "nothing measured is kept; to keep it, give a folder with --scan"),
     ],
     ids=["identify", "validate", "compare", "validate without a folder"],
 )

@@ -57,8 +57,8 @@ class TooFewPointsError(ValueError):
         least = -(-3 * max(labels) // 2)
         if points < least:
             raise cls(
-                f"given --points {points}; allowed: at least {least}, since fewer cannot distinguish mode "
-                f"{max(labels)} from the others; 41 suit the shipped beam"
+                f"given --points {points}; allowed: at least {least}, since fewer cannot separate mode {max(labels)} "
+                "from the others; 41 suit the shipped beam"
             )
 
 
@@ -161,9 +161,9 @@ class Laboratory:
         reason, remedy = "nothing was played" if firing is None else firing.reason, "measure again"
         if firing is not None and firing.stalled:
             remedy = (
-                f"this computer is too busy to keep them on, {ATTEMPTS} times in a row; end other programs, {remedy}"
+                f"this computer is too busy to keep them on, {ATTEMPTS} times in a row; close other programs, {remedy}"
             )
-        raise RigError(f"at {position * 1e3:g} mm the record is void: {reason}; the outputs are off; {remedy}")
+        raise RigError(f"at {position * 1e3:g} mm the record is not valid: {reason}; the outputs are off; {remedy}")
 
     def _record_once(
         self, position: float, across: float, velocity: float, acquisition: Acquisition
@@ -172,7 +172,7 @@ class Laboratory:
         firing = self.rig.fire(velocity)
         if not firing.started:
             raise RigError(
-                f"the generator does not confirm what it is to play ({firing.reason}); the outputs are off; see "
+                f"the generator did not confirm what it should play ({firing.reason}); the outputs are off; run "
                 "`modaltouch rig check`"
             )
         recording = None

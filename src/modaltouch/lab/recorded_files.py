@@ -42,7 +42,7 @@ LARGEST_SHIFT = 20e-9
 CUT = 4
 """Samples at the highest value over those at the next one, from which a record was cut [1]."""
 
-REMEDY = "free the place, or give another folder with --record"
+REMEDY = "move it away, or give another folder with --record"
 
 
 @contextmanager
@@ -113,8 +113,8 @@ class RecordedFiles(Scope):
             before = seen
             time.sleep(POLL)
         raise RigError(
-            f"no record came as {self._folder / name}.csv or .npz within {self.slowest / 60:g} min; the outputs are "
-            "off; give the command again, with the scope ready"
+            f"no record arrived as {self._folder / name}.csv or .npz within {self.slowest / 60:g} min; the outputs "
+            "are off; get the scope ready and run the command again"
         )
 
     def close(self) -> None:
@@ -155,16 +155,16 @@ class RecordedFiles(Scope):
         names = ["velocity_m_s" if "velocity_m_s" in table else "velocity_V", *(f"drive_{n}_V" for n in asked.drives)]
         for name in ("time_s", *names):
             if name not in table:
-                raise ValueError(f"{path}:1: lacks the column {name}; it has {', '.join(table)}")
+                raise ValueError(f"{path}:1: the column {name} is missing; there are {', '.join(table)}")
             if not np.isfinite(table[name]).all():
-                raise ValueError(f"{_place(path, ~np.isfinite(table[name]))}: {name} is no finite number")
+                raise ValueError(f"{_place(path, ~np.isfinite(table[name]))}: {name} is not a finite number")
         begin, step, first, n_samples = _window(path, table["time_s"], asked)
         key = asked.start, asked.n_samples, asked.sampling_rate
         grid = np.array([begin, begin + n_samples * step])
         if np.abs(grid - self._grids.setdefault(key, grid)).max() > LARGEST_SHIFT:
             raise ValueError(
-                f"{path}: its samples lie at other instants than those of the records before; record all with the same "
-                "sampling rate, and without interpolation of the trigger"
+                f"{path}: its sampling instants differ from those of the records before; use the same sampling rate "
+                "for all, and no interpolation of the trigger"
             )
         kept = [table[name][:, first : first + n_samples] for name in names]
         velocity = kept[0] * (self._sensitivity if names[0] == "velocity_V" else 1.0)
@@ -192,7 +192,9 @@ def _window(path: Path, time_s: FloatArray, asked: Acquisition) -> tuple[float, 
     """Return the first instant that is kept and the time between samples [s], its sample, and how many are kept."""
     n_records, n = time_s.shape
     if n_records != asked.n_records or n < 2:
-        raise ValueError(f"{path}: holds {n_records} records of {n} samples; asked for are {asked.n_records} records")
+        raise ValueError(
+            f"{path}: it contains {n_records} records of {n} samples; {asked.n_records} records were asked for"
+        )
     # Files print few digits: all samples together tell the instants better than any of them.
     order = np.arange(n) - (n - 1) / 2
     step = float((time_s @ order).mean() / (order @ order))
@@ -201,12 +203,12 @@ def _window(path: Path, time_s: FloatArray, asked: Acquisition) -> tuple[float, 
         raise ValueError(f"{_place(path, uneven)}: time_s is not evenly spaced, or not as in the first record")
     if np.ptp(time_s.mean(axis=1)) > LARGEST_SHIFT:
         raise ValueError(
-            f"{path}: its records were sampled at instants that differ by {np.ptp(time_s.mean(axis=1)) * 1e9:.0f} ns, "
-            f"allowed are {LARGEST_SHIFT * 1e9:.0f} ns; switch off interpolation of the trigger"
+            f"{path}: the sampling instants of its records differ by {np.ptp(time_s.mean(axis=1)) * 1e9:.0f} ns, at "
+            f"most {LARGEST_SHIFT * 1e9:.0f} ns are allowed; switch off interpolation of the trigger"
         )
     if not 0.999 <= 1 / step / asked.sampling_rate <= MOST_OVERSAMPLED:
         raise ValueError(
-            f"{path}: was sampled at {1e-3 / step:.6g} kHz; allowed are {asked.sampling_rate * 1e-3:.6g} to "
+            f"{path}: it was sampled at {1e-3 / step:.6g} kHz; allowed: {asked.sampling_rate * 1e-3:.6g} to "
             f"{MOST_OVERSAMPLED * asked.sampling_rate * 1e-3:.6g} kHz"
         )
     start, length = float(time_s.mean()) - step * (n - 1) / 2, (asked.n_samples - 1) / asked.sampling_rate
@@ -215,7 +217,7 @@ def _window(path: Path, time_s: FloatArray, asked: Acquisition) -> tuple[float, 
     if start > asked.start + step or first + n_kept > n:
         raise ValueError(
             f"{path}: its records last from {start * 1e3:.6g} to {(start + step * (n - 1)) * 1e3:.6g} ms after the "
-            f"trigger; asked for are {asked.start * 1e3:.6g} to {(asked.start + length) * 1e3:.6g} ms"
+            f"trigger; {asked.start * 1e3:.6g} to {(asked.start + length) * 1e3:.6g} ms were asked for"
         )
     return start + step * first, step, first, n_kept
 
@@ -243,19 +245,19 @@ def _read_csv(path: Path) -> dict[str, FloatArray]:
     header, *rows = path.read_text(encoding="utf-8-sig", errors="replace").splitlines() or [""]
     names = [name.strip() for name in header.split(",")]
     if "time_s" not in names:
-        raise ValueError(f"{path}:1: lacks the column time_s; it has {header[:80]!r}")
+        raise ValueError(f"{path}:1: the column time_s is missing; there are {header[:80]!r}")
     values = np.array([_numbers(path, line, row, len(names)) for line, row in enumerate(rows or [""], start=2)])
     time_s = values[:, names.index("time_s")]
     if not np.isfinite(time_s).all():
-        raise ValueError(f"{_place(path, ~np.isfinite(time_s)[np.newaxis])}: time_s is no finite number")
+        raise ValueError(f"{_place(path, ~np.isfinite(time_s)[np.newaxis])}: time_s is not a finite number")
     # A record begins wherever the time begins anew.
     begins = np.append(np.flatnonzero(np.diff(time_s, prepend=math.inf) <= 0), time_s.size)
     lengths = np.diff(begins)
     if np.ptp(lengths):
         odd = int((lengths != lengths[0]).argmax())
         raise ValueError(
-            f"{path}:{2 + begins[odd]}: the record that begins here has {lengths[odd]} samples, the first has "
-            f"{lengths[0]}; write every record with the same number of samples, time_s increasing"
+            f"{path}:{2 + begins[odd]}: the record that begins here has {lengths[odd]} samples, but the first has "
+            f"{lengths[0]}; give every record the same number of samples, with increasing time_s"
         )
     return {name: column.reshape(lengths.size, -1) for name, column in zip(names, values.T, strict=True)}
 
@@ -264,12 +266,12 @@ def _numbers(path: Path, line: int, row: str, n_columns: int) -> list[float]:
     """Return the numbers of a line of a CSV file."""
     cells, numbers = row.split(","), list[float]()
     if len(cells) != n_columns:
-        raise ValueError(f"{path}:{line}: has {len(cells)} cells, the header has {n_columns}")
+        raise ValueError(f"{path}:{line}: the line has {len(cells)} cells, but the header has {n_columns}")
     try:
         numbers.extend(map(float, cells))
     except ValueError:
         column = len(numbers) + 1
-        raise ValueError(f"{path}:{line}:{column}: {cells[len(numbers)][:40]!r} is no number") from None
+        raise ValueError(f"{path}:{line}:{column}: {cells[len(numbers)][:40]!r} is not a number") from None
     return numbers
 
 
@@ -281,7 +283,7 @@ def _read_npz(path: Path) -> dict[str, FloatArray]:
         return dict(zip(arrays, np.broadcast_arrays(*arrays.values()), strict=True))
     # numpy and zipfile raise whatever damage makes them meet.
     except Exception as error:
-        raise ValueError(f"{path}: cannot be read ({error}); needed are arrays named as the columns of a CSV") from None
+        raise ValueError(f"{path}: cannot be read ({error}); it needs arrays named like the columns of a CSV") from None
 
 
 READERS = {".csv": _read_csv, ".npz": _read_npz}

@@ -102,8 +102,8 @@ class Scan:
         planned = len(self.facts["settings"]["positions_mm"])
         if not self.complete:
             raise RecordInputError(
-                f"the scan was stopped half-way, with {len(self.arrays)} of {planned} positions recorded: to continue "
-                f"it, run the same command again with the same folder"
+                f"the scan was interrupted after {len(self.arrays)} of {planned} positions: to continue it, run the "
+                "same command with the same folder"
             )
         return self
 
@@ -119,7 +119,7 @@ class Scan:
             if names:
                 raise RecordInputError(
                     f"{' and '.join(names)} reached the end of the range at {position * 1e3:g} mm, so the record is "
-                    "cut: scan again into another folder, with a wider range or a lower drive"
+                    "clipped: scan again into another folder, with a wider range or a lower drive"
                 )
         return self
 
@@ -141,11 +141,13 @@ def read_facts(folder: Path) -> dict[str, Any]:
     try:
         facts = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise RecordInputError(f"{folder}: holds no scan ({DESCRIPTION} is missing); name a scan's folder") from None
+        raise RecordInputError(
+            f"{folder}: there is no scan here ({DESCRIPTION} is missing); give a scan's folder"
+        ) from None
     except (OSError, ValueError) as error:
         raise RecordError(f"{path}: cannot be read ({error}); restore it, or scan again into another folder") from None
     if not isinstance(facts, dict) or facts.get("schema") != SCHEMA:
-        raise RecordError(f"{path}: is no description of a scan ('{SCHEMA}'); name a scan's folder")
+        raise RecordError(f"{path}: it does not describe a scan ('{SCHEMA}'); give a scan's folder")
     return facts
 
 
@@ -157,11 +159,11 @@ def read_position(path: Path, position: float) -> dict[str, NDArray[Any]]:
         where = float(arrays["position"])
     except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
         raise RecordError(
-            f"{path}: is damaged ({error}); delete it, and run the command that began the scan again to measure that "
-            f"position again"
+            f"{path}: it is damaged ({error}); delete it and repeat the command of the scan, which then measures that "
+            "position again"
         ) from None
     if abs(where - position) > 1e-9:
-        raise RecordError(f"{path}: was recorded at {where * 1e3:g} mm, not at {position * 1e3:g} mm; put it back")
+        raise RecordError(f"{path}: it was recorded at {where * 1e3:g} mm, not at {position * 1e3:g} mm; put it back")
     return arrays
 
 
@@ -195,7 +197,7 @@ def assemble(facts: Mapping[str, Any], kept: list[dict[str, NDArray[Any]]]) -> S
 Reduction = Callable[[Recording], Mapping[str, NDArray[Any]]]
 """What is kept of a recording: arrays by name."""
 
-_REMEDY = "free the place, or give another"
+_REMEDY = "move it away, or give another"
 
 
 def keep_records(recording: Recording) -> dict[str, NDArray[Any]]:
@@ -272,7 +274,7 @@ def take_scan(
 def _way_on(folder: Path | None, n_kept: int, n_planned: int) -> str:
     """Return what is kept of a scan that is interrupted, and how it goes on."""
     if folder is None:
-        return "nothing measured is kept; give a folder with --scan, and it is"
+        return "nothing measured is kept; to keep it, give a folder with --scan"
     return f"{n_kept} of {n_planned} points are kept in {folder}; run the same command again to continue"
 
 
@@ -309,9 +311,7 @@ def _begin(folder: Path, facts: dict[str, Any], plan: ScanPlan) -> list[dict[str
     except OSError as error:
         raise RecordError(f"{folder}: cannot be used ({error.strerror}); give another folder") from error
     if strange is not None:
-        raise RecordError(
-            f"{folder}: holds {strange}, which does not belong to a scan; give an empty folder, or a new one"
-        )
+        raise RecordError(f"{folder}: it contains {strange}, which is not part of a scan; give an empty or new folder")
     save_arrays(folder / "burst.npz", {"codes": plan.burst.codes})
     replace_file(folder / DESCRIPTION, (json.dumps(facts, indent=1, ensure_ascii=False) + "\n").encode(), _REMEDY)
     return []
@@ -336,8 +336,8 @@ def _refuse_other(folder: Path, found: dict[str, Any], asked: dict[str, Any]) ->
         shown = "; ".join(f"{name} was {before.get(name)}, now {now.get(name)}" for name in different[:3])
         more = f" and {len(different) - 3} more" if len(different) > 3 else ""
         raise RecordError(
-            f"{folder}: holds a scan of other settings ({shown}{more}); continue with the settings it was begun with, "
-            f"or give another folder"
+            f"{folder}: it contains a scan with other settings ({shown}{more}); continue with its original settings, "
+            "or give another folder"
         )
 
 

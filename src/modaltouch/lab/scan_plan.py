@@ -75,7 +75,7 @@ def rows_over(apparatus: Apparatus, n_rows: int) -> tuple[float, ...]:
     """
     if n_rows < 1 or n_rows % 2 == 0:
         raise TooFewPointsError(
-            f"given --rows {n_rows}; allowed: odd numbers, 1 for the mid-line alone; 3 show torsion"
+            f"given --rows {n_rows}; allowed: odd numbers; 1 scans only the mid-line, 3 or more show torsion"
         )
     half = apparatus.beam.width_mm * 0.5e-3 - EDGE
     return tuple(float(each) for each in np.round(np.linspace(-half, half, n_rows), 9)) if n_rows > 1 else (0.0,)

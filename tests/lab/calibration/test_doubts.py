@@ -43,9 +43,9 @@ def changed(**factors: float) -> Callable[[Recording], Recording]:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (changed(velocity=0.0), r"mode 1 at 229 Hz is not seen: it stands out of the noise by 0\.0 standard errors"),
+        (changed(velocity=0.0), r"mode 1 at 229 Hz is not seen: it rises above the noise by 0\.0 standard errors"),
         (changed(velocity=-1.0), r"every mode moves against the sign of its listed gain"),
-        (changed(velocity=4.0), r"the gain of mode \d+ by output [12] was found as .* allowed 0\.4 to 2\.5 times"),
+        (changed(velocity=4.0), r"the gain of mode \d+ by output [12] is .* is listed: allowed 0\.4 to 2\.5 times"),
         (changed(drive=0.1), r"the drive measured at the beam is 0\.10 times what output 1 commands: allowed 0\.67"),
         (changed(drive=0.0), r"the drive measured at the beam is 0\.00 times what output 1 commands"),
     ],
@@ -70,7 +70,7 @@ def test_drive_that_is_another_is_told(
         return replace(recording, drive=drive)
 
     bench = Spoilt(make_bench(shipped_apparatus, 1), hum)
-    with pytest.raises(RigError, match=r"of the drive measured at the beam, \d+% is not the commanded one"):
+    with pytest.raises(RigError, match=r"\d+% of the drive measured at the beam is not the commanded drive"):
         calibrate(bench, shipped_apparatus, preflight.inputs)
 
 
@@ -86,7 +86,7 @@ def test_a_tripped_amplifier_is_told(preflight: Preflight, shipped_apparatus: Ap
     """Nothing reaches the beam."""
     bench = make_bench(shipped_apparatus, 1)
     bench.twin.tripped = True
-    with pytest.raises(RigError, match="see whether the amplifier is on"):
+    with pytest.raises(RigError, match="check that the amplifier is on"):
         calibrate(bench, shipped_apparatus, preflight.inputs)
 
 

@@ -108,7 +108,7 @@ def test_more_than_the_amplifier_gives_is_never_played(
     inputs = preflight.inputs
     inputs = replace(inputs, apparatus=inputs.apparatus.model_copy(update={"amplifier": weak.amplifier}))
     bench = make_bench(weak, 4)
-    with pytest.raises(RigError, match=r"200 mm/s needs \d+ V at the beam on this rig: allowed are 190 V"):
+    with pytest.raises(RigError, match=r"200 mm/s needs \d+ V at the beam on this rig: allowed at most 190 V"):
         calibrate(bench, weak, inputs)
     assert bench.highest_voltage <= 190.0
 
@@ -171,7 +171,7 @@ def test_turns_are_told_as_they_are_measured(
 def test_the_papers_law_has_no_targets(edit: Callable) -> None:
     """Refused at its key."""
     path = edit("differentiated_stimulation.yaml", ("law: exact  ", "law: paper  "))
-    with pytest.raises(InputError, match=r":10:8: stimulus.law: given paper, a law without targets"):
+    with pytest.raises(InputError, match=r":10:8: stimulus.law: given paper, a law whose targets cannot be corrected"):
         design_inputs_of(examine(path))
 
 
@@ -180,7 +180,7 @@ def test_a_field_in_a_file_of_its_own_is_refused(edit: Callable) -> None:
     field = ("field: {shape: triangle, base_mm: 56}", "field: {shape: sampled, file: field.csv}")
     path = edit("differentiated_stimulation.yaml", field)
     (path.parent / "field.csv").write_text("position_mm,velocity\n-20,0\n0,1\n20,0\n", encoding="utf-8")
-    with pytest.raises(InputError, match=r"stimulus.field.file: given a file, which a calibration does not hold"):
+    with pytest.raises(InputError, match=r"stimulus.field.file: given a file, which a calibration cannot contain"):
         design_inputs_of(examine(path))
 
 

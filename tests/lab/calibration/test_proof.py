@@ -83,7 +83,11 @@ def test_what_is_no_number_is_missed(preflight: Preflight, outcome: CalibrationR
             "drive_percent",
             "the amplifier saturates: output 1 is commanded to give 1.. V,.*; lower the highest",
         ),
-        ({"softening": 0.002}, "displacement_mm_s", "the natural frequencies change with the amplitude: mode 1 by -"),
+        (
+            {"softening": 0.002},
+            "displacement_mm_s",
+            "the natural frequencies change with the amplitude: that of mode 1 by -",
+        ),
     ],
     ids=["saturation", "softening"],
 )
@@ -129,21 +133,24 @@ def test_other_causes_are_told_from_the_states(preflight: Preflight, outcome: Ca
 
     half = replace(outcome.halfway.state, velocity=outcome.halfway.state.velocity * 1.05)
     tilted = replace(outcome, halfway=replace(outcome.halfway, state=half))
-    assert mark_of(tilted, protocol)["causes"][0].startswith("the beam does not follow in proportion")
+    assert mark_of(tilted, protocol)["causes"][0].startswith("the beam is not linear")
     far = state.velocity + 1e-3
     assert cause(spread=state.spread + 1e-4, velocity=far).startswith("the velocity is noisy: 0.")
-    assert cause(disagreement=state.spread + 1e-3, velocity=far).startswith("the points along the beam do not agree")
-    assert cause(velocity=far).startswith("nothing in the records shows the cause")
+    assert cause(disagreement=state.spread + 1e-3, velocity=far).startswith("the points along the beam disagree")
+    assert cause(velocity=far).startswith("the records do not show the cause")
 
 
 @pytest.mark.parametrize(
     ("departures", "said"),
     [
-        ({"dropouts_Hz": 20.0}, r"the velocity has gaps or shocks: 0\.\d+% of its samples .*; see whether the sensor"),
-        ({"limit_V": 60.0}, r"the amplifier saturates: of the 1\d\d V of output 1 the measured peaks lack \d\d%"),
+        ({"dropouts_Hz": 20.0}, r"the velocity has gaps or shocks: 0\.\d+% of its samples .*; check that the sensor"),
+        (
+            {"limit_V": 60.0},
+            r"the amplifier saturates: the measured peaks of output 1 are \d\d% below the predicted 1\d\d V",
+        ),
         (
             {"hysteresis": 0.4},
-            r"at half the level the modes move -\d\.\d% from half as fast: .* hysteresis; bring",
+            r"at half the level the speed of the modes differs by -\d\.\d% from half: .* hysteresis; bring",
         ),
         ({"frequency_drift": 5e-4}, r"moved by \d+% of its half bandwidth between the probes .* steady temperature"),
     ],
@@ -194,7 +201,7 @@ def test_too_few_volts_of_a_linear_beam_are_no_hysteresis(
         for mode in rig.modes
     )
     bench = make_bench(rig.model_copy(update={"modes": modes}), 0)
-    with pytest.raises(RigError, match=r"200 mm/s needs \d+ V at the beam on this rig: allowed are 195 V"):
+    with pytest.raises(RigError, match=r"200 mm/s needs \d+ V at the beam on this rig: allowed at most 195 V"):
         calibrate(bench, rig, preflight.inputs)
 
 

@@ -168,7 +168,9 @@ def test_a_law_without_targets_is_refused_at_its_stimulus(
     """Exit 2 before anything is opened, at the law of the stimulus that has it."""
     protocol = edit("two_fields.yaml", ("blunt: {field", "blunt: {law: paper, field"))
     assert command("calibrate", protocol, "--out", tmp_path / "c.yaml") == 2
-    assert "stimuli.blunt.law: given paper, a law without targets" in " ".join(capsys.readouterr().err.split())
+    assert "stimuli.blunt.law: given paper, a law whose targets cannot be corrected" in " ".join(
+        capsys.readouterr().err.split()
+    )
     assert not (tmp_path / "c.yaml").exists()
 
 

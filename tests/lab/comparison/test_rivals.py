@@ -169,7 +169,7 @@ def test_every_rival_keeps_the_voltage_limit(known):
 def test_a_focus_that_does_not_move_is_refused(known):
     """A node of every mode cannot be a focus: said, not divided by zero."""
     still = replace(known.responses, response=known.responses.response * 0)
-    with pytest.raises(ValueError, match="moves nothing at the focus"):
+    with pytest.raises(ValueError, match="do not move the focus"):
         time_reversal(replace(known, responses=still))
 
 

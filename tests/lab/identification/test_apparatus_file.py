@@ -140,7 +140,7 @@ def test_actuator_set_that_is_missing_in_the_files_is_named(exact: Callable[...,
     command = ["identify", str(file), "--apparatus", str(APPARATUS), "--modes", "1,3", "--out", str(out)]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 2
-    assert "the files hold responses to centre, none to the actuator set side" in " ".join(done.stderr.split())
+    assert "the files contain responses to centre, but none to the actuator set side" in " ".join(done.stderr.split())
     assert not out.exists()
     done = CliRunner().invoke(app, [*command, "--set", "centre", "--json"])
     assert done.exit_code == 0, done.output

@@ -164,7 +164,7 @@ def test_plain_numbers_need_their_spacing(tmp_path: Path, frequency: np.ndarray)
     """One complex number a line, as Python prints it; without the spacing nobody knows the frequencies."""
     path = tmp_path / "point.txt"
     path.write_text("\n".join(str(value) for value in noisy(accelerance(frequency, RESIDUES[0]))))
-    with pytest.raises(ValueError, match=r"point.txt: contains only numbers.*--spacing-Hz"):
+    with pytest.raises(ValueError, match=r"point.txt: it contains only numbers.*--spacing-Hz"):
         read_responses([path], ResponseFormat("acceleration"))
     found = identify_each(read_responses([path], ResponseFormat("acceleration", spacing=0.5)))
     assert found.modes[0].natural_frequency.value == pytest.approx(120, rel=1e-3)
@@ -201,24 +201,24 @@ def test_wrong_quantity_is_refused(tmp_path: Path, frequency: np.ndarray) -> Non
     path = write_csv(tmp_path / "modes.csv", frequency)
     with pytest.raises(ValueError, match="imaginary at their resonances.*--quantity"):
         identify_each(read_responses([path], ResponseFormat("velocity")))
-    with pytest.raises(ValueError, match="does not say whether it holds a velocity.*--quantity"):
+    with pytest.raises(ValueError, match="does not say whether it contains a velocity.*--quantity"):
         read_responses([path])
     named = write_uff(tmp_path / "modes.uff", frequency)
-    with pytest.raises(ValueError, match="holds a acceleration according to the file, but --quantity says velocity"):
+    with pytest.raises(ValueError, match="its quantity is acceleration, but --quantity says velocity"):
         read_responses([named], ResponseFormat("velocity"))
 
 
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [
-        ("a.xyz", "", "files that end in '.xyz' are not read; allowed: .uff"),
-        ("a.yaml", "", "allowed: .uff, .unv, .csv, .npz, .lvm, .txt; an apparatus is named with --apparatus"),
-        ("a.csv", "frequency,re\n1,2", "a.csv:1: lacks the column frequency_Hz"),
-        ("a.csv", "frequency_Hz,set,position_mm,real,imag\n1,s,0,x,2", "a.csv:2: '1,s,0,x,2' is not a line of numbers"),
+        ("a.xyz", "", "files that end in '.xyz' cannot be read; allowed: .uff"),
+        ("a.yaml", "", "allowed: .uff, .unv, .csv, .npz, .lvm, .txt; give an apparatus with --apparatus"),
+        ("a.csv", "frequency,re\n1,2", "a.csv:1: the column frequency_Hz is missing"),
+        ("a.csv", "frequency_Hz,set,position_mm,real,imag\n1,s,0,x,2", "a.csv:2: '1,s,0,x,2' does not give a number"),
         ("a.csv", "frequency_Hz,set,position_mm,real,imag\n", "no line below the header"),
-        ("a.txt", "(1+2j)\nhello", "a.txt:2: 'hello' is no complex number"),
-        ("a.lvm", "nothing", r"has no \*\*\*End_of_Header\*\*\*"),
-        ("a.npz", "nothing", "cannot be read .* needed are frequency"),
+        ("a.txt", "(1+2j)\nhello", "a.txt:2: 'hello' is not a complex number"),
+        ("a.lvm", "nothing", r"there is no \*\*\*End_of_Header\*\*\*"),
+        ("a.npz", "nothing", "cannot be read .* it needs frequency"),
         ("a.uff", "nothing", "universal file|no frequency response"),
     ],
 )
@@ -242,7 +242,7 @@ def test_missing_file_and_uneven_axis_are_refused(tmp_path: Path) -> None:
 
 def test_unknown_units_and_saturated_records_are_refused(tmp_path: Path) -> None:
     """Mils are no unit here; a record that stays at its end was cut."""
-    with pytest.raises(ValueError, match="its channels are in mil, Newtons; needed are one motion"):
+    with pytest.raises(ValueError, match="its channels are in mil, Newtons; it needs one motion"):
         read_responses([write_lvm(tmp_path / "a.lvm", unit="mil")])
     with pytest.raises(ValueError, match="the motion stays at .* it was saturated; measure again"):
         read_responses([write_lvm(tmp_path / "b.lvm", clipped=True)])
@@ -252,7 +252,7 @@ def test_free_decay_of_a_saturated_record_is_used_if_asked(tmp_path: Path) -> No
     """After the last saturated sample: the first mode within 0.1 %, damping within 5 %, and the mark that says so."""
     path = write_lvm(tmp_path / "b.lvm", clipped=True)
     responses = read_responses([path], ResponseFormat(use_clipped=True))
-    assert responses.marks[0].startswith("the record b.lvm was saturated: its free decay from ")
+    assert responses.marks[0].startswith("the record b.lvm was saturated: only its free decay from ")
     found = identify_each(responses.between(60, 900))
     assert found.modes[0].natural_frequency.value == pytest.approx(120, rel=1e-3)
     assert found.modes[0].damping_ratio.value == pytest.approx(0.012, rel=0.05)
@@ -263,7 +263,7 @@ def test_set_missing_at_a_position_is_named(tmp_path: Path, frequency: np.ndarra
     path = write_csv(tmp_path / "modes.csv", frequency)
     other = [line.replace("hammer", "shaker") for line in path.read_text().splitlines() if ",-20," in line]
     path.write_text(path.read_text() + "\n" + "\n".join(other))
-    with pytest.raises(ValueError, match="shaker has no response at 20 mm, where another excitation has one"):
+    with pytest.raises(ValueError, match="shaker has no response at 20 mm, but another excitation has"):
         read_responses([path], ResponseFormat("acceleration"))
 
 
@@ -283,7 +283,7 @@ def test_resolution_guard_fires_below_five_bins() -> None:
     omega, own = 2 * np.pi * frequency, 2 * np.pi * 1001
     response = np.abs(1j * omega / (own**2 - omega**2 + 2j * 0.005 * own * omega))
     peak = half_power(frequency, response, 1001, 10)
-    assert "bins across the peak, at least 5 are needed" in peak.verdict
+    assert "bins across the peak, but at least 5 are needed" in peak.verdict
 
 
 def test_free_free_ratios_are_recognised() -> None:

@@ -208,7 +208,7 @@ def test_noise_alone_has_no_resonance(make) -> None:
     rng = np.random.default_rng(1)
     noise = rng.standard_normal(plain.response.shape) + 1j * rng.standard_normal(plain.response.shape)
     coherence = np.clip(rng.beta(1, 9, plain.response.shape), 1e-6, 1)
-    with pytest.raises(ValueError, match="no resonance stands out between.* drive harder, average more"):
+    with pytest.raises(ValueError, match="no resonance rises above the noise between.* drive harder, average more"):
         identify(replace(plain, response=noise, coherence=coherence), LENGTH)
 
 

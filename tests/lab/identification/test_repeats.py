@@ -88,7 +88,7 @@ def test_files_without_places_are_measurements_each(tmp_path: Path) -> None:
     # Three values at even distances d: their deviation is d, Student's factor 4.303.
     assert half == pytest.approx(4.303 * 640e-4 / np.sqrt(3), rel=0.1)
     single = over_repeats(identify_each(read_responses(files[:1], ACCELERATION).between(60, 900)))
-    assert repeatability(single).startswith("repeatability is unknown: the intervals are those of one measurement")
+    assert repeatability(single).startswith("repeatability is unknown: the intervals come from one measurement")
 
 
 def test_double_impacts_are_left_out_and_counted(tmp_path: Path) -> None:
@@ -108,7 +108,7 @@ def test_double_impacts_are_left_out_and_counted(tmp_path: Path) -> None:
     assert read_responses([mixed], ACCELERATION).marks[0].startswith("2 of 4 hits of c.csv were left out")
     force = hit([60, 183])
     double = write_csv(tmp_path / "b.csv", [(force, moved(force, np.random.default_rng(4)))])
-    with pytest.raises(ValueError, match=r"b.csv: all of its impacts are double ones \(2 hits\): strike again"):
+    with pytest.raises(ValueError, match=r"b.csv: all 2 impacts are double hits: strike again"):
         read_responses([double], ACCELERATION)
 
 
@@ -211,9 +211,9 @@ def test_gains_hold_the_scatter_of_repeated_scans(make) -> None:
 @pytest.mark.parametrize(
     ("force", "words"),
     [
-        (np.zeros(8192), "its excitation is the same throughout"),
+        (np.zeros(8192), "its excitation is constant"),
         (np.clip(hit([40]), 0, 60), "the excitation stays at 60 for .* it was saturated"),
-        (np.ones(20), "holds 20 samples of the excitation and 20 of the motion; needed are"),
+        (np.ones(20), "it has 20 samples of the excitation and 20 of the motion; both need"),
     ],
 )
 def test_records_that_say_nothing_are_refused(tmp_path: Path, force: np.ndarray, words: str) -> None:

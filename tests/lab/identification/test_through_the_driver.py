@@ -127,7 +127,7 @@ def test_stopped_scan_keeps_its_range(laboratory: Laboratory, tmp_path: Path) ->
     with pytest.raises(StoppedError):
         small().scan(laboratory, source, tmp_path, on_progress=nothing, check=check)
     half = read_scan(tmp_path / "scan_centre")
-    with pytest.raises(RecordInputError, match="stopped half-way, with 1 of 3 positions"):
+    with pytest.raises(RecordInputError, match="interrupted after 1 of 3 positions"):
         responses_of({"centre": half})
     shown: list[tuple[int, int]] = []
     scans = small().scan(laboratory, source, tmp_path, on_progress=lambda *n: shown.append(n), check=never)
@@ -148,7 +148,7 @@ def test_a_first_look_that_was_cut_tells_no_range(laboratory: Laboratory) -> Non
     """The height of what was cut is not known: what to change, before a position is measured."""
     burst = excite(laboratory.apparatus, "centre", 20.0, 12e3)
     narrow = Acquisition(3.125e6, 819_200, 1, (1,), velocity_range=1e-3, drive_range=25.0)
-    with pytest.raises(RigError, match="velocity was overloaded at 49 mm: .* a wider range or a lower drive"):
+    with pytest.raises(RigError, match="velocity was overloaded at 49 mm, .* a wider range or a lower drive"):
         _with_range(laboratory, ScanPlan(burst, burst.velocity, (0.049,), narrow), "centre", 20.0)
 
 
@@ -159,7 +159,9 @@ def test_scans_at_other_positions_do_not_go_together(laboratory: Laboratory) -> 
         small(positions=(place,)).scan(laboratory, source, None, on_progress=nothing, check=never)["centre"]
         for place in (0.0, 0.01)
     )
-    with pytest.raises(RecordInputError, match="the scan of the set side is at other positions than the first"):
+    with pytest.raises(
+        RecordInputError, match="the positions in the scan of the set side differ from those of the first"
+    ):
         responses_of({"centre": one, "side": other})
 
 
@@ -168,7 +170,7 @@ def test_drive_that_does_not_arrive_is_told(laboratory: Laboratory, tmp_path: Pa
     assert laboratory.simulator is not None
     laboratory.simulator.twin.tripped = True
     try:
-        with pytest.raises(RigError, match="the drive of the actuator set centre was measured as .* where 20 V"):
+        with pytest.raises(RigError, match="the drive of the actuator set centre measures .* but 20 V"):
             small().scan(laboratory, Source.load(APPARATUS), tmp_path, on_progress=nothing, check=never)
     finally:
         laboratory.simulator.twin.tripped = False
@@ -182,7 +184,7 @@ def test_velocity_beyond_the_safety_limit_is_refused(apparatus: Apparatus) -> No
     careful = apparatus.model_copy(update={"safety": safety})
     with (
         open_laboratory(careful, repetition="continuous") as laboratory,
-        pytest.raises(RigError, match="mm/s, the safety limit is 5; the outputs are off; lower --drive-V"),
+        pytest.raises(RigError, match="mm/s, but the safety limit is 5; the outputs are off; lower --drive-V"),
     ):
         small(voltage=100.0).scan(laboratory, Source.load(APPARATUS), None, on_progress=nothing, check=never)
 
@@ -219,7 +221,7 @@ def test_excitation_is_flat_and_periodic(apparatus: Apparatus, kind: Excitation)
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("side", 300.0, 50e3), "an excitation of 300 V was asked for: allowed above 0, up to 250 V"),
+        (("side", 300.0, 50e3), "an excitation of 300 V was asked for: allowed above 0 and up to 250 V"),
         (("side", 20.0, 300e3), "an excitation up to 300 kHz was asked for"),
     ],
 )

@@ -146,22 +146,22 @@ def changed(line: int, text: str) -> list[str]:
 @pytest.mark.parametrize(
     ("lines", "said"),
     [
-        ([], r"csv:1: lacks the column time_s"),
-        (["time_s,velocity_V", "0,1"], r"csv:1: lacks the column drive_1_V; it has time_s, velocity_V"),
-        (["time_s,speed,drive_1_V", "0,1,2"], r"csv:1: lacks the column velocity_V"),
-        (changed(4, "0.00102,oops,0"), r"csv:4:2: 'oops' is no number"),
-        (changed(7, "0.00105,0.1"), r"csv:7: has 2 cells, the header has 3"),
-        (changed(9, "0.00107,nan,0"), r"csv:9: velocity_V is no finite number"),
-        (changed(2, "nan,0.1,0"), r"csv:2: time_s is no finite number"),
-        (changed(9, "inf,0.1,0"), r"csv:9: time_s is no finite number"),
-        (changed(4, "0.00102,0.1\udcb5,0"), r"csv:4:2: '0.1\ufffd' is no number"),
+        ([], r"csv:1: the column time_s is missing"),
+        (["time_s,velocity_V", "0,1"], r"csv:1: the column drive_1_V is missing; there are time_s, velocity_V"),
+        (["time_s,speed,drive_1_V", "0,1,2"], r"csv:1: the column velocity_V is missing"),
+        (changed(4, "0.00102,oops,0"), r"csv:4:2: 'oops' is not a number"),
+        (changed(7, "0.00105,0.1"), r"csv:7: the line has 2 cells, but the header has 3"),
+        (changed(9, "0.00107,nan,0"), r"csv:9: velocity_V is not a finite number"),
+        (changed(2, "nan,0.1,0"), r"csv:2: time_s is not a finite number"),
+        (changed(9, "inf,0.1,0"), r"csv:9: time_s is not a finite number"),
+        (changed(4, "0.00102,0.1\udcb5,0"), r"csv:4:2: '0.1\ufffd' is not a number"),
         (changed(12, "0.001105,0.1,0"), r"csv:12: time_s is not evenly spaced"),
-        (csv_of()[:-1], r"csv:52: the record that begins here has 49 samples, the first has 50"),
-        (csv_of(n_records=3), r"holds 3 records of 50 samples; asked for are 2 records"),
-        (csv_of(rate=5e4), r"was sampled at 50 kHz; allowed are 100 to 5000 kHz"),
-        (csv_of(first=2e-3), r"last from 2 to 2\.49 ms after the trigger; asked for are 1 to 1\.49 ms"),
+        (csv_of()[:-1], r"csv:52: the record that begins here has 49 samples, but the first has 50"),
+        (csv_of(n_records=3), r"contains 3 records of 50 samples; 2 records were asked for"),
+        (csv_of(rate=5e4), r"was sampled at 50 kHz; allowed: 100 to 5000 kHz"),
+        (csv_of(first=2e-3), r"last from 2 to 2\.49 ms after the trigger; 1 to 1\.49 ms were asked for"),
         (csv_of(n=40), r"last from 1 to 1\.39 ms"),
-        (csv_of(late=1e-6), r"instants that differ by 1000 ns, allowed are 20 ns; switch off interpolation"),
+        (csv_of(late=1e-6), r"its records differ by 1000 ns, at most 20 ns are allowed; switch off interpolation"),
     ],
 )
 def test_a_wrong_file_is_refused_with_its_place_and_written_again(
@@ -225,7 +225,7 @@ def test_other_instants_than_before_are_refused(
     answered(time, volts)
     answered(time + 10e-9, volts)
     monkeypatch.setattr(RecordedFiles, "slowest", 0.2)
-    with pytest.raises(RigError, match=r"no record came as .*0003\.csv or \.npz within"):
+    with pytest.raises(RigError, match=r"no record arrived as .*0003\.csv or \.npz within"):
         answered(time + 30e-9, volts)
 
 
@@ -240,6 +240,6 @@ def test_commands_wait_for_files(order: str, tmp_path: Path, monkeypatch: pytest
         "calibrate": lambda: calibrate(PROTOCOLS / "demo.yaml", out, record=folder),
         "validate": lambda: validate(PROTOCOLS / "demo.yaml", out=out, record=folder),
     }
-    with pytest.raises(RigError, match=r"no record came as .*records.0001\.csv or \.npz within 0\.00"):
+    with pytest.raises(RigError, match=r"no record arrived as .*records.0001\.csv or \.npz within 0\.00"):
         orders[order]()
     assert not out.exists()

@@ -79,7 +79,9 @@ def test_third_stall_is_an_error_that_names_it() -> None:
     """The computer, not the instrument, is what to look after."""
     assert ATTEMPTS == 3
     bench = Bench([STALLED] * 4)
-    with pytest.raises(RigError, match="at 20 mm the record is void: this computer was held up for 1.4 s; the outputs"):
+    with pytest.raises(
+        RigError, match="at 20 mm the record is not valid: this computer was held up for 1.4 s; the outputs"
+    ):
         record(bench)
     assert bench.done == ["configure", "aim 0.02 0", *TAKEN * 3]
 
@@ -88,7 +90,7 @@ def test_third_stall_is_an_error_that_names_it() -> None:
 def test_what_changes_the_instrument_is_not_tried_again(before: list[Firing], n_taken: int) -> None:
     """Somebody has to find out what it is, at once, or after a stall."""
     bench = Bench([*before, TOUCHED, SOUND])
-    with pytest.raises(RigError, match="at 20 mm the record is void: SOUR1:VOLT reads 3, 6VPP was set"):
+    with pytest.raises(RigError, match="at 20 mm the record is not valid: SOUR1:VOLT reads 3, 6VPP was set"):
         record(bench)
     assert bench.done[2:] == TAKEN * n_taken
 
@@ -96,7 +98,7 @@ def test_what_changes_the_instrument_is_not_tried_again(before: list[Firing], n_
 def test_stimulus_that_does_not_start_is_not_tried_again() -> None:
     """Nothing was played, so nothing is stopped or recorded."""
     bench = Bench([REFUSED, SOUND])
-    with pytest.raises(RigError, match=r"does not confirm what it is to play \(SOUR1:FUNC reads SIN\)"):
+    with pytest.raises(RigError, match=r"did not confirm what it should play \(SOUR1:FUNC reads SIN\)"):
         record(bench)
     assert bench.done[2:] == ["fire 0.2"]
 
@@ -108,6 +110,6 @@ def test_bursts_that_ended_by_themselves_give_no_record(end: Firing, n_taken: in
     if end is STALLED:
         assert record(bench).position == 0.02
     else:
-        with pytest.raises(RigError, match="at 20 mm the record is void"):
+        with pytest.raises(RigError, match="at 20 mm the record is not valid"):
             record(bench)
     assert bench.done.count("stop") == n_taken

@@ -111,7 +111,7 @@ def test_stopped_scan_goes_on_where_it_was(laboratory: Laboratory, tmp_path: Pat
     assert laboratory.simulator.outputs == (False, False)
     half = read_scan(folder)
     assert len(half.positions) == 2
-    with pytest.raises(RecordInputError, match="stopped half-way, with 2 of 4 positions recorded: to continue it"):
+    with pytest.raises(RecordInputError, match="interrupted after 2 of 4 positions: to continue it"):
         half.require_complete()
     before = [position_file(folder, index).read_bytes() for index in range(2)]
     shown: list[tuple[int, int]] = []
@@ -160,7 +160,9 @@ def test_scan_of_other_settings_is_not_gone_on_with(
 def test_folder_with_something_else_is_refused(laboratory: Laboratory, tmp_path: Path) -> None:
     """A stranger's file is named, and nothing is written beside it."""
     (tmp_path / "thesis.txt").write_text("years of work")
-    with pytest.raises(RecordError, match="holds thesis.txt, which does not belong to a scan; give an empty folder"):
+    with pytest.raises(
+        RecordError, match="contains thesis.txt, which is not part of a scan; give an empty or new folder"
+    ):
         take_scan(laboratory, plan(), tmp_path)
     assert [each.name for each in tmp_path.iterdir()] == ["thesis.txt"]
 
@@ -172,16 +174,16 @@ def test_damage_is_told(laboratory: Laboratory, tmp_path: Path) -> None:
     first, second = position_file(folder, 0), position_file(folder, 1)
     content = first.read_bytes()
     first.write_bytes(content[:500])
-    with pytest.raises(RecordError, match=r"position_000.npz: is damaged .* delete it"):
+    with pytest.raises(RecordError, match=r"position_000.npz: it is damaged .* delete it"):
         read_scan(folder)
     first.write_bytes(second.read_bytes())
     with pytest.raises(RecordError, match="was recorded at 10 mm, not at 0 mm"):
         read_scan(folder)
     first.write_bytes(content)
     (folder / "scan.json").write_text(json.dumps({"schema": "modaltouch scan 99"}))
-    with pytest.raises(RecordError, match="is no description of a scan"):
+    with pytest.raises(RecordError, match="does not describe a scan"):
         read_scan(folder)
-    with pytest.raises(RecordInputError, match=r"holds no scan \(scan.json is missing\)"):
+    with pytest.raises(RecordInputError, match=r"there is no scan here \(scan.json is missing\)"):
         read_scan(tmp_path)
 
 
@@ -216,7 +218,7 @@ def test_record_is_void_if_the_generator_was_touched_meanwhile(
         return measure(position, across)
 
     monkeypatch.setattr(laboratory.scope, "measure", meddled)
-    with pytest.raises(RigError, match="at 20 mm the record is void: .* the outputs are off"):
+    with pytest.raises(RigError, match="at 20 mm the record is not valid: .* the outputs are off"):
         take_scan(laboratory, plan(), tmp_path / "scan")
     assert laboratory.simulator.outputs == (False, False)
     assert len(read_scan(tmp_path / "scan").positions) == 2

@@ -136,7 +136,10 @@ def test_a_burst_that_tells_nothing_is_refused_with_figures():
     timing, rate = stimulus.timing, 1e6
     n = round((timing.duration + 0.3 * (1 / timing.repetition_rate - timing.duration)) * rate)
     seen = Recording(0.049, np.arange(n) / rate, np.full((1, n), 0.2), np.empty((1, 0, n)), rate, ())
-    with pytest.raises(ValueError, match=r"lasts 0 ms, at least 0\.1 are needed: lower repetition_rate_Hz"):
+    with pytest.raises(ValueError, match=r"lasts 0 ms, but at least 0\.1 are needed: lower repetition_rate_Hz"):
         burst.probe(seen, None)
-    with pytest.raises(RigError, match=r"is cut at 200 mm/s.*choose a wider range there, and as range_mm_s"):
+    with pytest.raises(
+        RigError,
+        match=r"is clipped at 200 mm/s.*choose a wider range at the vibrometer, and enter it as acquisition.range_mm_s",
+    ):
         burst.probe(replace(seen, overloaded=("velocity",)), None)

@@ -71,7 +71,7 @@ def test_scans_of_another_stimulus_are_refused(edit, kept, evidences):
     from modaltouch.preflight import examine
 
     other = examine(edit("differentiated_stimulation.yaml", ("base_mm: 56", "base_mm: 58"))).require()
-    with pytest.raises(RecordInputError, match="another stimulus was played there than this protocol's by the law"):
+    with pytest.raises(RecordInputError, match="the stimulus played there is not this protocol's with the law"):
         read_laws(other.inputs, kept)
 
 
@@ -81,5 +81,5 @@ def test_recordings_unlike_the_prediction_are_refused(evidences):
 
     observation = evidences[0].observation
     late = replace(observation.field, arrays=tuple({**a, "time": a["time"] + 60e-6} for a in observation.field.arrays))
-    with pytest.raises(RecordInputError, match="do not follow the predictions with any delay from -5 to"):
+    with pytest.raises(RecordInputError, match="do not match the predictions at any delay from -5 to"):
         evaluate([replace(observation, field=late)])

@@ -57,5 +57,5 @@ def test_spectrogram_of_a_sine_reads_its_amplitude_and_frequency():
 
 def test_spectrogram_refuses_a_record_shorter_than_its_window():
     """Expected: a clear error, not an empty picture."""
-    with pytest.raises(ValueError, match=r"lasts 1 ms, but a window of the spectrogram 4 ms: record longer"):
+    with pytest.raises(ValueError, match=r"lasts 1 ms, but a window of the spectrogram needs 4 ms: record for longer"):
         spectrogram(np.arange(1000) / 1e6, np.zeros(1000), 20e3)

@@ -78,5 +78,5 @@ def test_rows_that_are_kept_are_read_unasked(
     for observed in read_laws(preflight.inputs, folder):
         assert sorted(scan.across for scan in observed.rows) == [-2.5e-3, 2.5e-3]
     (row / "position_040.npz").unlink()
-    with pytest.raises(RecordInputError, match="stopped half-way, with 40 of 41 positions"):
+    with pytest.raises(RecordInputError, match="interrupted after 40 of 41 positions"):
         read_laws(preflight.inputs, folder)

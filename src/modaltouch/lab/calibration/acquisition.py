@@ -378,5 +378,5 @@ class DecayRecorder:
                 asked = replace(asked, drive_range=None)
         raise RigError(
             f"{', '.join(recording.overloaded)} is overloaded at {point * 1e3:g} mm in the widest range; choose a "
-            "wider one at the vibrometer, or a probe of more attenuation, and say so in the apparatus file"
+            "wider one at the vibrometer, or a probe with more attenuation, and enter it in the apparatus file"
         )

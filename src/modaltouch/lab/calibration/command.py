@@ -87,8 +87,8 @@ def calibrate(
         )
     if calibration.mark and not accept:
         raise RigError(
-            f"the calibration misses its limits: {calibration.mark}; the outputs are off and nothing is written; with "
-            "--accept it is written with a mark, and used with --with-marked-calibration"
+            f"the calibration misses its limits: {calibration.mark}; the outputs are off and nothing is written; "
+            "--accept writes it with a mark, and --with-marked-calibration lets a session use it"
         )
     return CalibrationReport(calibration, out)
 
@@ -126,11 +126,11 @@ def _uncorrectable(preflight: Preflight) -> Iterator[Problem]:
     if reading is None:
         return
     if inputs.section.law != "exact":
-        given = f"{inputs.section.law}, a law without targets that could be corrected"
+        given = f"{inputs.section.law}, a law whose targets cannot be corrected"
         yield reading.problem(("stimulus", "law"), given, "exact", "calibrate the exact law")
     if inputs.section.field.file is not None:
         given, remedy = (
-            "a file, which a calibration does not hold",
+            "a file, which a calibration cannot contain",
             "write the points into the protocol, under `points`",
         )
         yield reading.problem(("stimulus", "field", "file"), given, "points", remedy)

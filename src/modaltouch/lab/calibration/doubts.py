@@ -45,8 +45,8 @@ MOST_DISPROPORTION = 0.02
 """Speed of the modes at half a level over half the speed at the level, less 1, either way [1]."""
 
 HYSTERESIS = (
-    "the beam does not follow in proportion, though the amplifier does: its actuators have hysteresis; bring the "
-    "levels closer together, or calibrate a protocol for each"
+    "the beam is not linear, though the amplifier is: its actuators have hysteresis; bring the levels closer "
+    "together, or calibrate one protocol for each level"
 )
 
 LARGEST_PHASE = 0.2
@@ -69,14 +69,14 @@ def refuse_doubtful_drive(drive: DriveDelay) -> None:
         if (believed or abs(gain) < NOTHING) and not GAINS[0] <= gain <= GAINS[1]:
             raise RigError(
                 f"the drive measured at the beam is {gain:.2f} times what output {number} commands: allowed "
-                f"{GAINS[0]:g} to {GAINS[1]:g}; the outputs are off; see whether the amplifier is on and its gain as "
-                "in the apparatus file, the probe at its output, and `acquisition.probe_attenuation` right"
+                f"{GAINS[0]:g} to {GAINS[1]:g}; the outputs are off; check that the amplifier is on, its gain matches "
+                "the apparatus file, the probe is at its output, and `acquisition.probe_attenuation` is right"
             )
     if not believed:
         raise RigError(
-            f"of the drive measured at the beam, {drive.rest:.0%} is not the commanded one behind a delay and a lag: "
-            f"allowed at most {LARGEST_REST:.0%}; the outputs are off; see whether the probes are at the amplifier's "
-            "outputs and it does not saturate"
+            f"{drive.rest:.0%} of the drive measured at the beam is not the commanded drive with a delay and a lag: "
+            f"allowed at most {LARGEST_REST:.0%}; the outputs are off; check that the probes are at the amplifier's "
+            "outputs and that it does not saturate"
         )
 
 
@@ -95,8 +95,8 @@ def refuse_changing_beam(decays: Sequence[Decay], shapes: FloatArray) -> None:
             raise RigError(
                 f"the mode near {one.pole.imag[mode] / (2 * np.pi):.0f} Hz moved by {moved[mode]:.0%} of its half "
                 f"bandwidth between the probes of two outputs: allowed {LARGEST_STRAIN:.0%}; the outputs are off; the "
-                "beam drifts, or its frequencies change with the amplitude: let beam, patches and amplifier come to a "
-                "steady temperature, see whether patches and suspension are sound, and calibrate again"
+                "beam drifts, or its frequencies change with the amplitude: let beam, patches and amplifier reach a "
+                "steady temperature, check the patches and the suspension, and calibrate again"
             )
 
 
@@ -106,9 +106,9 @@ def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> No
     for row, label in enumerate(listed.label):
         if not plant.certainty[row] >= LEAST_CERTAINTY:
             raise RigError(
-                f"mode {label} at {listed.natural_frequency[row]:.0f} Hz is not seen: it stands out of the noise by "
-                f"{plant.certainty[row]:.1f} standard errors, needed are {LEAST_CERTAINTY:g}; the outputs are off; see "
-                "whether the vibrometer is focused on the beam and its signal reaches the scope"
+                f"mode {label} at {listed.natural_frequency[row]:.0f} Hz is not seen: it rises above the noise by "
+                f"{plant.certainty[row]:.1f} standard errors, and needs {LEAST_CERTAINTY:g}; the outputs are off; "
+                "check that the vibrometer is focused on the beam and that its signal reaches the scope"
             )
         moved = found.natural_frequency[row] / listed.natural_frequency[row] - 1
         if abs(moved) > FURTHEST:
@@ -123,14 +123,14 @@ def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> No
     if (ratio[known] < 0).all():
         raise RigError(
             "every mode moves against the sign of its listed gain: the vibrometer's signal or the drive is inverted; "
-            "the outputs are off; turn the signal round"
+            "the outputs are off; invert the signal"
         )
     for row, channel in np.argwhere((ratio < 0.4) | (ratio > 2.5)).tolist():
         raise RigError(
-            f"the gain of mode {listed.label[row]} by output {channel + 1} was found as "
-            f"{found.modal_gain[row, channel] * 1e3:.4g} mm/s^2 per V, listed is "
-            f"{listed.modal_gain[row, channel] * 1e3:.4g}: allowed 0.4 to 2.5 times that; the outputs are off; see "
-            "whether the sets are wired as listed, or identify the beam again with `modaltouch identify`"
+            f"the gain of mode {listed.label[row]} by output {channel + 1} is "
+            f"{found.modal_gain[row, channel] * 1e3:.4g} mm/s^2 per V, but "
+            f"{listed.modal_gain[row, channel] * 1e3:.4g} is listed: allowed 0.4 to 2.5 times that; the outputs are "
+            "off; check that the sets are wired as listed, or identify the beam again with `modaltouch identify`"
         )
 
 
@@ -140,13 +140,13 @@ def _refuse_phases(plant: Plant, margin: float) -> None:
     if vibrometer.rest > LARGEST_PHASE:
         raise RigError(
             f"the modes' phases differ by {vibrometer.rest:.2f} rad from those of a delay and a low-pass: allowed "
-            f"{LARGEST_PHASE:g} rad; the outputs are off; see which filters the vibrometer has switched on"
+            f"{LARGEST_PHASE:g} rad; the outputs are off; check which filters of the vibrometer are on"
         )
     if vibrometer.delay + 10 * vibrometer.lag > margin:
         raise RigError(
             f"the vibrometer is {vibrometer.delay * 1e6:.0f} us late, with a low-pass of {vibrometer.lag * 1e6:.1f} "
-            f"us: allowed together with ten times the latter {margin * 1e6:.0f} us; the outputs are off; switch on a "
-            "faster filter"
+            f"us: the delay plus ten times the low-pass may be at most {margin * 1e6:.0f} us; the outputs are off; "
+            "choose a faster filter"
         )
 
 
@@ -164,19 +164,19 @@ def refuse_doubtful_velocity(recording: Recording) -> None:
     steady = (float(np.mean(velocity.mean(axis=0) ** 2)) - power / n_records) * n_records / (n_records - 1) / power
     far = float(np.mean(np.abs(off) > FAR_OFF * max(noise, 1e-12)))
     remedy = (
-        "the outputs are off; see whether the sensor is fastened, in focus and on a spot that reflects, and the beam "
-        "touches nothing; measure again"
+        "the outputs are off; check that the sensor is fastened, in focus and on a spot that reflects, and that "
+        "nothing touches the beam; measure again"
     )
     where = f"at {recording.position * 1e3:g} mm"
     if noise > 0 and far > MOST_FAR_OFF:
         raise RigError(
-            f"{where} the velocity has gaps or shocks: {far:.3%} of its samples lie beyond {FAR_OFF:g} standard "
-            f"deviations of the noise, allowed {MOST_FAR_OFF:.3%}; {remedy}"
+            f"{where} the velocity has gaps or shocks: {far:.3%} of its samples are more than {FAR_OFF:g} standard "
+            f"deviations of the noise away, allowed {MOST_FAR_OFF:.3%}; {remedy}"
         )
     if steady < LEAST_COHERENCE:
         raise RigError(
-            f"{where} the velocity differs from burst to burst: {max(steady, 0.0):.0%} of its power repeats, but at "
-            f"least this share is needed: {LEAST_COHERENCE:.0%}; {remedy}"
+            f"{where} the velocity differs from burst to burst: {max(steady, 0.0):.0%} of its power repeats, at least "
+            f"{LEAST_COHERENCE:.0%} must; {remedy}"
         )
 
 
@@ -186,9 +186,9 @@ def refuse_saturation(predicted: FloatArray, measured: FloatArray) -> None:
     output = int(lacking.argmax())
     if lacking[output] > MOST_LACKING:
         raise RigError(
-            f"the amplifier saturates: of the {np.abs(predicted[output]).max():.0f} V of output {output + 1} "
-            f"the measured peaks lack {lacking[output]:.0%}, allowed {MOST_LACKING:.0%}; the outputs are off; see "
-            "whether its supply is sound, give amplifier.limit_V its true value, and lower the levels to it"
+            f"the amplifier saturates: the measured peaks of output {output + 1} are {lacking[output]:.0%} below the "
+            f"predicted {np.abs(predicted[output]).max():.0f} V, allowed {MOST_LACKING:.0%}; the outputs are off; "
+            "check its supply, set amplifier.limit_V to its true value, and lower the levels to suit"
         )
 
 
@@ -197,8 +197,8 @@ def refuse_disproportion(whole: ModalState, half: ModalState) -> None:
     off = 2 * float(half.velocity @ whole.velocity / (whole.velocity @ whole.velocity)) - 1
     if abs(off) > MOST_DISPROPORTION:
         raise RigError(
-            f"at half the level the modes move {off:+.1%} from half as fast: allowed {MOST_DISPROPORTION:.0%}; the "
-            f"outputs are off; {HYSTERESIS}"
+            f"at half the level the speed of the modes differs by {off:+.1%} from half: allowed "
+            f"{MOST_DISPROPORTION:.0%}; the outputs are off; {HYSTERESIS}"
         )
 
 
@@ -294,26 +294,26 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]
         yield (
             f"the amplifier saturates: output {output + 1} is commanded to give {outcome.drive_peak[output]:.0f} V, "
             f"but the measured peaks fall short by {outcome.drive_shortfall[output]:.1%}; lower the highest level, or "
-            "give amplifier.limit_V its true value"
+            "set amplifier.limit_V to its true value"
         )
     elif float(last.shown_slip.max()) > max(allowed / 2, noise):
         yield _changed_frequencies(outcome)
     elif noise > allowed / 2 or 100 * level_noise > limits.level_percent * highest:
         yield (
             f"the velocity is noisy: {noise * 1e3:.2g} mm/s of a mode and {level_noise * 1e3:.2g} mm/s of a level "
-            "remain unknown; focus the vibrometer on a spot that reflects, fasten the sensor, and choose the smallest "
-            "range that holds the velocity"
+            "remain unknown; focus the vibrometer on a spot that reflects, fasten the sensor, and choose the "
+            "smallest range that covers the velocity"
         )
     elif (last.disagreement > np.maximum(4 * last.spread, allowed / 4)).any():
         yield (
-            "the points along the beam do not agree: the sensor is loose, or its spot is not where it should be; "
-            "fasten it, aim again and calibrate again"
+            "the points along the beam disagree: the sensor is loose, or its spot is in the wrong place; fasten it, "
+            "aim it again, and calibrate again"
         )
     elif all(each["level_mm_s"] != outcome.inputs.reference for each in missed):
         yield HYSTERESIS
     else:
         yield (
-            "nothing in the records shows the cause; identify the beam again with `modaltouch identify`, and calibrate "
+            "the records do not show the cause; identify the beam again with `modaltouch identify`, and calibrate "
             "with the new apparatus file"
         )
 
@@ -336,12 +336,12 @@ def _changed_frequencies(outcome: CalibrationResult) -> str:
     label = outcome.refined.modes[mode].label
     if abs(parts[2]) > abs(parts[1]):
         return (
-            f"the natural frequencies change with the amplitude: mode {label} by {parts[2]:+.2g} of itself "
+            f"the natural frequencies change with the amplitude: that of mode {label} by {parts[2]:+.2g} of its value "
             f"from {volts.min():.0f} to {volts.max():.0f} V; lower the highest level, bring the levels closer "
-            "together, and see whether patches and suspension are sound"
+            "together, and check the patches and the suspension"
         )
     return (
-        f"the beam drifts: the natural frequency of mode {label} changed by {parts[1]:+.2g} of itself from the first "
-        "iteration to the last record; let beam, patches and amplifier come to a steady temperature, see whether the "
-        "suspension holds, and calibrate again"
+        f"the beam drifts: the natural frequency of mode {label} changed by {parts[1]:+.2g} of its value from the "
+        "first iteration to the last record; let beam, patches and amplifier reach a steady temperature, check the "
+        "suspension, and calibrate again"
     )

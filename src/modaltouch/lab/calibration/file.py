@@ -204,7 +204,7 @@ def _digits(value: float) -> float:
 
 
 HEAD = """\
-# What makes these stimuli true on this rig: written by `modaltouch calibrate`, read by `modaltouch run`.
+# Corrections that make these stimuli accurate on this rig: written by `modaltouch calibrate`, read by `modaltouch run`.
 # It holds for one apparatus file, the stimuli in it and one generator; measure again rather than edit it.
 """
 
@@ -352,4 +352,4 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     """
     prepare_file(path)
     text = HEAD + yaml_text(calibration.model_dump(mode="json"))
-    replace_file(path, text.encode(), "free the place, or give another file with --out")
+    replace_file(path, text.encode(), "move it away, or give another file with --out")

@@ -225,8 +225,8 @@ class _Loop:
         limit = self._apparatus.amplifier.limit_V
         if needed > limit:
             raise RigError(
-                f"{self._reference * 1e3:g} mm/s needs {needed:.0f} V at the beam on this rig: allowed are {limit:g} "
-                "V; the outputs are off; lower the highest level of the protocol"
+                f"{self._reference * 1e3:g} mm/s needs {needed:.0f} V at the beam on this rig: allowed at most "
+                f"{limit:g} V; the outputs are off; lower the highest level of the protocol"
             )
 
     def _identify(self) -> Plant:

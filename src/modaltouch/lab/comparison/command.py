@@ -84,7 +84,7 @@ def criteria(rows: Sequence[Row]) -> list[Criterion]:
         Criterion("rms_error_mm_s", "distance from the target field, rms", "mm/s", "low", 2),
         Criterion("max_error_mm_s", "distance from the target field, largest", "mm/s", "low", 2),
         Criterion("rms_from_selected_mm_s", "distance from the field of the selected modes, rms", "mm/s", "low", 2),
-        Criterion("outside_mm_s", "highest speed then where rest is the target", "mm/s", "low"),
+        Criterion("outside_mm_s", "highest speed at that instant where the target is rest", "mm/s", "low"),
         Criterion("width_50_mm", "spot width at 50 %", "mm", "none"),
         Criterion("width_80_mm", "spot width at 80 %", "mm", "none"),
         Criterion("highest_at_focus_mm_s", "highest speed at the focus, throughout", "mm/s", "level"),
@@ -318,12 +318,12 @@ class ComparisonReport:
             ),
             "price": (
                 draw_price(self.rows, values["voltage_limit_V"]),
-                "What each method pays, and what for. Dark: the exact law.",
+                "What each method costs, and what it gains. Dark: the exact law.",
             ),
             "robustness": (
                 draw_robustness(self.contest),
-                "The same drives on other beams, drawn around the learned one: each beam a dot, the learned one a "
-                "line.",
+                "The same drives on other beams, drawn around the learned beam: a dot for each beam, a line for the "
+                "learned one.",
             ),
             "drives": (draw_drives(self.contest), "The drives; each row has its own scale."),
         }
@@ -385,7 +385,7 @@ def compare(
     preflight = examine(protocol).of_untouched_beam()
     experiment = preflight.experiment
     if not experiment.protocol.conditions.pairs:
-        given, remedy = "zones that are no pair", "compare with a protocol that has some"
+        given, remedy = "zones that are not a pair", "compare with a protocol that has pairs of zones"
         raise InputError([preflight.findings.problem(("conditions", "zones"), given, "pairs of zones", remedy)])
     folder = out or Path("comparison") / experiment.protocol.protocol
     refuse_other(folder, COMMAND)

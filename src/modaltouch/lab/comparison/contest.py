@@ -351,7 +351,7 @@ def _play(
     sent: list[Simulator] = []
     with open_laboratory(apparatus) as laboratory:
         if laboratory.simulator is None:
-            raise RigError("a comparison needs the twin, whose true beam is the reference; the outputs are off")
+            raise RigError("a comparison needs the twin, since its true beam is the reference; the outputs are off")
         for number, each in enumerate(designed, 1):
             progress.check()
             laboratory.load(each.burst)

@@ -102,7 +102,7 @@ def inverse_filter(known: TrainingData) -> FloatArray:
             beyond = needed > known.amplifier.limit
             candidates.append((beyond, needed if beyond else missed, drive))
     if not candidates:
-        raise ValueError("no inverse filter moves the focus: record a point that moves, or choose another focus")
+        raise ValueError("no inverse filter can move the focus: record a point that moves, or choose another focus")
     best = min(candidates, key=lambda each: each[:2])[2]
     return known.to_level(best[:, :n_before], best[:, n_before:])
 
@@ -227,21 +227,23 @@ METHODS = (
     Method(
         "exact",
         "exact law",
-        "every identified mode from rest to its target by the least weighted energy, then braked (this program)",
+        "brings every identified mode from rest to its target with the least weighted energy, then brakes it (this "
+        "program)",
         "modes",
         _by_law("exact"),
     ),
     Method(
         "paper",
         "paper's law",
-        "each selected mode along its reversed free decay by the output that drives it best (the paper, eq. 6, 7)",
+        "drives each selected mode along its reversed free decay by the output that drives it best (the paper, eq. "
+        "6, 7)",
         "modes",
         _by_law("paper"),
     ),
     Method(
         "time_reversal",
         "time reversal",
-        "each output plays its impulse response at the focus backwards (Hudin, Lozada & Hayward, IEEE Trans. Haptics "
+        "plays each output's impulse response at the focus backwards (Hudin, Lozada & Hayward, IEEE Trans. Haptics "
         "8(2), 2015)",
         "focus",
         lambda known, _: time_reversal(known),
@@ -249,7 +251,7 @@ METHODS = (
     Method(
         "one_bit",
         "1-bit time reversal",
-        "the signs of the same alone (Derode, Tourin & Fink, J. Appl. Phys. 85, 1999)",
+        "plays only the signs of the same (Derode, Tourin & Fink, J. Appl. Phys. 85, 1999)",
         "focus",
         lambda known, _: one_bit_reversal(known),
     ),

@@ -181,7 +181,7 @@ class TrainingData:
         reached = float(self.expected(steps)[self.focus])
         highest = float(np.abs(whole).max())
         if reached == 0 or highest == 0:
-            raise ValueError("a drive moves nothing at the focus: record a point that moves, or choose another focus")
+            raise ValueError("the drives do not move the focus: record a point that moves, or choose another focus")
         factor = self.target_field.velocity / reached
         factor = float(np.sign(factor)) * min(abs(factor), self.amplifier.limit / highest)
         voltage = np.zeros((whole.shape[0], self.timing.n_samples))

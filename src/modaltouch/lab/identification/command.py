@@ -267,7 +267,7 @@ class _Beam:
         strange = next((name for name in self.sets if name not in known), None)
         if strange is not None:
             raise ValueError(
-                f"'{strange}' is not an actuator set of {options.apparatus}: name one of {', '.join(known)}"
+                f"'{strange}' is not an actuator set of {options.apparatus}: give one of {', '.join(known)}"
             )
         self.labels = self._labels()
         self.length = self.apparatus.beam.length_mm * 1e-3
@@ -284,7 +284,7 @@ class _Beam:
         except ValueError:
             labels = ()
         if not labels or labels[0] < 1:
-            raise ValueError(f"--modes is '{modes}': give `listed`, `all`, or labels from 1 on, as 1,3,5")
+            raise ValueError(f"--modes is '{modes}': give `listed`, `all`, or labels from 1 on, such as 1,3,5")
         return labels
 
     def measure(self, progress: MeasurementProgress) -> list[dict[str, Scan]]:
@@ -324,8 +324,8 @@ class _Beam:
         for name in self.sets:
             if not (folder / f"scan_{name}").is_dir():
                 raise ValueError(
-                    f"{folder}: holds no scan of the actuator set {name} (scan_{name} is missing); measure it, or use "
-                    f"--set to name the sets that were measured"
+                    f"{folder}: there is no scan of the actuator set {name} (scan_{name} is missing); measure it, or "
+                    "name the sets that were measured with --set"
                 )
         rows = kept_rows(folder, f"scan_{self.sets[0]}")
         return [{name: read_scan(folder / f"scan_{name}{row}") for name in self.sets} for row in rows]
@@ -335,8 +335,9 @@ class _Beam:
         missing = [name for name in self.sets if name not in responses.sets]
         if missing:
             raise ValueError(
-                f"the files hold responses to {', '.join(responses.sets)}, none to the actuator set {missing[0]}: name "
-                "the sets in the files as in the apparatus file, or those that were measured with --set"
+                f"the files contain responses to {', '.join(responses.sets)}, but none to the actuator set "
+                f"{missing[0]}: give the sets in the files the names of the apparatus file, or name the sets that "
+                "were measured with --set"
             )
         rows = [responses.sets.index(name) for name in self.sets]
         return replace(

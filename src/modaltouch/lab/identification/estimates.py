@@ -138,4 +138,4 @@ class Identification:
             if mode.label == label:
                 return mode
         found = ", ".join(str(mode.label) for mode in self.modes if mode.label)
-        raise KeyError(f"mode {label} was not found; found are {found}")
+        raise KeyError(f"mode {label} was not found; the modes found are {found}")

@@ -80,12 +80,12 @@ def excite(apparatus: Apparatus, set_name: str, voltage: float, highest: float, 
     limit = apparatus.amplifier.limit_V
     if not 0 < voltage <= limit:
         raise ValueError(
-            f"an excitation of {voltage:g} V was asked for: allowed above 0, up to {limit:g} V at the beam"
+            f"an excitation of {voltage:g} V was asked for: allowed above 0 and up to {limit:g} V at the beam"
         )
     if not 10 * LOWEST < highest <= HIGHEST:
         raise ValueError(
-            f"an excitation up to {highest * 1e-3:g} kHz was asked for: allowed are {LOWEST / 100:g} to "
-            f"{HIGHEST / 1e3:g} kHz"
+            f"an excitation up to {highest * 1e-3:g} kHz was asked for: allowed {LOWEST / 100:g} to {HIGHEST / 1e3:g} "
+            "kHz"
         )
     duration = N_SAMPLES / RATE
     wave = chirp(highest) if kind == "chirp" else multisine(highest)
@@ -236,21 +236,21 @@ def _with_range(laboratory: Laboratory, plan: ScanPlan, name: str, voltage: floa
     measured = float(np.sqrt((seen.drive**2).mean() / (wave**2).sum(axis=0).mean()))
     if not 0.5 * voltage <= measured <= 2 * voltage:
         raise RigError(
-            f"the drive of the actuator set {name} was measured as {measured:.3g} V peak where {voltage:g} V were "
-            "played; the outputs are off; see the amplifier, the probe on this set's drive and its attenuation in the "
+            f"the drive of the actuator set {name} measures {measured:.3g} V peak, but {voltage:g} V were played; the "
+            "outputs are off; check the amplifier, the probe on this set's drive and its attenuation in the "
             "apparatus file"
         )
     limit = laboratory.apparatus.safety.velocity_limit_mm_s * 1e-3
     highest = float(np.abs(seen.velocity).max())
     if highest > limit:
         raise RigError(
-            f"the excitation moves the end of the beam at {highest * 1e3:.0f} mm/s, the safety limit is "
+            f"the excitation moves the end of the beam at {highest * 1e3:.0f} mm/s, but the safety limit is "
             f"{limit * 1e3:g}; the outputs are off; lower --drive-V"
         )
     if seen.overloaded:
         raise RigError(
-            f"{', '.join(seen.overloaded)} was overloaded at {end * 1e3:g} mm: its height is not known; measure with a "
-            "wider range or a lower drive first"
+            f"{', '.join(seen.overloaded)} was overloaded at {end * 1e3:g} mm, so its peak is unknown; measure with a "
+            "wider range or a lower drive"
         )
     # Overload is told of every record, so that the vibrometer's whole range is range enough.
     widest = laboratory.apparatus.acquisition.range_mm_s * 1e-3

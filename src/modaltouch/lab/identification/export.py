@@ -29,7 +29,9 @@ def check_export(path: Path) -> None:
     """
     if path.suffix.lower() not in ENDINGS:
         given = f"--export with the ending '{path.suffix}'"
-        raise InputError([Problem(str(path), 0, 0, "", given, ", ".join(ENDINGS), "name the file with one of them")])
+        raise InputError(
+            [Problem(str(path), 0, 0, "", given, ", ".join(ENDINGS), "give the file one of these endings")]
+        )
 
 
 def export(identification: Identification, path: Path) -> None:

@@ -44,8 +44,8 @@ def _read_universal(path: Path, how: ResponseFormat) -> Part:
     if not functions:
         held = ", ".join(sorted({str(each["type"]) for each in sets})) or "none"
         raise ValueError(
-            f"{path}: no frequency response and no time record among the data sets ({held}); export data set 58 of "
-            "type 4 or 1"
+            f"{path}: there is no frequency response or time record among the data sets ({held}); export data set 58 "
+            "of type 4 or 1"
         )
     responses = [each for each in functions if each["func_type"] == _RESPONSE]
     moved = responses or [each for each in functions if _kind(each) in _QUANTITIES]
@@ -59,14 +59,16 @@ def _read_universal(path: Path, how: ResponseFormat) -> Part:
 
     kinds = {_kind(each) for each in moved}
     if len(kinds) > 1:
-        raise ValueError(f"{path}: its responses are of several quantities (types {sorted(kinds)}); export one of them")
+        raise ValueError(
+            f"{path}: it contains responses of several quantities (types {sorted(kinds)}); export only one"
+        )
     quantity = _QUANTITIES.get(next(iter(kinds), 0))
     if responses:
         frequency = np.asarray(responses[0]["x"], dtype=float)
         for each in responses:
             x = np.asarray(each["x"], dtype=float)
             if x.shape != frequency.shape or not np.allclose(x, frequency):
-                raise ValueError(f"{path}: its responses have different frequencies; export them on one axis")
+                raise ValueError(f"{path}: its responses have different frequencies; export them on the same axis")
         keys = [name(each, each["ref_node"]) for each in responses]
         values = [np.asarray(np.asarray(each["data"], dtype=complex) / size, dtype=complex) for each in responses]
         return Part(frequency, [MeasuredResponse(key, each) for key, each in zip(keys, values, strict=True)], quantity)
@@ -82,8 +84,8 @@ def _read_universal(path: Path, how: ResponseFormat) -> Part:
             records.append(TimeRecord(key, np.real(drive["data"]), np.real(each["data"]) / size, step))
     if not records:
         raise ValueError(
-            f"{path}: its time records are not of an excitation and of motions after it; say by the data type of each "
-            "ordinate which is which (8 displacement, 11 velocity, 12 acceleration, 13 force)"
+            f"{path}: its time records are not one excitation followed by motions; mark each by the data type of its "
+            "ordinate (8 displacement, 11 velocity, 12 acceleration, 13 force)"
         )
     return part_of(path, records, quantity, how)
 
@@ -153,7 +155,7 @@ def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> 
     """
     how = how or ResponseFormat()
     if not paths:
-        raise ValueError("no file is given: name at least one")
+        raise ValueError("no file is given: give at least one")
     parts = [(path, _read(path, how)) for path in paths]
     first_path, first = parts[0]
     n_bins = min(part.frequency.size for _, part in parts)
@@ -162,7 +164,9 @@ def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> 
     by_file: list[dict[Key, list[MeasuredResponse]]] = []
     for path, part in parts:
         if not np.allclose(part.frequency[:n_bins], frequency):
-            raise ValueError(f"{path}: has other frequencies than {first_path}; give files of one measurement")
+            raise ValueError(
+                f"{path}: its frequencies differ from those of {first_path}; give files of one measurement"
+            )
         quantity = _quantity(path, part, how)
         of_file: dict[Key, list[MeasuredResponse]] = {}
         for key, values, coherence in part.responses:
@@ -178,7 +182,7 @@ def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> 
     n_repeats = [len(repeats) for repeats in found.values()]
     if min(n_repeats) < max(n_repeats):
         marks.append(
-            f"{sum(n_repeats) - min(n_repeats) * len(n_repeats)} repeats were left out: not every point has as many"
+            f"{sum(n_repeats) - min(n_repeats) * len(n_repeats)} repeats were left out: some points have fewer"
         )
     whole = FrequencyResponses.of_repeats(
         [_assemble(first_path, frequency, found, repeat, how.n_averages) for repeat in range(min(n_repeats))]
@@ -192,10 +196,11 @@ def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> 
 def _quantity(path: Path, part: Part, how: ResponseFormat) -> Quantity:
     said, found = how.quantity, part.quantity
     if said is None and found is None:
-        raise ValueError(f"{path}: does not say whether it holds a velocity, a displacement or an acceleration; say so "
-                         "with --quantity")  # fmt: skip
+        raise ValueError(
+            f"{path}: it does not say whether it contains a velocity, a displacement or an acceleration; say so with "
+            "--quantity")  # fmt: skip
     if said is not None and found is not None and said != found:
-        raise ValueError(f"{path}: holds a {found} according to the file, but --quantity says {said}; leave that out")
+        raise ValueError(f"{path}: its quantity is {found}, but --quantity says {said}; leave --quantity out")
     return said or found  # type: ignore[return-value]
 
 
@@ -211,7 +216,7 @@ def _assemble(
         if not np.isfinite(values[usable]).all():
             where = "" if place is None else f" at {place}"
             raise ValueError(
-                f"{path}: the response to {name}{where} contains a value that is not a finite number; measure it again"
+                f"{path}: the response to {name}{where} contains a value that is not finite; measure it again"
             )
     sets = tuple(dict.fromkeys(name for name, _ in response))
     places = sorted({place for _, place in response if place is not None})
@@ -219,8 +224,8 @@ def _assemble(
     if not whole and places and len(places) > 1:
         name, place = next((s, p) for s in sets for p in places if (s, p) not in response)
         raise ValueError(
-            f"{path}: {name} has no response at {place}, where another excitation has one; give every excitation at "
-            f"every position"
+            f"{path}: {name} has no response at {place}, but another excitation has; give every excitation at every "
+            "position"
         )
     keys = [[(name, place) for place in places] for name in sets] if whole else [[key] for key in response]
     certain = [[coherence[key] for key in row] for row in keys]
@@ -239,9 +244,9 @@ def _assemble(
 def _check_axis(path: Path, frequency: FloatArray) -> None:
     step = np.diff(frequency)
     if frequency.size < 32:
-        raise ValueError(f"{path}: holds {frequency.size} bins; at least 32 are needed")
+        raise ValueError(f"{path}: it has {frequency.size} bins; at least 32 are needed")
     if not np.isfinite(frequency).all() or (step <= 0).any() or np.ptp(step) > 1e-3 * step.mean():
-        raise ValueError(f"{path}: its frequencies are not evenly spaced and increasing; export them so")
+        raise ValueError(f"{path}: its frequencies are not evenly spaced and increasing; export them that way")
 
 
 def _read(path: Path, how: ResponseFormat) -> Part:
@@ -257,13 +262,13 @@ def _read(path: Path, how: ResponseFormat) -> Part:
     }
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        remedy = "; an apparatus is named with --apparatus" if path.suffix.lower() in (".yaml", ".yml") else ""
-        said = f"files that end in '{path.suffix}' are not read; allowed: {', '.join(readers)}"
+        remedy = "; give an apparatus with --apparatus" if path.suffix.lower() in (".yaml", ".yml") else ""
+        said = f"files that end in '{path.suffix}' cannot be read; allowed: {', '.join(readers)}"
         raise ValueError(f"{path}: {said}{remedy}")
     try:
         return reader(path, how)
     except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: is no text in UTF-8 (byte {error.start}); export it again") from None
+        raise ValueError(f"{path}: is not text in UTF-8 (byte {error.start}); export it again") from None
 
 
 def _read_csv(path: Path, how: ResponseFormat) -> Part:
@@ -273,7 +278,7 @@ def _read_csv(path: Path, how: ResponseFormat) -> Part:
     needed = TIME_COLUMNS if TIME_COLUMNS[0] in header else CSV_COLUMNS
     missing = [name for name in needed if name not in header]
     if missing:
-        raise ValueError(f"{path}:1: lacks the column {missing[0]}; needed are {', '.join(needed)}")
+        raise ValueError(f"{path}:1: the column {missing[0]} is missing; it needs {', '.join(needed)}")
     read: dict[Key, list[tuple[float, complex, float]]] = {}
     for line, row in enumerate(rows[1:], start=2):
         if not row:
@@ -286,9 +291,11 @@ def _read_csv(path: Path, how: ResponseFormat) -> Part:
             certain = float(cells["coherence"]) if "coherence" in cells else math.nan
             read.setdefault(key, []).append((float(cells[needed[0]]), number, certain))
         except (ValueError, IndexError):
-            raise ValueError(f"{path}:{line}: {','.join(row)!r} is not a line of numbers under the header") from None
+            raise ValueError(
+                f"{path}:{line}: {','.join(row)!r} does not give a number for each column of the header"
+            ) from None
     if not read:
-        raise ValueError(f"{path}: no line below the header")
+        raise ValueError(f"{path}: there is no line below the header")
     # A repeat begins where the axis begins anew.
     repeats = [
         (key, *each)
@@ -306,7 +313,7 @@ def _read_csv(path: Path, how: ResponseFormat) -> Part:
     odd = next((key for key, axis, *_ in repeats if not np.array_equal(axis, first, equal_nan=True)), None)
     if odd is not None:
         what = "times" if needed is TIME_COLUMNS else "frequencies"
-        raise ValueError(f"{path}: the set {odd[0]} at {odd[1]} has other {what} than the first response")
+        raise ValueError(f"{path}: the set {odd[0]} at {odd[1]} does not have the {what} of the first response")
     if needed is TIME_COLUMNS:
         step = float(first[-1] - first[0]) / max(first.size - 1, 1)
         return part_of(path, [TimeRecord(key, n.real, n.imag, step) for key, _, n, _ in repeats], None, how)
@@ -334,9 +341,9 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
     # numpy and zipfile raise whatever damage makes them meet.
     except Exception as error:
         raise ValueError(
-            f"{path}: cannot be read ({error}); needed are frequency [Hz] and response (sets, positions, bins), or "
-            "time [s], drive and motion (sets, positions, samples), sets, positions [m] and, of rows, across [m]; "
-            "repeats may stand in front"
+            f"{path}: cannot be read ({error}); it needs frequency [Hz] and response (sets, positions, bins), or time "
+            "[s], drive and motion (sets, positions, samples), sets, positions [m] and, for rows, across [m]; "
+            "repeats may come first"
         ) from None
     quantity = str(arrays["quantity"]) if "quantity" in arrays else None
     if quantity is not None and quantity not in QUANTITIES:
@@ -358,7 +365,7 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
 def _read_text(path: Path, how: ResponseFormat) -> Part:
     """Read one complex number a line, as Python prints it, from 0 Hz on."""
     if how.spacing is None:
-        raise ValueError(f"{path}: contains only numbers; give the spacing of its bins with --spacing-Hz")
+        raise ValueError(f"{path}: it contains only numbers; give the spacing of its bins with --spacing-Hz")
     values = []
     for line, text in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
         if not text.strip():
@@ -366,6 +373,6 @@ def _read_text(path: Path, how: ResponseFormat) -> Part:
         try:
             values.append(complex(re.sub(r"\s", "", text).replace("i", "j")))
         except ValueError:
-            raise ValueError(f"{path}:{line}: {text[:40]!r} is no complex number such as (1.5-0.2j)") from None
+            raise ValueError(f"{path}:{line}: {text[:40]!r} is not a complex number such as (1.5-0.2j)") from None
     frequency = np.arange(len(values), dtype=float) * how.spacing
     return Part(frequency, [MeasuredResponse((path.stem, None), np.array(values))], None)

@@ -276,9 +276,7 @@ def identify_each(responses: FrequencyResponses) -> Identification:
         misfit.append(found.misfit)
         fitted[..., np.isin(responses.frequency, window.frequency)] = found.fitted
     if not modes:
-        raise ValueError(
-            "no peak of the responses can be fitted by a resonance: average more, or measure with finer bins"
-        )
+        raise ValueError("no peak of the responses can be fitted by a resonance: average more, or use finer bins")
     unknown = Estimate(float("nan"), float("nan"), float("nan"))
     return Identification(tuple(modes), unknown, float(np.median(misfit)), responses, None, fitted)
 

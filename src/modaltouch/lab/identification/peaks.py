@@ -45,7 +45,7 @@ class HalfPower:
         if math.isnan(self.damping_ratio):
             return "the peak does not fall to half its power on both sides"
         if self.n_bins < FEWEST_BINS:
-            return f"{self.n_bins:.1f} bins across the peak, at least {FEWEST_BINS:g} are needed: a longer record"
+            return f"{self.n_bins:.1f} bins across the peak, but at least {FEWEST_BINS:g} are needed: record for longer"
         return ""
 
 
@@ -179,8 +179,8 @@ def first_poles(responses: FrequencyResponses, length: float | None) -> Poles:
             kept.append(peak)
     if not kept:
         raise ValueError(
-            f"no resonance stands out between {responses.frequency[0]:g} and {responses.frequency[-1]:g} Hz: drive "
-            "harder, average more, or look where the beam's modes are"
+            f"no resonance rises above the noise between {responses.frequency[0]:g} and {responses.frequency[-1]:g} "
+            "Hz: drive harder, average more, or search where the beam's modes are"
         )
     chosen = sorted(kept[:MOST_POLES], key=lambda each: each.frequency)
     return Poles(
@@ -313,8 +313,8 @@ def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
     turning = sum(np.sign(peak.rotation) * np.sqrt(peak.height) for peak in peaks if peak.rotates)
     if turning > 0 and _rises(responses, peaks):
         raise ValueError(
-            "the phase of the responses rises through their resonances, but that of a beam falls: they are conjugated, "
-            "as with the time convention exp(-i w t); say so with --conjugated, or export them with exp(+i w t)"
+            "the phase of the responses rises through their resonances, but that of a beam falls: they are "
+            "conjugated, as if they followed exp(-i w t); say so with --conjugated, or export them with exp(+i w t)"
         )
     spacing = responses.spacing
     resolved = [peak for peak in peaks if peak.rotates and 2 * peak.width >= FEWEST_BINS * spacing]
@@ -336,7 +336,7 @@ def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
     score = (np.exp(4j * np.pi * np.outer(tried, frequency)) @ np.array(twice)).real
     if frequency.size >= FEWEST_PHASES and -score.min() > score.max() + WRONG_QUANTITY * frequency.size:
         raise ValueError(
-            "the responses are imaginary at their resonances, but those of a velocity are real: they are of a "
+            "the responses are imaginary at their resonances, but those of a velocity are real: they show a "
             "displacement or an acceleration; say which with --quantity"
         )
     good = np.flatnonzero(score >= 0.97 * score.max())

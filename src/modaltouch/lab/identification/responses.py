@@ -24,8 +24,8 @@ ESTIMATORS: dict[Estimator, float] = {"H1": 0.0, "Hv": 0.5, "H2": 1.0}
 
 
 NO_COHERENCE = (
-    "--estimator is {}, which needs a coherence: single records and impacts have none: average several records, or "
-    "leave it out"
+    "--estimator is {}, which needs a coherence, and single records and impacts have none: average several records, "
+    "or leave --estimator out"
 )
 
 
@@ -245,7 +245,7 @@ class FrequencyResponses:
             at = np.isclose(positions, place, rtol=0.0, atol=SAME_PLACE)
             if not at.any():
                 held = ", ".join(f"{each * 1e3:g}" for each in np.unique(positions)) or "none"
-                raise ValueError(f"--leave-out {place * 1e3:g} is no measured position; allowed are {held} mm")
+                raise ValueError(f"--leave-out {place * 1e3:g} is not a measured position; allowed: {held} mm")
             left_out |= at
         named = ", ".join(f"{place * 1e3:g}" for place in np.unique(positions[left_out]))
         return replace(
@@ -324,7 +324,9 @@ def responses_of(scans: Mapping[str, Scan], bandwidth: float | None = None) -> F
             or not np.allclose(scan.positions, positions)
             or scan.across != across
         ):
-            raise RecordInputError(f"the scan of the set {name} is at other positions than the first: scan it again")
+            raise RecordInputError(
+                f"the positions in the scan of the set {name} differ from those of the first: scan it again"
+            )
         drive, velocity = scan.stacked("drive_power"), scan.stacked("velocity_power")
         cross = np.stack([np.asarray(each["cross_power"], dtype=complex) for each in scan.arrays])
         response.append(np.asarray(cross / drive, dtype=complex))

@@ -74,8 +74,8 @@ def check_points(places: Sequence[Place], labels: Sequence[int], length: float) 
     one, other = np.unravel_index(int(likeness.argmax()), likeness.shape)
     if likeness[one, other] >= ALIKE or positions.size < highest:
         raise ValueError(
-            f"{positions.size} points are too few to distinguish modes {one + 1} and {other + 1}: on them their "
-            f"shapes are alike (MAC {likeness[one, other]:.2f}); give at least {needed} evenly spaced points"
+            f"{positions.size} points are too few to distinguish modes {one + 1} and {other + 1}, whose shapes are "
+            f"alike there (MAC {likeness[one, other]:.2f}); give at least {needed} evenly spaced points"
         )
     if positions.size < needed:
         raise ValueError(
@@ -240,8 +240,8 @@ def refuse_odd_point(residue: FloatArray, places: Sequence[Place], length: float
     if times < 0 and abs(times + 1) > OFF:
         what += f" and {-times:.3g} times too large" if times < -1 else f" and {-1 / times:.3g} times too small"
     raise ValueError(
-        f"the response{whose} at {place} is {what} beside the other points, in all modes: see the sensor "
-        f"and its sign there and measure that point again, or leave it out with --leave-out {place.along * 1e3:.6g}"
+        f"the response{whose} at {place} is {what} compared with the other points, in all modes: check the sensor and "
+        f"its sign there and measure that point again, or leave it out with --leave-out {place.along * 1e3:.6g}"
     )
 
 

@@ -62,7 +62,7 @@ def read_lvm(path: Path, how: ResponseFormat) -> Part:
     """Return the responses of a LabVIEW measurement: one motion and one excitation over time, in one or more parts."""
     pieces = path.read_text(encoding="utf-8-sig").split("***End_of_Header***")
     if len(pieces) < 2:
-        raise ValueError(f"{path}: has no ***End_of_Header***; export a LabVIEW measurement (LVM) with its header")
+        raise ValueError(f"{path}: there is no ***End_of_Header***; export a LabVIEW measurement (LVM) with its header")
     # The header of the file, then one before each part, which follows the numbers of the part before.
     n_heads = min(2, len(pieces) - 1)
     head = "".join(pieces[:n_heads])
@@ -73,7 +73,7 @@ def read_lvm(path: Path, how: ResponseFormat) -> Part:
     drive = [index for index, unit in enumerate(units) if unit.casefold() in DRIVES]
     if len(motion) != 1 or len(drive) != 1:
         raise ValueError(
-            f"{path}: its channels are in {', '.join(units) or 'no unit'}; needed are one motion (in "
+            f"{path}: its channels are in {', '.join(units) or 'no unit'}; it needs one motion (in "
             f"{', '.join(UNITS)}) and one excitation (in V or N)"
         )
 
@@ -92,7 +92,7 @@ def read_lvm(path: Path, how: ResponseFormat) -> Part:
             try:
                 rows.append([number(cell) for cell in wanted])
             except ValueError:
-                raise ValueError(f"{path}:{line}: {wanted} are no numbers") from None
+                raise ValueError(f"{path}:{line}: {wanted} are not numbers") from None
         first_line += piece.count("\n")
         record = np.array(rows).T if rows else np.zeros((len(units), 0))
         driven = record[drive[0]] * DRIVES[units[drive[0]].casefold()]
@@ -125,21 +125,21 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
     for key, drive, motion, step in records:
         if not FEWEST_SAMPLES <= drive.size == motion.size:
             raise ValueError(
-                f"{path}: holds {drive.size} samples of the excitation and {motion.size} of the motion; needed are as "
-                f"many of both, at least {FEWEST_SAMPLES}"
+                f"{path}: it has {drive.size} samples of the excitation and {motion.size} of the motion; both need "
+                f"the same number, at least {FEWEST_SAMPLES}"
             )
         if not np.ptp(drive) > 0:
-            raise ValueError(f"{path}: its excitation is the same throughout, or no finite number; measure it again")
+            raise ValueError(f"{path}: its excitation is constant or not finite; measure it again")
         last_drive, last = (_last_cut(path, *each, step, how) for each in (("excitation", drive), ("motion", motion)))
         if last_drive >= 0:
-            raise ValueError(f"{path}: its excitation was saturated, and nothing can be divided by it: measure again")
+            raise ValueError(f"{path}: its excitation was saturated, so no response can be computed: measure again")
         if last >= 0:
             # Only natural frequencies and damping ratios are read off it, each mode with a phase of its own.
             decay = np.where(np.arange(motion.size) > last, motion - motion[: _quiet(motion)].mean(), 0.0)
             frequency, _ = transfer(motion, drive, step)
             found.append((key, frequency, np.fft.rfft(np.roll(decay, -last - 1))[: frequency.size], None))
             since = (last + 1) * step * 1e3
-            marks.append(f"the record {path.name} was saturated: its free decay from {since:.4g} ms on was used alone")
+            marks.append(f"the record {path.name} was saturated: only its free decay from {since:.4g} ms on was used")
             continue
         hits, n_left_out = impacts(drive, motion)
         if hits is None:
@@ -148,14 +148,14 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
         n_double, n_hits = n_double + n_left_out, n_hits + n_left_out + len(hits)
         found += [(key, *transfer(motion[hit], drive[hit], step), None) for hit in hits]
     if not found:
-        raise ValueError(f"{path}: all of its impacts are double ones ({n_hits} hits): strike again, or leave it out")
+        raise ValueError(f"{path}: all {n_hits} impacts are double hits: strike again, or leave the file out")
     if n_double:
         words = "were left out: double impacts, or cut by the end of the record"
         marks.append(f"{n_double} of {n_hits} hits of {path.name} {words}")
     n_bins = min(frequency.size for _, frequency, _, _ in found)
     axis = found[0][1][:n_bins]  # spectra of equal records differ in how far their drive reaches
     if not all(np.allclose(frequency[:n_bins], axis) for _, frequency, _, _ in found):
-        raise ValueError(f"{path}: its records differ in length or sampling rate; export them alike")
+        raise ValueError(f"{path}: its records differ in length or sampling rate; export them all the same way")
     responses = [
         MeasuredResponse(key, values[:n_bins], None if c is None else c[:n_bins]) for key, _, values, c in found
     ]
@@ -211,8 +211,8 @@ def _last_cut(path: Path, name: str, row: FloatArray, step: float, how: Response
     last = max((int(at[-1]) for at in cut), default=-1)
     if cut and not how.use_clipped:
         raise ValueError(
-            f"{path}: the {name} stays at {row[cut[0][0]]:g} for {cut[0].size} samples: it was saturated; "
-            f"measure again with a wider range, or use its free decay from {(last + 1) * step * 1e3:.4g} ms on with "
+            f"{path}: the {name} stays at {row[cut[0][0]]:g} for {cut[0].size} samples: it was saturated; measure "
+            f"again with a wider range, or use only its free decay from {(last + 1) * step * 1e3:.4g} ms on with "
             "--use-clipped"
         )
     return last

@@ -52,7 +52,7 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     lines = []
     for label in labels:
         if label not in found:
-            lines.append(f"mode {label} was not found: no resonance has its shape{remedy}")
+            lines.append(f"mode {label} was not found: no resonance has its mode shape{remedy}")
         else:
             lines += _faults(f"mode {label}", found[label])
     if lines and split:
@@ -71,8 +71,8 @@ def _split(modes: Sequence[IdentifiedMode]) -> str:
         if apart < width and not all(each.label or each.torsion for each in (one, other)):
             return (
                 f"the resonances at {one.natural_frequency.value:.6g} and {other.natural_frequency.value:.6g} Hz are "
-                "within one width, as those of one mode that moved: the most probable cause is drift or nonlinearity: "
-                f"{REMEDIES['drift']}, or {REMEDIES['nonlinearity']}"
+                "within one width of each other, like a single mode that moved: the most probable cause is drift or "
+                f"nonlinearity: {REMEDIES['drift']}, or {REMEDIES['nonlinearity']}"
             )
     return ""
 
@@ -87,8 +87,8 @@ def check_all(identification: Identification) -> None:
 
 
 FACTORS = {
-    9.80665: "an acceleration in g taken for m/s^2, or the other way round, or a probe of 10 : 1 taken for 1 : 1",
-    1e3: "milli taken for a whole unit",
+    9.80665: "an acceleration in g was taken for m/s^2, or the other way round, or a 10 : 1 probe for 1 : 1",
+    1e3: "a thousandth was taken for a whole unit",
 }
 """Factors between units that are taken for each other, and what they mean."""
 
@@ -137,14 +137,14 @@ def _refuse_factor(listed: Sequence[tuple[float, float]], sets: Sequence[str], a
     for power, quantity in ((0, ""), (1, " times 2 pi f"), (-1, " over 2 pi f")):
         each = ratio / (2 * np.pi * frequency) ** power
         factor = float(np.median(each))
-        meaning = "another motion than --quantity says" if power and abs(factor - 1) < SPREAD else ""
+        meaning = "the motion is not the one that --quantity says" if power and abs(factor - 1) < SPREAD else ""
         for size, units in FACTORS.items():
             if min(abs(factor / size - 1), abs(factor * size - 1)) < SPREAD:
                 meaning = units
         if meaning and (np.abs(each / factor - 1) < SPREAD).mean() >= MOST_GAINS:
             raise ValueError(
                 f"the gains of {' and '.join(sets)} are {factor:.3g}{quantity} times those of {apparatus.apparatus}: "
-                f"{meaning}; see the units of the measurement, or name the file of this beam with --apparatus"
+                f"{meaning}; check the units of the measurement, or give the file of this beam with --apparatus"
             )
 
 
@@ -152,13 +152,13 @@ def _faults(name: str, mode: IdentifiedMode) -> list[str]:
     lines = []
     if mode.coherence < LEAST_COHERENCE:
         lines.append(
-            f"{name} has a coherence of {mode.coherence:.2f} at its peak, at least {LEAST_COHERENCE:g} is needed: "
+            f"{name} has a coherence of {mode.coherence:.2f} at its peak, but at least {LEAST_COHERENCE:g} is needed: "
             "drive harder (--drive-V) or average more (--averages)"
         )
     if mode.rest.share > MOST_LEFT:
         lines.append(
-            f"{name} is not fitted: {mode.rest.share:.0%} of the response about it is left, at most {MOST_LEFT:.0%} "
-            "is allowed"
+            f"{name} is not fitted well: {mode.rest.share:.0%} of the response around it is left, at most "
+            f"{MOST_LEFT:.0%} is allowed"
         )
     return lines
 
@@ -178,7 +178,7 @@ def warnings(identification: Identification) -> list[str]:
     if responses.offset:
         said.append(
             f"the motion is {abs(responses.offset) * 1e3:.4g} ms {'behind' if responses.offset > 0 else 'before'} its "
-            "excitation, by the slope of the phase over frequency; this offset was taken off"
+            "excitation, judging by the slope of the phase over frequency; this offset was removed"
         )
     if responses.coherence is not None and (median := float(np.median(responses.coherence))) < LEAST_COHERENCE:
         said.append(f"the median coherence over the band is {median:.2f}, below {LEAST_COHERENCE:g}: average more")
@@ -189,7 +189,7 @@ def warnings(identification: Identification) -> list[str]:
             names = ", ".join(each.name for each in chosen)
             left = max(max(each.rest.smooth, each.rest.share) for each in chosen)
             said.append(
-                f"up to {left:.1%} of the response about {names} is left, and the intervals may not cover it: "
+                f"up to {left:.1%} of the response around {names} is left, and the intervals may not cover it: "
                 f"{_cause(chosen)}"
             )
     if identification.misfit > WELL_FITTED:
@@ -204,13 +204,15 @@ def misfit_verdict(identification: Identification) -> str:
     """Return what the misfit means, in words."""
     left = max(mode.rest.share for mode in identification.modes)
     means = "the noise alone" if identification.misfit <= WELL_FITTED else "more than the noise"
-    return f"misfit {identification.misfit:.3g}, {means}; at most {left:.1%} of the response about a mode is left"
+    return f"misfit {identification.misfit:.3g}, {means}; at most {left:.1%} of the response around a mode is left"
 
 
 def repeatability(identification: Identification) -> str:
     """Return what the intervals say of another measurement of the same beam, in words."""
     n = [mode.n_repeats for mode in identification.modes]
     if max(n) < 2:
-        return "repeatability is unknown: the intervals are those of one measurement; repeat it, and give all of them"
+        return "repeatability is unknown: the intervals come from one measurement; repeat it, and give all measurements"
     alone = sum(each < 2 for each in n)
-    return f"the intervals include the scatter of {max(n)} measurements" + (f", but for {alone} modes" if alone else "")
+    return f"the intervals include the scatter of {max(n)} measurements" + (
+        f", except for {alone} modes" if alone else ""
+    )

@@ -69,8 +69,8 @@ class BurstRecord:
         if recording.overloaded:
             highest = float(np.abs(recording.velocity).max()) * 1e3
             raise RigError(
-                f"the record of the burst is cut at {highest:.0f} mm/s, the end of the vibrometer's range: choose a "
-                "wider range there, and as range_mm_s under acquisition in the apparatus file"
+                f"the record of the burst is clipped at {highest:.0f} mm/s, the end of the vibrometer's range: choose "
+                "a wider range at the vibrometer, and enter it as acquisition.range_mm_s in the apparatus file"
             )
         hold, rate = self.stimulus.timing.hold, recording.sampling_rate
         held = round(self._until(RINGS) / hold) + np.arange(N_CLOCKS)
@@ -79,8 +79,8 @@ class BurstRecord:
         if silence.size < 4 * N_SILENT:
             lasts, least = (n / rate * 1e3 for n in (silence.size, 4 * N_SILENT))
             raise ValueError(
-                f"the silence after a burst, which shows the noise, lasts {lasts:.2g} ms, at least {least:.2g} are "
-                "needed: lower repetition_rate_Hz"
+                f"the pause after a burst, in which the noise is measured, lasts {lasts:.2g} ms, but at least "
+                f"{least:.2g} are needed: lower repetition_rate_Hz"
             )
         bins = self._bins(n_held * hold)
         frequency = bins / (n_held * hold)

@@ -20,7 +20,7 @@ from modaltouch.record import prepare_file, replace_file
 from modaltouch.stimulus import Finger, Probe
 
 HEAD = """\
-# Fingers as they lay on the beam, written by `modaltouch fingers probe`: name this file in `stimulus.fingers`, or give
+# Fingers as measured on the beam by `modaltouch fingers probe`: name this file in `stimulus.fingers`, or give
 # it to `modaltouch check --fingers`. Fingers change with every placement; probe again rather than edit it.
 """
 
@@ -55,7 +55,7 @@ class ProbeReport:
     def write(self) -> dict[str, Any]:
         """Write the file, and return the plain values with its path."""
         prepare_file(self.out)
-        replace_file(self.out, self.text.encode(), "free the place, or give another file with --out")
+        replace_file(self.out, self.text.encode(), "move it away, or give another file with --out")
         return {"placements": rounded(self.placements, 6), "fingers": self.fingers, "file": str(self.out)}
 
 

@@ -158,7 +158,7 @@ class Excitation:
         if recording.overloaded:
             raise RigError(
                 f"{', '.join(recording.overloaded)} is overloaded; the outputs are off; choose a wider range at the "
-                "vibrometer, and say so in the apparatus file; `fingers probe` also takes a lower --speed-mm-s"
+                "vibrometer, and enter it in the apparatus file; or give `fingers probe` a lower --speed-mm-s"
             )
         return [self._response(recording, number, bandwidth) for number in range(N_RECORDS)]
 

@@ -223,7 +223,7 @@ def _draw(evidences: Sequence[Evidence], limit: float) -> dict[str, tuple[Figure
         "fig_2": (
             draw_decomposition(evidences[0]),
             "Fig. 2: the desired field decomposed on the modes of the beam. The strongest of the modelled modes are "
-            "selected; the others of them are to rest at the focusing instant.",
+            "selected; the other modelled modes are at rest at the focusing instant.",
         ),
         "fig_5": (
             draw_maps(evidences),
@@ -238,20 +238,20 @@ def _draw(evidences: Sequence[Evidence], limit: float) -> dict[str, tuple[Figure
         ),
         "fig_7": (
             draw_fields(evidences),
-            "Fig. 7: the field at the focusing instant, points with 95 % intervals, and how far the measured field is "
-            "from the desired one and from that of the selected modes [mm/s].",
+            "Fig. 7: the field at the focusing instant, points with 95 % intervals, and the difference of the "
+            "measured field from the desired one and from that of the selected modes [mm/s].",
         ),
         "fig_8": (
             draw_spectrograms(evidences),
-            "Fig. 8: spectrogram of the measured velocity at the focus (Hann window of 4 ms). Marks at the left: the "
-            "modelled modes, the selected ones bold.",
+            "Fig. 8: spectrogram of the measured velocity at the focus (Hann window of 4 ms). Marks on the left: the "
+            "modelled modes, with the selected ones in bold.",
         ),
     }
     if evidences[0].observation.rows:
         drawn["fig_7_map"] = (
             draw_over_width(evidences),
             "Fig. 7 over the width: measured velocity at the focusing instant, the highest speed within 1 ms of it, "
-            "and torsion, which grows in proportion across the beam.",
+            "and torsion, which grows linearly across the beam.",
         )
     for evidence in evidences:
         drawn[f"zones_{evidence.law}"] = (

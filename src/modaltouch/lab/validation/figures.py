@@ -213,8 +213,8 @@ def spectrogram(time: FloatArray, velocity: FloatArray, highest: float) -> tuple
     n_window, n_step = round(WINDOW / step), max(1, round(STEP / step))
     if velocity.size < n_window:
         raise ValueError(
-            f"the record lasts {velocity.size * step * 1e3:g} ms, but a window of the spectrogram "
-            f"{WINDOW * 1e3:g} ms: record longer"
+            f"the record lasts {velocity.size * step * 1e3:g} ms, but a window of the spectrogram needs "
+            f"{WINDOW * 1e3:g} ms: record for longer"
         )
     window = 0.5 - 0.5 * np.cos(2 * np.pi * (np.arange(n_window) + 0.5) / n_window)
     parts = np.lib.stride_tricks.sliding_window_view(velocity, n_window)[::n_step]

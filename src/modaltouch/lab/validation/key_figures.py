@@ -202,10 +202,10 @@ def findings(figures: Sequence[Figures]) -> list[str]:
 def _reached(f: Figures) -> str:
     width, above = (say_number(f[key]["measured"], decimals=1) for key in ("width_80_mm", "time_above_90_us"))
     return (
-        f"Law “{f['law']}”: {f['velocity_at_focus_mm_s']:.1f} mm/s were measured at the focus, where "
-        f"{f['velocity_mm_s']:g} mm/s were desired; the spot is {width} mm wide at 80 % (the paper: roughly "
-        f"15 mm) and stays above 90 % of its peak for {above} µs (the paper: roughly 20 µs). The worst "
-        f"modal error is {f['worst_modal_error_mm_s']:.2f} mm/s, of mode {f['worst_mode']} (the paper: 6 mm/s)."
+        f"Law “{f['law']}”: {f['velocity_at_focus_mm_s']:.1f} mm/s were measured at the focus, and "
+        f"{f['velocity_mm_s']:g} mm/s were desired; the spot is {width} mm wide at 80 % (the paper: roughly 15 mm) "
+        f"and stays above 90 % of its peak for {above} µs (the paper: roughly 20 µs). The worst modal error is "
+        f"{f['worst_modal_error_mm_s']:.2f} mm/s, of mode {f['worst_mode']} (the paper: 6 mm/s)."
     )
 
 
