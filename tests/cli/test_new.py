@@ -117,7 +117,7 @@ def test_an_empty_folder_will_do(tmp_path):
         (["taken/notes.txt/study"], "given a folder that cannot be written (Not a directory); allowed: one that you"),
         (
             ["study", "--from", "treshold"],
-            "--from: given 'treshold', which is no shipped protocol; allowed: comparison_2ifc, demo, ",
+            "--from: given 'treshold', which is not a shipped protocol; allowed: comparison_2ifc, demo, ",
         ),
     ],
 )

@@ -199,7 +199,7 @@ def test_a_level_too_small_for_the_generator_is_refused(edit: Edit) -> None:
         ("C", "[80, 200]", 200, ("200 mm/s, which moves zone A at 223 mm/s", "200 mm/s anywhere in a zone (179 mm/s)")),
         ("C", "[200]", 200, ("200 mm/s, which moves zone A at 223 mm/s", "200 mm/s anywhere in a zone (179 mm/s)")),
         ("C", "[80, 179]", 200, ()),
-        ("C", "[80, 200]", 199, ("200 mm/s, beyond the safety limit of the apparatus", "at most 199 mm/s")),
+        ("C", "[80, 200]", 199, ("200 mm/s, above the safety limit of the apparatus", "at most 199 mm/s")),
     ],
 )
 def test_a_zone_faster_than_the_safety_limit_is_refused(
@@ -349,7 +349,9 @@ def test_a_field_that_no_level_can_play_is_told_at_the_field_once(edit: Edit) ->
     assert "raise the level" not in found
 
 
-@pytest.mark.parametrize(("delay", "given"), [(500000, "given 500000 us, past the"), (24999, "given a stimulus that")])
+@pytest.mark.parametrize(
+    ("delay", "given"), [(500000, "given 500000 us, later than the"), (24999, "given a stimulus that")]
+)
 def test_a_delay_beyond_the_focusing_instant_is_told_at_the_delay(edit: Edit, delay: int, given: str) -> None:
     """The focusing instant is 25 ms; the delay stands in line 41 of the apparatus."""
     file = edit(FILE)
@@ -404,7 +406,7 @@ OLD = "answers:\n  given_by"
             "100",
             "given 95 dB SPL, at which the peaks of the pink noise pass full scale; allowed: at m",
         ),
-        ("level_dB_SPL: 60", "", "masking.level_dB_SPL: given 60 dB SPL for a loudspeaker that was not calibrated"),
+        ("level_dB_SPL: 60", "", "masking.level_dB_SPL: given 60 dB SPL, but the loudspeaker is not calibrated"),
         ("noise: pink", "", "masking: given no level; allowed: one of level_dB_FS and level_dB_SPL"),
         ("level_dB_FS: -20, level_dB_SPL: 60", "100", "masking: given level_dB_FS and level_dB_SPL"),
         ("noise: brown, level_dB_FS: -20", "", "masking.noise: given 'brown'"),

@@ -14,12 +14,17 @@ SHIPPED = Path(__file__).parents[2] / "protocols" / "threshold.yaml"
 @pytest.mark.parametrize(
     ("old", "new", "place", "words"),
     [
-        ("[2, 200]", "[2, 80, 200]", "conditions.peak_velocities_mm_s", "3 levels where runs are adaptive"),
+        ("[2, 200]", "[2, 80, 200]", "conditions.peak_velocities_mm_s", "3 levels, but runs are adaptive"),
         ("[2, 200]", "[200, 2]", "conditions.peak_velocities_mm_s", "the lowest level first"),
         ("start_mm_s: 60", "start_mm_s: 600", "adaptive.start_mm_s", "2 to 200 mm/s"),
-        ("[[A, C], [C, E]]", "[[A, C], [B, D]]", "conditions.zone_pairs[1]", "none of which is in focus"),
+        (
+            "[[A, C], [C, E]]",
+            "[[A, C], [B, D]]",
+            "conditions.zone_pairs[1]",
+            "without the focus, but success is naming the focus",
+        ),
         ("order: by_pair", "order: latin_square", "schedule.order", "shuffled or by_pair"),
-        ("order: by_pair", "order: by_pair\n  repetitions: 3", "schedule.repetitions", "adaptive.trials says"),
+        ("order: by_pair", "order: by_pair\n  repetitions: 3", "schedule.repetitions", "adaptive.trials sets"),
         ("    none: [down, num_2]\n", "", "adaptive.success", "no answer says that nothing was felt"),
         ("[2, 200]", "[0.5, 200]", "conditions.peak_velocities_mm_s[0]", "the generator's smallest amplitude"),
         ("method: quest_plus", "method: quest", "adaptive.method", "quest_plus"),

@@ -64,14 +64,14 @@ def test_a_record_of_the_papers_answers_says_no_more_than_before(shipped) -> Non
     ("old", "new", "fault"),
     [
         ("    left: [left, num_4]\n" + BOTH, "", "answers.keys: given 1 answer; allowed: 2 to 7 answers"),
-        (BOTH, "    time_out: [up]\n", "answers.keys.time_out: given time_out, which is recorded where no answer came"),
+        (BOTH, "    time_out: [up]\n", "answers.keys.time_out: given time_out, which is recorded when no answer comes"),
         (
             "  keys:\n",
             "  fingers: {links: [left]}\n  keys:\n",
             "answers.fingers.links: given 'links', which has no keys",
         ),
-        (BOTH, "    C: [up]\n", "answers.keys.C: given C, which is a zone: tables call an answer by the zone"),
-        (BOTH, "    n: [up]\n", "answers.keys.n: given n, which is a column of the table of counts"),
+        (BOTH, "    C: [up]\n", "answers.keys.C: given C, which is a zone, and tables label answers by zone"),
+        (BOTH, "    n: [up]\n", "answers.keys.n: given n, which is also a column of the table of counts"),
         (
             "  keys:\n",
             "  fingers: {both: [left, left]}\n  keys:\n",
@@ -86,12 +86,12 @@ def test_a_record_of_the_papers_answers_says_no_more_than_before(shipped) -> Non
         (
             "  keys:\n",
             "  below: [both, both]\n  keys:\n",
-            "demo.yaml:38:17: answers.below[1]: given both, the answer of below[0] again; allowed: each answer once",
+            "demo.yaml:38:17: answers.below[1]: given both, the same answer as below[0]; allowed: each answer once",
         ),
         (
             BOTH,
             "    rechts: [up]\n",
-            "answers.rechts: given nothing; allowed: a text, as demo.yaml offers the answer rechts",
+            "answers.rechts: given nothing; allowed: a text, since demo.yaml offers the answer rechts",
         ),
     ],
 )
@@ -147,7 +147,7 @@ def test_two_answers_for_one_finger_are_refused(edit: Edit) -> None:
 def test_practice_cannot_be_judged_where_no_finger_is_named(edit: Edit, changes, fault: str) -> None:
     """Which answer is right follows from the speeds under the fingers."""
     keys = ("    left: [left, num_4]\n" + BOTH + "    right: [right, num_6]\n", "    more: [up]\n    less: [down]\n")
-    with pytest.raises(InputError, match=f"{fault}, where no answer names a finger or an interval"):
+    with pytest.raises(InputError, match=f"{fault}, but no answer names a finger or an interval"):
         Findings.read(edit(FILE, keys, *changes)).experiment()
 
 
@@ -157,7 +157,7 @@ def test_a_turned_beam_needs_answers_for_both_sides(edit: Edit) -> None:
         ("    right: [right, num_6]\n", ""),
         ("  hand: right", "  placements: [normal, mirrored]\n  hand: right"),
     ]
-    with pytest.raises(InputError, match="a beam that is turned, where 'left' has no answer on the other side"):
+    with pytest.raises(InputError, match="a turned beam, but 'left' has no counterpart on the other side"):
         Findings.read(edit(FILE, *changes)).experiment()
 
 
@@ -165,5 +165,5 @@ def test_adaptive_runs_need_the_answers_that_they_judge_by(edit: Edit) -> None:
     """Naming the focus needs an answer for each finger."""
     text = (edit("threshold.yaml")).read_text(encoding="utf-8")
     keys = text[text.index("    left:") :]
-    with pytest.raises(InputError, match="focus_named, where no answer names each finger alone"):
+    with pytest.raises(InputError, match="focus_named, but the answers do not name each finger alone"):
         Findings.read(edit("threshold.yaml", (keys, "    more: [up]\n    less: [down]\n"))).experiment()

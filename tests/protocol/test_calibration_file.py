@@ -107,13 +107,13 @@ def test_a_named_file_that_is_missing_is_told_at_its_key(calibrate: Callable) ->
     path.unlink()
     said = problems(protocol, None)
     assert "demo.yaml:5:21: calibration.file: given 'calibration.yaml', a file that does not exist" in said
-    assert "allowed: a YAML file that exists and can be read, by its path from this file" in said
+    assert "allowed: a YAML file that exists and can be read, as a path relative to this file" in said
 
 
 def test_required_and_none_given_is_refused(calibrate: Callable) -> None:
     """At the key that requires it, with the remedy."""
     protocol, path = calibrate(("title: Demonstration", "title: Demonstration\ncalibration: {required: true}"))
-    assert "calibration.required: given true, and no calibration is given" in problems(protocol, None)
+    assert "calibration.required: given true, but no calibration is given" in problems(protocol, None)
     assert problems(protocol, path) == ""
 
 
@@ -133,11 +133,11 @@ def test_another_apparatus_is_refused_and_a_comment_is_none(calibrate: Callable)
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("base_mm: 56", "base_mm: 50", "stimulus.field: given triangle 56, a calibration of another stimulus"),
-        ("selected_modes: 6", "selected_modes: 5", "stimulus: given 6, a calibration of another stimulus"),
-        ("focus: C", "focus: B", "stimulus.focus: given C, a calibration of another stimulus"),
-        ("law: exact", "law: paper", "given exact, a calibration of another stimulus; allowed: paper"),
-        ("[80, 200]", "[80, 150]", "given 150 mm/s, a level that the calibration did not measure; allowed: 80, 200"),
+        ("base_mm: 56", "base_mm: 50", "stimulus.field: given triangle 56, from a calibration of another stimulus"),
+        ("selected_modes: 6", "selected_modes: 5", "stimulus: given 6, from a calibration of another stimulus"),
+        ("focus: C", "focus: B", "stimulus.focus: given C, from a calibration of another stimulus"),
+        ("law: exact", "law: paper", "given exact, from a calibration of another stimulus; allowed: paper"),
+        ("[80, 200]", "[80, 150]", "given 150 mm/s, a level that was not calibrated; allowed: 80, 200"),
     ],
 )
 def test_another_stimulus_is_refused(calibrate: Callable, old: str, new: str, said: str) -> None:
@@ -162,15 +162,15 @@ def test_too_old_is_refused(calibrate: Callable, days: int, *, refused: bool) ->
     made = (datetime.now(UTC) - timedelta(days=8)).isoformat(timespec="seconds")
     limit = ("title: Demonstration", f"title: Demonstration\ncalibration: {{max_age_days: {days}}}")
     said = problems(*calibrate(limit, made=made))
-    assert ("calibration.max_age_days: given 7 days, and the calibration" in said) is refused
+    assert ("calibration.max_age_days: given 7 days, but the calibration" in said) is refused
     assert ("is 8.0 days old" in said) is refused
 
 
 @pytest.mark.parametrize(
     ("made", "said"),
     [
-        ("yesterday", "'yesterday', which is no such instant"),
-        ("2026-05-04T10:30:00", "which is no such instant"),
+        ("yesterday", "'yesterday', which is not a valid instant"),
+        ("2026-05-04T10:30:00", "which is not a valid instant"),
         ("2999-01-01T00:00:00+00:00", "which lies in the future"),
     ],
 )

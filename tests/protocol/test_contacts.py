@@ -41,7 +41,7 @@ def faults(file: Path) -> list[str]:
         ),
         (
             [(PAIRS, "zones: [[A, C], [C]]")],
-            "conditions.zones[1]: given [C], one for the two of one_hand; allowed: as many zones as fingers; give",
+            "conditions.zones[1]: given [C], one for the two of one_hand; allowed: as many zones as fingers; change",
         ),
         (
             [THREE],
@@ -62,7 +62,7 @@ def faults(file: Path) -> list[str]:
         ),
         (
             [(FINGERS, f"{FINGERS}\n  fingers: {{two_hands: [left index, right index]}}")],
-            "conditions.fingers.two_hands: given two_hands, whose fingers are known; allowed: a name of its own",
+            "conditions.fingers.two_hands: given two_hands, a built-in condition; allowed: a new name",
         ),
         (
             [(FINGERS, f"{FINGERS}\n  fingers: {{own: [right middle, right index]}}")],
@@ -83,32 +83,32 @@ def faults(file: Path) -> list[str]:
         ),
         (
             [THREE, (PAIRS, "zones: [[A, C, E]]")],
-            "answers: given no way to answer in three, where both hands are on the beam; allowed: lifting, foot_switch",
+            "answers: given no way to answer in three, but both hands are on the beam; allowed: lifting, foot_switch",
         ),
         (
             [ONE, (PAIRS, "zones: [[C]]"), YES],
-            "answers.keys.left: given 'left', with the one of tip; allowed: answers that name no finger",
+            "answers.keys.left: given 'left', for the one of tip; allowed: answers that name no finger",
         ),
         (
             [ONE, (PAIRS, "zones: [[C]]"), (KEYS, "    felt: [y]\n    no: [n]\n  fingers: {felt: [left]}\n")],
-            "answers.fingers.felt: given 'felt', with the one of tip; allowed: answers that name no finger, such as "
+            "answers.fingers.felt: given 'felt', for the one of tip; allowed: answers that name no finger, such as "
             "`yes` and `none`; there is only one finger; remove its entry under fingers",
         ),
         (
             [(KEYS, f"{KEYS}    middle: [m]\n  fingers: {{middle: [between]}}\n")],
-            "answers.fingers.middle: given 'middle', with the two of one_hand; allowed: left, right or both of them",
+            "answers.fingers.middle: given 'middle', for the two of one_hand; allowed: left, right or both of them",
         ),
         (
             [THREE, (PAIRS, "zones: [[A, C, E]]")],
-            "answers.keys.left: given 'left', with the three of three; allowed: an answer for each of the three",
+            "answers.keys.left: given 'left', for the three of three; allowed: an answer for each of the three fingers",
         ),
         (
             [
                 (FINGERS, "finger_conditions: [own]\n  fingers: {own: [right index, right ring]}"),
                 ("english", "bare"),
             ],
-            "texts/bare.yaml:4:1: fingers.right ring: given nothing; allowed: a text, as demo.yaml has other fingers "
-            "than two index or middle ones; add the missing key `fingers: right ring`",
+            "texts/bare.yaml:4:1: fingers.right ring: given nothing; allowed: a text, since demo.yaml has fingers "
+            "other than two index or middle fingers; add the missing key `fingers: right ring`",
         ),
         (
             [ONE, (PAIRS, "zones: [[C]]"), ("english", "bare")],

@@ -124,9 +124,9 @@ def test_a_finger_that_the_design_lacks_is_named(named: Callable[..., Findings])
     """Both that are missing, at the file that misses them; the left middle finger is not needed."""
     findings = named("mine.yaml", mine=f"fingers:\n  right:\n    index: {LIGHT}\n")
     assert said(findings) == [
-        "mine.yaml:1:1: fingers: given no left index finger; allowed: every finger that lies on the beam; "
+        "mine.yaml:1:1: fingers: given no left index finger; allowed: every finger that touches the beam; "
         "add the left index",
-        "mine.yaml:1:1: fingers: given no right middle finger; allowed: every finger that lies on the beam; "
+        "mine.yaml:1:1: fingers: given no right middle finger; allowed: every finger that touches the beam; "
         "add the right middle",
     ]
 
@@ -259,7 +259,7 @@ def test_the_papers_law_knows_no_fingers(named: Callable[..., Findings]) -> None
     """Equations (6) and (7) drive each mode by itself."""
     (problem,) = said(named("typical", ("  law: exact ", "  law: paper ")))
     assert problem == (
-        f"{FILE}:11:12: stimulus.fingers: given typical, which the paper's law does not know; allowed: none, or the "
+        f"{FILE}:11:12: stimulus.fingers: given typical, which the paper's law does not support; allowed: none, or the "
         "law exact; leave it out"
     )
 
@@ -272,8 +272,8 @@ def test_a_calibration_is_one_of_the_untouched_beam(named: Callable[..., Finding
     calibration.write_text("calibration: 1\n", encoding="utf-8")
     problems = said(Findings.read(findings.protocol.source.path, calibration))
     assert (
-        f"{FILE}:11:12: stimulus.fingers: given typical, with a calibration, which is one of the untouched beam; "
-        "allowed: none; leave one of the two out"
+        f"{FILE}:11:12: stimulus.fingers: given typical, with a calibration, which is for the untouched beam; "
+        "allowed: none; leave one of them out"
     ) in problems
 
 

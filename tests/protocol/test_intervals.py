@@ -124,7 +124,7 @@ ADAPTIVE = "adaptive: {method: staircase, trials: 8, start_mm_s: 130, success: c
         ),
         (
             [(STANDARD, "standard: {stimulus: blunt}")],
-            "'blunt', where there is no section stimuli; allowed: null",
+            "'blunt', but there is no section stimuli; allowed: null",
         ),
         ([("\n  number: 2\n", "\n  number: 4\n")], "given 4; allowed: a whole number of at least 2, at most 3"),
         (
@@ -136,9 +136,9 @@ ADAPTIVE = "adaptive: {method: staircase, trials: 8, start_mm_s: 130, success: c
             ],
             "given 100 mm/s, where levels are multiples of each participant's own threshold; allowed: null or 0",
         ),
-        ([("stimulus_until: question", "stimulus_until: answer")], "given answer, where a trial has several intervals"),
-        ([("practice_trials: 4", "catch_trials: 4")], "given 4, where a trial has several intervals; allowed: 0"),
-        ([(MEANINGS, "intervals: {first: 1, second: 3}")], "given 3, where a trial has 2 intervals; allowed: 1 to 2"),
+        ([("stimulus_until: question", "stimulus_until: answer")], "given answer, but a trial has several intervals"),
+        ([("practice_trials: 4", "catch_trials: 4")], "given 4, but a trial has several intervals; allowed: 0"),
+        ([(MEANINGS, "intervals: {first: 1, second: 3}")], "given 3, but a trial has 2 intervals; allowed: 1 to 2"),
         ([(MEANINGS, "intervals: {first: 1, second: 1}")], "answers.intervals.second: given 1 again"),
         (
             [(MEANINGS, "intervals: {first: 1}")],
@@ -146,33 +146,33 @@ ADAPTIVE = "adaptive: {method: staircase, trials: 8, start_mm_s: 130, success: c
         ),
         (
             [(MEANINGS, "intervals: {first: 1, second: different}")],
-            "answers.intervals.second: given different beside the number of an interval; allowed: numbers alone, or",
+            "answers.intervals.second: given different together with the number of an interval; allowed: only",
         ),
         (
             [("schedule:", ADAPTIVE.replace("correct", "felt") + "}\nschedule:")],
             "no answer says that nothing was felt; allowed: correct; count `correct`",
         ),
         ([(MEANINGS, "intervals: {frist: 1, second: 2}")], "given 'frist', which has no keys"),
-        ([("asked: stronger ", "comparison_in: [2] ")], "where levels lie below and above the standard of 100 mm/s"),
+        ([("asked: stronger ", "comparison_in: [2] ")], "but levels lie both below and above the standard of 100 mm/s"),
         (
             [(STANDARD, "standard: {velocity_mm_s: 100000}")],
-            "intervals.standard.velocity_mm_s: given 100000 mm/s, beyond",
+            "intervals.standard.velocity_mm_s: given 100000 mm/s, above",
         ),
         (
             [("intervals:\n  number: 2", "speech:\n  number: 2")],
-            "answers.intervals: given meanings of answers, where a",
+            "answers.intervals: given meanings of answers, but a",
         ),
         (
             [("schedule:", ADAPTIVE + ", guess_rate: 0.1}\nschedule:")],
-            "where one of 2 intervals is named; allowed: 0.5",
+            "but one of 2 intervals is named; allowed: 0.5",
         ),
         (
             [("schedule:", ADAPTIVE + ", guess_rate: 0.5}\nschedule:")],
-            "a staircase that settles at 0.5, as guessing does",
+            "a staircase that converges to 0.5, the rate of guessing",
         ),
         (
             [("schedule:", ADAPTIVE.replace("correct", "corect") + "}\nschedule:")],
-            "'corect', which is not a rule nor an",
+            "'corect', which is not a rule or an",
         ),
     ],
 )
@@ -209,4 +209,4 @@ def test_a_silent_standard_needs_bursts_that_can_be_kept_back(edit: Edit) -> Non
     assert Findings.read(file).problems == ()
     edit("apparatus/beam_100x6x2.yaml", ("\ngenerator:\n", "\ngenerator:\n  repetition: continuous\n"))
     said = [str(problem) for problem in Findings.read(file).problems]
-    assert any("intervals.standard.velocity_mm_s: given silence, where the generator's" in each for each in said), said
+    assert any("intervals.standard.velocity_mm_s: given silence, but the generator's" in each for each in said), said

@@ -66,14 +66,18 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
         (PAIRS, "[[A, C], [B, F]]", f"{FILE}:24:28: conditions.zone_pairs[1][1]: given 'F', which is not a zone of"),
         (PAIRS, "[[A, C], [B, F]]", "this beam; allowed: A, B, C, D, E"),
         (PAIRS, "[[A, C], [a, D]]", "given 'a', which is not a zone of this beam; allowed: A, B, C, D, E; did you"),
-        (PAIRS, "[[A, C], [A, C]]", f"{FILE}:24:24: conditions.zone_pairs[1]: given [A, C], the pair of zone_pairs[0]"),
+        (
+            PAIRS,
+            "[[A, C], [A, C]]",
+            f"{FILE}:24:24: conditions.zone_pairs[1]: given [A, C], the same pair as zone_pairs[0]",
+        ),
         (PAIRS, "[[C, A]]", f"{FILE}:24:16: conditions.zone_pairs[0]: given [C, A], whose left zone C lies right of A"),
         (PAIRS, "[[C, C]]", "conditions.zone_pairs[0]: given [C, C], the same zone for both fingers"),
         (PAIRS, "[[A, B, C]]", "given a list of 3; allowed: a list of exactly 2, each the name of a zone of the beam"),
         (PAIRS, "[A, C]", "conditions.zone_pairs[1]: given 'C'; allowed: a list of exactly 2"),
         (PAIRS, "[]", "conditions.zone_pairs: given an empty list; allowed: a list of at least 1 and at most 100"),
         (LEVELS, "[]", f"{FILE}:25:25: conditions.peak_velocities_mm_s: given an empty list; allowed: a list of at"),
-        (LEVELS, "[80, 80.0]", "conditions.peak_velocities_mm_s[1]: given 80, the peak velocity of peak_velocities"),
+        (LEVELS, "[80, 80.0]", "conditions.peak_velocities_mm_s[1]: given 80, the same peak velocity as peak_vel"),
         (
             LEVELS,
             "[80, .nan]",
@@ -82,7 +86,7 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
         (LEVELS, "[-80]", "conditions.peak_velocities_mm_s[0]: given -80; allowed: a number [mm/s] above 0"),
         (LEVELS, "[80 mm/s]", "write only the number: 80"),
         (LEVELS, "[true]", "conditions.peak_velocities_mm_s[0]: given true; allowed: a number [mm/s] above 0"),
-        (LEVELS, "[501]", "given 501 mm/s, beyond the safety limit of the apparatus; allowed: at most 500 mm/s"),
+        (LEVELS, "[501]", "given 501 mm/s, above the safety limit of the apparatus; allowed: at most 500 mm/s"),
         (LEVELS, str(list(range(10, 111))), "given a list of 101; allowed: a list of at least 1 and at most 100"),
         (
             LEVELS,
@@ -92,7 +96,7 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
         (
             "[one_hand, two_hands]",
             "[one_hand, one_hand]",
-            "given one_hand, the finger condition of finger_conditions[0]",
+            "given one_hand, the same finger condition as finger_conditions[0]",
         ),
         (
             "[one_hand, two_hands]",
@@ -101,7 +105,7 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
         ),
         ("[one_hand, two_hands]", "[]", "conditions.finger_conditions: given an empty list"),
         ("focus: C", "focus: X", "stimulus.focus: given 'X', which is not a zone of this beam; allowed: A, B, C, D, E"),
-        ("focusing_instant_ms: 25", "focusing_instant_ms: 50", "given 50 ms, which is not within the burst of 50 ms"),
+        ("focusing_instant_ms: 25", "focusing_instant_ms: 50", "given 50 ms, outside the burst of 50 ms"),
         ("focusing_instant_ms: 25", "focusing_instant_ms: 1e-5", "before the second sample; allowed: at least 0.0004"),
         ("duration_ms: 50", "duration_ms: 150", "given 150 ms at 7 bursts per second; allowed: at most 142.857 ms"),
         (
@@ -114,32 +118,40 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
         ("n_samples: 125000", "n_samples: 10980", "given 10980 samples in 50 ms, too few for the mode of 87855 Hz"),
         ("selected_modes: 6", "selected_modes: 10", "given 10, more than the 9 modelled modes; allowed: 1 to 9"),
         ("selected_modes: 6", "selected_modes: [1, 2]", "given 2, which is not a modelled mode; allowed: 1, 3, 5, 7"),
-        ("selected_modes: 6", "selected_modes: [1, 1]", "given 1, the mode of selected_modes[0] again"),
+        ("selected_modes: 6", "selected_modes: [1, 1]", "given 1, the same mode as selected_modes[0]"),
         ("selected_modes: 6", "selected_modes: []", "stimulus.selected_modes: given an empty list"),
         (
             "selected_modes: 6",
             "selected_modes: six",
             "stimulus.selected_modes: given 'six'; allowed: a whole number of",
         ),
-        ("protocol: differentiated_stimulation", "protocol: Simulated", "which the results tree keeps for itself"),
-        ("protocol: differentiated_stimulation", "protocol: nul", "which is a device to Windows"),
-        ("protocol: differentiated_stimulation", "protocol: COM4", "which is a device to Windows"),
-        ("protocol: differentiated_stimulation", "protocol: analysis", "which the results tree keeps for itself"),
-        ("protocol: differentiated_stimulation", "protocol: Derivatives", "which the results tree keeps for itself"),
+        ("protocol: differentiated_stimulation", "protocol: Simulated", "which is reserved in the results tree"),
+        ("protocol: differentiated_stimulation", "protocol: nul", "which is a device on Windows"),
+        ("protocol: differentiated_stimulation", "protocol: COM4", "which is a device on Windows"),
+        ("protocol: differentiated_stimulation", "protocol: analysis", "which is reserved in the results tree"),
+        ("protocol: differentiated_stimulation", "protocol: Derivatives", "which is reserved in the results tree"),
         ("  law: exact", "  law: exact\n  law: exact", f"{FILE}:11:3: stimulus.law: given `law` a second time"),
-        ("protocol: differentiated_stimulation", "protocol: a/b", "protocol: given 'a/b', which is no plain file name"),
+        (
+            "protocol: differentiated_stimulation",
+            "protocol: a/b",
+            "protocol: given 'a/b', which is not a plain file name",
+        ),
         ("protocol: differentiated_stimulation", "protocol: 5", "protocol: given 5, which is not text; allowed: text"),
         (
             "max_same_pair_running: 2",
             "max_same_pair_running: 0",
             "given 0; allowed: a whole number of at least 1 or null",
         ),
-        ("repetitions: 1", "repetitions: 1000", "given 1000, which makes 24000 trials; allowed: at most 10000 trials"),
-        ("repetitions: 1", "order: by_pair", "given 2 with the order by_pair; allowed: null, or the order shuffled"),
+        ("repetitions: 1", "repetitions: 1000", "given 1000, which gives 24000 trials; allowed: at most 10000 trials"),
+        ("repetitions: 1", "order: by_pair", "given 2 with the order by_pair; allowed: null, or order: shuffled"),
         ("left: [left, num_4]", "left: [escape]", "given 'escape', which pauses the session"),
-        ("left: [left, num_4]", "left: [leeft]", "given 'leeft', which is no key's name"),
-        ("left: [left, num_4]", "left: [return]", "given 'return', which is no key's name; allowed: left, right, up"),
-        ("left: [left, num_4]", "left: [up]", "answers.keys.both[0]: given 'up', which answers left already"),
+        ("left: [left, num_4]", "left: [leeft]", "given 'leeft', which is not the name of a key"),
+        (
+            "left: [left, num_4]",
+            "left: [return]",
+            "given 'return', which is not the name of a key; allowed: left, right, up",
+        ),
+        ("left: [left, num_4]", "left: [up]", "answers.keys.both[0]: given 'up', which already means left"),
         ("left: [left, num_4]", "left: []", "answers.keys.left: given an empty list"),
         ("    left: [left, num_4]\n    both: [up, down, num_8]\n", "", "answers.keys: given 1 answer; allowed: 2 to 7"),
         (
@@ -167,7 +179,7 @@ def test_an_experiment_is_restored_from_its_record_alone(edit: Edit) -> None:
         (
             "left: [left, num_4]",
             "left: [é]",
-            "given 'é', which is no key's name; allowed: left, right, up, down, space",
+            "given 'é', which is not the name of a key; allowed: left, right, up, down, space",
         ),
         ("peak_velocities_mm_s", "peak_velocities_cm_s", "did you mean 'peak_velocities_mm_s'?"),
         ("\nconditions:", "\nconditoins:", "given 'conditoins', which is not a key here"),
@@ -188,7 +200,7 @@ def test_a_list_with_one_faulty_item_has_one_fault(edit: Edit) -> None:
 def test_one_pair_cannot_keep_a_limit_on_runs(edit: Edit) -> None:
     """Four levels of one pair come four times running in every order."""
     (found,) = faults(edit(FILE, (PAIRS, "[[A, C]]")))
-    assert "schedule.max_same_pair_running: given 2 where every trial has the same pair; allowed: at least 4" in found
+    assert "schedule.max_same_pair_running: given 2, but every trial has the same pair; allowed: at least 4" in found
 
 
 def test_faults_of_all_files_come_at_once_and_in_order(edit: Edit) -> None:
@@ -212,7 +224,7 @@ def test_a_wrong_entry_does_not_hide_a_fault_of_the_next(edit: Edit) -> None:
     """Each entry of a list is judged by itself, in structure and against the apparatus."""
     found = faults(edit(FILE, (LEVELS, "[x, 600]"), (PAIRS, "[7, [A, F], [D, B]]")))
     assert len(found) == 5
-    assert any("600 mm/s, beyond the safety limit" in each for each in found)
+    assert any("600 mm/s, above the safety limit" in each for each in found)
     assert any("'F', which is not a zone" in each for each in found)
     assert any("whose left zone D lies right of B" in each for each in found)
 
@@ -277,7 +289,7 @@ def test_the_answer_none_needs_its_words(edit: Edit, language: str) -> None:
     texts.write_text(re.sub(r"(?m)^none: .*\n", "", texts.read_text(encoding="utf-8")), encoding="utf-8")
     (found,) = faults(file)
     assert f"{language}.yaml:" in found
-    assert f"none: given nothing; allowed: a text, as {FILE} offers the answer none" in found
+    assert f"none: given nothing; allowed: a text, since {FILE} offers the answer none" in found
 
 
 @pytest.mark.parametrize(
@@ -285,10 +297,13 @@ def test_the_answer_none_needs_its_words(edit: Edit, language: str) -> None:
     [
         (
             [("practice_trials: 3", "catch_trials: 13\n  practice_trials: 3")],
-            "catch_trials: given 13 where 12 trials of",
+            "catch_trials: given 13, but only 12 trials of",
         ),
         ([("practice_trials: 3", "catch_trials: -1\n  practice_trials: 3")], "catch_trials: given -1"),
-        ([("    right: [right, num_6]", "    right: [right, num_6]\n    none: [left]")], "'left', which answers left"),
+        (
+            [("    right: [right, num_6]", "    right: [right, num_6]\n    none: [left]")],
+            "'left', which already means left",
+        ),
     ],
 )
 def test_catch_trials_and_keys_beyond_reason_are_faults(edit: Edit, changes: list[tuple[str, str]], fault: str) -> None:
@@ -300,10 +315,22 @@ def test_catch_trials_and_keys_beyond_reason_are_faults(edit: Edit, changes: lis
 @pytest.mark.parametrize(
     ("keys", "place", "words"),
     [
-        ("none: [f12]", "answers.keys.none[0]", "in an emergency where `emergency_keys` names no other"),
+        (
+            "none: [f12]",
+            "answers.keys.none[0]",
+            "the emergency key that switches the outputs off unless `emergency_keys` names another",
+        ),
         ("none: [n, f12]", "answers.keys.none[1]", "name another key under `answers.emergency_keys`"),
-        ("none: [n]\n  continue_keys: [f12]", "answers.continue_keys[0]", "'f12', which switches the outputs off"),
-        ("none: [f12]\n  emergency_keys: [f12]", "answers.emergency_keys[0]", "'f12', which is needed otherwise"),
+        (
+            "none: [n]\n  continue_keys: [f12]",
+            "answers.continue_keys[0]",
+            "'f12', the emergency key that switches the outputs off",
+        ),
+        (
+            "none: [f12]\n  emergency_keys: [f12]",
+            "answers.emergency_keys[0]",
+            "'f12', which already has another meaning",
+        ),
         ("none: [f12]\n  emergency_keys: [f11]", "", ""),
     ],
 )

@@ -17,7 +17,7 @@ NAME = "sensation_levels.yaml"
 @pytest.mark.parametrize(
     ("old", "new", "place", "words"),
     [
-        ("[2, 200]", "[2, 80, 200]", "conditions.peak_velocities_mm_s", "3 levels where they are calibrated by"),
+        ("[2, 200]", "[2, 80, 200]", "conditions.peak_velocities_mm_s", "3 levels, but they are calibrated by"),
         ("[2, 200]", "[200, 2]", "conditions.peak_velocities_mm_s", "the lowest level first"),
         ("[2, 200]", "[2, 280]", "conditions.peak_velocities_mm_s[1]", "at most"),
         ("from: threshold ", "from: sensation_levels ", "conditions.sensation_levels.thresholds_from", "itself"),

@@ -91,10 +91,10 @@ def test_a_stimulus_with_its_own_number_of_bursts_is_of_any_rate(edit: Edit) -> 
     [
         ([(LENGTH, "presentation_bursts: 3 ")], ""),
         ([(LENGTH, "presentation_bursts: 14\n  presentation_s: 2.0 ")], ""),
-        ([(LENGTH, "presentation_bursts: 13\n  presentation_s: 2.0 ")], "given 13, where presentation_s says 2 s; "),
+        ([(LENGTH, "presentation_bursts: 13\n  presentation_s: 2.0 ")], "given 13, but presentation_s says 2 s; "),
         (
             [SLOW, (LENGTH, "presentation_bursts: 14\n  presentation_s: 2.0 ")],
-            "given 14, where presentation_s says 2 s",
+            "given 14, but presentation_s says 2 s",
         ),
         ([(LENGTH, "presentation_bursts: 0 ")], "given 0; allowed: a whole number of at least 1"),
         ([(LENGTH, "presentation_bursts: 2.5 ")], "given 2.5; allowed: a whole number of at least 1"),
@@ -168,7 +168,7 @@ def test_latency_has_its_bounds_in_order(edit: Edit, low: float, high: float, so
     found = faults(edit(FILE))
     assert len(found) == (not sound)
     place = f"{BEAM}:48:3: generator.trigger_latency_ms"
-    said = "given low: 0.31 above high: 0.3; allowed: the lower bound as low; exchange them"
+    said = "given low: 0.31, which is above high: 0.3; allowed: low below high; exchange them"
     assert all(each == f"{place}: {said}" for each in found)
 
 
@@ -181,9 +181,7 @@ def test_catch_trials_need_bursts_that_can_be_kept_back(edit: Edit, repetition: 
     assert faults(edit(FILE)) == []
     found = faults(edit(FILE, ("practice_trials: 3", "catch_trials: 2\n  practice_trials: 3")))
     assert len(found) == refused
-    given = (
-        f"{FILE}:31:17: schedule.catch_trials: given 2, where the generator's repetition is {repetition}; allowed: 0"
-    )
+    given = f"{FILE}:31:17: schedule.catch_trials: given 2, but the generator's repetition is {repetition}; allowed: 0"
     assert all(each.startswith(given) and each.endswith("; set generator.repetition to single") for each in found)
 
 

@@ -88,7 +88,7 @@ def test_a_record_keeps_the_points_of_its_field(edit: Edit, tmp_path: Path) -> N
             "stimulus.field: given a stimulus that cannot be made, the sampled field",
         ),
         ("file: nowhere.csv", "stimulus.field.file: given 'nowhere.csv', a file that does not exist"),
-        ("file: nowhere.csv", "allowed: a CSV file that exists and can be read, by its path from this file"),
+        ("file: nowhere.csv", "allowed: a CSV file that exists and can be read, as a path relative to this file"),
     ],
 )
 def test_points_that_are_no_field_are_refused_in_their_place(edit: Edit, what: str, said: str) -> None:
@@ -120,4 +120,4 @@ def test_foci_are_zones_each_once(edit: Edit) -> None:
     """An unknown zone and a doubled one."""
     told = faults(edit(FILE, (FOCUS, "focus: B\n  further_foci: [F, B]  ")))
     assert any("further_foci[0]: given 'F', which is not a zone of this beam" in each for each in told)
-    assert any("further_foci[1]: given B, a focus already" in each for each in told)
+    assert any("further_foci[1]: given B, which is already a focus" in each for each in told)

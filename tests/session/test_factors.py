@@ -45,8 +45,8 @@ def test_the_law_may_differ_between_stimuli(edit: Callable[..., Path], tmp_path:
 @pytest.mark.parametrize(
     ("stimuli", "told"),
     [
-        ("few: {presentation_bursts: 3}", "given 3, where the stimulus plays until the answer"),
-        ("quiet: {masked: false}", "where there is no noise; allowed: only with a section masking"),
+        ("few: {presentation_bursts: 3}", "given 3, but the stimulus plays until the answer"),
+        ("quiet: {masked: false}", "but there is no noise; allowed: only with a section masking"),
     ],
 )
 def test_what_the_protocol_has_no_use_for_is_refused(edit: Callable[..., Path], stimuli: str, told: str) -> None:

@@ -247,8 +247,8 @@ def test_what_cannot_be_trusted_is_asked_for_again_and_ends_the_session(
 @pytest.mark.parametrize(
     ("without", "words"),
     [
-        ("acquisition", "measured, without a vibrometer: the apparatus has no section acquisition"),
-        ("even modes", "measured, where the table lacks modes 2, 4, "),
+        ("acquisition", "measured, but the apparatus has no section acquisition"),
+        ("even modes", "measured, but the table lacks modes 2, 4, "),
     ],
 )
 def test_a_lab_that_cannot_measure_is_told_of_typical_fingers(tmp_path: Path, without: str, words: str) -> None:

@@ -76,12 +76,12 @@ def test_what_must_identify_a_person_says_so(edit: Callable[..., Path]) -> None:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("sex: {kind: choice, question: Sex?, choices: [x]}", "given 1 choices of a choice"),
-        ("sex: {kind: choice, question: Sex?, choices: [x, x, y]}", "given 3 choices of a choice"),
+        ("sex: {kind: choice, question: Sex?, choices: [x]}", "given 1 choices for a choice"),
+        ("sex: {kind: choice, question: Sex?, choices: [x, x, y]}", "given 3 choices for a choice"),
         ("age: {kind: number, question: Age?, choices: [1, 2]}", "people.age.choices"),
-        ("age: {kind: number, question: Age?, lowest: 30, highest: 20}", "given bounds of a number, 30.0 to 20.0"),
-        ("note: {kind: text, question: Note?, lowest: 30}", "given bounds of a text"),
-        ("participant_id: {kind: text, question: Code?}", "given participant_id, a column of its own"),
+        ("age: {kind: number, question: Age?, lowest: 30, highest: 20}", "given bounds for a number, 30.0 to 20.0"),
+        ("note: {kind: text, question: Note?, lowest: 30}", "given bounds for a text"),
+        ("participant_id: {kind: text, question: Code?}", "given participant_id, which is already a column"),
     ],
 )
 def test_a_question_that_cannot_be_asked_is_refused(edit: Callable[..., Path], line: str, said: str) -> None:

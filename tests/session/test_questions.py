@@ -190,7 +190,7 @@ def test_what_cannot_have_been_answered_is_found(
     ("section", "fault"),
     [
         ("", "answers.keys: given nothing; allowed: a mapping; add the missing key `keys`, or describe a `scale`"),
-        (KEYS + SCALE, "answers.keys: given keys beside a scale; allowed: answers with keys, or a scale"),
+        (KEYS + SCALE, "answers.keys: given keys together with a scale; allowed: answers with keys, or a scale"),
         (
             "  scale: {kind: vas, step: 0.3}\n",
             "given 333.333 steps of 0.3 from 0 to 100; allowed: 1 to 1000 whole steps",
@@ -198,8 +198,8 @@ def test_what_cannot_have_been_answered_is_found(
         ("  scale: {kind: likert, highest: 12}\n", "given 11 steps of 1 from 1 to 12; allowed: 1 to 10 whole steps"),
         ("  scale: {kind: vas, lowest: 5, highest: 5}\n", "given a scale from 5 to 5; allowed: lowest below highest"),
         ("  scale: {kind: likert, words: [a, b, c]}\n", "given 3 words of a likert scale; allowed: 2 or 7, or none"),
-        ("  scale: {kind: number, step: 1}\n", "given a step or words of a number that is typed; allowed: neither"),
-        ("  scale: {kind: vas, keys: {lower: [f12]}}\n", "given 'f12', which switches the outputs off already"),
+        ("  scale: {kind: number, step: 1}\n", "given a step or words for a typed number; allowed: neither"),
+        ("  scale: {kind: vas, keys: {lower: [f12]}}\n", "given 'f12', which already switches the outputs off"),
         ("  emergency_keys: [up]\n  scale: {kind: vas}\n", "given 'up', which means higher on the scale answers.scale"),
         (
             KEYS + "  then: {sure: {question: Sure?}}\n",
@@ -207,13 +207,13 @@ def test_what_cannot_have_been_answered_is_found(
         ),
         (
             KEYS + "  then: {trial: {scale: {kind: vas}}}\n",
-            "then.trial: given trial, a column that the table of answers",
+            "then.trial: given trial, which is already a column of the table of answers",
         ),
         (
             KEYS + "  then: {level: {scale: {kind: vas}}}\n",
-            "then.level: given level, a column that the table of answers",
+            "then.level: given level, which is already a column of the table of answers",
         ),
-        (KEYS + "  then: {sure: {scale: {kind: vas}}}\n", "given 'sure', which has no words in english.yaml"),
+        (KEYS + "  then: {sure: {scale: {kind: vas}}}\n", "given 'sure', which has no text in english.yaml"),
         (
             KEYS + "  then: {confidence: {keys: {felt: [a]}}}\n",
             "confidence.keys: given 1 answer; allowed: 2 to 7 answers",
@@ -223,7 +223,10 @@ def test_what_cannot_have_been_answered_is_found(
             "keys.certain[0]: given 'a', which means felt already; allowed: a key with no other meaning",
         ),
         (KEYS + "  question: magnitud\n", "did you mean 'magnitude'? Else add `further.magnitud` to english.yaml"),
-        (SCALE + "adaptive: {start_mm_s: 100, trials: 9}\n", "given focus_named, where no answer names each finger"),
+        (
+            SCALE + "adaptive: {start_mm_s: 100, trials: 9}\n",
+            "given focus_named, but the answers do not name each finger",
+        ),
     ],
 )
 def test_what_cannot_be_asked_is_refused_in_its_place(edit: Callable[..., Path], section: str, fault: str) -> None:

@@ -84,8 +84,14 @@ def test_levels_are_equalised_in_a_band(tmp_path: Path) -> None:
     ("band", "words"),
     [
         ("[1000, 20]", "given 1000 to 20 Hz; allowed: a band that rises; swap"),
-        ("[22, 27]", "given 22 to 27 Hz, in which bursts repeated at 7 Hz have no velocity; allowed: a band with"),
-        ("[2000000, 3000000]", "have no velocity; allowed: a band with a multiple of 7 Hz in it, below "),
+        (
+            "[22, 27]",
+            "given 22 to 27 Hz, which contains no multiple of the repetition rate of 7 Hz; allowed: a band that",
+        ),
+        (
+            "[2000000, 3000000]",
+            "which contains no multiple of the repetition rate of 7 Hz; allowed: a band that contains a multiple of",
+        ),
         (
             "[20, 1000]\n  priority: level",
             "given level, with the equalise_band_Hz (20.0, 1000.0); allowed: field",

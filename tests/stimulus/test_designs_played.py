@@ -51,4 +51,4 @@ def test_peaks_fall_as_the_table_of_designs_says(edit: Edit) -> None:
 def test_the_papers_law_has_no_designs(edit: Edit) -> None:
     """Told at the key, with what to do."""
     (problem,) = examine(protocol(edit, "norm_4", law="paper")).problems
-    assert "stimulus.design: given norm_4, which the paper's law does not know" in str(problem)
+    assert "stimulus.design: given norm_4, which the paper's law does not support" in str(problem)

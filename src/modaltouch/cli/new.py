@@ -79,7 +79,7 @@ def _contents(template: str) -> dict[str, str]:
 
     known = Source.shipped("protocol")
     if template not in known:
-        raise InputError.of("--from", f"{template!r}, which is no shipped protocol", ", ".join(known))
+        raise InputError.of("--from", f"{template!r}, which is not a shipped protocol", ", ".join(known))
     experiments = [Findings.read(known[template]).experiment()]
     if own := experiments[0].protocol.conditions.sensation_levels:
         experiments.append(Findings.read(known[own.thresholds_from]).experiment())

@@ -20,7 +20,7 @@ LapseRate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=0.
 
 
 class StaircaseSection(Section):
-    """Weighted and transformed up-down: down after so many successes in a row, up after each failure."""
+    """Weighted and transformed up-down: down after a number of successes in a row, up after each failure."""
 
     down_after: Annotated[Count, Field(le=6)] = described(
         "Number of successes in a row that lowers the level; each failure raises it.", default=1
@@ -128,12 +128,12 @@ def check_sensation_levels(reading: Reading[Any]) -> Iterator[Problem]:
     if reading.keys(*_SECTION) is None:
         return
     if is_adaptive(reading):
-        given = "levels calibrated by participant where runs are adaptive and find their own"
-        yield reading.problem(_SECTION, given, "one of the two", "remove this section, or the section adaptive")
+        given = "levels calibrated by participant, but runs are adaptive and find their own"
+        yield reading.problem(_SECTION, given, "one of the two", "remove this section or the section adaptive")
         return
     if reading.sound(*_SECTION, "thresholds_from") == (name := reading.sound("protocol")) and name is not None:
-        path, given = (*_SECTION, "thresholds_from"), f"'{name}', which is this protocol itself"
-        yield reading.problem(path, given, "the name of an adaptive protocol", "name the one that finds thresholds")
+        path, given = (*_SECTION, "thresholds_from"), f"'{name}', this protocol itself"
+        yield reading.problem(path, given, "the name of an adaptive protocol", "give the one that finds thresholds")
     multiples = dict(reading.items(*_SECTION, "multiples"))
     yield from _check_doubles(reading, multiples)
     faults = list(check_bounds(reading, "they are calibrated by participant", "anyone may get"))
@@ -142,7 +142,7 @@ def check_sensation_levels(reading: Reading[Any]) -> Iterator[Problem]:
     if faults or len(levels) != 2 or not multiples:
         return
     if max(multiples.values()) / min(multiples.values()) > levels[1] / levels[0]:
-        given = f"{min(multiples.values()):g} to {max(multiples.values()):g}, further apart than the levels allowed"
+        given = f"{min(multiples.values()):g} to {max(multiples.values()):g}, a wider range than that of the levels"
         allowed = f"a ratio of at most {levels[1] / levels[0]:.4g}, that of conditions.peak_velocities_mm_s"
         remedy = "bring them closer together, or allow lower or higher levels"
         yield reading.problem((*_SECTION, "multiples"), given, allowed, remedy)
@@ -154,8 +154,8 @@ def _check_doubles(reading: Reading[Any], multiples: dict[int, float]) -> Iterat
     for index, value in multiples.items():
         like = next((at for at, other in seen.items() if math.isclose(value, other, rel_tol=2e-3)), None)
         if like is not None:
-            given = f"{value:g}, as good as the multiple of multiples[{like}]"
-            allowed = "multiples that are 0.2 % apart or more"
+            given = f"{value:g}, almost the same as multiples[{like}]"
+            allowed = "multiples at least 0.2 % apart"
             yield reading.problem((*_SECTION, "multiples", index), given, allowed, "remove one of them")
         seen[index] = value
 
@@ -180,10 +180,10 @@ def check_bounds(reading: Reading[Any], when: str, reached: str) -> Iterator[Pro
     levels = [level for _, level in reading.items(*path)]
     given = reading.length(*path)
     if given is not None and given != 2:
-        words = f"{given} levels where {when}"
-        yield reading.problem(path, words, f"two: the lowest and the highest that {reached}", "give both")
+        words = f"{given} levels, but {when}"
+        yield reading.problem(path, words, f"two: the lowest and the highest that {reached}", "give these two")
     elif len(levels) == 2 and not levels[0] < levels[1]:
-        words = f"[{levels[0]:g}, {levels[1]:g}] where {when}"
+        words = f"[{levels[0]:g}, {levels[1]:g}], but {when}"
         yield reading.problem(path, words, "the lowest level first, then a higher one", "write the lowest first")
 
 
@@ -193,7 +193,7 @@ def _check_levels(reading: Reading[Any]) -> Iterator[Problem]:
     start = reading.sound("adaptive", "start_mm_s")
     if start is not None and len(levels) == 2 and levels[0] < levels[1] and not levels[0] <= start <= levels[1]:
         allowed = f"{levels[0]:g} to {levels[1]:g} mm/s, the levels of conditions.peak_velocities_mm_s"
-        yield reading.problem(("adaptive", "start_mm_s"), f"{start:g} mm/s", allowed, "start within them")
+        yield reading.problem(("adaptive", "start_mm_s"), f"{start:g} mm/s", allowed, "start within this range")
 
 
 def _check_order(reading: Reading[Any]) -> Iterator[Problem]:
@@ -202,16 +202,16 @@ def _check_order(reading: Reading[Any]) -> Iterator[Problem]:
         (
             repetitions not in (None, 1),
             ("schedule", "repetitions"),
-            f"{repetitions} where runs are adaptive",
+            f"{repetitions}, but runs are adaptive",
             "1",
-            "remove it; adaptive.trials says how long a run is",
+            "remove it; adaptive.trials sets the length of a run",
         ),
         (
             order in ("by_velocity", "latin_square"),
             ("schedule", "order"),
-            f"{order}, where the levels are not known beforehand",
+            f"{order}, but the levels are not known beforehand",
             "shuffled or by_pair",
-            "shuffle the runs into each other, or take one after the other",
+            "shuffle the runs together, or present one after the other",
         ),
     )
 
@@ -223,28 +223,28 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
     if success == "focus_named" and focus is not None and not reading.sound("stimuli"):
         for path, zones in contacts(reading):
             if focus not in zones:
-                given = f"[{', '.join(zones)}], none of which is in focus, where success is naming the focus"
+                given = f"[{', '.join(zones)}] without the focus, but success is naming the focus"
                 yield reading.problem(path, given, f"a pair with {focus}", "remove it, or count `felt` as success")
     offered, at = offered_answers(reading), ("adaptive", "success")
     several = reading.keys("intervals") is not None
     if success == "correct":
         yield from _check_correct(reading, offered)
     elif success not in ("focus_named", "felt", *offered.names):
-        yield reading.unknown(at, "a rule nor an answer", ["focus_named", "felt", "correct", *offered.names])
+        yield reading.unknown(at, "a rule or an answer", ["focus_named", "felt", "correct", *offered.names])
     yield from reading.faults(
         (
             success == "felt" and "felt" not in offered.names and offered.naming() is None,
             at,
-            "felt, where no answer says that nothing was felt",
+            "felt, but no answer says that nothing was felt",
             "correct" if several else "focus_named, or keys for `none`",
             "count `correct` as success" if several else "give the keys",
         ),
         (
             success == "focus_named" and not offered.compares,
             at,
-            "focus_named, where no answer names each finger alone",
+            "focus_named, but the answers do not name each finger alone",
             "keys for `left` and `right`, or other answers for these fingers under answers.fingers",
-            "give them, or count `felt` or one of the answers as success",
+            "add them, or count `felt` or one of the answers as success",
         ),
     )
 
@@ -253,17 +253,17 @@ def _check_correct(reading: Reading[Any], offered: AnswerList) -> Iterator[Probl
     """Yield why runs cannot follow from which answers are right: guessing is right as often, or none ever is."""
     said = [answer.interval for answer in offered if answer.interval is not None]
     if reading.keys("intervals") is None or not said:
-        given = "correct, where no answer says anything of intervals"
+        given = "correct, but no answer refers to intervals"
         allowed = "a section intervals, and answers.intervals"
-        yield reading.problem(("adaptive", "success"), given, allowed, "write them, or name another success")
+        yield reading.problem(("adaptive", "success"), given, allowed, "add them, or choose another success")
         return
     guess_rate, rule = (reading.sound("adaptive", name) for name in ("guess_rate", "staircase"))
     chance = 1 / len(said)
     if guess_rate is not None and isinstance(said[0], int) and abs(guess_rate - chance) > 0.01:
-        given = f"{guess_rate:g}, where one of {len(said)} intervals is named"
+        given = f"{guess_rate:g}, but one of {len(said)} intervals is named"
         yield reading.problem(("adaptive", "guess_rate"), given, f"{chance:.4g}", f"write `guess_rate: {chance:.4g}`")
     elif rule is not None and reading.sound("adaptive", "method") == "staircase" and rule.target <= (guess_rate or 0):
-        given = f"a staircase that settles at {rule.target:.4g}, as guessing does"
+        given = f"a staircase that converges to {rule.target:.4g}, the rate of guessing"
         remedy = "write `down_after: 2` or more"
         yield reading.problem(("adaptive", "staircase"), given, f"a target above {guess_rate:g}", remedy)
 

@@ -72,7 +72,7 @@ class Beam(Section):
 
 
 class Zone(Section):
-    """A stretch of the beam that a finger may touch; origin at mid-beam, positive to the right."""
+    """A part of the beam that a finger may touch; origin at mid-beam, positive to the right."""
 
     centre_mm: Number = described("Centre of the zone [mm from mid-beam, positive to the participant's right].")
     width_mm: Positive = described("Width of the zone [mm].")
@@ -108,7 +108,7 @@ class Mode(Section):
 
 
 class AmplifierSection(Section):
-    """What connects generator and beam."""
+    """The amplifier between generator and beam."""
 
     gain_V_per_V: Positive = described("Voltage gain [V at the beam per V of the generator].")  # noqa: N815
     limit_V: Positive = described("Highest voltage at the beam [V, peak]; no protocol can raise it.")  # noqa: N815
@@ -162,7 +162,7 @@ class GeneratorSection(Section):
 
 
 class AcquisitionSection(Section):
-    """What velocity and drive are measured with, as its knobs are set."""
+    """The instruments that measure velocity and drive, with their settings."""
 
     sensitivity_mm_s_per_V: Positive = described(  # noqa: N815
         "Velocity per volt of the vibrometer's output [mm/s per V].", default=50.0
@@ -188,7 +188,7 @@ class AcquisitionSection(Section):
 
 
 class ScreenSection(Section):
-    """The participant's screen, as it stands."""
+    """The participant's screen and its distance."""
 
     width_mm: Positive = described("Width of the picture [mm], such as 531 for 24 inches of 16:9.")
     width_px: Count = described("Width of the picture [pixels], such as 1920.")
@@ -197,7 +197,7 @@ class ScreenSection(Section):
 
 
 class Sound(Section):
-    """What plays sound to the participant."""
+    """The device that plays sound to the participant."""
 
     device: Text = described("Part of the sound device's name; empty for the system's own choice.", default="")
     sampling_rate_Hz: Annotated[float, Field(strict=True, ge=8000, le=192_000)] = described(  # noqa: N815
@@ -210,7 +210,7 @@ class Sound(Section):
 
 
 class Apparatus(Section):
-    """Everything a lab has on its table."""
+    """The equipment of a lab."""
 
     apparatus: FileName = described("Name of the apparatus.")
     description: Text = described("Description of the apparatus, in one sentence.", default="")
@@ -370,7 +370,7 @@ def check_patches(reading: Reading[Apparatus]) -> Iterator[Problem]:
             if not left < right:
                 yield reading.problem(path, given, "the left end first", "exchange the two ends")
             elif length is not None and max(-left, right) > length / 2 * (1 + 1e-9):
-                allowed = f"from {-length / 2:g} to {length / 2:g} mm, where the beam of {length:g} mm ends"
+                allowed = f"from {-length / 2:g} to {length / 2:g} mm, the ends of the {length:g} mm beam"
                 yield reading.problem(path, given, allowed, "measure from mid-beam")
 
 
@@ -394,12 +394,12 @@ def _check_zones(reading: Reading[Apparatus]) -> Iterator[Problem]:
         left, right = zone.edges
         if length is not None and max(-left, right) > length / 2 + tolerance:
             given = f"a zone from {left:g} to {right:g} mm"
-            allowed = f"from {-length / 2:g} to {length / 2:g} mm, where the beam of {length:g} mm ends"
+            allowed = f"from {-length / 2:g} to {length / 2:g} mm, the ends of the {length:g} mm beam"
             yield reading.problem(("zones", name), given, allowed, "move it or make it narrower")
     ordered = sorted(zones, key=lambda item: item[1].centre_mm)
     for (first, one), (second, other) in itertools.pairwise(ordered):
         if other.edges[0] < one.edges[1] - tolerance:
-            given = f"a zone that begins at {other.edges[0]:g} mm, within zone {first}"
+            given = f"a zone that begins at {other.edges[0]:g} mm, inside zone {first}"
             allowed = f"from {one.edges[1]:g} mm on, where zone {first} ends"
             yield reading.problem(("zones", second), given, allowed, "move one of them or make it narrower")
 
@@ -408,7 +408,7 @@ def _check_actuator_sets(reading: Reading[Apparatus]) -> Iterator[Problem]:
     taken: dict[int, str] = {}
     for name, actuators in reading.items("actuator_sets"):
         if actuators.channel in taken:
-            given = f"{actuators.channel}, which feeds the set {taken[actuators.channel]} already"
+            given = f"{actuators.channel}, which already feeds the set {taken[actuators.channel]}"
             remedy = "give each set its own output"
             yield reading.problem(("actuator_sets", name, "channel"), given, "a free output of 1, 2", remedy)
         taken.setdefault(actuators.channel, name)
@@ -420,7 +420,7 @@ def _check_modes(reading: Reading[Apparatus]) -> Iterator[Problem]:
         mode = ("modes", index)
         label = reading.sound(*mode, "label")
         if label in taken:
-            given = f"{label}, the label of modes[{taken[label]}] too"
+            given = f"{label}, which is also the label of modes[{taken[label]}]"
             yield reading.problem((*mode, "label"), given, "each label once", "remove one of them")
         elif label is not None:
             taken[label] = index
@@ -441,7 +441,7 @@ def _check_unlisted(reading: Reading[Apparatus]) -> Iterator[Problem]:
         mode = ("twin", "unlisted_modes", index)
         label, family = reading.sound(*mode, "label"), reading.sound(*mode, "family")
         if label is not None and (family, label) in taken:
-            given = f"{label}, the label of {taken[(family, label)]} too"
+            given = f"{label}, which is also the label of {taken[(family, label)]}"
             yield reading.problem((*mode, "label"), given, "each mode once", "remove one of them")
         taken.setdefault((family, label), f"twin.unlisted_modes[{index}]")
         yield from reading.unlisted(

@@ -34,7 +34,7 @@ Hash = Annotated[Text, Field(pattern=r"^[0-9a-f]{64}$", json_schema_extra={"x-al
 
 
 class CalibratedApparatus(Section):
-    """Which apparatus file it was made with."""
+    """The apparatus file that was used."""
 
     name: Text = described("Name of the apparatus.")
     sha256: Hash = described(
@@ -43,7 +43,7 @@ class CalibratedApparatus(Section):
 
 
 class Instruments(Section):
-    """Which instruments it was made with."""
+    """The instruments that were used."""
 
     generator: Text = described("Reply of the generator to *IDN?, with its serial number.")
     scope: Text = described("Model and serial number of the scope.")
@@ -51,7 +51,7 @@ class Instruments(Section):
 
 
 class CalibratedAmplifier(Section):
-    """The way from the generator to the beam, as the measured drive tells."""
+    """The path from the generator to the beam, found from the measured drive."""
 
     gain_V_per_V: Positive = described("Voltage gain of the stronger channel [V/V].")  # noqa: N815
     bandwidth_kHz: Positive | None = described("Corner of its first-order pole [kHz]; null if too high to measure.")  # noqa: N815
@@ -59,7 +59,7 @@ class CalibratedAmplifier(Section):
 
 
 class MeasuringChain(Section):
-    """What the measurement itself adds, taken out of every figure."""
+    """Effects of the measurement itself, removed from every figure."""
 
     vibrometer_delay_us: NotNegative = described("Pure delay of the vibrometer [us].")
     vibrometer_lag_us: NotNegative = described("Time constant of its low-pass [us].")
@@ -102,7 +102,7 @@ class CalibratedLevel(Section):
 
 
 class MissedLimit(Section):
-    """A limit of the protocol, or of what a calibration believes, that was missed."""
+    """A limit, of the protocol or of calibration itself, that was missed."""
 
     limit: Word = described(
         "velocity_mm_s, displacement_mm_s, level_percent: as in the protocol's limits; frequencies_mm_s: effect of "
@@ -118,7 +118,7 @@ class MissedLimit(Section):
 
 
 class IterationFigures(Section):
-    """What one turn of the loop measured, at the reference level."""
+    """What one iteration measured, at the reference level."""
 
     iteration: Annotated[int, Field(strict=True, ge=0)] = described(
         "Number of the iteration; 0 is before the calibration."
@@ -189,7 +189,7 @@ class Calibration(Section):
 
 
 class CalibratedStimulus(Section):
-    """What a calibration holds of one stimulus: its targets on this rig, and what they reached."""
+    """The calibration of one stimulus: its targets on this rig, and how well they were reached."""
 
     stimulus: StimulusSection = described("The stimulus section of the protocol.")
     focus_centre_mm: Number = described("Centre of the focus zone [mm].")
@@ -289,7 +289,7 @@ def check_mark(calibration: Reading[Calibration]) -> list[Problem]:
     """Return why a calibration is marked: which limits of its protocol each stimulus missed when it was made."""
     if calibration.value is None:
         return []
-    remedy = "remove the cause and calibrate again, or take it as it is with --with-marked-calibration"
+    remedy = "remove the cause and calibrate again, or accept it with --with-marked-calibration"
     return [
         calibration.problem(
             (("stimuli", name) if name else ()) + ("missed",),
@@ -338,8 +338,8 @@ def _check_apparatus(
     only = calibration.alone("")
     modes = () if only is None else only.modes
     if apparatus.measured_hash != calibration.apparatus.sha256:
-        given = f"a calibration of another apparatus ({calibration.apparatus.name}, values changed since or others)"
-        allowed = f"one made with {apparatus.apparatus} as its file is now"
+        given = f"a calibration of another apparatus ({calibration.apparatus.name}, or its values have changed)"
+        allowed = f"one made with {apparatus.apparatus} in its present state"
         yield reading.problem(("apparatus", "sha256"), given, allowed, AGAIN)
     elif modes and [mode.label for mode in modes] != labels:
         given = f"modes {', '.join(str(mode.label) for mode in modes)}"
@@ -364,7 +364,7 @@ def _check_stimulus(
     # What follows the focusing instant does not act on it.
     different = [key for key in now if key != "release" and made[key] != now[key]]
     for key in different:
-        given = f"{_words(made[key])}, a calibration of another stimulus"
+        given = f"{_words(made[key])}, from a calibration of another stimulus"
         yield reading.problem(("stimulus", key), given, f"{_words(now[key])}, as in {protocol.source.path}", AGAIN)
     if "focus" in different or apparatus is None:
         return
@@ -379,7 +379,7 @@ def _check_levels(calibration: CalibrationFile, protocol: Reading[Protocol]) -> 
     known = {level.velocity_mm_s for level in calibration.levels}
     for path, level in presented_levels(protocol).items():
         if level not in known:
-            given = f"{level:g} mm/s, a level that the calibration did not measure"
+            given = f"{level:g} mm/s, a level that was not calibrated"
             allowed = ", ".join(f"{each:g}" for each in sorted(known)) + " mm/s"
             yield protocol.problem(path, given, allowed, AGAIN)
 
@@ -406,14 +406,14 @@ def check_age(
         days = ((now or datetime.now(UTC)) - made).total_seconds() / 86400
     except (ValueError, TypeError):
         allowed = "a date and time with its offset from UTC, as in 2026-05-04T10:30:00+00:00"
-        return [calibration.problem(("made",), f"{made_text!r}, which is no such instant", allowed, AGAIN)]
+        return [calibration.problem(("made",), f"{made_text!r}, which is not a valid instant", allowed, AGAIN)]
     if days < -1 / 24:
         given = f"{made_text}, which lies in the future"
         return [calibration.problem(("made",), given, "a time before now", "set this machine's clock right")]
     limit = protocol.sound("calibration", "max_age_days")
     if limit is not None and days > limit:
-        given = f"{limit:g} days, and the calibration {calibration.source.path} is {days:.1f} days old ({made_text})"
-        return [protocol.problem(("calibration", "max_age_days"), given, "a younger calibration", AGAIN)]
+        given = f"{limit:g} days, but the calibration {calibration.source.path} is {days:.1f} days old ({made_text})"
+        return [protocol.problem(("calibration", "max_age_days"), given, "a more recent calibration", AGAIN)]
     return []
 
 

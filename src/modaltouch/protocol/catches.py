@@ -23,8 +23,8 @@ def place_catches(
     ways = _count_ways(order, pairs, n_catches, limit, own_pair=own_pair)
     if not ways[0][n_catches][1]:
         raise ValueError(
-            f"no way to spread {n_catches} catch trials over {len(order)} trials keeps the same pair to {limit} "
-            "times running; take fewer catch trials or allow a pair more often running"
+            f"{n_catches} catch trials cannot be spread over {len(order)} trials without the same pair more than "
+            f"{limit} times in a row; use fewer catch trials or allow longer rows"
         )
     placed = []
     left, run = n_catches, 1

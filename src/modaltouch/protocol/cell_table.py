@@ -40,7 +40,7 @@ def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, 
         return root, problems
     written = [key for key in ("table", "cells", *DERIVED[:2], "zones") if conditions.child(key)]
     for other in written[1:]:
-        given, place = f"{other} beside {written[0]}, which says the same", conditions.keys[other]
+        given, place = f"{other} and {written[0]}, which say the same", conditions.keys[other]
         problems.append(
             Problem(str(source.path), *place, f"conditions.{other}", given, "one of the two", "remove one of them")
         )
@@ -105,12 +105,12 @@ def _read_table(source: Source) -> tuple[Node, list[Problem]]:
         if not line.strip() or problems and problems[0].line == 1:
             continue
         if len(fields) != len(names):
-            given, allowed = f"{len(fields)} field{'s' * (len(fields) != 1)}", f"{len(names)}, as many as columns"
-            remedy = "mend the line"
+            given, allowed = f"{len(fields)} field{'s' * (len(fields) != 1)}", f"{len(names)}, one for each column"
+            remedy = "correct the line"
             if line.count('"') % 2:
-                given, allowed, remedy = "a quotation mark without another", "quotation marks in pairs", "close it"
+                given, allowed, remedy = "an unpaired quotation mark", "quotation marks in pairs", "close it"
             elif separator == "," and len(fields) > len(names):
-                remedy += "; a decimal comma makes two fields of one: write 80.5"
+                remedy += "; a decimal comma splits a number into two fields: write 80.5"
             problems.append(Problem(path, number, 1, "", given, allowed, remedy))
             continue
         rows.append(_row(path, number, dict(zip(names, fields, strict=True))))
@@ -151,7 +151,7 @@ def _row(path: str, line: int, fields: dict[str, tuple[str, int]]) -> Node:
 _OPTIONAL = {"finger_conditions": "finger_condition", "stimuli": "stimulus"}
 
 
-_NAME_IT = "name it there, or leave it out"
+_NAME_IT = "add it there, or leave it out"
 
 
 def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
@@ -162,7 +162,7 @@ def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
     key = "cells" if conditions.cells else "exclude"
     for other, path in (("adaptive", ("adaptive",)), ("sensation_levels", ("conditions", "sensation_levels"))):
         if reading.sound(*path) is not None:
-            given = f"{key} with {other}, whose levels are not those of the protocol"
+            given = f"{key} with {other}, which sets its own levels"
             yield reading.problem(("conditions", key), given, "one of the two", "remove one of them")
             return
     names = {"finger_condition": conditions.finger_conditions, "stimulus": tuple(reading.sound("stimuli") or ())}
@@ -178,7 +178,7 @@ def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
         if twice is not None:
             first = reading.find(("conditions", "cells", seen[twice]))
             where = f"line {first.line}" if first and first.file else f"cells[{seen[twice]}]"
-            given = f"{'-'.join(twice[2])} at {twice[1]:g} mm/s in {twice[0]}, the cell of {where} again"
+            given = f"{'-'.join(twice[2])} at {twice[1]:g} mm/s in {twice[0]}, the same cell as {where}"
             remedy = "remove one of them, and give the other a weight for more trials"
             yield reading.problem(("conditions", "cells", index), given, "each cell once", remedy)
         seen |= dict.fromkeys(expanded, index)
@@ -199,11 +199,11 @@ def _check_excluded(reading: Reading[Any]) -> Iterator[Problem]:
     every = [(name, cell) for name in conditions.finger_conditions for cell in protocol.cells(name, excluded=True)]
     for index, left_out in enumerate(conditions.exclude):
         if not any(left_out.holds(*each) for each in every):
-            given, remedy = "cells that the design does not have", "correct it, or remove it"
+            given, remedy = "cells that are not in the design", "correct it, or remove it"
             yield reading.problem(("conditions", "exclude", index), given, "cells of the design", remedy)
     for index, name in enumerate(conditions.finger_conditions):
         if not protocol.cells(name):
-            given, remedy = f"{name}, for which no cell is left", "leave it out, or give it cells"
+            given, remedy = f"{name}, which has no cells left", "leave it out, or give it cells"
             yield reading.problem(
                 ("conditions", "finger_conditions", index), given, "finger conditions with cells", remedy
             )

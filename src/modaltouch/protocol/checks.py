@@ -57,14 +57,14 @@ def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
         (
             n_catch > n_driven,
             ("schedule", "catch_trials"),
-            f"{n_catch} where {n_driven} trials of a finger condition have a stimulus",
+            f"{n_catch}, but only {n_driven} trials of a finger condition have a stimulus",
             f"at most {n_driven}",
-            "take fewer: each follows a trial with a stimulus",
+            "use fewer: each follows a trial with a stimulus",
         ),
         (
             n_trials > TRIAL_LIMIT,
             ("schedule", "repetitions"),
-            f"{repetitions}, which makes {n_trials} trials",
+            f"{repetitions}, which gives {n_trials} trials",
             f"at most {TRIAL_LIMIT} trials",
             "repeat less often",
         ),
@@ -72,13 +72,13 @@ def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
             idle,
             ("schedule", idle),
             f"{limits.get(idle)} with the order {order}",
-            "null, or the order shuffled",
-            "remove the limit or shuffle",
+            "null, or order: shuffled",
+            "remove the limit or shuffle the trials",
         ),
         (
             not idle and not faulty and n_pairs == 1 and n_driven > limits.get(LIMITS[0], n_driven),
             ("schedule", LIMITS[0]),
-            f"{limits.get(LIMITS[0])} where every trial has the same pair",
+            f"{limits.get(LIMITS[0])}, but every trial has the same pair",
             f"at least {n_driven}, or null for no limit",
             "add a pair of zones or lift the limit",
         ),
@@ -91,12 +91,12 @@ def _check_stimuli(reading: Reading[Protocol]) -> Iterator[Problem]:
     for name in reading.sound("stimuli") or ():
         path = ("stimuli", name, "presentation_bursts")
         if until == "answer" and (n_bursts := reading.sound(*path)) is not None:
-            given, remedy = f"{n_bursts}, where the stimulus plays until the answer", "write stimulus_until: question"
-            yield reading.problem(path, given, "only where it stops before the question (answers)", remedy)
+            given, remedy = f"{n_bursts}, but the stimulus plays until the answer", "write stimulus_until: question"
+            yield reading.problem(path, given, "only for a stimulus that stops before the question (answers)", remedy)
         path = ("stimuli", name, "masked")
         if reading.sound(*path) is not None and reading.sound("masking") is None:
-            given = "a stimulus with or without masking, where there is no noise"
-            yield reading.problem(path, given, "only with a section masking", "write one, or leave it out")
+            given = "a choice of masking, but there is no noise"
+            yield reading.problem(path, given, "only with a section masking", "add that section, or leave this out")
 
 
 TAKEN_NAMES = frozenset(
@@ -142,7 +142,7 @@ def check_settling(reading: Reading[Protocol]) -> Iterator[Problem]:
     if settling and answers.pause_s < answers.settling_s:
         given = f"{answers.pause_s:g} s, but in {settling[0]} a hand or finger that rests on the beam answers"
         allowed = f"at least {answers.settling_s:g} s (answers.settling_s), for it to come back and rest"
-        remedy = "leave it out, or have a foot_switch or the experimenter answer (answers.ways)"
+        remedy = "leave it out, or let a foot_switch or the experimenter give the answer (answers.ways)"
         yield reading.problem(("answers", "pause_s"), given, allowed, remedy)
 
 
@@ -155,7 +155,7 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
         allowed = f"at most {1e3 / rate:g} ms, the time from one burst to the next"
         yield reading.problem((*section, "duration_ms"), given, allowed, "shorten the burst or repeat it less often")
     if duration is not None and instant is not None and instant >= duration:
-        given = f"{instant:g} ms, which is not within the burst of {duration:g} ms"
+        given = f"{instant:g} ms, outside the burst of {duration:g} ms"
         yield reading.problem((*section, "focusing_instant_ms"), given, f"below {duration:g} ms", "move one of them")
     if None not in (duration, instant, n_samples) and instant < duration / n_samples:
         given, allowed = f"{instant:g} ms, before the second sample", f"at least {duration / n_samples:g} ms"
@@ -163,7 +163,7 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
     is_paper = reading.sound(*section, "law") == "paper"
     for key, value in (("design", "least_energy"), ("fingers", "none")) if is_paper else ():
         if (other := reading.sound(*section, key)) not in (None, value):
-            given = f"{other}, which the paper's law does not know"
+            given = f"{other}, which the paper's law does not support"
             yield reading.problem((*section, key), given, f"{value}, or the law exact", "leave it out")
     usual = {"law": "exact", "design": "least_energy", "equalise_band_Hz": None}
     for key, known in usual.items() if reading.sound(*section, "priority") == "level" else ():
@@ -176,13 +176,13 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
         yield reading.problem((*section, "equalise_band_Hz"), "a band, with fingers none", "none", remedy)
     if band is not None and band[0] >= band[1]:
         given = f"{band[0]:g} to {band[1]:g} Hz"
-        yield reading.problem((*section, "equalise_band_Hz"), given, "a band that rises", "swap its ends")
+        yield reading.problem((*section, "equalise_band_Hz"), given, "the lower end first", "swap its ends")
     elif band is not None and None not in (duration, rate, n_samples):
         # A repeated burst has velocity at multiples of its rate alone, up to half its sampling rate.
         highest = min(band[1], n_samples / duration * 500)
         if math.floor(highest / rate) < math.ceil(band[0] / rate):
-            given = f"{band[0]:g} to {band[1]:g} Hz, in which bursts repeated at {rate:g} Hz have no velocity"
-            allowed = f"a band with a multiple of {rate:g} Hz in it, below {n_samples / duration / 2:g} kHz"
+            given = f"{band[0]:g} to {band[1]:g} Hz, which contains no multiple of the repetition rate of {rate:g} Hz"
+            allowed = f"a band that contains a multiple of {rate:g} Hz below {n_samples / duration / 2:g} kHz"
             yield reading.problem((*section, "equalise_band_Hz"), given, allowed, "widen it")
     yield from _doubled(reading, (*section, "selected_modes"), "mode")
     n_decomposed = reading.sound(*section, "decomposed_modes")
@@ -210,7 +210,7 @@ def _doubled(reading: Reading[Protocol], path: tuple[str, ...], noun: str) -> It
     for index, value in reading.items(*path):
         if value in seen:
             word = f"{value:g}" if isinstance(value, float) else value
-            given = f"{word}, the {noun} of {path[-1]}[{seen[value]}] again"
+            given = f"{word}, the same {noun} as {path[-1]}[{seen[value]}]"
             yield reading.problem((*path, index), given, f"each {noun} once", "remove it")
         seen.setdefault(value, index)
 
@@ -222,7 +222,7 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
         for index, name in reading.items(*path):
             yield from check_key(reading, (*path, index), name)
             if name in places:
-                given = f"'{name}', which answers {places[name][-2]} already"
+                given = f"'{name}', which already means {places[name][-2]}"
                 yield reading.problem((*path, index), given, "each key for one answer", "remove one of them")
             places.setdefault(name, (*path, index))
     for index, name in reading.items("answers", "continue_keys"):
@@ -234,11 +234,11 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
         yield from check_key(reading, path, name)
         if name in places and not is_written:
             # The fault belongs where somebody wrote it, not at a key that is not in the file.
-            given = f"'{name}', which switches the outputs off in an emergency where `emergency_keys` names no other"
+            given = f"'{name}', the emergency key that switches the outputs off unless `emergency_keys` names another"
             remedy = "choose another, or name another key under `answers.emergency_keys`"
             yield reading.problem(places[name], given, "a key with no other meaning", remedy)
         elif name in places or name == AnswersSection.END_KEY:
-            given = f"'{name}', which is needed otherwise"
+            given = f"'{name}', which already has another meaning"
             yield reading.problem(path, given, "a key with no other meaning, such as f12", "choose another")
 
 
@@ -262,9 +262,9 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
         remedy = "add a key, such as `left`, `both` or `right`" if len(names) < 2 else "offer fewer"
         yield reading.problem(path, given, f"2 to {MOST_ANSWERS} answers", remedy)
     zones = {zone for _, listed in contacts(reading) for zone in listed}
-    why = dict.fromkeys(zones, "which is a zone: tables call an answer by the zone that it names")
-    why |= dict.fromkeys(TAKEN_NAMES, "which is a column of the table of counts")
-    why |= {TIME_OUT: "which is recorded where no answer came in time"}
+    why = dict.fromkeys(zones, "which is a zone, and tables label answers by zone")
+    why |= dict.fromkeys(TAKEN_NAMES, "which is also a column of the table of counts")
+    why |= {TIME_OUT: "which is recorded when no answer comes in time"}
     for name in [name for name in names or () if name in why]:
         yield reading.problem((*path, name), f"{name}, {why[name]}", "any other name", "choose another")
     for name in [str(step) for step, _ in reading.items("answers", "fingers")]:
@@ -292,14 +292,14 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
     sides = {answer.fingers for answer in offered}
     one_sided = next((answer.name for answer in offered if answer.mirrored not in sides), None)
     if turned and one_sided is not None:
-        given = f"a beam that is turned, where '{one_sided}' has no answer on the other side"
-        remedy = "name the other finger, too, or leave the beam as it is"
+        given = f"a turned beam, but '{one_sided}' has no counterpart on the other side"
+        remedy = "add an answer for the other finger, or do not turn the beam"
         yield reading.problem(("conditions", "placements"), given, "answers for both sides", remedy)
     if any(answer.fingers or answer.interval for answer in offered):
         return
     for key in ("practice_feedback", "practice_criterion"):
         if value := reading.sound("schedule", key):
-            given = f"{str(value).lower()}, where no answer names a finger or an interval"
+            given = f"{str(value).lower()}, but no answer names a finger or an interval"
             remedy = "remove it: practice is judged by the speeds under the fingers or by the intervals"
             yield reading.problem(("schedule", key), given, "answers that name fingers or intervals", remedy)
 
@@ -370,7 +370,7 @@ def _check_sampling(protocol: Reading[Protocol], apparatus: Reading[Apparatus], 
     least = 2 * math.ceil(LEAST_SAMPLES_PER_CYCLE * highest * duration * 1e-3 / 2 * (1 - 1e-12))
     if n_samples < least:
         given = f"{n_samples} samples in {duration:g} ms, too few for the mode of {highest:g} Hz"
-        remedy = "take more samples, shorten the burst or leave the mode out of the apparatus"
+        remedy = "use more samples, shorten the burst or leave the mode out of the apparatus"
         yield protocol.problem(("stimulus", "n_samples"), given, f"at least {least}", remedy)
 
 
@@ -378,7 +378,7 @@ def _check_delay(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
     delay = apparatus.sound("amplifier", "delay_us")
     instant = protocol.sound("stimulus", "focusing_instant_ms")
     if delay is not None and instant is not None and delay >= instant * 1e3:
-        given = f"{delay:g} us, past the focusing instant of {instant:g} ms"
+        given = f"{delay:g} us, later than the focusing instant of {instant:g} ms"
         allowed = f"below {instant * 1e3:g} us, so that the drive reaches the beam by then"
         yield apparatus.problem(("amplifier", "delay_us"), given, allowed, "write the delay in microseconds")
 
@@ -387,5 +387,5 @@ def _check_levels(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) ->
     limit = apparatus.sound("safety", "velocity_limit_mm_s")
     for path, velocity in presented_levels(protocol).items():
         if limit is not None and velocity > limit:
-            given = f"{velocity:g} mm/s, beyond the safety limit of the apparatus"
+            given = f"{velocity:g} mm/s, above the safety limit of the apparatus"
             yield protocol.problem(path, given, f"at most {limit:g} mm/s", "lower the level")

@@ -29,7 +29,7 @@ Contacts = Annotated[tuple[ZoneName, ...], Field(min_length=1, max_length=3)]
 
 
 class CellsSection(Section):
-    """Cells of a design that is not crossed: one pair of zones at one level or several."""
+    """Cells of a design that is not crossed: one pair of zones at one or more levels."""
 
     pair: Contacts = described(
         "Zones under the fingers, from left to right as the participant sees the beam: usually two; one or three for "
@@ -49,7 +49,7 @@ class CellsSection(Section):
 
 
 class ExcludedCells(Section):
-    """Cells that are left out of the crossed design: those that agree with every key that is given."""
+    """Cells left out of the crossed design: those that match every key given."""
 
     pair: Contacts | None = described("Zones as in zone_pairs or zones; null for any.", default=None)
     peak_velocity_mm_s: Positive | None = described("Peak velocity [mm/s]; null for any.", default=None)
@@ -63,7 +63,7 @@ class ExcludedCells(Section):
 
 
 class ConditionsSection(Section):
-    """The cells of the design: every finger condition with every pair and peak velocity, or those that are listed."""
+    """The cells of the design: every finger condition with every pair and peak velocity, or the cells listed."""
 
     model_config = ConfigDict(
         json_schema_extra={

@@ -55,7 +55,7 @@ def _check_zones(reading: Reading[Protocol]) -> Iterator[Problem]:
             yield reading.problem(path, f"{said}, the same zone for {who}", f"{_SAID[n]} different zones")
         elif zones in seen:
             noun = "pair" if path[1] == "zone_pairs" else "zones"
-            said += f", the {noun} of {path[1]}[{seen[zones]}] again"
+            said += f", the same {noun} as {path[1]}[{seen[zones]}]"
             yield reading.problem(path, said, f"each {noun} once", "remove it; for more trials raise repetitions")
         seen.setdefault(zones, path[2])
 
@@ -66,8 +66,8 @@ def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
     said = f"[{', '.join(fingers)}]"
     in_order = {hand: [each for each in _FROM_LEFT if each in fingers and each.startswith(hand)] for hand in ("l", "r")}
     if name in _SHIPPED:
-        given = f"{name}, whose fingers are known"
-        yield reading.problem(path, given, "a name of its own", "choose another", at_key=True)
+        given = f"{name}, a built-in condition"
+        yield reading.problem(path, given, "a new name", "choose another", at_key=True)
     elif len(set(fingers)) < len(fingers):
         yield reading.problem(path, said, "each finger once", "remove the second")
     elif any([each for each in fingers if each.startswith(hand)] != own for hand, own in in_order.items()):
@@ -89,7 +89,7 @@ def _check_number(reading: Reading[Protocol], name: str, number: int) -> Iterato
         if len(zones) != number:
             given = f"[{', '.join(zones)}], {_SAID[len(zones)]} for the {_SAID[number]} of {name}"
             allowed = "as many zones as fingers"
-            remedy = "give `zones` with as many, or fingers of another number under conditions.fingers"
+            remedy = "change the number of zones, or of fingers under conditions.fingers"
             yield reading.problem(path, given, allowed, remedy)
 
 
@@ -105,12 +105,15 @@ def _check_answers(reading: Reading[Protocol], name: str, number: int) -> Iterat
         alone = [side for side in SIDES[3] if offered.naming(side) is not None]
         if number == 3 and 0 < len(alone) < 3:
             odd = next(answer.name for answer in offered if answer.fingers)
-            allowed, remedy = "an answer for each of the three", "name left, between and right under answers.fingers"
+            allowed, remedy = (
+                "an answer for each of the three fingers",
+                "name left, between and right under answers.fingers",
+            )
     if odd is not None:
         is_own = reading.find(("answers", "fingers", odd)) is not None
         at = ("answers", "fingers" if is_own else "keys", odd)
         remedy += f"; remove its entry under {at[1]}" if number == 1 else ""
-        yield reading.problem(at, f"'{odd}', with the {_SAID[number]} of {name}", allowed, remedy, at_key=True)
+        yield reading.problem(at, f"'{odd}', for the {_SAID[number]} of {name}", allowed, remedy, at_key=True)
 
 
 def _check_way(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
@@ -118,6 +121,6 @@ def _check_way(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
     way = reading.sound("answers", "ways", name)
     if reading.sound("answers", "given_by") != "experimenter" and way in (None, "free_hand"):
         path = ("answers", "ways", name) if way else ("answers",)
-        given = f"{way or 'no way to answer'} in {name}, where both hands are on the beam"
+        given = f"{way or 'no way to answer'} in {name}, but both hands are on the beam"
         allowed = "lifting, foot_switch or experimenter"
         yield reading.problem(path, given, allowed, f"add `ways: {{{name}: lifting}}` to the answers")

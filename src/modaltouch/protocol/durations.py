@@ -67,7 +67,7 @@ def _check_written_once(protocol: Reading[Protocol]) -> Iterator[Problem]:
     if seconds is None or n_bursts is None:
         return
     if any(whole_bursts(seconds, rate) != n_bursts for rate in rates):
-        given = f"{n_bursts}, where presentation_s says {seconds:g} s"
+        given = f"{n_bursts}, but presentation_s says {seconds:g} s"
         yield protocol.problem(("answers", "presentation_bursts"), given, "one of the two", "remove one of them")
 
 
@@ -97,7 +97,7 @@ def _check_catch_trials(protocol: Reading[Protocol], apparatus: Reading[Apparatu
     if protocol.sound(*STANDARD_LEVEL) == 0:
         silent[STANDARD_LEVEL] = "silence"
     for path, said in silent.items() if repetition in ("continuous", "wired") else ():
-        given = f"{said}, where the generator's repetition is {repetition}"
+        given = f"{said}, but the generator's repetition is {repetition}"
         allowed = "none" if said == "silence" else "0"
-        allowed += ": only bursts that are triggered by command can be kept back while the outputs are on"
+        allowed += ": only bursts triggered by command can be held back while the outputs are on"
         yield protocol.problem(path, given, allowed, "set generator.repetition to single")

@@ -125,7 +125,7 @@ class Findings:
             If the protocol was not opened.
         """
         if self.protocol is None:
-            raise ValueError("there is no file in which to find the fault: open the protocol first")
+            raise ValueError("there is no file to search for the fault: open the protocol first")
         return self.protocol.problem(path, given, allowed, remedy)
 
     def defaults(self) -> list[dict[str, Any]]:
@@ -220,7 +220,7 @@ class Findings:
             return None
         given = f"{made_with}, the generator it was made with"
         allowed = f"{identity}, the generator that is open"
-        remedy = "open that one, or calibrate again with `modaltouch calibrate`"
+        remedy = "open the one it was made with, or calibrate again with `modaltouch calibrate`"
         return self.calibration.problem(("instruments", "generator"), given, allowed, remedy)
 
     def each_stimulus(self) -> Iterator[tuple[str, Findings]]:
@@ -236,8 +236,8 @@ class Findings:
             alone = at_own_levels(replace(self.protocol, value=value.model_copy(update={"schedule": eased})))
             problems = [*check_protocol(alone), *check_fit(alone, self.apparatus)]
             if variant.field is not None and variant.field.file is not None:
-                path, remedy = ("stimuli", name, "field", "file"), "write the points themselves"
-                problems.append(self.problem(path, "a file of one of several stimuli", "points", remedy))
+                path, remedy = ("stimuli", name, "field", "file"), "write the points into the protocol"
+                problems.append(self.problem(path, "a file for one of several stimuli", "points", remedy))
             calibration = self.calibration
             if calibration is not None:
                 from modaltouch.protocol.calibration import calibration_alone, check_calibration
@@ -410,8 +410,8 @@ def _examine_calibration(
     else:
         source = _load_named(protocol, ("calibration", "file"), problems)
         if protocol.sound("calibration", "file") is None and protocol.sound("calibration", "required"):
-            given = "true, and no calibration is given"
-            remedy = "make one with `modaltouch calibrate` and name it under `file`, or give it with --calibration"
+            given = "true, but no calibration is given"
+            remedy = "make one with `modaltouch calibrate`, and name it under `file` or give it with --calibration"
             problems.append(protocol.problem(("calibration", "required"), given, "a calibration", remedy))
     if source is None:
         return None
@@ -419,12 +419,12 @@ def _examine_calibration(
     from modaltouch.protocol.calibration import check_age, check_calibration, examine_calibration
 
     if protocol.sound("stimulus", "field", "file") is not None:
-        given = "a file, which a calibration does not hold"
+        given = "a file, which a calibration cannot contain"
         remedy = "write the points into the protocol, under `points`"
         problems.append(protocol.problem(("stimulus", "field", "file"), given, "points, with a calibration", remedy))
     if protocol.sound("stimulus", "fingers") not in (None, NO_FINGERS):
-        given = f"{protocol.sound('stimulus', 'fingers')}, with a calibration, which is one of the untouched beam"
-        problems.append(protocol.problem(("stimulus", "fingers"), given, NO_FINGERS, "leave one of the two out"))
+        given = f"{protocol.sound('stimulus', 'fingers')}, with a calibration, which is for the untouched beam"
+        problems.append(protocol.problem(("stimulus", "fingers"), given, NO_FINGERS, "leave one of them out"))
     reading = examine_calibration(source)
     problems += [*reading.problems, *check_calibration(reading, protocol, apparatus), *check_age(reading, protocol)]
     return reading
@@ -444,7 +444,7 @@ def _load_named(protocol: Reading[Protocol], key: tuple[str, ...], problems: lis
             problems.append(found)
         else:
             wanted = YAML_FILE.replace("YAML", "CSV") if key[0] in ("stimulus", "conditions") else YAML_FILE
-            allowed = f"{wanted}, by its path from this file" if found.allowed == YAML_FILE else found.allowed
+            allowed = f"{wanted}, as a path relative to this file" if found.allowed == YAML_FILE else found.allowed
             given = f"{name!r}, {found.given} ({path})"
             problems.append(protocol.problem(key, given, allowed, found.remedy))
         return None

@@ -20,14 +20,14 @@ Spread = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=3)]
 
 
 class MaxwellSection(Section):
-    """A spring behind a damper, which gives way in time."""
+    """A spring in series with a damper, which relaxes over time."""
 
     stiffness_N_per_mm: Positive = described("Stiffness before it relaxes [N/mm].")  # noqa: N815
     relaxation_ms: Positive = described("Relaxation time [ms].")
 
 
 class SecondMassSection(Section):
-    """A mass behind a spring, as of the finger behind its pulp."""
+    """A mass behind a spring, such as the finger behind its pulp."""
 
     mass_g: Positive = described("The mass [g].")
     stiffness_N_per_mm: Positive = described("Stiffness of the spring [N/mm].")  # noqa: N815
@@ -92,7 +92,7 @@ def _kind_of_fingers(value: object) -> str:
 
 
 class FingerSpread(Section):
-    """How much fingertips differ: standard deviations of logarithms, and of the place."""
+    """How much fingertips differ: standard deviations of logarithms, and of the position."""
 
     mass: Spread = described("Spread of the mass.", default=0.0)
     damping: Spread = described("Spread of the damping.", default=0.0)
@@ -115,7 +115,7 @@ class FingerSpread(Section):
 
 
 class FingerProbe(Section):
-    """A probe that fingers were measured by."""
+    """A probe with which fingers were measured."""
 
     placement: Text = described("Zones from left to right, and the fingers on them.")
     date: Text = described("When the probe was made.")

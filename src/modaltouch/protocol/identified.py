@@ -63,7 +63,7 @@ class Identified(Section):
     misfit: NotNegative | None = described(
         "Mean square of the residuals of the fit, relative to that of the noise [1].", default=None
     )
-    warnings: tuple[Text, ...] = described("What you should know about these numbers, one sentence each.", default=())
+    warnings: tuple[Text, ...] = described("Reservations about these numbers, one sentence each.", default=())
     replaced_sha256: Text = described("Hash of the apparatus file that this one was made from.", default="")
 
 
@@ -112,8 +112,8 @@ def check_shapes(reading: Reading[Any]) -> Iterator[Problem]:
     theory, table = reading.sound("beam", "theory"), reading.sound("beam", "measured_shapes")
     here = ("beam", "measured_shapes")
     if theory == "measured" and reading.find(here) is None:
-        remedy = "add `measured_shapes`, or take euler_bernoulli or timoshenko"
-        yield reading.problem(("beam", "theory"), "measured, without any shapes", "shapes of a scan", remedy)
+        remedy = "add `measured_shapes`, or choose euler_bernoulli or timoshenko"
+        yield reading.problem(("beam", "theory"), "measured, but there are no shapes", "shapes of a scan", remedy)
     if theory in ("euler_bernoulli", "timoshenko") and reading.find(here) is not None:
         given = f"shapes of a scan, which {theory} does not use"
         yield reading.problem(here, given, "only with `theory: measured`", "write `theory: measured`", at_key=True)
@@ -121,11 +121,11 @@ def check_shapes(reading: Reading[Any]) -> Iterator[Problem]:
         return
     for index, mode in enumerate(table.modes):
         if len(mode.values) != len(table.position_mm):
-            given = f"{len(mode.values)} values at {len(table.position_mm)} positions"
-            yield reading.problem((*here, "modes", index, "values"), given, "one value to each position")
+            given = f"{len(mode.values)} values for {len(table.position_mm)} positions"
+            yield reading.problem((*here, "modes", index, "values"), given, "one value for each position")
     labels = [mode.label for _, mode in reading.items("modes")]
     shaped = [mode.label for mode in table.modes]
     for label in labels:
         if shaped.count(label) != 1:
             given = f"{shaped.count(label)} shapes of mode {label}"
-            yield reading.problem((*here, "modes"), given, "one shape to each mode of the table", at_key=True)
+            yield reading.problem((*here, "modes"), given, "one shape for each mode of the table", at_key=True)

@@ -41,14 +41,14 @@ def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
     """Yield the faults between the section ``intervals`` and the others, as far as its sound parts show them."""
     path = ("intervals",)
     if reading.keys(*path) is None:
-        given = "meanings of answers, where a trial has a single stimulus"
+        given = "meanings of answers, but a trial has a single stimulus"
         yield reading.problem(("answers", "intervals"), given, "a section intervals", "write it, or remove this")
     if reading.keys(*path) is None or (reading.value is not None and reading.value.intervals is None):
         return  # of several stimuli this one is not the standard's
     standard = reading.sound(*path, "standard")
     names = reading.keys("stimuli") or []
     if standard is not None and standard.stimulus is not None and standard.stimulus not in names:
-        at, given = (*path, "standard", "stimulus"), f"{standard.stimulus!r}, where there is no section stimuli"
+        at, given = (*path, "standard", "stimulus"), f"{standard.stimulus!r}, but there is no section stimuli"
         problem = reading.unknown(at, "one of the stimuli", names)
         yield problem if names else reading.problem(at, given, "null", "remove it, or write the section")
     until, n_catch = reading.sound("answers", "stimulus_until"), reading.sound("schedule", "catch_trials")
@@ -59,7 +59,7 @@ def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
             STANDARD_LEVEL,
             f"{level:g} mm/s, where levels are multiples of each participant's own threshold",
             "null or 0",
-            "let the standard be another stimulus, or silence, or remove conditions.sensation_levels",
+            "make the standard another stimulus or silence, or remove conditions.sensation_levels",
         ),
         (
             standard is not None and standard.velocity_mm_s is None and standard.stimulus is None,
@@ -71,16 +71,16 @@ def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
         (
             until not in (None, "question"),
             ("answers", "stimulus_until"),
-            f"{until}, where a trial has several intervals",
+            f"{until}, but a trial has several intervals",
             "question",
-            "write `stimulus_until: question`, and its length as presentation_s or presentation_bursts",
+            "write `stimulus_until: question`, and give its length as presentation_s or presentation_bursts",
         ),
         (
             n_catch,
             ("schedule", "catch_trials"),
-            f"{n_catch}, where a trial has several intervals",
+            f"{n_catch}, but a trial has several intervals",
             "0",
-            "remove it; intervals of silence are `intervals.standard.velocity_mm_s: 0`",
+            "remove it; for silent intervals, write `intervals.standard.velocity_mm_s: 0`",
         ),
     )
     yield from _check_numbers(reading)
@@ -94,7 +94,7 @@ def _check_numbers(reading: Reading[Any]) -> Iterator[Problem]:
         seen: list[Meaning] = []
         for step, meaning in reading.items(*path):
             if isinstance(meaning, int) and number is not None and meaning > number:
-                given = f"{meaning}, where a trial has {number} intervals"
+                given = f"{meaning}, but a trial has {number} intervals"
                 yield reading.problem((*path, step), given, f"1 to {number}", "correct it, or raise intervals.number")
             elif meaning in seen:
                 yield reading.problem((*path, step), f"{meaning} again", "each once", "remove one of them")
@@ -109,15 +109,15 @@ def _check_asked(reading: Reading[Any]) -> Iterator[Problem]:
     named = any(isinstance(meaning, int) for _, meaning in meanings)
     for step, meaning in meanings:
         if meaning == "different" and named:
-            given, allowed = "different beside the number of an interval", "numbers alone, or same and different"
-            yield reading.problem(("answers", "intervals", step), given, allowed, "ask one of the two")
+            given, allowed = "different together with the number of an interval", "only numbers, or same and different"
+            yield reading.problem(("answers", "intervals", step), given, allowed, "ask one of these questions")
     places = reading.sound("intervals", "comparison_in") or range(1, 1 + (number or 0))
     if named and (unnamed := [place for place in places if place not in dict(meanings).values()]):
         given = f"no answer for interval {unnamed[0]}, which may hold the comparison"
-        remedy = "name it, or leave it out of intervals.comparison_in"
+        remedy = "add it, or leave the interval out of intervals.comparison_in"
         yield reading.problem(("answers", "intervals"), given, "an answer for each such interval", remedy)
     written = reading.find(("intervals", "asked")) is not None
     if number == 2 and named and not written and standard and levels and min(levels) < standard < max(levels):
-        given = f"nothing, where levels lie below and above the standard of {standard:g} mm/s"
-        remedy = "write `asked: stronger` if the question is which one was stronger, else `asked: comparison`"
+        given = f"nothing, but levels lie both below and above the standard of {standard:g} mm/s"
+        remedy = "write `asked: stronger` if the question is which one was stronger, otherwise `asked: comparison`"
         yield reading.problem(("intervals", "asked"), given, "comparison, stronger", remedy)

@@ -16,7 +16,7 @@ Decibels = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-120, le=
 
 
 class MaskingSection(Section):
-    """Noise in the participant's ears, from before the first trial until after the last, without a break."""
+    """Noise in the participant's ears, without a break from before the first trial until after the last."""
 
     noise: Literal["pink", "white"] = described(
         "pink: equal power per octave; white: equal power per hertz; both from 20 Hz to 20 kHz.", default="pink"
@@ -67,8 +67,8 @@ def check_masking(protocol: Reading[Any], apparatus: Reading[Apparatus]) -> Iter
         allowed = "one of level_dB_FS and level_dB_SPL"
         yield protocol.problem(("masking",), said, allowed, "give the noise one level")
     elif given == ["level_dB_SPL"] and apparatus.sound("sound", "full_scale_dB_SPL") is None:
-        said = f"{protocol.sound('masking', 'level_dB_SPL'):g} dB SPL for a loudspeaker that was not calibrated"
-        remedy = "measure what a sine of full scale gives at the ear, or give level_dB_FS"
+        said = f"{protocol.sound('masking', 'level_dB_SPL'):g} dB SPL, but the loudspeaker is not calibrated"
+        remedy = "measure the level of a full-scale sine at the ear, or give level_dB_FS"
         yield protocol.problem(
-            ("masking", "level_dB_SPL"), said, "with sound.full_scale_dB_SPL in the apparatus alone", remedy
+            ("masking", "level_dB_SPL"), said, "only if the apparatus has sound.full_scale_dB_SPL", remedy
         )

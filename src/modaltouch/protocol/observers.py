@@ -18,7 +18,7 @@ Gain = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=100)]
 
 
 class SuppressionSection(Section):
-    """How much the stronger finger pushes the weaker one down."""
+    """How much the stronger finger suppresses the weaker one."""
 
     one_hand: Gain = described("Suppression between two fingers of one hand [1].", default=0.65)
     two_hands: Gain = described("Suppression between fingers of different hands [1].", default=0.6)
@@ -36,7 +36,7 @@ class ReactionSection(Section):
 
 
 class TypicalSection(Section):
-    """The participant in the middle of the population."""
+    """The typical participant of the population."""
 
     weber_fraction: Gain = described(
         "Relative difference of speeds worth one standard deviation of noise, before suppression sharpens it.",
@@ -51,7 +51,7 @@ class TypicalSection(Section):
         default=0.33,
     )
     suppression: SuppressionSection = described(
-        "How much the stronger finger pushes the weaker one down.", default=SuppressionSection()
+        "How much the stronger finger suppresses the weaker one.", default=SuppressionSection()
     )
     side_bias: Small = described("Preference for the right side, as a difference; negative for the left.", default=0.0)
     lapse_rate: Share = described("Share of trials answered at random.", default=0.005)
@@ -67,7 +67,7 @@ class TypicalSection(Section):
 
 
 class SpreadSection(Section):
-    """How much participants differ: standard deviations; of logarithms, but for the side bias."""
+    """How much participants differ: standard deviations, of logarithms except for the side bias."""
 
     weber_fraction: Spread = described("Spread of the logarithm of the noise.", default=0.2)
     criterion: Spread = described("Spread of the logarithm of the criterion.", default=0.2)

@@ -15,7 +15,7 @@ _OWN: dict[str, Any] = {"default": {}, "exclude_if": lambda given: not given}
 
 
 class Overrides(Section):
-    """What differs for a group, or in a kind of session; everything else is as in the protocol."""
+    """What differs for a group or a kind of session; everything else is as in the protocol."""
 
     conditions: dict[str, object] = described(
         "Keys of the section conditions that differ, such as {peak_velocities_mm_s: [80, 100]}.", **_OWN
@@ -33,7 +33,7 @@ class Overrides(Section):
 
 
 class SessionKind(Overrides):
-    """A kind of session, in the order in which each participant has them."""
+    """A kind of session; every participant has the kinds in this order."""
 
     name: Word = described("Name of the kind, such as training; used in the record, tables and report.")
     times: Annotated[Count, Field(le=1000)] = described(

@@ -38,7 +38,7 @@ def refuse_runs(counts: Sequence[int], limit: int, key: str, n_others: int = 0) 
     """
     least = least_limit([*counts, *[1] * n_others])
     if limit < least:
-        said = f"{max(counts)} of {sum(counts) + n_others} trials are alike in this; the least that works is {least}"
+        said = f"{max(counts)} of {sum(counts) + n_others} trials share this; the smallest limit that works is {least}"
         raise NoOrderError(f"schedule.{key} is {limit}, but {said}", key)
 
 

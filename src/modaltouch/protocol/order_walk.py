@@ -56,7 +56,9 @@ class Limit(Generic[Item]):
         if self.distance > 1 and most > 1:
             farthest = (len(items) - list(counts.values()).count(most)) // (most - 1)
             if self.distance > farthest:
-                said = f"{most} of {len(items)} trials are of one cell; the largest that works is {farthest}"
+                said = (
+                    f"{most} of {len(items)} trials belong to one cell; the largest distance that works is {farthest}"
+                )
                 raise NoOrderError(f"schedule.{self.key} is {self.distance}, but {said}", self.key)
         elif self.distance == 1 and most:
             refuse_runs([*counts.values()], self.running, self.key, n_free)

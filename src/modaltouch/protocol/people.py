@@ -28,8 +28,8 @@ class PersonField(Section):
     """One question about the participant; its key is the column of participants.tsv."""
 
     kind: Literal["number", "choice", "text", "consent"] = described(
-        "number; choice: one of the choices; text: some words; consent: yes or no, where without a yes to a required "
-        "consent the session does not begin and nothing is stored."
+        "number; choice: one of the choices; text: some words; consent: yes or no. Without a yes to a required "
+        "consent, the session does not begin and nothing is stored."
     )
     question: Text = described("The question, in the participant's language.")
     choices: tuple[Text, ...] = described(
@@ -47,12 +47,18 @@ class PersonField(Section):
     def _fits(self) -> Self:
         n_choices, low, high = len(set(self.choices)), self.lowest, self.highest
         if (n_choices < 2 or n_choices < len(self.choices)) if self.kind == "choice" else n_choices:
-            given, allowed = f"{len(self.choices)} choices of a {self.kind}", "two or more different ones of a choice"
+            given, allowed = (
+                f"{len(self.choices)} choices for a {self.kind}",
+                "at least two different choices, and only for `choice`",
+            )
             raise fault(given, allowed, "change the choices or the kind")
         if (low, high) != (None, None) and (
             self.kind != "number" or (low is not None and high is not None and low > high)
         ):
-            given, allowed = f"bounds of a {self.kind}, {low} to {high}", "of a number, lowest below highest"
+            given, allowed = (
+                f"bounds for a {self.kind}, {low} to {high}",
+                "only for a number, with lowest below highest",
+            )
             raise fault(given, allowed, "change the bounds or the kind")
         return self
 
@@ -114,11 +120,14 @@ def check_people(reading: Reading[Any]) -> Iterator[Problem]:
     """Yield the fields that nobody should be asked, and the one that participants.tsv has anyway."""
     for name, asked in reading.items("people"):
         if not asked.identifies and any(map(IDENTIFYING.fullmatch, re.split(r"[_-]", name.casefold()))):
-            given, allowed = f"{name}, which identifies a person", "what does not, as data are kept under a code alone"
+            given, allowed = (
+                f"{name}, which identifies a person",
+                "fields that identify nobody, since data are stored only under a code",
+            )
             remedy = "leave it out, ask for the age instead of a birthday, or write `identifies: true`"
             yield reading.problem(("people", name), given, allowed, remedy, at_key=True)
         if name == "participant_id":
-            yield reading.problem(("people", name), f"{name}, a column of its own", "any other name", at_key=True)
+            yield reading.problem(("people", name), f"{name}, which is already a column", "any other name", at_key=True)
 
 
 def read_people(fields: Mapping[str, PersonField], path: Path) -> dict[str, float | str | None]:

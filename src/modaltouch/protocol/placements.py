@@ -104,7 +104,7 @@ def lacking_fingers(reading: Reading[FingersFile], protocol: Protocol) -> list[P
     if file is None:
         return []
     return [
-        reading.problem(("fingers",), f"no {name} finger", "every finger that lies on the beam", f"add the {name}")
+        reading.problem(("fingers",), f"no {name} finger", "every finger that touches the beam", f"add the {name}")
         for name in protocol.conditions.fingers_used
         if file.of(name) is None
     ]
@@ -134,10 +134,10 @@ def check_measured(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | 
     path = "stimulus", "fingers"
     if protocol.sound(*path) != MEASURED or apparatus is None or apparatus.value is None:
         return
-    typical = "write `fingers: typical`, for which a level is right on average and wrong by a fifth for a person"
+    typical = "write `fingers: typical`, with which a level is right on average and wrong by a fifth for one person"
     if apparatus.find(("acquisition",)) is None:
-        given = "measured, without a vibrometer: the apparatus has no section acquisition"
-        yield protocol.problem(path, given, "with one, or none, typical or a file", typical)
+        given = "measured, but the apparatus has no section acquisition"
+        yield protocol.problem(path, given, "none, typical, a file, or an apparatus with that section", typical)
     from modaltouch.stimulus import Probe
 
     try:
@@ -145,7 +145,7 @@ def check_measured(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | 
     except ValueError as error:
         given, _, needed = str(error).partition("; allowed: ")
         allowed, _, remedy = needed.partition("; ")
-        yield protocol.problem(path, f"measured, where {given}", allowed, f"{remedy}; or {typical}")
+        yield protocol.problem(path, f"measured, but {given}", allowed, f"{remedy}; or {typical}")
 
 
 def read_fingers(source: Source, protocol: Reading[Protocol] | None) -> tuple[Reading[FingersFile], list[Problem]]:

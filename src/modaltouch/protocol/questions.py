@@ -65,7 +65,7 @@ _MODULUS = 10.0
 
 
 class ScaleSection(Section):
-    """A scale that is answered by a number."""
+    """A scale that is answered with a number."""
 
     kind: Literal["vas", "likert", "number"] = described(
         "vas: a visual analogue scale, a line on which a mark is set; likert: a choice of one of several points; "
@@ -107,7 +107,7 @@ class ScaleSection(Section):
             raise fault(f"a scale from {low:g} to {high:g}", "lowest below highest", "change one of them")
         if is_typed:
             if self.step is not None or self.words:
-                raise fault("a step or words of a number that is typed", "neither", "leave them out")
+                raise fault("a step or words for a typed number", "neither", "leave them out")
             return self
         n_steps = (high - low) / step
         most = _MOST_POINTS - 1 if self.kind == "likert" else _MOST_STEPS
@@ -117,7 +117,7 @@ class ScaleSection(Section):
         allowed = {0, 2, len(self.points)} if self.kind == "likert" else {0, 2}
         if len(self.words) not in allowed:
             many = " or ".join(map(str, sorted(allowed - {0})))
-            raise fault(f"{len(self.words)} words of a {self.kind} scale", f"{many}, or none", "add or remove words")
+            raise fault(f"{len(self.words)} words for a {self.kind} scale", f"{many}, or none", "add or remove words")
         return self
 
     @property
@@ -288,7 +288,7 @@ def check_key(reading: Reading[Any], path: tuple[str | int, ...], name: str) -> 
         meant = AskedSection.KEY_ALIASES.get(name.casefold()) or suggest(name, KEY_NAMES)
         allowed = "left, right, up, down, space, enter, letters, digits, num_0 to num_9, f1 to f20 and the like"
         remedy = f"did you mean '{meant}'?" if meant else "write it in small letters"
-        yield reading.problem(path, f"'{name}', which is no key's name", allowed, remedy)
+        yield reading.problem(path, f"'{name}', which is not the name of a key", allowed, remedy)
 
 
 def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
@@ -299,20 +299,18 @@ def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
         yield reading.problem((*answers, "keys"), "nothing", "a mapping", remedy)
     for key in ("keys", "fingers", "below") if has_scale else ():
         if reading.find((*answers, key)) is not None:
-            given, remedy = f"{key} beside a scale", "remove one of them; `then` asks a further question"
+            given, remedy = f"{key} together with a scale", "remove one of them; `then` asks a further question"
             yield reading.problem((*answers, key), given, "answers with keys, or a scale", remedy)
     yield from _check_scale(reading, (*answers, "scale"))
     for section in (("answers", "then"), ("form",)):
         for name in reading.keys(*section) or ():
             if name in TAKEN_COLUMNS or name.endswith("_time"):
-                given = f"{name}, a column that the table of answers has anyway"
+                given = f"{name}, which is already a column of the table of answers"
                 yield reading.problem((*section, name), given, "any other name", "choose another", at_key=True)
             names = reading.keys(*section, name, "keys") or []
             if names and not 2 <= len(names) <= MOST_ANSWERS:
                 given = f"{len(names)} answer{'s' * (len(names) != 1)}"
-                yield reading.problem(
-                    (*section, name, "keys"), given, f"2 to {MOST_ANSWERS} answers", "or take a scale"
-                )
+                yield reading.problem((*section, name, "keys"), given, f"2 to {MOST_ANSWERS} answers", "or use a scale")
             yield from _check_used(reading, (*section, name, "keys"))
             yield from _check_scale(reading, (*section, name, "scale"))
 
@@ -336,6 +334,6 @@ def _check_used(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Proble
         for index, name in reading.items(*path, answer):
             yield from check_key(reading, (*path, answer, index), name)
             if name in taken:
-                given = f"'{name}', which {taken[name]} already"
+                given = f"'{name}', which already {taken[name]}"
                 yield reading.problem((*path, answer, index), given, "a key with no other meaning", "choose another")
             taken.setdefault(name, f"means {answer}")

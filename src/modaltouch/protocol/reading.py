@@ -294,7 +294,7 @@ def _remedy(reading: Reading[Any], path: tuple[Step, ...], node: Node | None) ->
         return ""
     if isinstance(node.content, str):
         if "number" in allowed and number_meant(node.content):
-            unit = "; the unit stands in the key" if path and "_" in str(path[-1]) else ""
+            unit = "; the unit is part of the key" if path and "_" in str(path[-1]) else ""
             return f"write only the number: {number_meant(node.content)}{unit}"
         meant = suggest(node.content, allowed.split(", "))
         return f"did you mean '{meant}'?" if meant else ""

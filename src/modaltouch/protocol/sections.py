@@ -53,7 +53,7 @@ class CalibrationSection(Section):
 
 
 class MarkersSection(Section):
-    """What other devices are told while a session runs."""
+    """Markers sent to other devices while a session runs."""
 
     lsl: bool = described(
         "Whether each stimulus, question and answer is sent as a marker of the Lab Streaming Layer, in the stream "
@@ -206,7 +206,7 @@ class AnswersSection(AskedSection):
 
 
 class AnalysisSection(Section):
-    """What the analysis is to be judged by, fixed before anybody answers."""
+    """Criteria of the analysis, fixed before anybody answers."""
 
     equivalence_margin: Annotated[float, Field(strict=True, gt=0, lt=1)] | None = described(
         "Largest difference in the share of an answer at which finger conditions count as equivalent; null for no such "

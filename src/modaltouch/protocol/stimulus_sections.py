@@ -52,7 +52,7 @@ Selection = Annotated[
 
 
 class StimulusSection(Section):
-    """The burst that every trial plays, up to its level."""
+    """The burst that every trial plays, except for its level."""
 
     law: Literal["exact", "paper"] = described(
         "Drive law: exact (least energy, every modelled mode on target) or paper (the paper's equations 6 and 7).",
@@ -108,7 +108,7 @@ class StimulusSection(Section):
 
 
 class StimulusVariant(Section):
-    """One of several stimuli: what it has different from the section ``stimulus``."""
+    """One of several stimuli: what differs from the section ``stimulus``."""
 
     law: Literal["exact", "paper"] | None = described("As in the section stimulus.", default=None)
     design: Literal["least_energy", "norm_4", "norm_8", "least_peak"] | None = described(
@@ -164,17 +164,17 @@ def check_target_field(reading: Reading[Any]) -> Iterator[Problem]:
         yield reading.problem((*_FIELD, "shape"), given, "one of points, file", remedy)
     if shape is not None and shape != "sampled":
         for key in named:
-            given = f"{key} of a field whose shape is {shape}"
+            given = f"{key} for a field whose shape is {shape}"
             yield reading.problem((*_FIELD, key), given, "only with `shape: sampled`", "write `shape: sampled`")
     foci = reading.items("stimulus", "further_foci")
     focus = reading.sound("stimulus", "focus")
     if shape == "sampled" and foci:
         given = "further foci of a sampled field"
-        yield reading.problem(("stimulus", "further_foci"), given, "none", "put them into the points")
+        yield reading.problem(("stimulus", "further_foci"), given, "none", "include them in the points")
     seen = {focus}
     for index, zone in foci:
         if zone in seen:
-            given = f"{zone}, a focus already"
+            given = f"{zone}, which is already a focus"
             yield reading.problem(("stimulus", "further_foci", index), given, "each zone once", "remove it")
         seen.add(zone)
     points = reading.sound(*_FIELD, "points")
@@ -190,7 +190,7 @@ def read_points(source: Source) -> tuple[Points, list[Problem]]:
     source : Source
         Comma-separated text with a header line that has the columns of `COLUMNS`.
     """
-    path, remedy = str(source.path), "write one line to a point, such as `-20,0.5`"
+    path, remedy = str(source.path), "write one line per point, such as `-20,0.5`"
     rows = list(csv.reader(source.text.splitlines()))
     header = [cell.strip() for cell in rows[0]] if rows else []
     if not set(COLUMNS) <= set(header):

@@ -48,7 +48,7 @@ _OPTIONAL: dict[str, frozenset[str]] = {
 def _check_text(text: str, wanted: frozenset[str] = frozenset(), optional: frozenset[str] = frozenset()) -> str:
     """Return a text that has words, and of those in braces all that are wanted and none beyond the optional ones."""
     if not text.strip():
-        raise fault("an empty text", "at least one word", "write what the participant reads")
+        raise fault("an empty text", "at least one word", "write what the participant should read")
     needed = ", ".join(f"{{{name}}}" for name in sorted(wanted)) or "no words in braces"
     try:
         fields = [field for field in string.Formatter().parse(text) if field[1] is not None]
@@ -244,7 +244,7 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Prob
                 remedy = f"did you mean '{meant}'? Else add `{'.'.join(path)}` to the texts"
                 problems.append(protocol.problem(place, given, f"{allowed}, or a label", remedy))
                 continue
-            allowed = f"a text, as {file} offers the answer {answer.name}"
+            allowed = f"a text, since {file} offers the answer {answer.name}"
             problems.append(texts.problem(path, "nothing", allowed, f"add the missing key `{'.'.join(path)}`"))
     return [*problems, *_lacking_fingers(protocol, texts)]
 
@@ -261,7 +261,7 @@ def _lacking_fingers(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iter
         paths.append(("place_each_finger",))
     for path in paths:
         if texts.find(path) is None:
-            allowed = f"a text, as {protocol.source.path.name} has other fingers than two index or middle ones"
+            allowed = f"a text, since {protocol.source.path.name} has fingers other than two index or middle fingers"
             yield texts.problem(path, "nothing", allowed, f"add the missing key `{': '.join(path)}`")
 
 
@@ -283,6 +283,6 @@ def _check_further(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterat
         if name not in known:
             file, meant = texts.source.path.name, suggest(name, known)
             remedy = f"did you mean '{meant}'? Else " if meant else ""
-            given = f"'{name}', which has no words in {file}"
+            given = f"'{name}', which has no text in {file}"
             remedy += f"add `{section}.{name}` to {file}" + (", or write the words here" * (section == "further"))
             yield protocol.problem(path, given, f"a text under `{section}`", remedy, at_key=path[-1] == name)

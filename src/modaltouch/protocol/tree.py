@@ -180,8 +180,8 @@ def _syntax_problem(text: str, error: Exception) -> Problem:
     line, column = (mark.line + 1, mark.column + 1) if mark is not None else (1, 1)
     written = text.split("\n")[line - 1] if line <= text.count("\n") + 1 else ""
     if "\t" in written[: max(column, len(written) - len(written.lstrip()))]:
-        given = "a tab where YAML wants spaces"
-        return Problem("", line, column, "", given, "spaces", "indent with spaces alone")
+        given = "a tab, but YAML needs spaces"
+        return Problem("", line, column, "", given, "spaces", "indent only with spaces")
     detail = " ".join(str(getattr(error, "problem", None) or error).split())
     context = getattr(error, "context", None)
     given = f"text that is not YAML ({detail}{f' {context}' if context else ''})"
@@ -236,7 +236,7 @@ class _Reader:
     def _alias(self, event: Any, depth: int) -> Node:
         node = self._anchors.get(event.anchor)
         if node is None:
-            given = f"`*{event.anchor}`, which stands for nothing"
+            given = f"`*{event.anchor}`, which has no anchor"
             self.report(*_place(event), given, f"an anchor `&{event.anchor}` completed before it")
             node = Node(None, *_place(event))
         self._bound(event, node.size, depth + node.depth)
@@ -249,7 +249,7 @@ class _Reader:
             given = f"lists and mappings nested deeper than {DEPTH_LIMIT}"
             self._stop(event, given, f"at most {DEPTH_LIMIT} levels")
         if self._size > VALUE_LIMIT:
-            self._stop(event, f"more than {VALUE_LIMIT} values", f"at most {VALUE_LIMIT}, aliases counted out")
+            self._stop(event, f"more than {VALUE_LIMIT} values", f"at most {VALUE_LIMIT}, aliases expanded")
 
     def _list(self, start: Any, path: tuple[str | int, ...]) -> Node:
         content: list[Node] = []
@@ -275,7 +275,7 @@ class _Reader:
             remedy = f'write "{key.text}" in quotes' if key.text else "write a word before the colon"
             self.report(key.line, key.column, f"{word} as a key", "a word as a key", remedy)
         elif key.content in keys:
-            given = f"`{key.content}` a second time (first in line {keys[key.content][0]})"
+            given = f"`{key.content}` a second time (first on line {keys[key.content][0]})"
             place = format_path([*path, key.content])
             self.report(key.line, key.column, given, "each key once", "remove one of them", place)
         return isinstance(key.content, str) and key.content not in keys

@@ -12,7 +12,7 @@ from modaltouch.protocol.section import DampingRatio, Label, NotNegative, Number
 
 
 class UnlistedMode(Section):
-    """A mode that the beam has and the table of modes has not."""
+    """A mode of the beam that is not in the table of modes."""
 
     family: Literal["bending", "torsion"] = described(
         "Family of the mode: bending (including rigid motions), or torsion, which does not show on the mid-line.",
@@ -30,7 +30,7 @@ class UnlistedMode(Section):
 
 
 class TrueAmplifier(Section):
-    """The amplifier as it is; what is null is as identified."""
+    """The true amplifier; values that are null are as identified."""
 
     gain_V_per_V: Positive | None = described("True voltage gain [V/V].", default=None)  # noqa: N815
     limit_V: Positive | None = described("Voltage at which it saturates [V, peak].", default=None)  # noqa: N815
@@ -79,7 +79,7 @@ class ScopeSection(Section):
 
 
 class Latency(Section):
-    """Bounds of the time from a trigger's command to its burst."""
+    """Bounds of the time from a trigger command to its burst."""
 
     low: NotNegative = described("Shortest [ms].")
     high: NotNegative = described("Longest [ms].")
@@ -87,7 +87,7 @@ class Latency(Section):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.low > self.high:
-            raise fault(f"low: {self.low:g} above high: {self.high:g}", "the lower bound as low", "exchange them")
+            raise fault(f"low: {self.low:g}, which is above high: {self.high:g}", "low below high", "exchange them")
         return self
 
 
@@ -107,7 +107,7 @@ class TrueGenerator(Section):
 
 
 class TwinSection(Section):
-    """What the simulated rig has and the identified tables have not."""
+    """Properties of the simulated rig that are not in the identified tables."""
 
     seed: Annotated[int, Field(strict=True, ge=0)] = described("Seed of the differences and of all noise.", default=1)
     natural_frequency_mismatch: Annotated[float, Field(strict=True, ge=0, lt=0.1)] = described(

@@ -92,11 +92,11 @@ def test_a_50_ohm_load_halves_the_open_circuit_voltage(edit: Edit) -> None:
             "E: {centre_mm: 45",
             r":18:3: zones.E: given a zone from 35 to 55 mm; allowed: from -50 to",
         ),
-        ("D: {centre_mm: 20", "D: {centre_mm: 15", r":17:3: zones.D: given a zone that begins at 5 mm, within zone C"),
+        ("D: {centre_mm: 20", "D: {centre_mm: 15", r":17:3: zones.D: given a zone that begins at 5 mm, inside zone C"),
         (
             "side: {channel: 2}",
             "side: {channel: 1}",
-            r":22:19: actuator_sets.side.channel: given 1, which feeds the set",
+            r":22:19: actuator_sets.side.channel: given 1, which already feeds the set",
         ),
         (
             "side: {channel: 2}",
@@ -105,7 +105,7 @@ def test_a_50_ohm_load_halves_the_open_circuit_voltage(edit: Edit) -> None:
         ),
         ("{centre: 114}", "{center: 114}", r":27:85: modes\[0\].gain_mm_s2_per_V.center: .* did you mean 'centre'"),
         ("{centre: 114}", "{}", None),
-        ("label: 3,", "label: 1,", r":28:13: modes\[1\].label: given 1, the label of modes\[0\] too"),
+        ("label: 3,", "label: 1,", r":28:13: modes\[1\].label: given 1, which is also the label of modes\[0\]"),
         (
             "assumed: [side]}\n  - {label: 11",
             "assumed: [centre]}\n  - {label: 11",
@@ -125,7 +125,7 @@ def test_a_50_ohm_load_halves_the_open_circuit_voltage(edit: Edit) -> None:
         (
             "apparatus: beam_100x6x2",
             "apparatus: ../beam",
-            r":3:12: apparatus: given '../beam', which is no plain file name",
+            r":3:12: apparatus: given '../beam', which is not a plain file name",
         ),
         ("limit_V: 250", "limit_V: 250 V", r"write only the number: 250"),
         ("load: high_impedance", "load: 50", r"generator.load: given 50; allowed: high_impedance, 50_ohm"),
@@ -165,12 +165,12 @@ def test_faults_of_all_sections_come_at_once(edit: Edit) -> None:
         (
             "{label: 18, natural_frequency_Hz: 98000",
             "{label: 17, natural_frequency_Hz: 98000",
-            r"twin.unlisted_modes\[8\].label: given 17, the label of modes\[8\] too; allowed: each mode once",
+            r"twin.unlisted_modes\[8\].label: given 17, which is also the label of modes\[8\]; allowed: each mode once",
         ),
         (
             "{label: 18, natural_frequency_Hz: 98000",
             "{label: 16, natural_frequency_Hz: 98000",
-            r"twin.unlisted_modes\[8\].label: given 16, the label of twin.unlisted_modes\[7\] too",
+            r"twin.unlisted_modes\[8\].label: given 16, which is also the label of twin.unlisted_modes\[7\]",
         ),
         ("{side: 150}, label: 1", "{sides: 150}, label: 1", r"twin.unlisted_modes\[10\].*'sides'.*did you mean 'side'"),
         (
@@ -235,7 +235,7 @@ def test_without_patches_nothing_is_offered(apparatus: Apparatus) -> None:
 @pytest.mark.parametrize(
     ("ends", "message"),
     [
-        ("[15, 60]", r"a patch from 15 to 60 mm; allowed: from -50 to 50 mm, where the beam of 100 mm ends"),
+        ("[15, 60]", r"a patch from 15 to 60 mm; allowed: from -50 to 50 mm, the ends of the 100 mm beam"),
         ("[30, 15]", r"a patch from 30 to 15 mm; allowed: the left end first; exchange the two ends"),
     ],
 )

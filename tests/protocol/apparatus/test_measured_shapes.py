@@ -56,7 +56,7 @@ def test_timoshenko_shapes_are_those_of_the_section(edit: Edit) -> None:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("theory: measured", "beam.theory: given measured, without any shapes"),
+        ("theory: measured", "beam.theory: given measured, but there are no shapes"),
         (scanned(41, theory="timoshenko"), "beam.measured_shapes: given shapes of a scan, which timoshenko"),
         (scanned(41, LABELS[:-1]), "beam.measured_shapes.modes: given 0 shapes of mode 17"),
         (scanned(11), "given a stimulus that cannot be made, 9 shapes on 11 points are linearly dependent"),
@@ -72,4 +72,4 @@ def test_shapes_that_will_not_do_are_refused_in_their_place(edit: Edit, text: st
 def test_as_many_values_as_positions(edit: Edit) -> None:
     """A value that is missing is told at its mode."""
     (problem,) = faults(edit, scanned(41).replace("values: [", "values: [1.0, ", 1))
-    assert "beam.measured_shapes.modes[0].values: given 42 values at 41 positions" in problem
+    assert "beam.measured_shapes.modes[0].values: given 42 values for 41 positions" in problem

@@ -50,7 +50,7 @@ def faults(text: str) -> list[str]:
         ("name: a\ninner: {}\n", "x:2:1: inner.speed_mm_s: given nothing; allowed: a number [mm/s] above 0; add the"),
         ("inner: {speed_mm_s: 1}\n", "x:1:1: name: given nothing; allowed: text; add the missing key `name`"),
         (GOOD.replace("5", "80 mm/s"), "x:3:15: inner.speed_mm_s: given '80 mm/s'; allowed: a number [mm/s] above 0;"),
-        (GOOD.replace("5", "80 mm/s"), "write only the number: 80; the unit stands in the key"),
+        (GOOD.replace("5", "80 mm/s"), "write only the number: 80; the unit is part of the key"),
         (GOOD.replace("5", "0,5"), "write only the number: 0.5"),
         (GOOD.replace("5", "5e"), "x:3:15: inner.speed_mm_s: given '5e'"),
         (GOOD.replace("5", ".nan"), "x:3:15: inner.speed_mm_s: given .nan, which is not finite"),

@@ -130,21 +130,21 @@ def test_every_order_presents_the_same_cells(folder: Path, order: str) -> None:
     [
         (TABLE.replace("A,C,80", "A,C,80x"), "cells.csv:2:5 given '80x'; allowed: a number [mm/s] above 0"),
         (TABLE.replace("B,D", "B,Q"), "cells.csv:4:3 given 'Q', which is not a zone of this beam; allowed: A, B, C, D"),
-        (TABLE.replace("200", "2000"), "cells.csv:3:5 given 2000 mm/s, beyond the safety limit of the apparatus"),
+        (TABLE.replace("200", "2000"), "cells.csv:3:5 given 2000 mm/s, above the safety limit of the apparatus"),
         (TABLE.replace(",,2", ",,0"), "cells.csv:2:9 given 0; allowed: a whole number of at least 1"),
         (TABLE.replace("one_hand", "on_hand"), "cells.csv:4:9 given 'on_hand', which is not a finger condition"),
-        (TABLE.replace("C,E,100,,", "C,E,100"), "cells.csv:5:1 given 3 fields; allowed: 5, as many as columns"),
+        (TABLE.replace("C,E,100,,", "C,E,100"), "cells.csv:5:1 given 3 fields; allowed: 5, one for each column"),
         (TABLE.replace("peak_velocity_mm_s", "velocity"), "cells.csv:1:1 given a table without the column peak_velo"),
         (TABLE.replace("weight", "weigth"), "cells.csv:1:58 given the column 'weigth'; allowed: once each"),
         (TABLE.replace("A,C,80,", 'A,"C","80,5",'), "cells.csv:2:8 given '80,5'; allowed: a number [mm/s] above 0"),
         (
             TABLE.replace("A,C,80,", "A,C,80,5,"),
-            "cells.csv:2:1 given 6 fields; allowed: 5, as many as columns; mend the",
+            "cells.csv:2:1 given 6 fields; allowed: 5, one for each column; correct the",
         ),
-        (TABLE.replace("A,C,80,", 'A,"C,80,'), "cells.csv:2:1 given a quotation mark without another; allowed: q"),
+        (TABLE.replace("A,C,80,", 'A,"C,80,'), "cells.csv:2:1 given an unpaired quotation mark; allowed: q"),
         (
             TABLE + "A,C,80,,\n",
-            "cells.csv:6:1 given A-C at 80 mm/s in one_hand, the cell of line 2 again; allowed: each",
+            "cells.csv:6:1 given A-C at 80 mm/s in one_hand, the same cell as line 2; allowed: each",
         ),
         (TABLE.splitlines()[0] + "\n", "cells.csv:1:1 given a table without rows; allowed: at least one cell"),
     ],
@@ -159,10 +159,10 @@ def test_a_fault_of_a_table_is_told_in_its_line_and_column(folder: Path, table: 
 @pytest.mark.parametrize(
     ("conditions", "told"),
     [
-        (CROSSED + "  table: cells.csv\n", "given zone_pairs beside table, which says the same"),
+        (CROSSED + "  table: cells.csv\n", "given zone_pairs and table, which say the same"),
         ("  table: none.csv\n", "given 'none.csv', a file that does not exist"),
-        (CROSSED + "  exclude: [{pair: [A, D]}]\n", "given cells that the design does not have"),
-        (CROSSED + "  exclude: [{finger_condition: one_hand}]\n", "given one_hand, for which no cell is left"),
+        (CROSSED + "  exclude: [{pair: [A, D]}]\n", "given cells that are not in the design"),
+        (CROSSED + "  exclude: [{finger_condition: one_hand}]\n", "given one_hand, which has no cells left"),
         (CROSSED + "  exclude: [{stimulus: wide}]\n", "given 'wide', which is not a stimulus of the protocol"),
     ],
 )

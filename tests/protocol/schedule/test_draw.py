@@ -167,7 +167,7 @@ def test_a_limit_that_no_order_keeps_is_refused_with_its_reason() -> None:
     """Four trials of the one pair come four times running."""
     protocol = changed("conditions", zone_pairs=(("A", "C"),))
     with pytest.raises(
-        ValueError, match=r"_pair_running is 2, but 4 of 4 trials are alike in this; the least that works is 4"
+        ValueError, match=r"_pair_running is 2, but 4 of 4 trials share this; the smallest limit that works is 4"
     ):
         Schedule.draw(protocol, "p01", 1)
 
@@ -286,7 +286,7 @@ def test_catch_trials_that_cannot_keep_the_limit_are_refused() -> None:
     order = [("A", "C"), ("B", "D")] * 3
     stream = Stream(1, "p01", 1, "a test")
     assert place_catches(order, 1, 1, stream) == [(5, ("A", "C"))]
-    with pytest.raises(ValueError, match="no way to spread 2 catch trials over 6 trials"):
+    with pytest.raises(ValueError, match="2 catch trials cannot be spread over 6 trials"):
         place_catches(order, 2, 1, stream)
 
 

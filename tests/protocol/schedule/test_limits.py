@@ -124,8 +124,11 @@ def test_pairs_without_the_focus_break_a_row_of_one_side() -> None:
 @pytest.mark.parametrize(
     ("limits", "told"),
     [
-        ("min_same_cell_distance: 9", "schedule.min_same_cell_distance is 9, but 4 of 24 trials are of one cell; the"),
-        ("max_same_stimulus_running: 1", "schedule.max_same_stimulus_running is 1, but 24 of 24 trials are alike"),
+        (
+            "min_same_cell_distance: 9",
+            "schedule.min_same_cell_distance is 9, but 4 of 24 trials belong to one cell; the",
+        ),
+        ("max_same_stimulus_running: 1", "schedule.max_same_stimulus_running is 1, but 24 of 24 trials share this"),
     ],
 )
 def test_limits_that_cannot_be_kept_are_refused_with_the_reason(edit: Any, limits: str, told: str) -> None:
@@ -164,7 +167,7 @@ def test_a_limit_with_an_order_that_is_not_drawn_is_refused(edit: Any) -> None:
     words = ("  max_same_pair_running: 2", "  order: latin_square\n  max_same_level_running: 2")
     problems = examine(edit("demo.yaml", words)).problems
     assert [each.message for each in problems] == [
-        "given 2 with the order latin_square; allowed: null, or the order shuffled; remove the limit or shuffle"
+        "given 2 with the order latin_square; allowed: null, or order: shuffled; remove the limit or shuffle the trials"
     ]
 
 

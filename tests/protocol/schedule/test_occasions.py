@@ -67,7 +67,7 @@ def test_levels_that_one_group_lacks_are_missing(read: Callable[..., Findings]) 
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (("[80, 100]", "[80, 9000]"), "given 9000 mm/s, beyond the safety limit"),
+        (("[80, 100]", "[80, 9000]"), "given 9000 mm/s, above the safety limit"),
         (("practice_trials: 3", "practice_trial: 3"), "did you mean 'practice_trials'?"),
         (("high: {cond", "high: {schedule: {sessions: 3}, cond"), "given sessions of one group; allowed: the same"),
         (("times: 2", "times: 0"), "given 0; allowed: a whole number of at least 1"),

@@ -132,7 +132,7 @@ class Observer:
     Attributes
     ----------
     typical : Participant
-        The participant in the middle of the population.
+        The typical participant of the population.
     side_bias_spread : float
         Standard deviation of the side bias over participants [1].
     noise_spread, criterion_spread, suppression_spread, pace_spread : float
