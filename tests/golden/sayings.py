@@ -261,7 +261,7 @@ OUTPUTS: dict[str, Output] = {
         "rig check simulated --json",
         volatile=(r"json\.address", r"json\.rows\[\]\.answer"),
         by_chance=r"passes [\d.]+ Vpp, which took longest",
-        usual="goes through all of these",
+        usual="steps through all of these",
     ),
     "usage": Output("check --json", volatile=(r"json\.error",)),
     "option": Output("check demo --jsn --json", volatile=(r"json\.error",)),

@@ -51,7 +51,7 @@ def test_smallest_range_that_holds_the_expected_is_taken(
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        (Acquisition(velocity_range=0.6), "600 mm/s is to be measured: the vibrometer's range ends at 500 mm/s"),
+        (Acquisition(velocity_range=0.6), "600 mm/s is to be measured, but the vibrometer's range ends at 500 mm/s"),
         (Acquisition(drive_range=2500.0), "2500 V is 25 V at the scope's input: at most 20 V"),
     ],
 )

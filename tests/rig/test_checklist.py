@@ -53,7 +53,7 @@ def test_every_question_is_met(usual: list[dict[str, Any]]) -> None:
     ("number", "usually", "oddly"),
     [
         (0, "TEKTRONIX,AFG3022B", "TEKTRONIX,AFG3022B"),
-        (2, "142.857143 ms kept", r"142.9 ms kept"),
+        (2, "142.857143 ms set", r"142.9 ms set"),
         (3, r"\d+\.\d ms for 125000 points", r"\d{3,}\.\d ms for 1000 points"),
         (7, "refused with -222.*reads 0.1 Vpp", "cut without an error; the level reads 2 Vpp"),
         (8, "first -113.*last -350.*; 32 entries", r"last -350.*; 5 entries"),

@@ -196,7 +196,7 @@ def test_machine_that_starts_no_process_touches_no_generator(
         raise OSError("Resource temporarily unavailable")
 
     monkeypatch.setattr("modaltouch.rig.watchdog_client.subprocess.Popen", refuse)
-    with pytest.raises(RigError, match="cannot be started .Resource temporarily.*was not touched; see whether"):
+    with pytest.raises(RigError, match="cannot be started .Resource temporarily.*was not touched; check that"):
         WatchdogClient(single_link.address, AFG3022B.off)
 
 

@@ -71,7 +71,7 @@ MATRIX: list[tuple[str, str, Any, str, str, str]] = [
     # fault, message that meets it, value, phase, what is seen, words; as in test_faults
     ("lost_reply", "IDN", 0, "connect", "refused", "no generator answers at .* no output was switched on"),
     ("wrong_reply", "IDN", "ACME,GEN1,0,1", "connect", "refused", "says it is 'ACME,GEN1,0,1'.*33522B"),
-    ("scpi_error", "RST", -310, "connect", "refused", "does not take its settings.*-310"),
+    ("scpi_error", "RST", -310, "connect", "refused", "does not accept its settings.*-310"),
     ("wrong_reply", "LIM:STAT", '0;0,"No error"', "connect", "refused", "SOUR1:VOLT:LIM:STAT reads 0, ON was set"),
     ("wrong_reply", "OUTP1:LOAD", '50;0,"No error"', "connect", "refused", "OUTP1:LOAD reads 50, INF was set"),
     ("dropped_connection", UPLOAD, 0, "upload", "recovers", ""),
@@ -373,9 +373,9 @@ def test_checklist_asks_what_applies(apparatus: Apparatus) -> None:
     assert "33522B" in answers[0]
     assert "refused with -221" in answers[7]
     assert "20 entries" in answers[8]
-    assert "*TRG is taken" in answers[13]
-    assert answers[14] == "a record of half the codes reaches 10 Vpp, where all codes reach 20 Vpp"
-    assert "the record, from its lowest code to its highest, as the driver takes it" in rows[-1]["advice"]
+    assert "*TRG is accepted" in answers[13]
+    assert answers[14] == "a record that uses half the codes reaches 10 Vpp, one that uses all codes 20 Vpp"
+    assert "the record, from its lowest code to its highest, as the driver assumes" in rows[-1]["advice"]
 
 
 def test_checklist_notices_an_amplitude_of_another_meaning(
@@ -386,7 +386,7 @@ def test_checklist_notices_an_amplitude_of_another_meaning(
     monkeypatch.setattr("modaltouch.rig.checklist.QUESTIONS", QUESTIONS[-1:])
     with Simulator(apparatus) as simulator:
         (row,) = check_rig(simulator.address, apparatus, patience=Patience(reply=0.3, copy=1.0, tries=2, pause=0.02))
-    assert row["answer"] == "a record of half the codes reaches 20 Vpp, where all codes reach 20 Vpp"
+    assert row["answer"] == "a record that uses half the codes reaches 20 Vpp, one that uses all codes 20 Vpp"
     assert "EVERY LEVEL WOULD BE WRONG" in row["advice"]
 
 

@@ -118,7 +118,7 @@ def test_codes_come_as_an_array(link: Callable[..., Any], heard: Any) -> None:
 def test_reply_that_is_no_whole_block_is_an_error(link: Callable[..., Any], reply: bytes) -> None:
     """No head, no length, or fewer bytes than it announces."""
     opened, _ = link(reply)
-    with pytest.raises(LinkError, match="is no block|announces 5 bytes, 2 came"):
+    with pytest.raises(LinkError, match="is not a block|announces 5 bytes, but 2 came"):
         opened.read_codes("DATA?")
 
 

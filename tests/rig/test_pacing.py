@@ -94,7 +94,7 @@ def test_trigger_that_is_taken_long_after_its_instant_ends_the_stimulus() -> Non
     pacer = Pacer(ORDER, Beam(clock, takes={5: 0.08}).trigger, lambda: 0.0, clock)
     play(pacer, clock)
     assert pacer.report.ended == "failed"
-    assert pacer.report.reason == "trigger 5 was taken 80 ms after its instant"
+    assert pacer.report.reason == "trigger 5 was accepted 80 ms after it was due"
 
 
 @pytest.mark.parametrize(

@@ -64,7 +64,7 @@ def test_two_drivers_in_two_processes_never_share(instrument: Simulator, apparat
     """Each behind a watchdog of its own: refused while the first has it, taken as soon as that has let go."""
     with Generator(instrument.address, apparatus) as first:
         first.load(burst)
-        with pytest.raises(RigError, match="is in use: .*it was left as it is; end the other program"):
+        with pytest.raises(RigError, match="is in use: .*it was left as it is; close the other program"):
             Generator(instrument.address, apparatus)
         assert first.fire(0.1).started
     with Generator(instrument.address, apparatus) as second:

@@ -139,8 +139,9 @@ class Inputs:
         wanted = acquisition.velocity_range or self.highest_velocity
         if wanted > self.highest_velocity * (1 + 1e-9):
             raise RigError(
-                f"a velocity of {wanted * 1e3:g} mm/s is to be measured: the vibrometer's range ends at "
-                f"{self.highest_velocity * 1e3:g} mm/s; choose a wider one there, and say so in the apparatus file"
+                f"a velocity of {wanted * 1e3:g} mm/s is to be measured, but the vibrometer's range ends at "
+                f"{self.highest_velocity * 1e3:g} mm/s; choose a wider range at the vibrometer, and enter it in the "
+                "apparatus file"
             )
         velocity = self._smallest(wanted / self.sensitivity, f"{wanted * 1e3:g} mm/s")
         if acquisition.drive_range is None:
@@ -152,7 +153,7 @@ class Inputs:
         fitting = [each for each in INPUT_RANGES if each >= volts * (1 - 1e-9)]
         if not fitting:
             raise RigError(
-                f"{what} is {volts:g} V at the scope's input: at most {INPUT_RANGES[-1]:g} V; use another "
-                "sensitivity or a probe of more attenuation, and say so in the apparatus file"
+                f"{what} is {volts:g} V at the scope's input: at most {INPUT_RANGES[-1]:g} V; use another sensitivity "
+                "or a probe with more attenuation, and enter it in the apparatus file"
             )
         return fitting[0]

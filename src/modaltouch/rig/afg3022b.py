@@ -79,7 +79,7 @@ class EditMemory:
         desk.send_block("DATA:DATA EMEM", codes.astype(">u2").tobytes())
         (n_points,) = desk.complete("the upload", "*OPC?", "DATA:POIN? EMEM")
         if n_points != str(codes.size):
-            raise Unconfirmed(f"{codes.size} points were sent, the generator counts {n_points}")
+            raise Unconfirmed(f"{codes.size} points were sent, but the generator counts {n_points}")
         _complete(desk, f"DATA:COPY USER{memory},EMEM")
         if not self._verified(desk, memory, codes):
             raise Unconfirmed(f"USER{memory} does not hold the record that was sent, after two uploads")

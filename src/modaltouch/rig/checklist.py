@@ -41,22 +41,22 @@ Finding = tuple[State, str, str]
 def _settings(connection: Connection) -> Finding:
     return (
         "found",
-        f"{connection.identity}; outputs off; takes its settings and reads them back",
-        "it is fit for a session as far as its settings go",
+        f"{connection.identity}; outputs off; accepts its settings and reads them back",
+        "its settings are suitable for a session",
     )
 
 
 IDLE_LEVEL: Finding = (
     "person",
-    "cannot be seen from the bus",
-    "every burst of this project begins and ends at 0 V, so that it does not matter; to know it, play a record with "
+    "cannot be seen over the bus",
+    "it does not matter, since every burst of this project begins and ends at 0 V; to find out, play a record with "
     "unequal ends and look at an oscilloscope between two bursts",
 )
 SKEW: Finding = (
     "person",
-    "cannot be seen from the bus",
+    "cannot be seen over the bus",
     "play the same record on both channels and measure the time between their edges on an oscilloscope; a skew below "
-    "0.1 us turns the fastest mode, 88 kHz, by less than 4 degrees",
+    "0.1 us shifts the phase of the fastest mode, 88 kHz, by less than 4 degrees",
 )
 
 
@@ -66,7 +66,7 @@ def _timer(connection: Connection) -> Finding:
     off = period / REPETITION_PERIOD - 1
     return (
         "found",
-        f"142.857142857 ms asked for, {period * 1e3:.9g} ms kept ({off * 1e6:+.2g} ppm)",
+        f"142.857142857 ms requested, {period * 1e3:.9g} ms set ({off * 1e6:+.2g} ppm)",
         "bursts come at this period" if abs(off) < 5e-4 else "the driver will refuse it: the timer is too coarse",
     )
 
@@ -86,7 +86,7 @@ def _copy_time(connection: Connection) -> Finding:
         connection.controls.ask("DATA:DEL USER4;*OPC?", timeout=connection.patience.copy)
     errors = connection.controls.pending_errors()
     if errors:
-        return "unanswered", ", ".join(errors), "unlock USER4 at the instrument (Edit menu) and ask again"
+        return "unanswered", ", ".join(errors), "unlock USER4 at the instrument (Edit menu) and check again"
     enough = took < connection.patience.copy / 2
     return (
         "found",
@@ -104,13 +104,13 @@ def _ranges(connection: Connection) -> Finding:
     connection.controls.apply([connection.instrument.level(1, connection.limits.quiet_amplitude)])
     slowest = max(took, key=lambda amplitude: took[amplitude])
     usual = sorted(took.values())[len(took) // 2]
-    where = f"passes {slowest:g} Vpp, which took longest" if took[slowest] > 3 * usual else "goes through all of these"
+    where = f"passes {slowest:g} Vpp, which took longest" if took[slowest] > 3 * usual else "steps through all of these"
     steps = ", ".join(f"{amplitude:g} Vpp {seconds * 1e3:.1f} ms" for amplitude, seconds in took.items())
     return (
         "person",
         f"changes took {steps}",
-        f"listen while the level {where}: a clicking relay tells the participant the level; the masking noise must "
-        "cover it",
+        f"listen while the level {where}: a clicking relay reveals the level to the participant; the masking noise "
+        "must cover it",
     )
 
 
@@ -132,9 +132,9 @@ def _limits(connection: Connection) -> Finding:
     controls.apply([connection.instrument.level(1, connection.limits.quiet_amplitude)])
     controls.apply([Setting(f"{source}:LIM:HIGH", level, "V"), Setting(f"{source}:LIM:LOW", -level, "V")])
     if reply > 2.001:
-        return "found", f"4 Vpp is accepted beyond a limit of 1 V (reads {reply:g})", "DO NOT rely on VOLTage:LIMit"
+        return "found", f"4 Vpp is accepted above a limit of 1 V (reads {reply:g})", "DO NOT rely on VOLTage:LIMit"
     how = f"refused with {', '.join(errors)}" if errors else "cut without an error"
-    return "found", f"4 Vpp beyond a limit of 1 V is {how}; the level reads {reply:g} Vpp", "the limit holds"
+    return "found", f"4 Vpp above a limit of 1 V is {how}; the level reads {reply:g} Vpp", "the limit holds"
 
 
 def _error_queue(connection: Connection) -> Finding:
@@ -169,13 +169,13 @@ def _trigger(connection: Connection, scope: Scope | None = None) -> Finding:
             began[n] = scope.time_trigger(send)
         SYSTEM_CLOCK.sleep(BURST_LENGTH)
     took = (taken - sent) * 1e3
-    answer = f"{command} is taken after {np.median(took):.2f} ms, {took.max():.2f} ms at most"
+    answer = f"{command} is accepted after {np.median(took):.2f} ms, {took.max():.2f} ms at most"
     if scope is None:
         return (
             "person",
-            f"{answer}; when the first sample leaves cannot be seen from the bus",
-            "wire the generator's trigger output to the EXT input of a PicoScope and ask again with --scope, which "
-            "measures generator.trigger_latency_ms; without it no instant is claimed to less than a millisecond",
+            f"{answer}; the bus does not show when the first sample leaves",
+            "wire the generator's trigger output to the EXT input of a PicoScope and check again with --scope, which "
+            "measures generator.trigger_latency_ms; without it, no instant is claimed to better than a millisecond",
         )
     # The driver counts the least from when it sent, the greatest from when the instrument had taken it.
     low, high = (began[:, 0] - sent).min() * 1e3, (began[:, 1] - taken).max() * 1e3
@@ -183,8 +183,8 @@ def _trigger(connection: Connection, scope: Scope | None = None) -> Finding:
     low, high = max(0.0, math.floor(low * 10) / 10), max(0.1, math.ceil(high * 10) / 10)
     return (
         "found",
-        f"{answer}; by a scope that was asked every {apart:.2f} ms the first sample of {N_TRIGGERS} bursts left at "
-        "least `low` after its trigger was sent and at most `high` after it was taken: trigger_latency_ms: "
+        f"{answer}; by a scope polled every {apart:.2f} ms, the first sample of {N_TRIGGERS} bursts left at least "
+        "`low` after its trigger was sent and at most `high` after it was accepted: trigger_latency_ms: "
         f"{{low: {low:.1f}, high: {high:.1f}}}",
         "write this under generator: in the apparatus file; reaction times are then counted from these bounds",
     )
@@ -206,7 +206,7 @@ def _after_link_loss(connection: Connection) -> Finding:
         f"{state} when the session was opened again (at rest, the level low)",
         "a lost link does not switch them off: that is what the watchdog is for"
         if any(found.outputs)
-        else "the instrument switches them off by itself",
+        else "the instrument switches them off itself",
     )
 
 
@@ -220,25 +220,25 @@ def _amplitude(connection: Connection) -> Finding:
     controls.apply_each(instrument.burst_settings(1, memory, half, continuous=False))
     reached = float(connection.controls.ask(f"{connection.instrument.level(1, 1.0).query} MAX"))
     controls.reset()
-    answer = f"a record of half the codes reaches {reached:.4g} Vpp, where all codes reach {most:g} Vpp"
+    answer = f"a record that uses half the codes reaches {reached:.4g} Vpp, one that uses all codes {most:g} Vpp"
     if not math.isclose(reached, most * float(half.shares[0]), rel_tol=0.01):
-        return "found", answer, "the driver takes it otherwise: EVERY LEVEL WOULD BE WRONG; do not play"
+        return "found", answer, "the driver assumes otherwise: EVERY LEVEL WOULD BE WRONG; do not play"
     meant = "the record, from its lowest code to its highest" if reached < 0.75 * most else "all codes"
-    return "found", answer, f"an amplitude is that of {meant}, as the driver takes it"
+    return "found", answer, f"an amplitude refers to {meant}, as the driver assumes"
 
 
 QUESTIONS: tuple[tuple[int, str, Callable[[Connection], Finding]], ...] = (
-    (0, "Does it take the driver's settings?", _settings),
+    (0, "Does it accept the driver's settings?", _settings),
     (1, "Where does the output rest between bursts?", lambda connection: IDLE_LEVEL),
-    (2, "What does the trigger timer make of 1/7 s?", _timer),
+    (2, "How exactly does the trigger timer set 1/7 s?", _timer),
     (3, "How long does storing a record take?", _copy_time),
     (6, "Does a change of amplitude click or glitch?", _ranges),
-    (7, "Is a level beyond VOLTage:LIMit refused or cut?", _limits),
+    (7, "Is a level above VOLTage:LIMit refused or cut?", _limits),
     (8, "What does the error queue say, and how much does it hold?", _error_queue),
     (10, "How far apart do the channels start?", lambda connection: SKEW),
     (12, "What do the outputs do when the link is lost?", _after_link_loss),
     (13, "How soon after its command does a burst begin?", _trigger),
-    (14, "Is an amplitude that of all codes or of the record?", _amplitude),
+    (14, "Does an amplitude refer to all codes or to the record?", _amplitude),
 )
 
 
@@ -303,5 +303,5 @@ def _ask(connection: Connection, number: int, question: str, find: Callable[[Con
     except (LinkError, Unconfirmed) as error:
         connection.restore(f"question {number}", (), lambda: None)
         state, answer = "unanswered", str(error)
-        advice = "ask again; if it stays so, look at the instrument"
+        advice = "check again; if it persists, look at the instrument"
     return {"number": number, "question": question, "state": state, "answer": answer, "advice": advice}

@@ -138,18 +138,18 @@ class Connection:
             self._prepare()
         except InUse as error:
             raise RigError(
-                f"the generator at {self.address} is in use: {error}; it was left as it is; end the other program, "
-                "or, if there is none (a lost connection may still count as one), switch the generator off and on"
+                f"the generator at {self.address} is in use: {error}; it was left as it is; close the other program, "
+                "or, if there is none (a lost connection may still be open), switch the generator off and on"
             ) from error
         except LinkError as error:
             raise RigError(
-                f"no generator answers at {self.address}: {error}{self._reported()}; no output was "
-                "switched on; see that it is on and connected, and find its address with `modaltouch rig list`"
+                f"no generator answers at {self.address}: {error}{self._reported()}; no output was switched on; check "
+                "that it is on and connected, and find its address with `modaltouch rig list`"
             ) from error
         except Unconfirmed as error:
             raise RigError(
-                f"{self.identity} at {self.address} does not take its settings: {error}; no output was "
-                "switched on; see `modaltouch rig check`"
+                f"{self.identity} at {self.address} does not accept its settings: {error}; no output was switched on; "
+                "run `modaltouch rig check`"
             ) from error
 
     def switch_off(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> OutputState:
@@ -209,7 +209,8 @@ class Connection:
                 return found
         raise RigError(
             f"{doing} failed, and so did {self.patience.tries} new connections to {self.address}: {last}; "
-            f"{self._last_resort()}; see that the generator is on and connected, then continue with `modaltouch resume`"
+            f"{self._last_resort()}; check that the generator is on and connected, then continue with `modaltouch "
+            "resume`"
         ) from last
 
     def _reported(self) -> str:
@@ -234,8 +235,8 @@ class Connection:
         identity = self.controls.ask("*IDN?")
         if identity != self.identity:
             raise RigError(
-                f"{self.address} now answers as '{identity}', before as '{self.identity}'; the outputs of the "
-                "latter may be on: SWITCH THE AMPLIFIER OFF; connect one generator and start again"
+                f"{self.address} now answers as '{identity}' instead of '{self.identity}'; the outputs of the latter "
+                "may be on: SWITCH THE AMPLIFIER OFF; connect one generator and start again"
             )
         found = self.controls.outputs_off()
         self.guard.disarm()
@@ -254,9 +255,9 @@ class Connection:
         if model != self._expected_model:
             known = ", ".join(name for each in instruments() for name in each.models)
             raise RigError(
-                f"the instrument at {self.address} says it is '{self.identity}': the apparatus file names "
-                f"{self._expected_model}; no output was switched on; correct the address, or generator.model "
-                f"in the apparatus file (known models: {known})"
+                f"the instrument at {self.address} says it is '{self.identity}', but the apparatus file names "
+                f"{self._expected_model}; no output was switched on; correct the address, or generator.model in the "
+                f"apparatus file (known models: {known})"
             )
         if model not in self.instrument.models:
             self._log("unknown_model", model=model, taken_for=self.instrument.models[0])

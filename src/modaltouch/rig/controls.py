@@ -117,7 +117,7 @@ class Controls(Link):
             part = settings[start : start + QUERIES_PER_MESSAGE]
             replies = split_reply(self.ask(":" + ";:".join(setting.query for setting in part)))
             if len(replies) != len(part):
-                raise Unconfirmed(f"{len(part)} settings were asked for, {len(replies)} came: {replies}")
+                raise Unconfirmed(f"{len(part)} settings were queried, but {len(replies)} came back: {replies}")
             wrong += _differences(part, replies)
         return wrong
 

@@ -441,8 +441,8 @@ class Generator:
         except (LinkError, Unconfirmed) as error:
             self._switch_off(doing)
             raise RigError(
-                f"{doing} failed: {error}; the outputs are off; see `modaltouch rig check`, then continue with "
-                f"`modaltouch resume`"
+                f"{doing} failed: {error}; the outputs are off; run `modaltouch rig check`, then continue with "
+                "`modaltouch resume`"
             ) from error
         except BaseException:
             if self._on:

@@ -65,8 +65,8 @@ def judge_latency(figures: Mapping[str, Any]) -> str:
     advice = "good"
     if level > _SLOW_MS:
         advice = (
-            "too slow. Connect the generator directly or by one switch, not by a radio link or a busy network, and "
-            "measure again"
+            "too slow. Connect the generator directly or through one switch, not over a radio link or a busy "
+            "network, and measure again"
         )
     elif level > _PROMPT_MS:
         advice = "each trial begins that much later; a dedicated cable to the generator is faster"

@@ -53,7 +53,7 @@ def block_bounds(reply: bytes) -> tuple[int, int]:
     n_digits = reply[1:2]
     length = reply[2 : 2 + int(n_digits)] if n_digits.isdigit() else b""
     if not (reply[:1] == b"#" and length.isdigit()):
-        raise ValueError(f"reply {reply[:20]!r} is no block")
+        raise ValueError(f"reply {reply[:20]!r} is not a block")
     start = 2 + int(n_digits)
     return start, start + int(length)
 
@@ -161,7 +161,7 @@ class Link:
         def read(reply: bytes, facts: dict[str, str]) -> NDArray[np.uint16]:
             start, end = block_bounds(reply)
             if len(reply) < end:
-                raise ValueError(f"the block announces {end - start} bytes, {len(reply) - start} came")
+                raise ValueError(f"the block announces {end - start} bytes, but {len(reply) - start} came")
             codes = np.frombuffer(reply[start:end], ">u2").astype(np.uint16)
             facts["reply"] = describe_block(reply[start:end])
             return codes

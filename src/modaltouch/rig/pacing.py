@@ -206,7 +206,7 @@ class Pacer:
         if taken - due > order.period / 2:
             # Within that time it may have been played at any instant: no count holds for a rhythm that is not kept.
             report.ended = "failed"
-            report.reason = f"trigger {report.due} was taken {(taken - due) * 1e3:.0f} ms after its instant"
+            report.reason = f"trigger {report.due} was accepted {(taken - due) * 1e3:.0f} ms after it was due"
         self._end_if_over()
 
     def _end_if_over(self) -> None:

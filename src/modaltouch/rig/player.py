@@ -93,16 +93,16 @@ class Player:
         self.repetition = repetition or self._usual
         if self.repetition == "timer" and self._table.timer is None:
             raise RigError(
-                f"the repetition `timer` was asked for: a {self._instrument.models[0]} has no timer that "
-                "its channels share; the outputs are off; write generator.repetition: single"
+                f"the repetition `timer` was asked for, but a {self._instrument.models[0]} has no timer that its "
+                "channels share; the outputs are off; write generator.repetition: single"
             )
         for burst in bursts:
             _refuse_steps(burst)
         n_records, n_memories = max(map(self._n_records, bursts), default=0), self._instrument.records.n_memories
         if n_records > n_memories:
             raise RigError(
-                f"a burst has {n_records} records: the generator has {n_memories} memories; the outputs are off; take "
-                "a generator that holds them"
+                f"a burst has {n_records} records, but the generator has {n_memories} memories; the outputs are off; "
+                "use a generator with more memories"
             )
         self._bursts, self._chosen = tuple(bursts), 0
 
@@ -251,8 +251,8 @@ def _refuse_steps(burst: Burst) -> None:
         if end > LARGEST_STEP:
             raise RigError(
                 f"the record of output {number} begins or ends at {end:.1%} of its full scale: at most "
-                f"{LARGEST_STEP:.0%} is allowed, for the outputs rest there between bursts; the outputs are off; "
-                "ramp it on and off"
+                f"{LARGEST_STEP:.0%} is allowed, since the outputs rest there between bursts; the outputs are off; "
+                "ramp the drive on and off"
             )
 
 

@@ -77,7 +77,7 @@ class Scope(abc.ABC):
         RigError
             If the scope fails, or cannot do that.
         """
-        raise RigError(f"{self.identity}: no single burst can be awaited; use a PicoScope")
+        raise RigError(f"{self.identity}: it cannot wait for a single burst; use a PicoScope")
 
     def fetch(self, position: float) -> Recording:
         """Return the record of the burst for which the scope was armed, of the point at which the vibrometer aims [m].
@@ -311,7 +311,9 @@ class PicoScope(Scope):
         came, over = ctypes.c_uint32(asked.n_samples), ctypes.c_int16()
         self._call("GetValues", 0, ctypes.byref(came), 1, 0, 0, ctypes.byref(over))
         if came.value != asked.n_samples:
-            raise RigError(f"{asked.n_samples} samples were asked of the PicoScope, {came.value} came: measure again")
+            raise RigError(
+                f"{asked.n_samples} samples were requested from the PicoScope, but {came.value} came: measure again"
+            )
         return counts, over.value
 
     def _wait(self, longest: float, pause: float = 1e-3) -> tuple[float, float]:
@@ -343,7 +345,7 @@ class PicoScope(Scope):
         """Call a function of Pico's library for this scope, and refuse every status but success."""
         status = getattr(self._driver, f"ps3000a{name}")(self._handle, *arguments)
         if status != OK:
-            why = failing or "connect it anew, and see Pico's list of statuses"
+            why = failing or "reconnect it, and look up the status in Pico's list"
             raise RigError(f"the PicoScope refuses {name} (status {status} of Pico's library): {why}")
 
 

@@ -151,7 +151,7 @@ class VisaSession:
         if self._address.upper().endswith("SOCKET"):
             message_based.read_termination = "\n"
         self._resource, self._timeout = message_based, 0.0
-        return "other programs of this machine are kept out"
+        return "other programs on this machine are kept out"
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
         """Send a message, and return the reply if one is expected, within a time for each [s]."""
@@ -199,7 +199,7 @@ def _take_instrument(address: str) -> int:
         lock(descriptor, LOCK_TIMEOUT)
     except OSError as error:
         os.close(descriptor)
-        raise InUse("another program of this machine has it") from error
+        raise InUse("another program on this machine is using it") from error
     return descriptor
 
 
@@ -231,8 +231,8 @@ def find_by(visa_library: str) -> tuple[str, ...]:
     # Backends raise OSError, ValueError and errors of their own.
     except Exception as error:
         raise RigError(
-            f"the VISA backend '{visa_library}' cannot list instruments ({error}); mend or remove that "
-            "library; a known address works without"
+            f"the VISA backend '{visa_library}' cannot list instruments ({error}); repair or remove that library; a "
+            "known address works without it"
         ) from error
     # The series has USB, LAN and GPIB; a serial port is something else's.
     return tuple(address for address in found if not address.upper().startswith("ASRL"))

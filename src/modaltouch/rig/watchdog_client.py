@@ -84,8 +84,8 @@ class WatchdogClient:
             self._process = self._start()
         except OSError as error:
             raise RigError(
-                f"the watchdog process cannot be started ({error}), so the generator at {address} was not "
-                f"touched; see whether this machine can start {sys.executable}"
+                f"the watchdog process cannot be started ({error}), so the generator at {address} was not touched; "
+                f"check that this machine can start {sys.executable}"
             ) from error
         self._released = threading.Event()
         for work in (self._end_if_stuck, self._keep_beating):

@@ -219,6 +219,6 @@ def test_file_that_cannot_be_written_ends_it_before_it_serves(tmp_path: Path) ->
     )
     assert (ended.returncode, ended.stdout) == (2, "")
     assert " ".join(ended.stderr.split()) == (
-        f"{tmp_path}: given a file that cannot be written (Is a directory); allowed: a file in a folder of yours; "
-        "name another one after --played"
+        f"{tmp_path}: given a file that cannot be written (Is a directory); allowed: a file in a folder you may "
+        "write to; give another one with --played"
     )

@@ -54,8 +54,10 @@ class PlayedLog:
             self._file = path.open("a", encoding="utf-8", newline="\n")
         except OSError as error:
             given = f"a file that cannot be written ({error.strerror})"
-            remedy = "name another one after --played"
-            raise InputError([Problem(str(path), 0, 0, "", given, "a file in a folder of yours", remedy)]) from error
+            remedy = "give another one with --played"
+            raise InputError(
+                [Problem(str(path), 0, 0, "", given, "a file in a folder you may write to", remedy)]
+            ) from error
         self._twin = twin
         self._settle = settle
         self._touched = touched
