@@ -203,16 +203,16 @@ def to_line(event: dict[str, Any], **facts: Any) -> None:
 
 IN_BOTH: dict[str, tuple[Lie, str]] = {
     "every level": (rewrite_levels, "has the velocity_mm_s"),
-    "every level and the order": (rewrite_levels_and_order, "draws another order"),
-    "the protocol": (rewrite_protocol, "90 mm/s takes"),
+    "every level and the order": (rewrite_levels_and_order, "draws a different order"),
+    "the protocol": (rewrite_protocol, "90 mm/s needs"),
     "one level": (
         everywhere(lambda e: e["trial"]["condition"].update(velocity_mm_s=81.0), "trial"),
         "velocity_mm_s 81",
     ),
-    "two trials exchanged": (swap, "was presented out of its order"),
-    "a trial left out": (leave_out("fired", "answered", "trial"), "was presented out of its order"),
-    "a stimulus left out": (leave_out("fired"), "was answered without having been presented"),
-    "a trial of nobody": (everywhere(lambda e: e["trial"].update(index=99), "trial"), "is none of the"),
+    "two trials exchanged": (swap, "was presented out of order"),
+    "a trial left out": (leave_out("fired", "answered", "trial"), "was presented out of order"),
+    "a stimulus left out": (leave_out("fired"), "was answered but not presented"),
+    "a trial of nobody": (everywhere(lambda e: e["trial"].update(index=99), "trial"), "is not one of the"),
     "a planned level": (everywhere(set_in("planned", velocity_mm_s=100.5)), "was planned at 100.5 mm/s"),
     "a speed": (everywhere(shift("planned", "speed_left_mm_s", 1)), "at the fingers, not"),
     "a commanded amplitude": (everywhere(set_in("commanded", amplitude_Vpp=[1.0, 1.0])), "1, 1 Vpp were commanded"),
@@ -225,22 +225,28 @@ IN_BOTH: dict[str, tuple[Lie, str]] = {
     "a word": (everywhere(set_in("response", answer="upwards")), "was answered 'upwards'; allowed:"),
     "a reaction time": (everywhere(set_in("response", reaction_time=-1.0)), "has a reaction time of -1.0 s"),
     "a presentation": (everywhere(lambda e: to_line(e, presentation=2)), "is called presentation 2"),
-    "a replaced answer": (everywhere(lambda e: to_line(e, supersedes=5)), "replaces the answer of line 5"),
+    "a replaced answer": (everywhere(lambda e: to_line(e, supersedes=5)), "replaces the answer on line 5"),
     "a withdrawn line": (lambda events: events[4].update(event="withdrawn", lines=[3]), "withdraws line 3"),
     "a line number": (lambda events: to_line(events[9], n=11), "is numbered 11"),
     "the clock": (lambda events: to_line(events[9], clock=events[8]["clock"] - 1), "its clock says"),
     "the time": (lambda events: to_line(events[9], time="2026-11-22T05:00:00"), "names no zone"),
-    "an end": (lambda events: to_line(last(events, "stop"), n_answered=11), "says that 11 trials are answered, 12 are"),
-    "the seed": (start_says(seed=2), "seed 2 draws another order"),
-    "the codes": (start_says(stimulus__content_hash="0" * 64), "the drive computed again has the hash"),
+    "an end": (
+        lambda events: to_line(last(events, "stop"), n_answered=11),
+        "says that 11 trials are answered, but but but 12 are",
+    ),
+    "the seed": (start_says(seed=2), "seed 2 draws a different order"),
+    "the codes": (start_says(stimulus__content_hash="0" * 64), "the recomputed drive has the hash"),
     "a speed at a zone": (
         lambda events: events[0]["stimulus"]["stimuli"][0]["zone_peak_mm_s"].update(A=1.0),
-        "its speeds at the zones at 80 mm/s are not those predicted again",
+        "its speeds at the zones at 80 mm/s are not those recomputed",
     ),
-    "the design": (start_says(design__stimulus={"focus": "A"}), "has another stimulus than its protocol file"),
+    "the design": (
+        start_says(design__stimulus={"focus": "A"}),
+        "its design differs from its protocol file in stimulus",
+    ),
     "the protocol's name": (start_says(protocol="other"), "is a session of 'other'"),
-    "the mode": (start_says(mode="real"), "is called a real session, and its rig or its answers were simulated"),
-    "a text": (start_says(sources__texts={"path": "t", "text": "", "sha256": "0" * 64}), "do not hold"),
+    "the mode": (start_says(mode="real"), "is called a real session, but its rig or its answers were simulated"),
+    "a text": (start_says(sources__texts={"path": "t", "text": "", "sha256": "0" * 64}), "its files are not valid"),
 }
 """Lies that are found in a log of either format, and the words that find them."""
 
@@ -253,22 +259,22 @@ IN_FORMAT_2: dict[str, tuple[Lie, str]] = {
     "a number that is none": (everywhere(set_in("bursts", asked=-1), "trial"), "are counted as"),
     "uncounted bursts": (everywhere(set_in("bursts", whole=None), "trial"), "though its bursts are not all counted"),
     "the first burst": (everywhere(shift("bursts", "first_s", 0.01), "trial"), "its first burst came at"),
-    "the first burst, everywhere": (everywhere(shift_first), "its instants one of"),
+    "the first burst, everywhere": (everywhere(shift_first), "but its instants give"),
     "how sure it is": (everywhere(shift("bursts", "uncertainty_s", -0.0009), "trial"), "its first burst came at"),
     "an answer before its stimulus": (everywhere(shift_answer), "its answer came before its first burst"),
     "an answer after its line": (everywhere(lambda e: shift_answer(e, 30.0)), "after its line was written"),
     "a quicker answer": (everywhere(set_in("response", reaction_time=0.2)), "has a reaction time of 0.2 s"),
     "an interval": (
         everywhere(lambda e: e["instants"]["answer"].update(earliest_s=e["clock"] + 1)), "its answer came between"),
-    "another answer": (everywhere(set_in("response", answer="upwards"), "trial"), "has another response than line"),
-    "an answer of nobody": (everywhere(lambda e: to_line(e, answered=3), "trial"), "finishes the answer of line 3"),
+    "another answer": (everywhere(set_in("response", answer="upwards"), "trial"), "where it was answered, in response"),
+    "an answer of nobody": (everywhere(lambda e: to_line(e, answered=3), "trial"), "finishes the answer on line 3"),
     "confirmed too soon": (
         everywhere(set_in("confirmed", confirmed=True), "answered"), "is confirmed before its end"),
     "a point of the field": (
         forge_field(lambda field: field["predicted_mm_s"].__setitem__(9, 1.0)), "its field is not"),
     "half a field": (forge_field(lambda field: field["target_mm_s"].pop()), "its field is not"),
     "a field without zones": (forge_field(lambda field: field.pop("zones_mm")), "its field is not"),
-    "a focus": (forge_field(lambda field: field.update(focus="A")), "its field is not the one predicted again"),
+    "a focus": (forge_field(lambda field: field.update(focus="A")), "its field is not the one recomputed"),
     "what repeats": (everywhere(set_in("confirmed", repetition="timer"), "trial"), "were repeated as 'timer'"),
 }  # fmt: skip
 """Lies about what only format 2 tells."""
@@ -308,7 +314,7 @@ def test_a_catch_trial_with_bursts_is_found_out(copied: Callable[..., Path]) -> 
     forge(log, lie)
     problems = "\n".join(audit_session(Session.find(log)).problems)
     assert "is a catch trial with 1 bursts asked" in problems
-    assert "80 mm/s takes" in problems
+    assert "80 mm/s needs" in problems
 
 
 def nothing(events: Events) -> None:
@@ -418,7 +424,7 @@ OF_INTERVALS: dict[str, tuple[Lie, str]] = {
     ),
     "an amplitude": (
         in_interval(2, lambda each: each["confirmed"].update(commanded_amplitude=[1.0, 1.0])),
-        "interval 2: .* Vpp, 1, 1 Vpp were commanded",
+        "interval 2: .* Vpp, but 1, 1 Vpp were commanded",
     ),
     "a burst": (in_interval(1, lambda each: each["bursts"].update(whole=4)), "interval 1: is confirmed with 5 bursts"),
     "an onset": (
@@ -427,7 +433,7 @@ OF_INTERVALS: dict[str, tuple[Lie, str]] = {
     ),
     "a confirmation": (
         in_interval(1, lambda each: each["confirmed"].update(confirmed=False)),
-        "counts though one of its intervals is not confirmed",
+        "counts, although one of its intervals is not confirmed",
     ),
     "an interval": (everywhere(lambda event: event["intervals"].pop()), "its line lists 1"),
     "where it stood": (

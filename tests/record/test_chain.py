@@ -61,7 +61,7 @@ def test_a_whole_last_line_without_its_newline_counts():
     """The answer is on the disk even if only the newline is missing."""
     chain = parse_chain(chain_of(*EVENTS)[:-1], "log")
     assert chain.events == EVENTS
-    assert "lacks its newline" in chain.problems[0]
+    assert "has no newline" in chain.problems[0]
     assert not chain.torn
 
 
@@ -105,10 +105,10 @@ def test_a_problem_names_the_file_and_the_line_where_it_begins():
     assert cut.problems == ("log:2: the last line was cut while being written (9 bytes)",)
     assert cut.torn == lines[1][:9]
     unended = parse_chain(lines[0] + lines[1][:-1], "log")
-    assert unended.problems == ("log:2: the last line lacks its newline; its content is whole",)
+    assert unended.problems == ("log:2: the last line has no newline, but its content is complete",)
     undeclared, _ = encode_line({"n": 1, "torn": describe_torn(b"gone")}, GENESIS)
     assert parse_chain(undeclared, "log").problems == (
-        "log:1: the remains of a cut line that this line declares are missing",
+        "log:1: this line declares a cut line, but the remains of that line are missing",
     )
 
 

@@ -62,7 +62,7 @@ def test_a_file_that_is_there_is_refused_before_the_work(tmp_path):
     prepare_file(path)
     assert path.parent.is_dir()
     path.write_text("old\n")
-    with pytest.raises(RecordError, match=r"file.yaml: is there already and is not overwritten; give another file"):
+    with pytest.raises(RecordError, match=r"file.yaml: exists already and is not overwritten; give another file"):
         prepare_file(path)
     with pytest.raises(RecordError, match=r"deeper.yaml: cannot be written .*; give another file with --out"):
         prepare_file(path / "deeper.yaml")

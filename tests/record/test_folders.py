@@ -81,7 +81,7 @@ def test_a_place_is_known_from_its_log(tmp_path, mode):
 def test_a_log_that_was_moved_is_not_taken_for_another_session(tmp_path):
     """A simulated session put into the real tree is refused."""
     place = make_log(tmp_path, "real")
-    with pytest.raises(RecordError, match="put it back there"):
+    with pytest.raises(RecordError, match="move it back there"):
         SessionFolder.of(place.log, "simulated", "demo")
 
 
@@ -105,14 +105,14 @@ def test_a_log_in_a_folder_of_another_name_has_no_place(tmp_path, path):
     log = tmp_path / "demo" / path / "session.jsonl"
     make_folder(log.parent)
     log.touch()
-    with pytest.raises(RecordError, match=r"does not lie in a folder sub-<id>/ses-<n>/beh"):
+    with pytest.raises(RecordError, match=r"is not in a folder sub-<id>/ses-<n>/beh"):
         SessionFolder.of(log, "real", "demo")
 
 
 def test_an_unknown_mode_has_no_place(tmp_path):
     """There are three trees and no fourth."""
     place = make_log(tmp_path, "real")
-    with pytest.raises(RecordError, match="does not lie in a folder"):
+    with pytest.raises(RecordError, match="is not in a folder"):
         SessionFolder.of(place.log, "unknown", "demo")
 
 

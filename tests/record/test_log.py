@@ -46,7 +46,10 @@ def test_an_existing_log_is_never_overwritten(tmp_path):
 
 def test_a_session_that_is_being_run_is_not_to_be_resumed_beside_itself(tmp_path):
     """Two experimenters who were both proposed p01: the second is told to take another participant id."""
-    with begin(tmp_path / "session.jsonl"), pytest.raises(RecordError, match=r"being run now.*another participant id"):
+    with (
+        begin(tmp_path / "session.jsonl"),
+        pytest.raises(RecordError, match=r"running this session now.*another participant id"),
+    ):
         begin(tmp_path / "session.jsonl")
 
 
@@ -128,7 +131,7 @@ def test_a_log_that_lost_its_remains_is_not_continued(tmp_path):
     with SessionLog.reopen(path) as log:
         log.append("resume")
     path.write_bytes(path.read_bytes().replace(b'{"n":2,"ti\n', b""))
-    with pytest.raises(RecordError, match="remains of a cut line .* are missing"):
+    with pytest.raises(RecordError, match="declares a cut line, but the remains .* are missing"):
         SessionLog.reopen(path)
 
 

@@ -131,7 +131,7 @@ def test_a_removed_line_takes_the_next_along_and_no_more(damaged):
 def test_a_log_without_its_start_is_left_as_it_is(damaged, tmp_path):
     """Answers that belong to no known experiment are no data."""
     found = survey(damaged(lambda lines: lines[1:]))
-    with pytest.raises(RecordError, match="start record does not prove itself"):
+    with pytest.raises(RecordError, match="start record is not intact"):
         found.write(tmp_path / "recovered")
     assert not (tmp_path / "recovered").exists()
 
@@ -149,7 +149,7 @@ def test_what_is_lost_is_said_in_words_and_values(damaged, sound):
     n_lines, answers = len(sound.splitlines()), len(trial_lines(sound))
     first, *_, last = trial_lines(sound)
     whole = survey(damaged(lambda lines: lines))
-    assert whole.lines == [f"{n_lines} lines prove themselves, {answers} answers among them"]
+    assert whole.lines == [f"{n_lines} lines are intact, {answers} answers among them"]
     assert whole.as_dict()["sound"] is True
 
     def spoil(lines):
@@ -161,7 +161,7 @@ def test_what_is_lost_is_said_in_words_and_values(damaged, sound):
     gone = [first - 1, first, first + 1, last + 1]
     assert found.missing == tuple(gone)
     assert found.lines == [
-        f"{n_lines - 4} lines prove themselves, {answers - 2} answers among them",
+        f"{n_lines - 4} lines are intact, {answers - 2} answers among them",
         f"line {first - 1} is left out: it was changed, or the line before it is missing, so it cannot be proved",
         f"line {last - 1} is left out: it was changed, or the line before it is missing, so it cannot be proved",
         f"gone: the lines numbered {first - 1} to {first + 1}, {last + 1}",
@@ -247,7 +247,7 @@ def test_an_empty_file_proves_nothing(tmp_path):
     (tmp_path / "session.jsonl").touch()
     found = survey(tmp_path / "session.jsonl")
     assert (found.events, found.left_out, found.missing) == ((), (), ())
-    with pytest.raises(RecordError, match="start record does not prove itself"):
+    with pytest.raises(RecordError, match="start record is not intact"):
         found.write(tmp_path / "recovered")
 
 

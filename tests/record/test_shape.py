@@ -47,24 +47,24 @@ def test_a_session_of_today_says_all_it_must(log):
     [
         (
             lambda events: events[0].update(schema=3),
-            "session.jsonl:1: was written in format 3, this program knows 1 and 2",
+            "session.jsonl:1: was written in format 3, but this program reads 1 and 2",
         ),
         (
             lambda events: events[0].pop("participant"),
             "session.jsonl:1: the event `start` does not say its participant",
         ),
-        (lambda events: events[1].pop("event"), "session.jsonl:2: is no event of a session"),
+        (lambda events: events[1].pop("event"), "session.jsonl:2: is not an event of a session"),
     ],
 )
 def test_another_format_is_told_by_every_reader(rewritten, change, said):
     """Verify names the line, resume refuses, the analysis leaves the session out with the reason."""
     path = rewritten(change)
     assert said in audit_session(Session.find(path)).problems[0]
-    with pytest.raises(RecordError, match="format 3|does not say|is no event"):
+    with pytest.raises(RecordError, match="format 3|does not say|is not an event"):
         wire_resume(path)
     from modaltouch.analysis.reading import read_responses
 
-    with pytest.raises(InputError, match=r"damaged: .*(format 3|does not say|is no event)"):
+    with pytest.raises(InputError, match=r"damaged: .*(format 3|does not say|is not an event)"):
         read_responses(path.parent)
 
 
@@ -99,7 +99,7 @@ def test_an_answer_without_its_words_is_named(rewritten):
 )
 def test_a_line_without_a_number_or_a_name_is_one_problem(line):
     """Nothing is asked of a line that is no event; the lines after it are still looked at."""
-    no_event = "is no event of a session; nothing is known of such a line"
+    no_event = "is not an event of a session"
     after = {"n": 2, "event": "trial"}
     assert check_shape([line, after], "log") == (
         f"log:1: {no_event}",

@@ -227,7 +227,7 @@ def test_a_list_of_participants_that_is_no_text_is_named(place):
     """It may be a spreadsheet; nothing is written over it."""
     path = place.dataset / "participants.tsv"
     path.write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(RecordError, match=r"participants.tsv: cannot be read .*mend it or move it away"):
+    with pytest.raises(RecordError, match=r"participants.tsv: cannot be read .*repair it or move it away"):
         place.list_participants()
     assert path.read_bytes() == b"\xff\xfe\x00"
 

@@ -282,7 +282,7 @@ def test_a_session_is_begun_read_meanwhile_and_continued(tmp_path: Path) -> None
         log.append("note", text="µ")
         assert [event["event"] for event in read_chain(path).events] == ["start", "note"]
         assert is_locked(path)
-        with pytest.raises(RecordError, match="being run now"):
+        with pytest.raises(RecordError, match="running this session now"):
             refuse_existing(path)
         with pytest.raises(RecordError, match="another process is writing"):
             SessionLog.reopen(path)

@@ -77,7 +77,7 @@ def audit_session(session: Session) -> Audit:
     problems = list(dict.fromkeys((*chain.problems, *shape)))
     place = f"{path}:1:"
     if shape or not start:
-        return Audit(path, (), tuple(problems) or (f"{place} is no start record",))
+        return Audit(path, (), tuple(problems) or (f"{place} is not a start record",))
     lines = [] if problems else [f"{len(session.events)} lines, each continuing the one before"]
     try:
         restored = restore(Sources.from_dict(start["sources"]), session.occasion)
@@ -93,11 +93,11 @@ def audit_session(session: Session) -> Audit:
         lines += sequence.lines
         seen = check_view(session)
     except InputError as error:
-        return Audit(path, (), (*problems, f"{place} its files do not hold: {error}"))
+        return Audit(path, (), (*problems, f"{place} its files are not valid: {error}"))
     except RecordError as error:
         return Audit(path, (), (*problems, str(error)))
     except UNTOLD as error:
-        said = f"does not say what its order and drive follow from ({type(error).__name__}: {error})"
+        said = f"does not say what its order and drive are based on ({type(error).__name__}: {error})"
         return Audit(path, (), (*problems, f"{place} {said}"))
     cut = () if chain.damage else chain.problems
     mendable = (seen.problem,) if seen.is_mendable else ()
@@ -126,7 +126,7 @@ def check_beginning(session: Session, restored: RestoredExperiment, protocol: Pr
     if schedule.as_dict() == session.start["schedule"]:
         yield True, f"order of {len(schedule.trials)} trials drawn again from seed {seed}: identical"
     else:
-        yield False, f"{place} seed {seed} draws another order than the recorded one"
+        yield False, f"{place} seed {seed} draws a different order from the recorded one"
     yield _check_drive(session.start, restored, place)
     yield _check_shown(session.start, restored, place)
     if session.start.get("sensation_levels"):
@@ -144,15 +144,15 @@ def draw_again(session: Session, protocol: Protocol) -> Schedule:
 def _check_texts(start: dict[str, Any], protocol: Protocol, place: str) -> tuple[bool, str]:
     for name, source in start["sources"].items():
         if "sha256" in source and hashlib.sha256(source["text"].encode()).hexdigest() != source["sha256"]:
-            return False, f"{place} the text of its {name} file has another hash than it says"
+            return False, f"{place} the text of its {name} file does not match its hash"
     if start["protocol"] != protocol.protocol:
         return (
             False,
-            f"{place} is a session of {start['protocol']!r}, its protocol file is {protocol.protocol!r}",
+            f"{place} is a session of {start['protocol']!r}, but its protocol file is of {protocol.protocol!r}",
         )
     differing = _first_difference(start["design"], protocol.model_dump(mode="json"), start.get("schema", 1))
     if differing:
-        return False, f"{place} its design has another {differing} than its protocol file"
+        return False, f"{place} its design differs from its protocol file in {differing}"
     return True, ""
 
 
@@ -174,16 +174,19 @@ def _check_mode(start: dict[str, Any], restored: RestoredExperiment, place: str)
     real = start["rig_choice"] != "simulated" and start["answers_choice"] == "window"
     if start["mode"] == "simulated" or (real and not restored.instrument.is_simulated(str(start["rig"]["identity"]))):
         return True, ""
-    return False, f"{place} is called a {start['mode']} session, and its rig or its answers were simulated"
+    return False, f"{place} is called a {start['mode']} session, but its rig or its answers were simulated"
 
 
 def _check_drive(start: dict[str, Any], restored: RestoredExperiment, place: str) -> tuple[bool, str]:
     burst, recorded = restored.preflight.stimulus.burst, start["stimulus"]
     found, said, hashes = burst.content_hash, recorded["content_hash"], recorded.get("content_hashes")
     if found != said or (hashes is not None and hashes != restored.preflight.content_hashes):
-        return False, f"{place} the drive computed again has the hash {found[:12]}, the record says {said[:12]}"
+        return False, f"{place} the recomputed drive has the hash {found[:12]}, but the record says {said[:12]}"
     if recorded.get("amplitude_Vpp", list(burst.amplitude)) != list(burst.amplitude):
-        return False, f"{place} the drive computed again has the amplitudes {burst.amplitude} Vpp, the record others"
+        return (
+            False,
+            f"{place} the recomputed drive has the amplitudes {burst.amplitude} Vpp, but the record has others",
+        )
     return (
         True,
         f"{f'drives of {len(hashes)} stimuli' if hashes else 'drive'} recomputed: identical codes ({found[:12]})",
@@ -198,12 +201,12 @@ def _check_shown(start: dict[str, Any], restored: RestoredExperiment, place: str
         if not _agree(row["zone_peak_mm_s"], peaks):
             return (
                 False,
-                f"{place} its speeds at the zones at {row['velocity_mm_s']:g} mm/s are not those predicted again",
+                f"{place} its speeds at the zones at {row['velocity_mm_s']:g} mm/s are not those recomputed",
             )
     recorded = start["stimulus"].get("fields")  # earlier versions kept none
     own = start.get("sensation_levels")
     if recorded is not None and not _agree(recorded, restored.fields(tuple(own["levels_mm_s"]) if own else ())):
-        return False, f"{place} its field is not the one predicted again"
+        return False, f"{place} its field is not the one recomputed"
     return True, ""
 
 

@@ -159,7 +159,7 @@ def parse_chain(data: bytes, name: str) -> Chain:
             event, check = _decode(line.removesuffix(b"\n"), previous)
         except UnreadableLineError as error:
             # Its check is right, so that the lines after it still prove themselves.
-            damage.append(f"{name}:{number}: {error}, though its check is right")
+            damage.append(f"{name}:{number}: {error}, although its check is correct")
             previous = error.check
             continue
         if event is None or (pending and event.get("torn") != describe_torn(pending.removesuffix(b"\n"))):
@@ -167,7 +167,7 @@ def parse_chain(data: bytes, name: str) -> Chain:
             pending_line = pending_line or number
             continue
         if not pending and "torn" in event:
-            damage.append(f"{name}:{number}: the remains of a cut line that this line declares are missing")
+            damage.append(f"{name}:{number}: this line declares a cut line, but the remains of that line are missing")
         pending, pending_line = b"", 0
         events.append(event)
         checks.append(check)
@@ -179,7 +179,7 @@ def parse_chain(data: bytes, name: str) -> Chain:
     elif pending:
         cut.append(f"{name}:{pending_line}: the last line was cut while being written ({len(pending)} bytes)")
     elif events and not data.endswith(b"\n"):
-        cut.append(f"{name}:{len(events)}: the last line lacks its newline; its content is whole")
+        cut.append(f"{name}:{len(events)}: the last line has no newline, but its content is complete")
     ends_in_newline = data.endswith(b"\n") or not data
     return Chain(tuple(events), tuple(checks), (*damage, *cut), tuple(damage), pending, ends_in_newline)
 
@@ -231,11 +231,11 @@ def read_object(line: bytes) -> dict[str, Any]:
         # Decoded here: of bytes the encoding would be guessed, line by line of a whole results tree.
         value = json.loads(line.decode("utf-8", "surrogatepass"))
     except json.JSONDecodeError as error:
-        raise UnreadableLineError(f"it is no JSON from its character {error.pos + 1} on") from error
+        raise UnreadableLineError(f"it is not JSON from its character {error.pos + 1} on") from error
     except RecursionError as error:
         raise UnreadableLineError("it is nested too deep") from error
     except ValueError as error:
         raise UnreadableLineError("it contains a number with too many digits, or is not UTF-8") from error
     if not isinstance(value, dict):
-        raise UnreadableLineError("it is no JSON object")
+        raise UnreadableLineError("it is not a JSON object")
     return value

@@ -85,7 +85,7 @@ def prepare_file(path: Path) -> None:
         If there is a file already, or none can be written there.
     """
     if path.exists():
-        raise RecordError(f"{path}: is there already and is not overwritten; give another file with --out")
+        raise RecordError(f"{path}: exists already and is not overwritten; give another file with --out")
     trial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -74,11 +74,11 @@ class SessionFolder:
         results = dataset.parent if mode == "real" else dataset.parent.parent
         named = re.fullmatch(r"ses-([1-9]\d*)", session), re.fullmatch(r"sub-(\w+)", participant)
         if mode not in ("real", "pilot", "simulated") or not all(named):
-            raise RecordError(f"{log}: does not lie in a folder sub-<id>/ses-<n>/beh; put it back there")
+            raise RecordError(f"{log}: is not in a folder sub-<id>/ses-<n>/beh; move it back there")
         place = cls(results, mode, protocol, participant[4:], int(session[4:]))  # type: ignore[arg-type]
         if place.log != log.resolve():
             raise RecordError(
-                f"{log}: is a {mode} session of the protocol {protocol} and belongs in {place.folder}; put it back "
+                f"{log}: is a {mode} session of the protocol {protocol} and belongs in {place.folder}; move it back "
                 "there"
             )
         return place
@@ -246,7 +246,7 @@ class SessionFolder:
                 known = json.loads(side.read_text(encoding="utf-8")) if fields and side.exists() else {}
                 described = {name: _describe(field) for name, field in fields.items()} | known
             except (OSError, ValueError, TypeError) as error:
-                raise RecordError(f"{read}: cannot be read ({error}); mend it or move it away") from error
+                raise RecordError(f"{read}: cannot be read ({error}); repair it or move it away") from error
             header = [*rows[0], *(name for name in fields if name not in rows[0])]
             listed = {row[0] for row in rows}
             folders = sorted(folder.name for folder in self.dataset.glob("sub-*") if folder.is_dir())
@@ -297,7 +297,7 @@ def find_log(session: Path) -> Path:
     logs = SessionFolder.logs_under(session)
     if len(logs) != 1:
         listed = "".join(f"\n  {log.parent}" for log in logs[:10])
-        raise RecordInputError(f"{session}: holds {len(logs)} sessions, but exactly one is needed; name it{listed}")
+        raise RecordInputError(f"{session}: holds {len(logs)} sessions, but exactly one is needed; give it{listed}")
     return logs[0]
 
 
@@ -311,8 +311,8 @@ def refuse_existing(path: Path) -> None:
     """
     if path.exists() and is_locked(path):
         raise RecordExistsError(
-            f"{path}: this session is being run now, by another program; give another participant id, or wait until "
-            "it is over"
+            f"{path}: another program is running this session now; give another participant id, or wait until it is "
+            "over"
         )
     if path.exists():
         raise RecordExistsError(

@@ -92,7 +92,7 @@ class Recovery:
     def lines(self) -> list[str]:
         """What can be recovered and what cannot, in words."""
         answers = sum(event.get("event") == "trial" for event in self.events)
-        said = [f"{len(self.events)} lines prove themselves, {answers} answers among them"]
+        said = [f"{len(self.events)} lines are intact, {answers} answers among them"]
         if self.numbers != tuple(sorted(self.numbers)):
             said.append("they were moved; the order in which they were written is known")
         if self.has_carriage_returns:
@@ -129,8 +129,8 @@ class Recovery:
         """
         if not self.events or self.events[0].get("event") != "start":
             raise RecordError(
-                f"{self.path}: its start record does not prove itself, so nothing says what the answers belong to; "
-                "the lines are left as they are"
+                f"{self.path}: its start record is not intact, so it is unknown what the answers belong to; the lines "
+                "are left as they are"
             )
         first, *others = self.events
         place = SessionFolder(results, first["mode"], first["protocol"], first["participant"], first["session"])

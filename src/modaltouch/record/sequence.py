@@ -26,7 +26,7 @@ def check_answers(event: Event, asked: AnswersSection) -> Iterator[str]:
     wanted = asked.further if event["event"] == "trial" and is_asked else {}
     further = response.get("further", {})
     if list(further) != list(wanted):
-        yield f"answers the further questions {', '.join(further) or '-'}; asked were {', '.join(wanted) or '-'}"
+        yield f"answers the further questions {', '.join(further) or '-'}, but {', '.join(wanted) or '-'} were asked"
         return
     before = 0.0
     if wanted:
@@ -96,12 +96,12 @@ def check_amplitudes(event: Event, trial: Trial, given: TrialExpectation) -> Ite
     needed = given.restored.amplitudes(trial, level)
     for amplitude in said:
         if amplitude != needed:
-            yield f"{level:g} mm/s takes {listed(needed)} Vpp, {listed(amplitude)} Vpp were commanded"
+            yield f"{level:g} mm/s needs {listed(needed)} Vpp, but {listed(amplitude)} Vpp were commanded"
             return
     instrument, pairs = given.restored.instrument, zip(needed, back, strict=False)
     agree = len(back) == len(needed) and all(instrument.level(1, a).confirmed_by(str(b)) for a, b in pairs)
     if (confirmed["confirmed"] or event["event"] == "fired") and not agree:
-        yield f"{level:g} mm/s takes {listed(needed)} Vpp, {listed(back)} Vpp were read back"
+        yield f"{level:g} mm/s needs {listed(needed)} Vpp, but {listed(back)} Vpp were read back"
     if agree:
         given.restored.agreed.add(found)
 
@@ -112,7 +112,7 @@ def check_answered(event: Event, trial: Trial, given: TrialExpectation) -> Itera
     yield from _check_planned(event["planned"], trial, given)
     fingers = given.protocol.conditions.fingers_of(condition)
     if tuple(event["fingers"]) != fingers:
-        yield f"was felt with {listed(fingers)}, the record says {listed(tuple(event['fingers']))}"
+        yield f"was felt with {listed(fingers)}, but the record says {listed(tuple(event['fingers']))}"
     if event.get("catch", False) is not condition.is_catch:
         yield f"at {condition.velocity_mm_s:g} mm/s it is {'' if condition.is_catch else 'not '}a catch trial"
     yield from check_answers(event, given.protocol.answers)
@@ -167,14 +167,14 @@ def check_intervals(event: Event, trial: Trial, begun: list[Event], given: Trial
             faults += ["is not the one that began"]
         own = (event, said) if number == trial.interval else (said, said)
         if any(own[0][name] != own[1][name] for name in ("commanded", "bursts")):
-            faults += ["is another than its trial has"]
+            faults += ["is not that of its trial"]
         gap, unsure = confirmed["onset"] - over, (each["onset_uncertainty"] for each in (confirmed, first["confirmed"]))
         if gap + sum(unsure) + INSTANT < section.gap_s:
-            faults += [f"began {gap:.6g} s after the one before, its protocol has a gap of {section.gap_s:g} s"]
+            faults += [f"began {gap:.6g} s after the one before, but its protocol has a gap of {section.gap_s:g} s"]
         over = confirmed["onset"] + given.protocol.longest_s(part.condition.stimulus)
         yield from (f"interval {number}: {fault}" for fault in faults)
     if not sound and (event["event"] == "answered" or event["confirmed"]["confirmed"]):
-        yield "counts though one of its intervals is not confirmed"
+        yield "counts, although one of its intervals is not confirmed"
 
 
 class EventSequence:
@@ -262,7 +262,7 @@ class EventSequence:
         unknown = kind in ("closed", "recovered") or "torn" in event or (self._before == "stop" and kind != "resume")
         boot = str(event.get("boot", "")) if kind in ("start", "resume") else "" if unknown else self._boot
         if boot == self._boot and boot and not clock >= self._clock:
-            yield f"its clock says {clock} s, the line before {self._clock} s"
+            yield f"its clock says {clock} s, but the line before says {self._clock} s"
         self._boot, self._clock = boot, clock
 
     def _named(self, number: int, event: Event) -> Iterator[str]:
@@ -274,7 +274,10 @@ class EventSequence:
         key = trial.practice, trial.index
         planned = self._order.get(key)
         if planned is None:
-            yield f"{_name(trial)} is none of the {self._n_trials} trials, {self._n_practice} of practice, of its order"
+            yield (
+                f"{_name(trial)} is not one of the {self._n_trials} trials of its order, or of the {self._n_practice} "
+                "of practice"
+            )
             return
         if self._given.protocol.adaptive is not None and number > self._whole_from:
             planned = self._settle(planned)
@@ -285,11 +288,11 @@ class EventSequence:
         differing = next(name for name in here if name != "condition" and here[name] != there.get(name))
         if differing == "velocity_mm_s" and self._given.protocol.adaptive is not None:
             yield (
-                f"the answers before {_name(trial)} lead to {there[differing]:g} mm/s, the record says "
+                f"the answers before {_name(trial)} lead to {there[differing]:g} mm/s, but the record says "
                 f"{here[differing]:g} mm/s"
             )
             return
-        yield f"{_name(trial)} has the {differing} {here[differing]}, its order has {there.get(differing)}"
+        yield f"{_name(trial)} has the {differing} {here[differing]}, but its order has {there.get(differing)}"
 
     def _settle(self, planned: Trial) -> Trial:
         """Return a trial of an adaptive run at the level to which the answers that count so far lead."""
@@ -303,7 +306,7 @@ class EventSequence:
         yield from self._named(number, event)
         trial, due = self._trial, self._due()
         if number > self._whole_from and (trial.practice, trial.index) != due:
-            yield f"{_name(trial)} was presented out of its order; due was {_name(self._order[due]) if due else 'none'}"
+            yield f"{_name(trial)} was presented out of order; {_name(self._order[due]) if due else 'none'} was due"
         interval = event.get("interval", 1)
         self._pending, self._begun = trial, [*(self._begun if interval > 1 else ()), event]
         self._n_fired[_key(trial)] += interval == 1
@@ -322,11 +325,11 @@ class EventSequence:
             level = 1e3 * float(stimulus.velocity_at_focus([inputs.centre_mm * 1e-3], inputs.reference * 1e-3)[0])
             highest = restored.preflight.designs[said["design"]].attainable
             if said["content_hash"] != stimulus.burst.content_hash:
-                yield f"the drive for the fingers that were measured ({said['design']}) is another than it says"
+                yield f"the drive for the fingers that were measured ({said['design']}) is not the one it says"
             if abs(said["level_mm_s"] - level) > SPEED or abs(said["attainable_mm_s"] - highest) > SPEED:
                 yield (
                     f"under the fingers that were measured ({said['design']}) the level is {level:.6g} mm/s, at most "
-                    f"{highest:.6g} mm/s; it says {said['level_mm_s']:.6g} and {said['attainable_mm_s']:.6g} mm/s"
+                    f"{highest:.6g} mm/s, but it says {said['level_mm_s']:.6g} and {said['attainable_mm_s']:.6g} mm/s"
                 )
 
     def _due(self) -> Key | None:
@@ -370,29 +373,29 @@ class EventSequence:
     def _follows(self, event: Event, trial: Trial) -> Iterator[str]:
         """Check that an answer follows its stimulus, and names the answer that it replaces."""
         if self._pending != trial:
-            yield "was answered without having been presented"
+            yield "was answered but not presented"
         n_fired = self._n_fired[_key(trial)]
         if event["presentation"] != n_fired:
-            yield f"is called presentation {event['presentation']}, its stimulus began {n_fired} times"
+            yield f"is called presentation {event['presentation']}, but its stimulus began {n_fired} times"
         # An answer whose stimulus was never confirmed to have ended may be named as well.
         unfinished = [n for n, each in self._unfinished.items() if each["trial"] == event["trial"]]
         before = self._last_line.get(_key(trial))
         if event["supersedes"] not in (before, *unfinished):
-            yield f"replaces the answer of line {event['supersedes']}, its last one is of line {before}"
+            yield f"replaces the answer on line {event['supersedes']}, but its last answer is on line {before}"
 
     def _finishes(self, event: Event) -> Iterator[str]:
         """Check that a finished trial says what its answer said, and that no other does."""
         answer = self._unfinished.pop(event["answered"], None)
         self._counted.pop(event["answered"], None)
         if answer is None:
-            yield f"finishes the answer of line {event['answered']}, which is none that waits for its end"
+            yield f"finishes the answer on line {event['answered']}, which is not waiting for its end"
             return
         first = {name: value for name, value in event["response"].items() if name != "further"}
         differing = [name for name in _SAME if answer.get(name) != {**event, "response": first}.get(name)]
         differing += ["answer"] if answer["instants"]["answer"] != event["instants"]["answer"] else []
         differing += ["interval"] if answer.get("intervals", [])[:-1] != event.get("intervals", [])[:-1] else []
         if differing:
-            yield f"has another {differing[0]} than line {event['answered']}, where it was answered"
+            yield f"differs from line {event['answered']}, where it was answered, in {differing[0]}"
 
     def _take_back(self, line: int) -> None:
         """Count an answer no more."""
@@ -405,7 +408,7 @@ class EventSequence:
     def _withdrawn(self, number: int, event: Event) -> Iterator[str]:
         for line in event["lines"]:
             if number > self._whole_from and line not in self._counted:
-                yield f"withdraws line {line}, which is no answer that counts"
+                yield f"withdraws line {line}, which is not an answer that counts"
             self._take_back(line)
         self._settled, self._written = None, {}
 
@@ -417,14 +420,14 @@ class EventSequence:
         outcome = judge_round(self._counted.values(), event["round"], section.practice_trials, protocol)
         found = outcome.n_judged, outcome.n_agreed, outcome.passes(section.practice_criterion)
         if number > self._whole_from and found != (event["n_judged"], event["n_agreed"], event["passed"]):
-            yield f"in round {event['round']} of practice {found[1]} of {found[0]} answers agreed; it says otherwise"
+            yield f"in practice round {event['round']} {found[1]} of {found[0]} answers agreed, but it says otherwise"
 
     def _stopped(self, number: int, event: Event) -> Iterator[str]:
         """Check how many trials a sitting says it left behind."""
         n_done = sum(n > 0 for (practice, _), n in self._done.items() if not practice)
         is_complete = n_done >= self._n_trials and self._filled >= self._given.protocol.form.keys()
         if number > self._whole_from and (event["n_answered"], event["complete"]) != (n_done, is_complete):
-            yield f"says that {event['n_answered']} trials are answered, {n_done} are"
+            yield f"says that {event['n_answered']} trials are answered, but {n_done} are"
 
 
 def _key(trial: Trial) -> tuple[bool, int, float]:

@@ -383,11 +383,11 @@ def check_shape(events: Iterable[dict[str, Any]], name: str, *, to_repeat: bool 
         kind = event.get("event")
         clock = event.get("clock", 0.0)
         if not isinstance(kind, str) or not isinstance(event.get("n"), int) or not isinstance(clock, (int, float)):
-            problems.append(f"{name}:{number}: is no event of a session; nothing is known of such a line")
+            problems.append(f"{name}:{number}: is not an event of a session")
             continue
         if kind == "start" and event.get("schema", 1) not in READABLE:
             problems.append(
-                f"{name}:{number}: was written in format {event.get('schema')}, this program knows "
+                f"{name}:{number}: was written in format {event.get('schema')}, but this program reads "
                 f"{' and '.join(map(str, READABLE))}; use the version of the program that wrote it"
             )
         kind = "trial" if kind == "answered" else kind

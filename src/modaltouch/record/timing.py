@@ -46,7 +46,7 @@ def check_instants(event: Event, trial: Trial) -> Iterator[str]:
     least = 0.0 if asked and "question" not in between else least
     time = response["reaction_time"]
     if not least - INSTANT <= time <= most + INSTANT:
-        yield f"has a reaction time of {time:.6g} s, its instants one of {least:.6g} to {most:.6g} s"
+        yield f"has a reaction time of {time:.6g} s, but its instants give {least:.6g} to {most:.6g} s"
 
 
 def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
@@ -59,11 +59,11 @@ def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterato
         return
     repeats = given.restored.preflight.experiment.apparatus.generator.repeats
     if confirmed["repetition"] != repeats:
-        yield f"its bursts were repeated as {confirmed['repetition']!r}, its apparatus file says {repeats!r}"
+        yield f"its bursts were repeated as {confirmed['repetition']!r}, but its apparatus file says {repeats!r}"
     sound = confirmed["confirmed"]
     if sound and confirmed["repetition"] == "single":
         if None in counts or (first is None) is not trial.condition.is_catch:
-            yield "is confirmed though its bursts are not all counted"
+            yield "is confirmed, although its bursts are not all counted"
             return
         if whole != played or played + dropped != asked:
             yield f"is confirmed with {asked} bursts asked, {played} played, {whole} whole and {dropped} dropped"
@@ -75,9 +75,9 @@ def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterato
     said = event["instants"]["first_burst"]
     ends = None if said is None else (said["earliest_s"], said["latest_s"])
     if ends is None or not _near(ends[0], first - around) or not _near(ends[1], first + around):
-        yield f"its first burst came at {first} s +- {around} s, its instants say {listed(ends or ('never',))}"
+        yield f"its first burst came at {first} s +- {around} s, but its instants say {listed(ends or ('never',))}"
     if abs(confirmed["onset"] - first) > around + INSTANT:
-        yield f"its first burst came at {first} s, its onset is {confirmed['onset']} s"
+        yield f"its first burst came at {first} s, but its onset is {confirmed['onset']} s"
 
 
 def _check_number(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:

@@ -20,44 +20,46 @@ from modaltouch.record.folders import LOG_NAME, SessionFolder, replace_text
 from modaltouch.record.session import Session
 
 COLUMNS: dict[str, dict[str, Any]] = {
-    "trial": {"Description": "Place in the session, from 1; practice trials count on their own"},
+    "trial": {"Description": "Place in the session, from 1; practice trials are counted separately"},
     "block": {"Description": "Block (one finger condition), from 1; 0 for practice"},
     "practice": {
         "Description": "Practice trial, to be left out of the analysis",
         "Levels": {"0": "no", "1": "yes"},
     },
     "finger_condition": {
-        "Description": "Which fingers are on the zones, by the name that the protocol gives them",
+        "Description": "Which fingers are on the zones, by their name in the protocol",
         "Levels": {
             "one_hand": "index and middle finger of one hand (test 1 of the paper)",
             "two_hands": "both index fingers (test 2 of the paper)",
         },
     },
-    "zone_left": {"Description": "Zone under the left finger, as the participant sees the beam, or under the only one"},
+    "zone_left": {
+        "Description": "Zone under the left finger, as the participant sees the beam, or under the only finger"
+    },
     "zone_right": {"Description": "Zone under the right finger; n/a for one finger alone"},
     "finger_left": {"Description": "Finger on the left zone"},
     "finger_right": {"Description": "Finger on the right zone"},
     "placement": {
         "Description": "How the fingers lie on the beam",
         "Levels": {
-            "normal": "as the protocol has it",
+            "normal": "as in the protocol",
             "mirrored": "the beam turned end to end",
             "swapped": "the other hand, or crossed hands where both are on the beam",
             "mirrored_swapped": "both",
         },
     },
     "velocity_mm_s": {"Description": "Peak velocity asked at the focus", "Units": "mm/s"},
-    "repetition": {"Description": "Which presentation of this condition it is, from 1"},
+    "repetition": {"Description": "Number of this presentation of the condition, from 1"},
     "response": {"Description": "Where the participant felt the stimulation"},
-    "response_time": {"Description": "From the onset named beside it to the answer", "Units": "s"},
+    "response_time": {"Description": "Time from the onset in response_onset to the answer", "Units": "s"},
     "response_onset": {
-        "Description": "What the response time counts from",
-        "Levels": {"first_burst": "the first burst", "question": "the question, the stimulus having ended"},
+        "Description": "What the response time is counted from",
+        "Levels": {"first_burst": "the first burst", "question": "the question, after the end of the stimulus"},
     },
     "answered_by": {"Description": "Who gave the answer to the program: participant, experimenter or simulated"},
     "way": {"Description": "How the answer was given: free_hand, lifting, foot_switch or experimenter"},
     "confirmed": {
-        "Description": "The instrument confirmed amplitude and state before the trial and still at its end",
+        "Description": "The instrument confirmed amplitude and state before the trial and at its end",
         "Levels": {"0": "no", "1": "yes"},
     },
 }
@@ -69,24 +71,24 @@ COUNTED: dict[str, dict[str, Any]] = {
         "Units": "s",
     },
     "onset_uncertainty": {
-        "Description": "How far from the onset it can have been, either way: half the time from the command that "
-        "triggered the burst to the instrument's having taken it, and the bounds of the trigger latency; where that "
-        "latency has not been measured, nothing is claimed to less than a millisecond",
+        "Description": "How far the true onset can be from it, either way: half the time from sending the trigger "
+        "command until the instrument had accepted it, plus the bounds of the trigger latency; at least a millisecond "
+        "if that latency has not been measured",
         "Units": "s",
     },
-    "n_bursts": {"Description": "Whole bursts that were played; n/a where they cannot be counted"},
+    "n_bursts": {"Description": "Complete bursts that were played; n/a if they cannot be counted"},
     "n_bursts_dropped": {"Description": "Bursts left out because they would have come too late"},
     "repetition_by": {
         "Description": "What repeats the bursts",
         "Levels": {
-            "single": "each burst has a command of its own",
-            "timer": "the free timer of the generator: bursts are not counted, the first is known to a period",
-            "continuous": "one record plays on: bursts are not counted",
+            "single": "a command for each burst",
+            "timer": "the generator's free timer: bursts are not counted, and the first is known to within a period",
+            "continuous": "one record, repeated continuously: bursts are not counted",
             "wired": "a pulse source at the trigger input: bursts are counted there",
         },
     },
-    "presentation": {"Description": "How often this trial had been presented by then, from 1"},
-    "device": {"Description": "What the answer came from: key, mouse, console, model, or none at a time-out"},
+    "presentation": {"Description": "Number of this presentation of the trial, from 1"},
+    "device": {"Description": "Source of the answer: key, mouse, console, model, or none at a time-out"},
     "speed_left_mm_s": {"Description": "Predicted peak speed of the beam under the left finger", "Units": "mm/s"},
     "speed_right_mm_s": {"Description": "Predicted peak speed of the beam under the right finger", "Units": "mm/s"},
 }
@@ -108,7 +110,7 @@ DELIVERED: dict[str, dict[str, Any]] = {
 """Columns of sessions whose fingers are measured."""
 
 LINE: dict[str, dict[str, Any]] = {
-    "log_line": {"Description": f"Number of the line in {LOG_NAME}"},
+    "log_line": {"Description": f"Line number in {LOG_NAME}"},
 }
 
 _FORMATS = {
@@ -118,7 +120,7 @@ _FORMATS = {
 }
 
 CATCH: dict[str, Any] = {
-    "Description": "Catch trial: nothing was driven, the velocity is 0",
+    "Description": "Catch trial: nothing was driven, and the velocity is 0",
     "Levels": {"0": "no", "1": "yes"},
 }
 
@@ -140,16 +142,16 @@ MULTIPLE: dict[str, Any] = {
     "Units": "1",
 }
 
-QUESTION_TIME: dict[str, Any] = {"Description": "From the question to its answer", "Units": "s"}
+QUESTION_TIME: dict[str, Any] = {"Description": "Time from the question to its answer", "Units": "s"}
 
 INTERVALS: dict[str, dict[str, Any]] = {
     "interval": {"Description": "Interval of the trial in which this condition was presented, from 1"},
     "standard_mm_s": {
-        "Description": "Level asked at the focus in the other intervals, 0 for silence",
+        "Description": "Level at the focus in the other intervals, 0 for silence",
         "Units": "mm/s",
     },
     "correct": {
-        "Description": "Whether the answer is right; n/a where any may be, and at a time-out",
+        "Description": "Whether the answer is right; n/a if any answer may be right, and at a time-out",
         "Levels": {"0": "no", "1": "yes"},
     },
 }
@@ -313,7 +315,7 @@ def check_view(session: Session) -> ViewFound:
     forms = {name: found[name] for name in found if name.replace("form_beh.tsv", "_beh.tsv") in found.keys() - {name}}
     tables = [found[name] for name in found.keys() - forms.keys()]
     if len(tables) != 1:
-        said = f"{session.path.parent}: holds {len(tables)} BIDS tables (*_beh.tsv), exactly one is needed"
+        said = f"{session.path.parent}: holds {len(tables)} BIDS tables (*_beh.tsv), but exactly one is needed"
         return ViewFound(problem=said, is_mendable=not tables)
     table, side = tables[0], tables[0].with_suffix(".json")
     # The table is written before its side file: a session killed between the two for the first time has no side file.
@@ -330,7 +332,7 @@ def check_view(session: Session) -> ViewFound:
         if session.chain.damage:  # nothing was read beyond it: whether lines are gone is not known here
             return ViewFound()
         return ViewFound(
-            problem=f"{session.path}: the BIDS view was made from {n_lines} lines, the log has {len(checks)}: "
+            problem=f"{session.path}: the BIDS view was made from {n_lines} lines, but the log has {len(checks)}: "
             "lines were removed from its end",
             is_mendable=bool(session.chain.torn) and n_lines == len(checks) + 1,
         )
@@ -345,7 +347,7 @@ def check_view(session: Session) -> ViewFound:
         return ViewFound(problem=f"{named}: the table of the form differs from the log; move it away, and {_REMAKE}")
     if shown is None:
         return ViewFound(
-            problem=f"{table}: differs from what the log says; the log is the truth: move the table away, and {_REMAKE}"
+            problem=f"{table}: differs from the log, which is the original: move the table away, and {_REMAKE}"
         )
     if not is_described:
         return ViewFound(problem=f"{side}: is missing; `modaltouch resume` writes it", is_mendable=True)
@@ -356,7 +358,7 @@ def check_view(session: Session) -> ViewFound:
     return ViewFound(said, is_current=n_lines == len(checks))
 
 
-_REMAKE = "`modaltouch resume` makes it anew"
+_REMAKE = "`modaltouch resume` writes it again"
 
 
 def lines_in_view(folder: Path) -> int:

@@ -138,8 +138,8 @@ def is_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datet
         if now >= due
         else (
             f"{logs[-1]}: the session before ended {ended:%Y-%m-%d %H:%M} UTC, and a session of the kind {kind.name} "
-            f"has min_gap_days: {kind.min_gap_days:g} (schedule.sessions), so it begins from {due:%Y-%m-%d %H:%M} UTC "
-            "on; wait, or begin it anyway with --any-gap, which is then recorded"
+            f"has min_gap_days: {kind.min_gap_days:g} (schedule.sessions), so it may begin from {due:%Y-%m-%d %H:%M} "
+            "UTC on; wait, or begin it anyway with --any-gap, which is then recorded"
         )
     )
 
@@ -164,7 +164,7 @@ def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, 
     every = [read_session(log) for log in SessionFolder.logs_of(place.dataset / f"sub-{place.participant}")]
     for each in every:
         if not each.is_readable:
-            fault = (*each.problems, f"{each.path}:1: is no start record")[0]
+            fault = (*each.problems, f"{each.path}:1: is not a start record")[0]
             way = f"see `modaltouch doctor {each.path.parent}`, or give --session"
             raise RecordError(f"{fault}; so the participant's next session is not known: {way}")
     if not every:

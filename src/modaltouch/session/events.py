@@ -76,7 +76,7 @@ def way_on(reason: str, folder: Path) -> str:
         Where it is recorded.
     """
     if reason == PRACTICE_FAILED:
-        return f"`modaltouch resume --restart {folder}` begins it anew, practice included"
+        return f"`modaltouch resume --restart {folder}` starts it over, including practice"
     return f"continue with `modaltouch resume {folder}`"
 
 

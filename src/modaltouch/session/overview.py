@@ -133,7 +133,7 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
     """Return a session as a row, and as its log tells it; without events where that cannot be read."""
     try:
         session = read_session(log)
-        problems = session.problems if session.start else (*session.problems, f"{log}:1: is no start record")
+        problems = session.problems if session.start else (*session.problems, f"{log}:1: is not a start record")
     except RecordError as error:
         session, problems = Session(log, ()), (str(error),)
     if not isinstance(session.start.get("design", {}), dict):
@@ -244,7 +244,7 @@ def _early(rows: list[dict[str, Any]], gaps: dict[str, float]) -> Iterator[str]:
         days = (datetime.fromisoformat(row["begun"]) - datetime.fromisoformat(before["ended"])) / timedelta(days=1)
         if days < gap:
             who = f"{row['participant']} session {row['session']}"
-            yield f"{who} began {days:.2f} days after the one before, where its kind has min_gap_days: {gap:g}"
+            yield f"{who} began {days:.2f} days after the one before, but its kind has min_gap_days: {gap:g}"
 
 
 def _notes(begun: dict[str, Session], rows: list[dict[str, Any]]) -> list[str]:
@@ -252,6 +252,8 @@ def _notes(begun: dict[str, Session], rows: list[dict[str, Any]]) -> list[str]:
     texts = {str(session.start.get("sources", {}).get("protocol", {}).get("sha256")) for session in begun.values()}
     fit = Counter(row["participant"] for row in rows if not row["excluded"])
     fewest, most = min(fit.values(), default=0), max(fit.values(), default=0)
-    uneven = f"an analysis now takes the first {fewest} of up to {most} sessions of each participant: not all have more"
+    uneven = (
+        f"an analysis would now use the first {fewest} of up to {most} sessions of each participant: not all have more"
+    )
     several = f"sessions were begun with {len(texts)} versions of the protocol"
     return [*([several] if len(texts) > 1 else []), *([uneven] if fewest < most else [])]

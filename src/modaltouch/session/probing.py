@@ -160,6 +160,6 @@ class Probing:
                 if attempt < ATTEMPTS:
                     self._window.announce(once_more)
         raise RigError(
-            f"{what} could not be measured, {ATTEMPTS} times in a row ({refused}); the outputs are off; go on "
-            "with `modaltouch resume`, or write `stimulus.fingers: typical` in a protocol of another name"
+            f"{what} could not be measured, {ATTEMPTS} times in a row ({refused}); the outputs are off; continue with "
+            "`modaltouch resume`, or write `stimulus.fingers: typical` in a protocol of another name"
         ) from refused

@@ -90,7 +90,7 @@ def refuse_old(session: Session, interruption: dict[str, Any], within_hours: flo
     """
     if within_hours is None:
         return
-    anew = f"`modaltouch resume --restart {session.path.parent}` begins it anew, and keeps what was answered"
+    anew = f"`modaltouch resume --restart {session.path.parent}` starts it over and keeps the answers so far"
     limit = f"the protocol allows it to continue within {within_hours:g} h"
     if interruption["clock_set_back_s"]:
         raise RecordInputError(
@@ -282,7 +282,7 @@ def resume(setup: Setup) -> Session:
     recorded = session.start["schedule"]
     if recorded["order_hash"] != setup.schedule.order_hash:
         raise RecordError(
-            f"{place.log}: its order has the hash {recorded['order_hash'][:12]}, this program draws "
+            f"{place.log}: its order has the hash {recorded['order_hash'][:12]}, but this program draws "
             f"{setup.schedule.order_hash[:12]}; resume it with the version that began it "
             f"({session.start['versions']['modaltouch']})"
         )
@@ -303,15 +303,15 @@ def _refuse_another_kind(session: Session, rig: str, answers: AnswersBy, *, rest
     start, log = session.start, session.path
     if start.get("schema", 1) < SessionLog.SCHEMA and not (session.complete or restart):
         raise RecordInputError(
-            f"{log}: was begun by a version whose bursts were not counted "
-            f"({start['versions'].get('modaltouch', 'unknown')}); half a session of each is no session: "
-            f"`modaltouch resume --restart {log.parent}` begins it anew, and keeps what was answered"
+            f"{log}: was begun by a version that did not count bursts "
+            f"({start['versions'].get('modaltouch', 'unknown')}), so this version cannot continue it: `modaltouch "
+            f"resume --restart {log.parent}` starts it over and keeps the answers so far"
         )
     as_begun = (rig, answers) == (start["rig_choice"], start["answers_choice"])
     if not as_begun and mode_of(rig, answers, pilot=session.mode == "pilot") != session.mode:
         raise RecordError(
             f"{log}: is a {session.mode} session, and with rig {rig!r} and answers {answers!r} it would continue as "
-            "another kind; give --rig and --answers as it began"
+            "another kind; give the --rig and --answers that it began with"
         )
 
 

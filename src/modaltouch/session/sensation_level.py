@@ -37,7 +37,7 @@ def at_own_levels(
     if section is None:
         if given_mm_s is not None:
             _refuse(
-                preflight, f"a threshold of {given_mm_s:g} mm/s for levels that do not follow from one", "none",
+                preflight, f"a threshold of {given_mm_s:g} mm/s, but the levels do not depend on a threshold", "none",
                 "leave --threshold out", path=("conditions", "peak_velocities_mm_s"),
             )  # fmt: skip
         return preflight, {}
@@ -59,7 +59,7 @@ def _find(preflight: Preflight, place: SessionFolder, thresholds_from: str) -> d
                 "a sound record", f"see `modaltouch doctor {log}`, or give the threshold with --threshold")  # fmt: skip
     if log is None:
         dataset = replace(place, protocol=thresholds_from).dataset
-        _refuse(preflight, f"{thresholds_from!r}, of which {who} has no complete session in {dataset}",
+        _refuse(preflight, f"{thresholds_from!r}, but {who} has no complete session of it in {dataset}",
                 "a protocol that has found the participant's threshold", anew)  # fmt: skip
     from modaltouch.analysis import analyse_responses, read_responses
 
@@ -71,10 +71,10 @@ def _find(preflight: Preflight, place: SessionFolder, thresholds_from: str) -> d
     silent = [run for run in runs if run["threshold_mm_s"] is None or run["is_uncertain"]]
     if silent:
         first = silent[0]
-        why = first["why_not"] or "it is uncertain, as a constant chance explains the answers as well"
+        why = first["why_not"] or "it is uncertain, since a constant probability explains the answers equally well"
         _refuse(
             preflight,
-            f"{thresholds_from!r}, where {len(silent)} of {len(runs)} runs of {who} give no threshold "
+            f"{thresholds_from!r}, but {len(silent)} of {len(runs)} runs of {who} give no threshold "
             f"({first['finger_condition']} {first['pair']}: {why})",
             "a threshold from every run",
             anew,
@@ -127,7 +127,7 @@ def _refuse_beyond(
         _refuse(
             preflight,
             f"{multiple:g} times the threshold of participant {participant}, {own['threshold_mm_s']:g} mm/s, which "
-            f"makes {level:g} mm/s",
+            f"gives {level:g} mm/s",
             f"{low:g} to {high:g} mm/s, so thresholds of {fits[0]:.4g} to {fits[1]:.4g} mm/s",
             ("check the value of --threshold, or " if own["found"] == "given" else "")
             + "change the multiples or conditions.peak_velocities_mm_s for all participants",

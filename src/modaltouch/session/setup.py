@@ -274,9 +274,10 @@ def _with_assigned_turn(setup: Setup) -> Setup:
         due, _ = assign_group(setup.place, protocol, drawn.seed)
         if due != drawn.group:
             given = (
-                f"the group {drawn.group} for participant {drawn.participant}, which another session has taken since"
+                f"the group {drawn.group} for participant {drawn.participant}, but another session has taken that "
+                "place since"
             )
-            raise RecordInputError(f"{given}; due is {due}: begin again, or keep it with --group {drawn.group}")
+            raise RecordInputError(f"{given}; now {due} is due: begin again, or keep it with --group {drawn.group}")
     turn, balance = assign_turn(setup.place, protocol, setup.drawn_as, drawn.group)
     turn = replace(turn, group=drawn.group, group_by=drawn.group_by)
     schedule = Schedule.draw(protocol, drawn.participant, drawn.seed, drawn.session, given=turn)

@@ -97,7 +97,7 @@ def _drawn(preflight: Preflight, participant: str, seed: int, drawn_as: int, giv
         return Schedule.draw(preflight.experiment.protocol, participant, seed, drawn_as, given=given)
     except ValueError as error:
         path = ("schedule", getattr(error, "key", "max_same_pair_running"))
-        said, remedy = f"limits that no order drawn for {participant} keeps, {error}", "or give another --seed"
+        said, remedy = f"limits that no order drawn for {participant} satisfies, {error}", "or give another --seed"
         raise InputError([preflight.findings.problem(path, said, "", remedy)]) from error
 
 
@@ -269,7 +269,7 @@ class SessionParts:
         try:
             return Markers(f"{self.place.protocol}/{self.place.participant}/{self.place.session}", self.clock)
         except (ImportError, RuntimeError) as error:
-            given, allowed = f"true, and pylsl cannot be used ({error})", "true where the extra `lsl` is installed"
+            given, allowed = f"true, but pylsl cannot be used ({error})", "true if the extra `lsl` is installed"
             remedy = "run `pip install 'modaltouch[lsl]'`, or leave the section out"
             raise InputError([self.preflight.findings.problem(("markers", "lsl"), given, allowed, remedy)]) from error
 

@@ -135,7 +135,7 @@ class EventLines(Console):
         self._descriptor = -1
         self._n_dropped = 0
         if path.is_file() and path.read_bytes()[: len(_OPENING)] not in (b"", _OPENING):
-            raise FileExistsError(errno.EEXIST, "it holds something else than events already", str(path))
+            raise FileExistsError(errno.EEXIST, "it already contains something other than events", str(path))
         self._open()
 
     def show(self, facts: Facts) -> None:

@@ -227,7 +227,7 @@ class Dialogue:
             self.prompt = f"typed: {self._answers[key]}"
             return Request("answer", key)
         elif key in self._answers:
-            self.prompt = f"{self._answers[key]} is not taken: no trial is on"
+            self.prompt = f"{self._answers[key]} is not accepted: no trial is running"
         return None
 
     def _ask(self, command: Command, prompt: str) -> Request:
