@@ -140,7 +140,7 @@ def test_how_many_participants_a_sign_flip_test_takes(build, write_csv, tmp_path
     rows = [row for row in build["constant"](3) if row["zone_left"] in zones]
     limits = design_limits(analyse(write_csv(rows), tmp_path / "out"))
     (told,) = [limit for limit in limits if "no sign-flip test" in limit]
-    assert f"a family of {size}: its smallest p is 2/2^3 = 0.25. The fewest participants that can are {fewest}." in told
+    assert f"a family of {size}: its smallest p is 2/2^3 = 0.25. At least {fewest} participants are needed." in told
 
 
 def test_bars_of_several_answers_each_say_what_their_intervals_are(build, write_csv, tmp_path) -> None:

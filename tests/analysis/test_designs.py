@@ -327,11 +327,11 @@ def test_the_odd_one_of_three_has_its_own_model_and_others_none() -> None:
     assert notes({"velocity_mm_s": 0}) == {"3AFC model"}
     assert notes({"velocity_mm_s": 80}, asked="stronger") == {"3AFC model"}
     (some,) = notes({"velocity_mm_s": 80}, comparison_in=[2, 3])
-    assert "stands in some of three intervals alone" in some
+    assert "in only some of the three intervals" in some
     three = {**SAME_OR_NOT, "intervals": {"number": 3, "standard": {"velocity_mm_s": 60}}}
     told = analyse_design(take(frame.assign(response="same"), three)).values
     assert {each.note for each in told} == {
-        "no d' from whether three intervals are the same: the differencing model is of two"
+        "no d' from whether three intervals are the same: the differencing model is for two"
     }
 
 

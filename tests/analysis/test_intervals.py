@@ -37,7 +37,7 @@ class TestClopperPearson:
 
     def test_more_successes_than_answers_are_refused(self) -> None:
         """House rule: what was given, what is allowed."""
-        with pytest.raises(ValueError, match="11 successes out of 10: allowed are 0 to n"):
+        with pytest.raises(ValueError, match="11 successes out of 10: allowed: 0 to n"):
             clopper_pearson(11, 10)
 
 

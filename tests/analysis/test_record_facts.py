@@ -39,7 +39,7 @@ def test_planned_and_confirmed_stand_side_by_side() -> None:
 def test_what_went_wrong_is_counted_with_its_sessions() -> None:
     """A cut trial and a resumed sitting of the second participant."""
     found = facts(session("p01"), session("p02", {"event": "trial_cut", "n": 3}, {"event": "resume", "n": 4}))
-    assert ("trials cut and offered again", 1, "p02 (session 1)") in found.faults
+    assert ("trials interrupted and presented again", 1, "p02 (session 1)") in found.faults
     assert [row.n_events for row in found.sessions] == [0, 2]
 
 

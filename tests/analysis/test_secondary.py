@@ -99,7 +99,7 @@ def test_an_order_that_all_share_is_no_order_effect(build, trial, told) -> None:
     frame = build["tidy"](build["random"](4, 1))
     frame = frame.assign(trial=np.where(frame["finger_condition"] == "one_hand", 1, trial))
     found = list(order_findings(count_answers(frame), frame))[1:]
-    assert ["cannot be told from the finger condition" in each.note for each in found] == [True] * told
+    assert ["cannot be separated from that of the finger condition" in each.note for each in found] == [True] * told
 
 
 def test_answers_without_a_time_are_counted_beside_the_others(build) -> None:

@@ -63,7 +63,7 @@ def test_an_unknown_finger_condition_is_refused_with_those_there_are(paper_frame
 
 def test_an_unknown_word_is_refused(paper_frame) -> None:
     """The Python door keeps the same rule as the CSV's."""
-    with pytest.raises(ValueError, match="response 'up' is not an answer: allowed are left, right, both"):
+    with pytest.raises(ValueError, match="response 'up' is not an answer: allowed: left, right, both"):
         count_answers(paper_frame.assign(response="up"))
 
 

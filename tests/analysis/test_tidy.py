@@ -264,7 +264,7 @@ class TestBalance:
         """The first row again at the end, line 242."""
         (problem,) = fails(write_csv([*paper_rows, paper_rows[0]]))
         assert ":242:" in problem
-        assert "2 answers of participant p01 in one_hand A-C 80 mm/s (lines 2, 242)" in problem
+        assert "2 answers from participant p01 in one_hand A-C 80 mm/s (lines 2, 242)" in problem
 
     def test_a_doubled_repetition_is_told(self, write_csv, build) -> None:
         """The same participant, cell and repetition twice."""
@@ -278,7 +278,9 @@ class TestBalance:
         problems = fails(write_csv([*rows, rows[0]]))
         assert any("again (first on line 2)" in problem for problem in problems)
 
-    @pytest.mark.parametrize(("n", "of"), [(1, "p01, in the same time, twice"), (0, "p99, .* as those of p01")])
+    @pytest.mark.parametrize(
+        ("n", "of"), [(1, "p01, with the same times, twice"), (0, "p99, .* identical to those of p01")]
+    )
     def test_answers_copied_with_their_times_are_refused(self, write_csv, paper_rows, n, of) -> None:
         """A table pasted under itself, and one participant's rows under another id."""
         rows = [{**row, "response_time": 0.8 + place / 1000} for place, row in enumerate(paper_rows)]
@@ -308,7 +310,9 @@ class TestBalance:
         rows[-1]["finger_condition"] = "Two_hands"
         assert any("given 'Two_hands' beside 'two_hands'" in problem for problem in fails(write_csv(rows)))
 
-    @pytest.mark.parametrize(("times", "said"), [(1100, "divide by 1000"), (-0.5, "allowed: 0 to 86400 s")])
+    @pytest.mark.parametrize(
+        ("times", "said"), [(1100, "divide times in milliseconds by 1000"), (-0.5, "allowed: 0 to 86400 s")]
+    )
     def test_reaction_times_are_seconds(self, write_csv, paper_rows, times, said) -> None:
         """Milliseconds were taken for seconds, and times below zero for early answers."""
         assert said in fails(write_csv([{**row, "response_time": times} for row in paper_rows]))[0]
@@ -336,7 +340,7 @@ def test_a_condition_that_one_row_alone_has_leaves_the_others_without_it(write_c
     rows[71]["finger_condition"] = "2hands"
     found = fails(write_csv(rows))
     assert len(found) == 3
-    assert all("2hands" in problem and "no answer of participant" in problem for problem in found)
+    assert all("2hands" in problem and "no answer from participant" in problem for problem in found)
 
 
 def test_a_participant_who_gave_up_is_named(write_csv, build) -> None:
@@ -344,7 +348,7 @@ def test_a_participant_who_gave_up_is_named(write_csv, build) -> None:
     rows = [row for row in build["paper"](4) if row["participant"] != "p04"]
     rows += [row for row in build["paper"](4) if row["participant"] == "p04"][:3]
     (problem,) = fails(write_csv(rows))
-    assert "no answer of participant p04 in" in problem
+    assert "no answer from participant p04 in" in problem
 
 
 def test_a_condition_that_half_of_the_participants_met_is_missed_by_the_others(write_csv, build) -> None:
@@ -352,7 +356,7 @@ def test_a_condition_that_half_of_the_participants_met_is_missed_by_the_others(w
     rows = [row for row in build["paper"](10) if row["participant"] < "p06" or row["finger_condition"] == "one_hand"]
     found = fails(write_csv(rows))
     assert len(found) == 5
-    assert all("no answer of participant" in problem for problem in found)
+    assert all("no answer from participant" in problem for problem in found)
 
 
 @given(st.data())
@@ -399,8 +403,8 @@ def test_multiples_of_the_threshold_are_the_level_where_they_are_told(write_csv,
         ("n/a", "given nothing; allowed: a multiple of the participant's own threshold, 0.001 to 100000"),
         ("-1", "a multiple of the participant's own threshold, 0.001 to 100000"),
         ("2 x", "a multiple of the participant's own threshold, 0.001 to 100000"),
-        ("1.5", "2 answers of participant p01 in one_hand A-C 1.5 x threshold"),
-        ("7", "no answer of participant p01 in one_hand A-C 0.8 x threshold"),
+        ("1.5", "2 answers from participant p01 in one_hand A-C 1.5 x threshold"),
+        ("7", "no answer from participant p01 in one_hand A-C 0.8 x threshold"),
     ],
 )
 def test_a_faulty_multiple_is_told_in_its_place(write_csv, paper_rows, word, words) -> None:
@@ -493,7 +497,7 @@ class TestSessionsAndModes:
         read = read_responses(write_csv([*(row | {"session": 1} for row in paper_rows), *again]))
         assert read.count().n_repetitions == 1
         assert [item.reason for item in read.left_out] == [
-            "sessions beyond the first 1: not every participant has as many"
+            "sessions beyond the first 1: not every participant has that many"
         ]
 
 

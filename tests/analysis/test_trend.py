@@ -125,7 +125,7 @@ class TestTrend:
 
     def test_counts_beyond_the_repetitions_are_refused(self) -> None:
         """House rule: what was given, what is allowed."""
-        with pytest.raises(ValueError, match="runs from 0 to 3, allowed are 0 to 2"):
+        with pytest.raises(ValueError, match="runs from 0 to 3, allowed: 0 to 2"):
             trend_test([[0, 3]], [1, 2], 2)
 
     def test_counts_that_do_not_fit_the_levels_are_refused(self) -> None:

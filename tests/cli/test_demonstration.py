@@ -26,7 +26,7 @@ def test_a_number_that_another_demonstration_takes_meanwhile_is_passed_over(
     def begin(setup):
         tried.append(setup.place.session)
         if setup.place.session < 4:
-            raise RecordExistsError("this session is being run now")
+            raise RecordExistsError("another program is running this session now")
         return SimpleNamespace(path=setup.place.log, n_answered=12)
 
     def analyse(session, out, mode):

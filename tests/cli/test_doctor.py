@@ -41,7 +41,7 @@ def test_a_window_that_lacks_a_library_says_which(monkeypatch: pytest.MonkeyPatc
     lack(monkeypatch, "libfontconfig.so.1")
     assert environment.explain(ImportError('Library "fontconfig" not found.')) == (
         "the answer window cannot be drawn: this machine lacks libfontconfig.so.1; install the Debian packages "
-        "libfontconfig1, or what holds them on this system"
+        "libfontconfig1, or their equivalents on this system"
     )
 
 

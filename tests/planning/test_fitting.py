@@ -104,7 +104,9 @@ def test_two_stimuli_give_back_their_observer() -> None:
 def test_what_does_not_say_its_stimulus_is_refused(tmp_path: Path, preflight: Preflight) -> None:
     """A CSV for a protocol with several; participants who are not the same; adaptive runs, whatever the answers."""
     (tmp_path / "a.csv").write_text(f"{HEADER}\np1,one_hand,A,C,80,left,1\n", encoding="utf-8")
-    with pytest.raises(InputError, match="does not say to which stimulus an answer is; allowed: sessions with sharp"):
+    with pytest.raises(
+        InputError, match="does not say which stimulus an answer belongs to; allowed: sessions with sharp"
+    ):
         fit_answers(examine(TWO_FIELDS).require(), tmp_path / "a.csv", Observer())
     one = RecordedAnswers(np.ones((1, 1, 3), dtype=int), np.ones((1, 2)), ("one_hand",), np.ones(1))
     two = RecordedAnswers(np.ones((2, 1, 3), dtype=int), np.ones((1, 2)), ("one_hand",), np.ones(2))
@@ -117,5 +119,5 @@ def test_what_does_not_say_its_stimulus_is_refused(tmp_path: Path, preflight: Pr
 def test_answers_about_another_beam_are_refused(tmp_path: Path, preflight: Preflight) -> None:
     """Expected: the zone, the zones of the beam, and what to do."""
     (tmp_path / "a.csv").write_text(f"{HEADER}\np1,one_hand,A,Z,80,left,1\n", encoding="utf-8")
-    with pytest.raises(InputError, match="the zone 'Z'; allowed: A, B, C, D, E; give the protocol in which"):
+    with pytest.raises(InputError, match="the zone 'Z'; allowed: A, B, C, D, E; give the protocol that"):
         fit_answers(preflight, tmp_path / "a.csv", Observer())

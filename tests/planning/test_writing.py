@@ -38,7 +38,7 @@ def test_an_analysis_is_never_replaced_by_a_plan(power: Power, tmp_path: Path) -
     """Expected: refused, and the analysis as it was."""
     write_files(tmp_path / "analysis", {"tests.csv": b"p\n1\n"}, {"version": "0"})
     with pytest.raises(
-        RecordError, match="holds what `modaltouch analyse` made, which would be replaced; give another folder"
+        RecordError, match="contains output of `modaltouch analyse`, which would be replaced; give another folder"
     ):
         write_power(tmp_path / "analysis", power)
     assert (tmp_path / "analysis" / "tests.csv").read_bytes() == b"p\n1\n"

@@ -424,7 +424,7 @@ def test_placements_may_have_more_records_than_the_generator_has_memories(edit: 
 
 def test_what_measures_the_untouched_beam_refuses_a_design_for_fingers(designed: Preflight) -> None:
     """A calibration made with it would be of another beam."""
-    with pytest.raises(InputError, match=r"stimulus.fingers: given fingers, while this measures the untouched beam"):
+    with pytest.raises(InputError, match=r"stimulus.fingers: given fingers, but this measures the untouched beam"):
         designed.of_untouched_beam()
     assert designed.comparison() == []
 

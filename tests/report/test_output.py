@@ -36,7 +36,7 @@ def test_own_files_are_replaced_and_stale_ones_removed(tmp_path) -> None:
 def test_a_strangers_file_is_never_overwritten(tmp_path) -> None:
     """A file of that name that no manifest knows."""
     (tmp_path / "report.html").write_text("mine")
-    with pytest.raises(RecordError, match="report.html: is there already and not from modaltouch"):
+    with pytest.raises(RecordError, match="report.html: exists already and is not from modaltouch"):
         write_files(tmp_path, {"other.txt": b"", "report.html": b"new"}, {})
     assert (tmp_path / "report.html").read_text() == "mine"
     assert not (tmp_path / "other.txt").exists()
@@ -60,7 +60,7 @@ def test_other_files_in_the_folder_are_left_alone(tmp_path) -> None:
 def test_a_manifest_of_another_program_is_not_overwritten(tmp_path) -> None:
     """The name is a common one."""
     (tmp_path / MANIFEST).write_text('{"name": "web app"}')
-    with pytest.raises(RecordError, match=r"manifest\.json: is there already"):
+    with pytest.raises(RecordError, match=r"manifest\.json: exists already"):
         write_files(tmp_path, {"a.txt": b"1"}, {})
 
 

@@ -100,6 +100,6 @@ def test_a_machine_without_pylsl_is_told_before_anything_is_opened(
     monkeypatch.setitem(sys.modules, "pylsl", None)
     parts = demo.open_markers.__self__  # type: ignore[attr-defined]
     monkeypatch.setitem(parts.__dict__, "clock", SYSTEM_CLOCK)
-    with pytest.raises(InputError, match=r"demo.yaml:\d+:16: markers.lsl: given true, and pylsl cannot") as told:
+    with pytest.raises(InputError, match=r"demo.yaml:\d+:16: markers.lsl: given true, but pylsl cannot") as told:
         parts.open_markers()
     assert "pip install 'modaltouch[lsl]'" in str(told.value)

@@ -237,7 +237,7 @@ def test_two_sessions_that_begin_at_once_are_not_of_one_group(balanced: Prefligh
     """Both were wired when nobody was on record: the second is told what is due, and begins again with that."""
     first, second = (wire_run(balanced, name, answers="simulated", results=tmp_path) for name in ("p01", "p02"))
     assert begin(first).occasion[0] == "near"
-    with pytest.raises(RecordInputError, match="the group near for participant p02, .*due is far: begin again"):
+    with pytest.raises(RecordInputError, match="the group near for participant p02, .*now far is due: begin again"):
         begin(second)
     assert not second.place.log.exists()
     assert sit(balanced, tmp_path, "p02").occasion[0] == "far"

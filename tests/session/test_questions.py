@@ -161,7 +161,7 @@ def test_a_form_that_is_cut_goes_on_with_its_next_question(protocol: Path, tmp_p
     ("kind", "change", "fault"),
     [
         ("trial", {"value": 100.5}, "was answered 'rated' 100.5; allowed: 0 to 100 by 1, time_out"),
-        ("trial", {"further": {}}, "answers the further questions -; asked were sure, pleasant"),
+        ("trial", {"further": {}}, "answers the further questions -, but sure, pleasant were asked"),
         (
             "trial",
             {"further": {name: further(-0.5) for name in ("sure", "pleasant")}},
@@ -197,7 +197,7 @@ def test_what_cannot_have_been_answered_is_found(
         ),
         ("  scale: {kind: likert, highest: 12}\n", "given 11 steps of 1 from 1 to 12; allowed: 1 to 10 whole steps"),
         ("  scale: {kind: vas, lowest: 5, highest: 5}\n", "given a scale from 5 to 5; allowed: lowest below highest"),
-        ("  scale: {kind: likert, words: [a, b, c]}\n", "given 3 words of a likert scale; allowed: 2 or 7, or none"),
+        ("  scale: {kind: likert, words: [a, b, c]}\n", "given 3 words for a likert scale; allowed: 2 or 7, or none"),
         ("  scale: {kind: number, step: 1}\n", "given a step or words for a typed number; allowed: neither"),
         ("  scale: {kind: vas, keys: {lower: [f12]}}\n", "given 'f12', which already switches the outputs off"),
         ("  emergency_keys: [up]\n  scale: {kind: vas}\n", "given 'up', which means higher on the scale answers.scale"),
@@ -220,7 +220,7 @@ def test_what_cannot_have_been_answered_is_found(
         ),
         (
             KEYS + "  then: {confidence: {keys: {felt: [a], certain: [a]}}}\n",
-            "keys.certain[0]: given 'a', which means felt already; allowed: a key with no other meaning",
+            "keys.certain[0]: given 'a', which already means felt; allowed: a key with no other meaning",
         ),
         (KEYS + "  question: magnitud\n", "did you mean 'magnitude'? Else add `further.magnitud` to english.yaml"),
         (

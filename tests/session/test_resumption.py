@@ -191,7 +191,7 @@ def test_a_session_whose_practice_was_not_passed_is_begun_anew_and_never_resumed
     setup = on_paper(wire_run(preflight, "p01", answers="simulated", results=tmp_path))
     with pytest.raises(SessionStopped, match="practice not passed") as ended:
         begin(replace(setup, open_window=open_window))  # type: ignore[arg-type]
-    assert f"`modaltouch resume --restart {setup.place.folder}` begins it anew" in ended.value.__notes__[0]
+    assert f"`modaltouch resume --restart {setup.place.folder}` starts it over" in ended.value.__notes__[0]
     before = setup.place.log.read_bytes()
     with pytest.raises(RecordInputError, match=r"practice was not passed.*resume --restart"):
         resume(on_paper(wire_resume(setup.place.log)))

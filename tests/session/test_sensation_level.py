@@ -211,9 +211,9 @@ def test_a_forged_threshold_is_noticed(results: Path, tmp_path: Path, forge, wor
 @pytest.mark.parametrize(
     ("participant", "given", "words"),
     [
-        ("p99", None, "participant p99 has no complete session in"),
-        ("p01", 90.0, "3 times the threshold of participant p01, 90 mm/s, which makes 270 mm/s; allowed: 2 to 200"),
-        ("p01", 1.5, "1 times the threshold of participant p01, 1.5 mm/s, which makes 1.5 mm/s"),
+        ("p99", None, "participant p99 has no complete session of it in"),
+        ("p01", 90.0, "3 times the threshold of participant p01, 90 mm/s, which gives 270 mm/s; allowed: 2 to 200"),
+        ("p01", 1.5, "1 times the threshold of participant p01, 1.5 mm/s, which gives 1.5 mm/s"),
     ],
 )
 def test_unknown_and_unplayable_thresholds_are_refused(
@@ -272,7 +272,7 @@ def test_a_protocol_that_is_not_adaptive_finds_no_threshold(edit, tmp_path: Path
 def test_a_threshold_is_refused_where_levels_are_the_same_for_all(tmp_path: Path) -> None:
     """Given to a protocol of fixed levels it would be ignored, so it is refused."""
     demo = examine(PROTOCOLS / "demo.yaml").require()
-    with pytest.raises(InputError, match=r"a threshold of 20 mm/s for levels that do not follow from one.*leave"):
+    with pytest.raises(InputError, match=r"a threshold of 20 mm/s, but the levels do not depend on a threshold.*leave"):
         wire_run(demo, "p01", answers="simulated", results=tmp_path, threshold_mm_s=20.0)
 
 

@@ -83,7 +83,7 @@ def test_levels_are_equalised_in_a_band(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("band", "words"),
     [
-        ("[1000, 20]", "given 1000 to 20 Hz; allowed: a band that rises; swap"),
+        ("[1000, 20]", "given 1000 to 20 Hz; allowed: the lower end first; swap"),
         (
             "[22, 27]",
             "given 22 to 27 Hz, which contains no multiple of the repetition rate of 7 Hz; allowed: a band that",
@@ -223,7 +223,7 @@ def test_fingers_changed_in_the_record_are_noticed(copied: Path) -> None:
         line, check = encode_line(event, check)
         lines.append(line)
     copied.write_bytes(b"".join(lines))
-    assert any("the drive computed again" in problem for problem in audit_session(Session.find(copied)).problems)
+    assert any("the recomputed drive" in problem for problem in audit_session(Session.find(copied)).problems)
 
 
 @pytest.mark.parametrize("n_lines", [12, 41])

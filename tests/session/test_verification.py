@@ -75,13 +75,13 @@ def test_a_changed_table_is_noticed(folder):
     """An answer changed in the table, where the eye looks first."""
     table = next(folder.glob("*_beh.tsv"))
     table.write_text(table.read_text().replace("\tboth\t", "\tleft\t", 1))
-    assert any("differs from what the log says" in problem for problem in audit_session(Session.find(folder)).problems)
+    assert any("differs from the log" in problem for problem in audit_session(Session.find(folder)).problems)
 
 
 def test_an_order_that_the_seed_does_not_draw_is_noticed(folder):
     """Even in a log whose checks were all made to fit."""
     forge(folder, lambda start: start.update(seed=start["seed"] + 1))
-    assert any("draws another order" in problem for problem in audit_session(Session.find(folder)).problems)
+    assert any("draws a different order" in problem for problem in audit_session(Session.find(folder)).problems)
 
 
 def test_a_drive_that_the_apparatus_does_not_give_is_noticed(folder):
@@ -92,7 +92,7 @@ def test_a_drive_that_the_apparatus_does_not_give_is_noticed(folder):
         apparatus["text"] = apparatus["text"].replace("{centre: 114}", "{centre: 115}")
 
     forge(folder, change)
-    assert any("the drive computed again" in problem for problem in audit_session(Session.find(folder)).problems)
+    assert any("the recomputed drive" in problem for problem in audit_session(Session.find(folder)).problems)
 
 
 def test_the_side_file_carries_the_head_of_the_log(folder):
@@ -163,8 +163,8 @@ def test_a_changed_table_without_side_file_is_no_cut_session(folder):
     side.unlink()
     table.write_text(table.read_text().replace("left", "right", 1))
     (problem,) = audit_session(Session.find(folder)).problems
-    assert "differs from what the log says" in problem
-    with pytest.raises(RecordError, match="differs from what the log says"):
+    assert "differs from the log" in problem
+    with pytest.raises(RecordError, match="differs from the log"):
         wire_resume(folder)
 
 
@@ -224,7 +224,7 @@ def test_a_line_that_nobody_can_read_ends_in_a_sentence(sound, tmp_path, command
     else:
         assert told.exit_code in (2, 4)
     if command == "recover" and line == 1:
-        assert "its start record does not prove itself" in told.output
+        assert "its start record is not intact" in told.output
     elif command in ("doctor", "recover"):
         assert f"line {line} is left out: it cannot be read: " in told.output
     else:

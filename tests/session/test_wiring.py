@@ -48,7 +48,7 @@ def test_a_session_does_not_go_on_as_another_kind(preflight, tmp_path):
 
 
 def test_a_simulated_participant_is_masked_without_a_sound_device(edit, tmp_path):
-    """Nobody hears the noise, so none is played; the record has masking as the protocol has it, by the twin."""
+    """Nobody hears the noise, so none is played; the record has masking as in the protocol, by the twin."""
     old = "answers:\n  given_by"
     demanding = examine(edit("demo.yaml", (old, f"masking: {{level_dB_FS: -20}}\n{old}"))).require()
     for answers in ("simulated", "robot"):

@@ -194,7 +194,7 @@ def test_mode_without_a_gain_is_refused_only_where_it_is_asked_for(model, design
 
 def test_mode_above_half_the_sampling_rate_is_refused(design):
     """2 x 87.855 kHz x 50 ms = 8785.5 samples are too few."""
-    with pytest.raises(ValueError, match=r"mode 17 at 87855 Hz .* take more than 8786 samples"):
+    with pytest.raises(ValueError, match=r"mode 17 at 87855 Hz .* use more than 8786 samples"):
         design(timing=Timing(AFG3022B.converter, n_samples=8000))
 
 

@@ -102,7 +102,7 @@ def test_symmetric_wiring_mirrors_the_field_and_says_so(model):
     assert 2 in projection.missing
     assert 4 in projection.missing
     assert projection.residual([-0.02])[0] == pytest.approx(-0.2, rel=1e-6)
-    assert "for lack of modes" in projection.unreached()
+    assert "because of the missing modes" in projection.unreached()
     assert "at -20 mm" in projection.unreached()
 
 

@@ -69,7 +69,7 @@ def test_the_beam_is_at_rest_at_the_end(first):
 @pytest.mark.parametrize("how", [{"law": "paper"}, {"design": "norm_4"}])
 def test_it_is_a_design_of_the_exact_law_of_least_energy(design, model, how):
     """Other voltages have no field to let go."""
-    with pytest.raises(ValueError, match="the level first is a design of the law exact of least energy, not of"):
+    with pytest.raises(ValueError, match="the priority level needs the law exact and the design least_energy, not"):
         design(model, priority="level", **how)
 
 

@@ -94,7 +94,7 @@ def test_a_display_of_few_colours_is_named() -> None:
     with virtual_display((640, 480), "-screen", "0", "640x480x16") as name:
         done = open_in_a_process(DISPLAY=name)
     assert done.returncode == 1
-    assert f"WindowError: the display '{name}' has colours of 16 bits: 24 are needed" in done.stderr
+    assert f"WindowError: the display '{name}' has colours of 16 bits, but 24 are needed" in done.stderr
 
 
 def test_a_home_that_cannot_be_written_does_not_matter_and_nothing_is_printed(display: str) -> None:

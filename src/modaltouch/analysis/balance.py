@@ -22,7 +22,7 @@ _FEWEST_TIMES = 4
 
 
 def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True) -> tuple[list[Problem], int]:
-    """Return doubled rows, lacking cells and surplus answers, and how many answers most cells hold.
+    """Return duplicate rows, missing cells and surplus answers, and how many answers most cells have.
 
     Single answers may be missing; a cell that nobody answered may not, nor a quarter of those of a participant.
 
@@ -55,8 +55,8 @@ def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True)
         return table.problem(
             int(frame.index[frame["participant"] == participant][0]),
             "participant",
-            f"{'no answer' if usual == 1 else 'too few answers'} of participant {participant} in {', '.join(fewer[:3])}"
-            + (f" and {len(fewer) - 3} more cells" if len(fewer) > 3 else ""),
+            f"{'no answer' if usual == 1 else 'too few answers'} from participant {participant} in "
+            f"{', '.join(fewer[:3])}" + (f" and {len(fewer) - 3} more cells" if len(fewer) > 3 else ""),
             f"{usual} in every cell of the design (each finger condition, zone pair and level)",
             "add the missing rows, or remove this participant from the file",
         )
@@ -64,9 +64,9 @@ def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True)
     def surplus(key: tuple[Any, ...]) -> Problem:
         participant, *cell = key
         lines = frame.index[(frame[keys] == list(key)).all(axis=1)]
-        given = f"{answers.loc[participant, tuple(cell)]} answers of participant {participant}"
+        given = f"{answers.loc[participant, tuple(cell)]} answers from participant {participant}"
         given += f" in {describe_cell(cell, scale)} (lines {', '.join(map(str, lines[:5]))})"
-        remedy = "remove the doubled row; repetitions must be as many in every cell"
+        remedy = "remove the duplicate row; every cell needs the same number of repetitions"
         return table.problem(int(lines[-1]), "participant", given, f"{usual}, as in the other cells", remedy)
 
     lacks = np.maximum(usual - counts, 0)
@@ -94,7 +94,7 @@ def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:
         allowed = f"one row for each {', '.join(keys)}"
         return table.problem(int(lines[1]), keys[-1], given, allowed, "remove one of the rows, or number them")
 
-    return list_faults(table.file, list(again.groupby(keys, observed=True).groups.values()), "doubled rows", problem)
+    return list_faults(table.file, list(again.groupby(keys, observed=True).groups.values()), "duplicate rows", problem)
 
 
 def _copied(table: Table, frame: pd.DataFrame) -> list[Problem]:
@@ -110,7 +110,10 @@ def _copied(table: Table, frame: pd.DataFrame) -> list[Problem]:
         # Coarse times repeat by chance, but not each as often as a table that stands there several times.
         twice = math.gcd(*rows.value_counts().tolist()) > 1
         if twice or other != participant:
-            given = f"every answer of {participant}, in the same time, {'twice' if twice else f'as those of {other}'}"
+            given = (
+                f"every answer of {participant}, with the same times, "
+                f"{'twice' if twice else f'identical to those of {other}'}"
+            )
             problems.append(table.problem(int(own.index[-1]), "participant", given, "each once", "remove the copies"))
     numbered = frame.dropna(subset=["trial"]) if "trial" in frame and not problems else frame[:0]
     told = [name for name in ("trial", "block", "repetition", "session") if name in frame]

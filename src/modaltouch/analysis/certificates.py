@@ -28,7 +28,7 @@ Nothing is told where nothing was counted, such as of sign flips of criteria or 
 
 @lru_cache(maxsize=1)
 def certificates() -> dict[str, tuple[float, float, str]]:
-    """Return the mean and the worst rate of errors of each, and why one is above 5 % beyond doubt, if it is."""
+    """Return the mean and worst error rate of each, and why one is certainly above 5 %, if it is."""
     held: dict[str, Any] = json.loads(files(__package__).joinpath("certificates.json").read_text(encoding="utf-8"))
     return {name: (mean, worst, why) for name, (mean, worst, why) in held.items()}
 

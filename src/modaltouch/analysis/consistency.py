@@ -94,7 +94,7 @@ def _paired_cells(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def shows_dominance(first: IntArray, second: IntArray) -> NDArray[np.bool_]:
-    """Return whose own answers lean to the first zone beyond chance, by the sign test of one participant's answers."""
+    """Return whose answers lean to the first zone significantly, by a sign test of each participant's answers."""
     pairs, which = np.unique(np.stack([first, second], axis=-1).reshape(-1, 2), axis=0, return_inverse=True)
     own = [a > b and bool(sign_flip_test([1] * a + [-1] * b).p <= ALPHA) for a, b in pairs.tolist()]
     return np.array(own)[which].reshape(first.shape)

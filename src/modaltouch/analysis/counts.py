@@ -210,7 +210,9 @@ class AnswerCounts:
     def _found(self, side: Literal["left", "right"]) -> int:
         place = self._place(side)
         if place is None:
-            raise ValueError(f"no answer names the {side} finger alone: there are {', '.join(self.answers.names)}")
+            raise ValueError(
+                f"no answer names the {side} finger alone: the answers are {', '.join(self.answers.names)}"
+            )
         return place
 
     def _place(self, *fingers: Literal["left", "right"]) -> int | None:
@@ -294,7 +296,7 @@ class AnswerCounts:
             If one of these three was no answer.
         """
         if self.both_place is None:
-            raise ValueError(f"no answer names both fingers: there are {', '.join(self.answers.names)}")
+            raise ValueError(f"no answer names both fingers: the answers are {', '.join(self.answers.names)}")
         return self.counts[..., [self._found("left"), self.both_place, self._found("right")]]
 
     @cached_property
@@ -378,7 +380,7 @@ def _offered(responses: pd.Series, offered: AnswerList | None) -> AnswerList:
         words = responses.astype("category").cat.categories
         offered = AnswerList.of_words(("none",) if "none" in words else ())
     if unknown := sorted(set(responses.unique()) - set(offered.names)):
-        raise ValueError(f"response {unknown[0]!r} is not an answer: allowed are {', '.join(offered.ranked.names)}")
+        raise ValueError(f"response {unknown[0]!r} is not an answer: allowed: {', '.join(offered.ranked.names)}")
     return offered
 
 

@@ -64,7 +64,7 @@ def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
 
 
 def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
-    """Return reaction times by pair and answer; None where the table holds none."""
+    """Draw reaction times by pair and answer; None if the table has none."""
     if "response_time" not in frame or not has_values(frame.dropna(subset=["response_time"]), "response_time"):
         return None
     kept = frame[frame["response_time"] >= ANTICIPATION]

@@ -28,7 +28,7 @@ ANTICIPATION = 0.15
 
 
 def secondary_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
-    """Yield the further questions, as far as the table holds what they need.
+    """Yield the further findings for which the table has the data.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
         return
     score = (lead.where(lead != 0) * (shares.iloc[:, 0] - shares.iloc[:, 1])).groupby("participant").mean()
     notes = [", ".join(f"{n} began with {name.replace('_', ' ')}" for n, name in zip(led, starts.columns, strict=True))]
-    notes += ["which came first cannot be told from the finger condition itself"] if not all(led) else []
+    notes += ["the effect of order cannot be separated from that of the finger condition"] if not all(led) else []
     yield _mean_finding(
         "order", "first against second finger condition", "all", score, "P(dominant), first less second", notes
     )

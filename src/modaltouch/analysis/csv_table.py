@@ -220,7 +220,7 @@ def _read_fields(
         line, found = fault
         remedy = "give every row one field for each column"
         if separator == "," and found > len(header):
-            remedy += "; a decimal comma makes two fields of one: write 80.5, or separate fields by semicolons"
+            remedy += "; a decimal comma splits a number into two fields: write 80.5, or separate fields by semicolons"
         return Problem(file, line, 1, "", f"{found} fields", f"{len(header)} fields, as in the header", remedy)
 
     problems = list_faults(file, wrong, "rows of a wrong length", problem, f"{len(header)} fields in every row")

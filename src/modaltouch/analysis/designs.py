@@ -1,4 +1,4 @@
-"""What a design asks of each participant, beside counts: sensitivity, psychometric functions, ratings, and groups."""
+"""What a design measures of each participant besides counts: sensitivity, psychometric functions, ratings, groups."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Nothing is told where nothing was counted.
 
 @dataclass(frozen=True, eq=False)
 class DesignAnalysis:
-    """What the answers tell of each participant.
+    """What the answers show about each participant.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class DesignAnalysis:
 
 
 def analyse_design(responses: Responses) -> DesignAnalysis:
-    """Return what a design asks of each participant, beside counts.
+    """Return what a design measures of each participant besides counts.
 
     Parameters
     ----------
@@ -131,14 +131,14 @@ def _limits(responses: Responses, task: TrialTask, fits: Sequence[FittedCell]) -
             "threshold is estimated."
         )
     if task.named and not fits and responses.frame[scale_of(responses.frame.columns).column].nunique() > 2:
-        yield "No psychometric function is fitted: by the question asked, its answers do not rise with the level."
+        yield "No psychometric function is fitted: with the question asked, the answers do not rise with the level."
     if task.named and set(responses.answers.names) - task.named.keys():
         yield "Answers that name no interval are left out of d' and of psychometric functions."
     if task.named and (task.n_intervals > 2 or responses.frame["interval"].nunique() < 2):
         yield "d' assumes no preference for an interval: these answers cannot show a preference."
     yield (
-        "No test here is of interactions between factors, or of several measures together: answers.csv is the tidy "
-        "table for one's own, and models.R fits mixed models to it."
+        "No test here covers interactions between factors, or several measures together: answers.csv is a tidy table "
+        "for tests of your own, and models.R fits mixed models to it."
     )
 
 

@@ -32,7 +32,7 @@ FEWEST = 4
 
 
 def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
-    """Yield d' and criterion of each participant, as far as the design tells them.
+    """Yield d' and criterion of each participant, if the design determines them.
 
     Of one interval the answer that nothing was felt tells them, with catch trials, or which of two fingers is on the
     focus; of several, which one an answer names, or that they are the same or differ.

@@ -96,11 +96,11 @@ def finding_of(
     family: str = "",
     notes: Sequence[str] = (),
 ) -> Finding:
-    """Return a finding from an interval and, if any, a test; says so where the data hold no information."""
+    """Return a finding from an interval and, if any, a test; it says if the data contain no information."""
     words = [note for note in notes if note]
     if test is not None and test.p_min > ALPHA:
         whose = f"only {int(test.n_informative)} could move the statistic" if test.n_informative else "nothing varies"
-        words.insert(0, f"no information: {whose}, and whichever way, p could not fall below {test.p_min:.2g}")
+        words.insert(0, f"no information: {whose}, and in either direction p could not fall below {test.p_min:.2g}")
     values = (interval.estimate, interval.low, interval.high)
     # What rounding leaves of zero is none.
     estimate, low, high = (0.0 if abs(each) < 1e-12 else float(each) for each in values)

@@ -83,7 +83,7 @@ def clopper_pearson(successes: ArrayLike, n: ArrayLike, confidence: float = CONF
 
     k, m = np.broadcast_arrays(np.asarray(successes, dtype=float), np.asarray(n, dtype=float))
     if not ((k >= 0) & (k <= m)).all():
-        raise ValueError(f"{successes!r} successes out of {n!r}: allowed are 0 to n")
+        raise ValueError(f"{successes!r} successes out of {n!r}: allowed: 0 to n")
     tail = (1 - confidence) / 2
     low = np.where(k > 0, betaincinv(np.where(k > 0, k, 1), m - k + 1, tail), 0.0)
     high = np.where(k < m, betaincinv(k + 1, np.where(k < m, m - k, 1), 1 - tail), 1.0)

@@ -1,4 +1,4 @@
-"""Figures of what each participant tells: measures by level or condition, psychometric functions, and groups."""
+"""Figures of each participant's results: measures by level or condition, psychometric functions, and groups."""
 
 from __future__ import annotations
 

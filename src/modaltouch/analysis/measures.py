@@ -1,4 +1,4 @@
-"""A number of each participant, such as a d', a threshold or a mean rating; then over participants and groups.
+"""One number per participant, such as a d', a threshold or a mean rating; then over participants and groups.
 
 The participant is the unit: what is tested is one number of each, never the pooled trials.
 """
@@ -158,7 +158,7 @@ def mean_findings(values: Sequence[Own], scale: LevelScale, groups: Mapping[str,
             "geometric mean" if measure.is_ratio else "",
             *({each.note for each in own} if len({each.note for each in own}) == 1 else ()),
             f"{left_out} participants without a value left out" if left_out else "",
-            f"without a bound of one's own on one side: {n_open}" if n_open else "",
+            f"without a bound of their own on one side: {n_open}" if n_open else "",
             "" if tested else "described, not tested",
             f"not a 95 % interval of the true mean: {why_not}" if why_not else "",
         ]
@@ -193,9 +193,7 @@ def contrast_findings(values: Sequence[Own]) -> Iterator[Finding]:
             test, interval = (by_ranks if measure.is_ranked else by_flips)(numbers)
             scope = f"{a[0]} - {b[0]} {a[1]}".strip() if a[1] == b[1] else f"{a[0]} {a[1]} - {b[1]}"
             ends = measure.is_ranked and 0 in (interval.low, interval.high) and test.p <= ALPHA
-            notes = (
-                ["the interval ends at 0, which the test rejects: zeros count in the interval alone"] if ends else []
-            )
+            notes = ["the interval ends at 0, which the test rejects: zeros count only in the interval"] if ends else []
             yield finding_of(
                 measure.question, f"{measure.name} compared, {_RANKS if measure.is_ranked else _FLIPS}", scope, test,
                 f"{_difference(measure)} of {measure.quantity}", _told(measure, interval), numbers.size,

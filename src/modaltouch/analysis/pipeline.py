@@ -121,7 +121,7 @@ def _results(
 
 
 def analyse_responses(responses: Responses) -> Analysis | ThresholdAnalysis | PartsAnalysis:
-    """Return what answers tell, as `analyse` does, with no file written."""
+    """Return the results of answers, as `analyse` does, without writing a file."""
     from modaltouch.analysis.outcome import Analysis
     from modaltouch.analysis.parts import analyse_parts
     from modaltouch.analysis.thresholds import analyse_runs

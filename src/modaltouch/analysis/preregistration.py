@@ -85,7 +85,7 @@ def describe_families(analysis: RegisteredAnalysis) -> list[dict[str, Any]]:
 
 
 def read_preregistration(path: Path) -> dict[str, Any]:
-    """Return the terms that a preregistration holds in its block of JSON.
+    """Return the terms in the JSON block of a preregistration.
 
     Raises
     ------

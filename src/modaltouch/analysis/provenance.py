@@ -1,4 +1,4 @@
-"""What the session logs tell beside the answers: what was presented, what went wrong, and how to repeat it."""
+"""What the session logs say besides the answers: what was presented, what went wrong, and how to repeat it."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from modaltouch.record import Session
 Presented = tuple[str, float, tuple[float, ...], tuple[float, ...], bool]
 
 FAULTS = {
-    "trial_cut": "trials cut and offered again",
-    "unconfirmed": "amplitudes the instrument did not confirm at once",
+    "trial_cut": "trials interrupted and presented again",
+    "unconfirmed": "amplitudes that the instrument did not confirm at once",
     "resume": "interruptions, after which the session was resumed",
     "stop": "sittings ended early",
     "rig": "instrument problems, all overcome or followed by the end of the session",
     "masking_lost": "losses of the masking noise",
-    "drifted": "trials that delivered over 5 % more or less than predicted, by the whole of a 95 % interval",
+    "drifted": "trials whose whole 95 % interval lies over 5 % above or below the predicted speed",
     "unheard": "trials for which the vibrometer gave no delivered speed",
     "torn": "lines cut while they were written",
 }
@@ -107,7 +107,7 @@ class SessionFacts:
 
 
 def take_facts(session: Session) -> SessionFacts:
-    """Return what a session's log tells beside the answers."""
+    """Return what a session's log says besides the answers."""
     start, trials = session.start, session.trials
     counted = [event for event in trials if not event["trial"]["practice"]]
     return SessionFacts(
@@ -132,7 +132,7 @@ def _people(start: dict[str, Any]) -> Iterator[tuple[str, float | str]]:
 
 
 def describe_record(sessions: Sequence[SessionFacts]) -> RecordFacts | None:
-    """Return what the logs of the analysed sessions tell; None for a CSV, which has none."""
+    """Return what the logs of the analysed sessions say; None for a CSV, which has none."""
     if not sessions:
         return None
     return RecordFacts(

@@ -127,7 +127,7 @@ def ratings(responses: Responses, task: TrialTask, asked: Sequence[Question]) ->
 
 
 def correct(frame: pd.DataFrame, task: TrialTask, scale: LevelScale) -> pd.Series:
-    """Return which answers are correct, 1 or 0; not a number where the design does not tell.
+    """Return which answers are correct, 1 or 0; not a number if the design does not determine it.
 
     Parameters
     ----------

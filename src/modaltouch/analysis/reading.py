@@ -47,11 +47,11 @@ def read_responses(
             remedy = "check the name; results lie under results/<protocol> unless --results said otherwise"
             raise InputError.of(each, "no such file or folder", "a CSV file or a results folder", remedy)
         if further and not each.is_dir():
-            remedy = "give the results folder of each lab; join tables in one"
+            remedy = "give the results folder of each lab; combine tables into one"
             raise InputError.of(each, "a file among several sources", "folders alone", remedy)
     if place.is_dir() or place.suffix == ".jsonl":
         if table_format is not None:
-            given = "a protocol, or words of answers, with recorded sessions, which hold their own"
+            given = "a protocol or answer words with recorded sessions, which contain their own"
             raise InputError.of(place, given, "these only with a CSV file", "leave the option out")
         from modaltouch.analysis.results_tree import read_tree
 

@@ -99,7 +99,7 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
 
 
 def design_limits(analysis: Analysis) -> list[str]:
-    """Return what the design of these answers cannot tell, in words."""
+    """Return sentences on what the design of these answers cannot show."""
     answers, n = analysis.answers, analysis.answers.n_participants
     both, nothing = answers.answers.naming("left", "right"), answers.answers.naming()
     flips = Counter(row.family for row in analysis.findings if row.family and re.search("sign.flip", row.name))
@@ -123,8 +123,8 @@ def design_limits(analysis: Analysis) -> list[str]:
         *((answers.compares and not answers.mirrored, words) for words in _aliases(answers.pairs)),
         (
             answers.scale == OWN_THRESHOLD,
-            "Levels are multiples of each participant's own threshold as a session before found it. How uncertain "
-            "those thresholds are is in the reports of those sessions; no interval or test here takes it in.",
+            "Levels are multiples of each participant's own threshold, found in an earlier session. The reports of "
+            "those sessions give the uncertainty of the thresholds; no interval or test here includes it.",
         ),
         (
             both is not None,
@@ -144,17 +144,17 @@ def design_limits(analysis: Analysis) -> list[str]:
         (
             n < fewest,
             f"With n = {n} no sign-flip test can pass Holm's correction over a family of {m}: its smallest p is "
-            f"2/2^{n} = {2.0 ** (1 - n):.3g}. The fewest participants that can are {fewest}.",
+            f"2/2^{n} = {2.0 ** (1 - n):.3g}. At least {fewest} participants are needed.",
         ),
         (
             len(answers.finger_conditions) > 1,
-            f"With n = {n}, finger conditions can be shown to be alike on average at best within "
-            f"{1 - 0.05 ** (1 / n):.2f}, where nobody's answers differ: people who differ may be missing by chance.",
+            f"With n = {n}, finger conditions can be shown to be alike on average within {1 - 0.05 ** (1 / n):.2f} at "
+            "best, if nobody's answers differ: people who differ may be missing by chance.",
         ),
         (
             "trial" not in analysis.responses.frame.columns and len(answers.finger_conditions) > 1,
             "The table does not give the order of the finger conditions; unless it was balanced, an order effect "
-            "passes for an effect of the fingers.",
+            "looks like an effect of the fingers.",
         ),
     ]
     return [limit for holds, limit in known if holds]
@@ -166,7 +166,7 @@ def _aliases(pairs: Sequence[Pair]) -> Iterator[str]:
     for left, right in ((pair.left, pair.right) for pair in pairs if not pair.focused):
         if (right, left) not in sides:
             yield (
-                f"In ({left}, {right}) zone, side and finger go together: {left} lies on the left under one and the "
+                f"In ({left}, {right}) zone, side and finger go together: {left} always lies on the left under the "
                 f"same finger, so a preference for {left} cannot be distinguished from one for that side or finger. "
                 "Mirrored placement, or swapped hands in half the participants, would separate them."
             )

@@ -37,12 +37,12 @@ _SIDES = (("zone_left", "zone_right"), ("speed_left_mm_s", "speed_right_mm_s"))
 
 
 def cell_of(columns: Container[str]) -> tuple[str, ...]:
-    """Return what tells the cells of the design apart in a table with these columns."""
+    """Return the columns that distinguish the cells of the design."""
     return (CELL[0], *zones_of(columns), scale_of(columns).column)
 
 
 def keys_of(columns: Container[str]) -> tuple[str, ...]:
-    """Return what tells the answers of a balanced table apart: who gave them, and in which cell."""
+    """Return the columns that distinguish the answers of a balanced table: who gave them, and in which cell."""
     return ("participant", *cell_of(columns))
 
 

@@ -160,7 +160,7 @@ COLUMNS = (
 
 _STIMULUS = COLUMNS.index("stimulus")
 _ONE = "give the folder of one of them"
-_ONE_NAMED = f"{_ONE}; name the other protocol anew"
+_ONE_NAMED = f"{_ONE}; give the other protocol another name"
 _OF_INTERVALS = ("interval", "standard_mm_s", "correct")
 """Columns of trials with several intervals alone."""
 
@@ -436,7 +436,7 @@ def _as_many(taken: Sequence[SessionAnswers], left_out: list[ExcludedSource]) ->
 def _surplus(item: SessionAnswers, fewest: int, seen: Counter[object]) -> str:
     seen[item.participant, item.kind] += 1
     beyond = seen[item.participant, item.kind] > fewest
-    return f"session beyond the first {fewest}: not every participant has as many" if beyond else ""
+    return f"session beyond the first {fewest}: not every participant has that many" if beyond else ""
 
 
 def _choose_stimulus(place: Path, frame: pd.DataFrame, stimulus: str) -> pd.DataFrame:

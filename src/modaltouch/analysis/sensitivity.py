@@ -40,7 +40,7 @@ _FARTHEST = 40.0
 
 @dataclass(frozen=True, eq=False)
 class SignalDetection:
-    """What two kinds of trial tell of a participant.
+    """Signal detection of one participant from two kinds of trial.
 
     Attributes
     ----------

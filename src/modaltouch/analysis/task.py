@@ -95,11 +95,11 @@ class TrialTask:
 
     @property
     def why_no_d_prime(self) -> str:
-        """Why no model tells a d' of which interval was named, or of same and different; else empty."""
+        """Why no model gives a d' for which interval was named, or for same and different; else empty."""
         if self.n_intervals == 3 and self.different:
-            return "whether three intervals are the same: the differencing model is of two"
+            return "whether three intervals are the same: the differencing model is for two"
         if self.n_intervals == 3 and len(self.places or self.named) < 3:
-            return "a comparison that stands in some of three intervals alone: the models are of all three"
+            return "a comparison in only some of the three intervals: the models assume all three"
         return ""
 
     @property

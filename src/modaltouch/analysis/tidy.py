@@ -252,7 +252,7 @@ def choose_sessions(table: Table) -> tuple[Table, list[ExcludedSource], list[str
     place = session.groupby([who, kind], sort=False).transform(lambda own: pd.factorize(own)[0])
     fewest = place.groupby([who, kind]).max().groupby(level=1).min() + 1
     beyond, most = place >= kind.map(fewest), int(fewest.max())
-    reason = f"sessions beyond the first {most}: not every participant has as many"
+    reason = f"sessions beyond the first {most}: not every participant has that many"
     left_out = [ExcludedSource(f"{table.file}: {beyond.sum()} rows", reason)] if beyond.any() else []
     notes = [f"{most} sessions of each participant taken together, as repetitions"] if most > 1 else []
     return replace(table, fields=table.fields[~beyond]), left_out, notes
@@ -356,7 +356,7 @@ class _Columns:
         )
         if (middle := values.median()) > _LONG:
             line, given = int(values.index[values > _LONG][0]), f"times of {middle:g} s in the median"
-            remedy = "divide by 1000 what is in milliseconds"
+            remedy = "divide times in milliseconds by 1000"
             self.problems.append(self._table.problem(line, name, given, f"seconds, {_LONG:g} in the median", remedy))
         return values
 
@@ -375,10 +375,13 @@ class _Columns:
         usual = {word.casefold(): word for word in words}  # the first of each in the file
 
         def say(word: str) -> tuple[str, str]:
-            return f"{word!r} beside {usual[word.casefold()]!r}", "write it one way, or name apart what is apart"
+            return (
+                f"{word!r} beside {usual[word.casefold()]!r}",
+                "write it one way, or give different things clearly different names",
+            )
 
         is_usual = {*usual.values()}.__contains__
-        self.problems += self._table.check_words(column, is_usual, "one way to write a name", say)
+        self.problems += self._table.check_words(column, is_usual, "one spelling for each name", say)
 
     def whole_numbers(self, name: str, least: int, most: int | None = None) -> pd.Series:
         """Return a column of whole numbers."""

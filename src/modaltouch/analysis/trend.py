@@ -63,7 +63,7 @@ def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: ArrayL
         )
     answered = np.broadcast_to(np.asarray(n_repetitions, dtype=np.int64), counts.shape)
     if counts.size and (counts.min() < 0 or (counts > answered).any()):
-        raise ValueError(f"chosen runs from {counts.min()} to {counts.max()}, allowed are 0 to {answered.max()}")
+        raise ValueError(f"chosen runs from {counts.min()} to {counts.max()}, allowed: 0 to {answered.max()}")
     if counts.size and answered.sum(axis=-1).max() > MOST_EXACT:
         return _normal_trend(counts, answered, scores)
     patterns, which = np.unique(answered.reshape(-1, len(scores)), axis=0, return_inverse=True)

@@ -82,7 +82,7 @@ def say_scope(scope: str, finger_conditions: Sequence[str], pairs: Sequence[Pair
 
 
 def say_p(p: float) -> str:
-    """Return a p value as it stands in a paper.
+    """Return a p value as a paper prints it.
 
     Examples
     --------
@@ -185,7 +185,7 @@ def _about(row: Finding, answers: AnswerCounts) -> str:
 
 
 def state_families(findings: Sequence[Finding]) -> str:
-    """Return which tests are corrected together, and what error rates that holds."""
+    """Return which tests are corrected together, and the error rates that result."""
     families = Counter(row.family for row in findings if row.family)
     n = len(families)
     if not n:
@@ -193,7 +193,9 @@ def state_families(findings: Sequence[Finding]) -> str:
     named = ", ".join(f"{family} ({m})" for family, m in families.items())
     level, together = 100 * ALPHA, ""
     if n > 1:
-        together = f" Each family stands for itself: over all {n}, that chance is {min(n * level, 100):g} % at most."
+        together = (
+            f" Each family is corrected by itself: over all {n}, that probability is {min(n * level, 100):g} % at most."
+        )
     return (
         f"Confirmatory tests, by family: {named}. Holm's correction keeps the probability of any false claim within a "
         f"family at {level:g} % at most.{together} All other tests are exploratory: their p are not corrected and "

@@ -70,7 +70,7 @@ def _is_forbidden(error: BaseException) -> bool:
 def _say(error: BaseException) -> str:
     """Return an error in words."""
     if isinstance(error, PermissionError) and _is_forbidden(error):
-        yours = "what a session wrote is for its owner alone; work as that user, or give a folder of your own"
+        yours = "only its owner may read what a session wrote; work as that user, or give a folder of your own"
         return f"{error.filename}: not for this user ({error.strerror}); {yours}"
     return str(error) or type(error).__name__
 

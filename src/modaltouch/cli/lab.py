@@ -85,8 +85,8 @@ def ask_for(words: str) -> None:
         input()
     except EOFError:
         raise typer.BadParameter(
-            "nobody is there to aim the vibrometer or to lay fingers on (standard input is closed); allowed: a "
-            "terminal; start the command from one"
+            "nobody can aim the vibrometer or place fingers (standard input is closed); allowed: a terminal; start "
+            "the command from one"
         ) from None
 
 

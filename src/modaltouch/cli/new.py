@@ -1,4 +1,4 @@
-"""``modaltouch new``: a study to begin with, a shipped protocol and all that it names in a folder of its own."""
+"""``modaltouch new``: a new study: a shipped protocol and every file it names, in a folder of its own."""
 
 from __future__ import annotations
 

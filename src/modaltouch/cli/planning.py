@@ -315,7 +315,7 @@ def prereg(
         source = preflight.experiment.sources.protocol.path
         file = out or (source if protocol.is_file() else Path(source.name)).with_suffix(".prereg.md")
         if file.exists():
-            raise RecordError(f"{file}: is there already; move it away, or give another file with --out")
+            raise RecordError(f"{file}: exists already; move it away, or give another file with --out")
         population = read_observer(observer or usual_observer(preflight.experiment.protocol))
         with progress("experiments") as on_progress:
             text = preregister(

@@ -61,7 +61,7 @@ def ask_rig(may_ask: bool) -> str:
 
 
 def ask_participant(dataset: Path) -> str:
-    """Return a participant id that may stand in a file name, asked for until it is one.
+    """Ask for a participant id until it can be part of a file name, and return it.
 
     Parameters
     ----------

@@ -222,7 +222,7 @@ def _write_page(file: Path, results: Path, told: list[dict[str, Any]]) -> None:
     if not file.exists():
         prepare_file(file)
     elif not file.is_file() or _MAKER not in file.read_text(encoding="utf-8", errors="replace"):
-        raise RecordError(f"{file}: is there already and not from `modaltouch study`; give another file with --html")
+        raise RecordError(f"{file}: exists already and is not from `modaltouch study`; give another file with --html")
     headings = {"sessions": _SESSION_HEADINGS, "orders": _ORDER_HEADINGS}
     page = render_page(
         "modaltouch.cli", "study.html.j2",
@@ -361,7 +361,7 @@ def _packages() -> list[MachineCheck]:
         except PackageNotFoundError:
             missing.append(package)
     if missing:
-        return [MachineCheck("packages", "fault", f"missing: {', '.join(missing)}", "install modaltouch anew")]
+        return [MachineCheck("packages", "fault", f"missing: {', '.join(missing)}", "reinstall modaltouch")]
     return [MachineCheck("packages", "ok", ", ".join(found))]
 
 

@@ -81,7 +81,7 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
     refuse_unlike(preflight)
     _refuse_unnamed(path, tuple(preflight.variants))
     if preflight.findings.measured:
-        given = "measured, so that everybody felt different speeds"
+        given = "measured, so everybody felt different speeds"
         remedy = "see `modaltouch analyse --speed predicted`"
         allowed = "fingers that are the same for all"
         raise InputError([preflight.findings.problem(("stimulus", "fingers"), given, allowed, remedy)])
@@ -104,7 +104,10 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
 def _refuse_unnamed(path: Path, stimuli: tuple[str, ...]) -> None:
     """Refuse answers that do not say to which of several stimuli they are."""
     if stimuli and path.is_file() and path.suffix != ".jsonl":
-        given, remedy = "a CSV file, which does not say to which stimulus an answer is", "give the sessions themselves"
+        given, remedy = (
+            "a CSV file, which does not say which stimulus an answer belongs to",
+            "give the sessions themselves",
+        )
         raise InputError.of(path, given, f"sessions with {', '.join(stimuli)}", remedy)
 
 
@@ -116,7 +119,7 @@ def _refuse_adaptive(path: Path, *, is_adaptive: bool) -> None:
 
 def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCounts:
     """Return the counts of answers to one stimulus, every zone of them one of the beam."""
-    experiment, remedy = preflight.experiment, "give the protocol in which these answers were given"
+    experiment, remedy = preflight.experiment, "give the protocol that these answers belong to"
     _refuse_adaptive(path, is_adaptive=responses.is_adaptive)
     if responses.in_multiples:
         given = "sessions with levels calibrated by participant, each of whom felt other velocities"

@@ -72,7 +72,7 @@ def refuse_own_levels(preflight: Preflight) -> None:
             ("conditions", "sensation_levels"),
             "levels calibrated by participant, which depend on thresholds not yet known",
             "fixed levels",
-            "plan with peak velocities as you expect them",
+            "plan with the peak velocities that you expect",
         ),
     )
 
@@ -102,14 +102,14 @@ def refuse_unlike(preflight: Preflight) -> None:
         (
             n_intervals > 1,
             ("intervals",),
-            f"trials of {n_intervals} intervals, while this compares two fingers in one",
+            f"trials of {n_intervals} intervals, but this compares two fingers in one interval",
             "null",
             _SIMULATE,
         ),
         (
             unknown,
             ("conditions", "finger_conditions"),
-            f"{unknown}, of which no observer knows how its fingers suppress each other",
+            f"{unknown}, but no observer knows how its fingers suppress each other",
             ", ".join(_KNOWN),
             _SIMULATE,
         ),

@@ -113,9 +113,9 @@ def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[di
 
 
 _UNPROMISED = {
-    "timer": "the free timer of the generator dates the first burst to a period and counts none",
-    "continuous": "a continuous record dates the first burst to a command and counts none",
-    "wired": "the pulse source at the trigger input counts the bursts, and this program neither counts nor dates them",
+    "timer": "with the generator's free timer, the first burst is known to within a period and no burst is counted",
+    "continuous": "with a continuous record, the first burst is known by its command and no burst is counted",
+    "wired": "the pulse source at the trigger input counts the bursts; this program neither counts nor times them",
 }
 
 
@@ -154,7 +154,7 @@ def design_warnings(protocol: Protocol) -> list[str]:
     n_kinds = len({each.name for each in kinds if each.analysed})
     if protocol.uncrossed_by and (protocol.uncrossed_by[0] != "schedule" or n_kinds > 1):
         said.append(
-            f"the design is not crossed ({'.'.join(protocol.uncrossed_by)}): the tests are those of each crossed part"
+            f"the design is not crossed ({'.'.join(protocol.uncrossed_by)}): each crossed part is tested by itself"
         )
     elif not protocol.uncrossed_by and protocol.adaptive is None:
         numbers = {"level": len(protocol.scheduled_levels), "finger condition": n_fingers, "pair of zones": n_pairs}
@@ -179,7 +179,7 @@ def answer_warnings(protocol: Protocol) -> list[str]:
     if n_catches and not protocol.answers.offers_none:
         warnings.append(
             f"the {n_catches} catch trials of a block cannot be answered correctly, since there is no answer none: "
-            f"they show what is guessed, not how often; give answers.keys the keys of `none`"
+            "they show what is guessed, not how often; add `none` to answers.keys"
         )
     tells = any(answer.fingers or answer.interval for answer in offered)
     if not tells and protocol.answers.scale is None:
@@ -199,7 +199,7 @@ def interval_warnings(protocol: Protocol) -> list[str]:
         return []
     meanings = {answer.interval for answer in answers.offered}
     if meanings == {None}:
-        return ["no answer says anything of the intervals: none is right; write answers.intervals, as {first: 1}"]
+        return ["no answer refers to an interval, so none is right; write answers.intervals, such as {first: 1}"]
     cells = [cell for name in protocol.conditions.finger_conditions for cell in protocol.cells(name)]
     given = section.standard
     alike = sum(given.velocity_mm_s in (None, level) and given.stimulus in (None, own) for _, level, own in cells)

@@ -104,7 +104,7 @@ class Preflight:
         self.require()
         if self.findings.fingers is not None:
             given, remedy = (
-                "fingers, while this measures the untouched beam",
+                "fingers, but this measures the untouched beam",
                 "make a copy of the protocol without them",
             )
             raise InputError([self.findings.problem(("stimulus", "fingers"), given, "none", remedy)])
@@ -120,7 +120,7 @@ class Preflight:
         """
         self.require()
         if self.variants and self.findings.protocol is not None:
-            given, remedy = f"{len(self.variants)} stimuli", "make a protocol of each of them for this"
+            given, remedy = f"{len(self.variants)} stimuli", "make a separate protocol of each for this"
             raise InputError([self.findings.protocol.problem(("stimuli",), given, "one stimulus", remedy)])
         return self
 

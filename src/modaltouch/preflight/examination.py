@@ -66,7 +66,7 @@ def _check_generator(
         given = f"{level:g} mm/s, which needs {full[strong]:.4g} V peak to peak of output {strong}"
         highest = _rounded_down(level * largest / full[strong])
         allowed = f"at most {largest:g} V into an open circuit ({highest} mm/s)"
-        yield findings.problem(path, given, allowed, "lower the level, or take an amplifier of higher gain")
+        yield findings.problem(path, given, allowed, "lower the level, or use an amplifier with a higher gain")
     if sounding[weak] < smallest:
         given = f"{level:g} mm/s, which needs {sounding[weak]:.4g} V peak to peak of output {weak}"
         least = level * smallest / sounding[weak]
@@ -180,7 +180,7 @@ def _check_safety(
             said += f", the upper end of the identification's intervals ({uncertain - 1:.1%}) included"
         given = f"{level:g} mm/s, which moves zone {list(zones)[fastest]} at {speed:.0f} mm/s{said}"
         allowed = f"at most {limit:g} mm/s anywhere in a zone ({_rounded_down(level * limit / speed)} mm/s)"
-        remedy = "lower the level; the limit is the safety section of the apparatus"
+        remedy = "lower the level; the limit is set in the section safety of the apparatus"
         yield findings.problem(path, given, allowed, remedy)
 
 
@@ -305,12 +305,12 @@ def _check_generator_itself(inputs: DesignInputs, findings: Findings) -> Iterato
     converter, path = instrument.converter, ("stimulus", "n_samples")
     if section.n_samples > converter.max_points:
         allowed = f"at most {converter.max_points}, the points of a record of the {instrument.models[0]}"
-        yield findings.problem(path, f"{section.n_samples}", allowed, "take fewer")
+        yield findings.problem(path, f"{section.n_samples}", allowed, "use fewer")
     rate = section.n_samples / section.duration_ms * 1e3
     if rate > converter.clock_rate * (1 + 1e-12):
         given = f"{section.n_samples} samples in {section.duration_ms:g} ms, which is {rate:.4g} Hz"
         most, clock = int(section.duration_ms * 1e-3 * converter.clock_rate), converter.clock_rate * 1e-6
-        yield findings.problem(path, given, f"at most {most} samples, at the generator's {clock:g} MHz", "take fewer")
+        yield findings.problem(path, given, f"at most {most} samples, at the generator's {clock:g} MHz", "use fewer")
     if inputs.apparatus.generator.repeats == "timer" and instrument.commands.timer is None and findings.apparatus:
         given, allowed = f"timer, which the channels of a {instrument.models[0]} do not share", "single"
         yield findings.apparatus.problem(("generator", "repetition"), given, allowed, "write single")
@@ -339,8 +339,8 @@ def _check_memories(findings: Findings, apparatus: Apparatus, bursts: Sequence[B
     n_records = len({record.tobytes() for burst in bursts for record in burst.codes})
     if n_records > n_memories:
         given = f"{len(bursts)} stimuli with {n_records} different records"
-        allowed = f"at most {n_memories}, as many as the generator has memories: two stimuli on two outputs"
-        yield findings.problem(("stimuli",), given, allowed, "take fewer, or make protocols of them")
+        allowed = f"at most {n_memories}, one for each memory of the generator: two stimuli on two outputs"
+        yield findings.problem(("stimuli",), given, allowed, "use fewer, or make separate protocols of them")
 
 
 def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> Stimulus:
@@ -393,4 +393,4 @@ def _check_masking_level(findings: Findings) -> Iterator[Problem]:
     given = f"{level + shift:g} {unit}, at which the peaks of the {section.noise} noise pass full scale"
     # Rounded down, so that what is allowed is allowed.
     allowed = f"at most {math.floor((highest + shift) * 10) / 10:g} {unit}"
-    yield findings.problem(("masking", section.level_key), given, allowed, "lower it, and turn the amplifier up")
+    yield findings.problem(("masking", section.level_key), given, allowed, "lower it, and turn up the amplifier")

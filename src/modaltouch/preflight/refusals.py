@@ -27,7 +27,7 @@ def locate(error: Exception, findings: Findings) -> Problem:
     """Return what the engine refused as a problem of the file that asked for it; both must have been opened."""
     protocol, apparatus = findings.protocol, findings.apparatus
     if protocol is None or apparatus is None:
-        raise ValueError("there is no file in which to find the fault: open protocol and apparatus first")
+        raise ValueError("there is no file to search for the fault: open protocol and apparatus first")
     message = " ".join(str(error).split())
     given, _, remedy = message.rpartition(": ") if ": " in message else (message, "", "")
     given = f"a stimulus that cannot be made, {given}"

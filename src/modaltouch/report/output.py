@@ -119,7 +119,7 @@ def refuse_other(folder: Path, command: str) -> None:
     maker = str(_manifest_of(folder).get("generated_by", ""))
     if maker.startswith(_MAKER) and maker != _MAKER + command:
         raise RecordError(
-            f"{folder}: holds what `{maker}` made, which would be replaced; give another folder with --out"
+            f"{folder}: contains output of `{maker}`, which would be replaced; give another folder with --out"
         )
     for place in {standing, folder.parent}:
         if place.exists():
@@ -178,14 +178,14 @@ def _refuse_strange(path: Path, own: list[str] | None, ours: bool) -> None:
         return
     if own is None:
         if not ours:
-            raise RecordError(f"{path}: is there already and not from modaltouch; give another folder with --out")
+            raise RecordError(f"{path}: exists already and is not from modaltouch; give another folder with --out")
         return
     try:
         found = hashlib.sha256(path.read_bytes()).hexdigest()
     except OSError as error:
         raise _cannot(path, error) from error
     if found not in own:
-        kind = "was changed since it was written" if own else "is there already and not from modaltouch"
+        kind = "was changed since it was written" if own else "exists already and is not from modaltouch"
         raise RecordError(f"{path}: {kind} and is not overwritten; move it away, or give another folder with --out")
 
 

@@ -104,7 +104,7 @@ def check_options(law: str, release: str, rounding: str, design: str, priority: 
             raise ValueError(f"the {name} {given!r} is unknown; allowed: {', '.join(get_args(kind))}")
     if priority == "level" and (law, design) != ("exact", "least_energy"):
         raise ValueError(
-            f"the level first is a design of the law exact of least energy, not of {law} with {design}; leave one out"
+            f"the priority level needs the law exact and the design least_energy, not {law} and {design}; leave one out"
         )
     if law == "paper" and design != "least_energy":
         raise ValueError(f"the paper's law has no design of {design!r}; allowed: least_energy, or the law exact")
@@ -141,9 +141,8 @@ def check_drivable(model: ModalModel, target: FloatArray, timing: Timing) -> Non
             )
         if frequency >= timing.sampling_rate / 2:
             raise ValueError(
-                f"mode {k} at {frequency:g} Hz is not below half the sampling rate of "
-                f"{timing.sampling_rate:g} Hz: take more than {math.ceil(2 * frequency * timing.duration)} "
-                f"samples"
+                f"mode {k} at {frequency:g} Hz is not below half the sampling rate of {timing.sampling_rate:g} Hz: "
+                f"use more than {math.ceil(2 * frequency * timing.duration)} samples"
             )
 
 

@@ -86,7 +86,7 @@ class ModalModel:
             raise ValueError("no mode is modelled; a stimulus needs at least one: give its parameters")
         if len(set(self.label)) < n_modes:
             double = sorted({k for k in self.label if self.label.count(k) > 1})
-            raise ValueError(f"mode label {double[0]} is given twice; each label stands once: remove one")
+            raise ValueError(f"mode label {double[0]} is given twice; each label may appear once: remove one")
         if min(self.label) < 1:
             raise ValueError(f"mode label {min(self.label)} does not exist; labels count from 1")
         for name, values in (

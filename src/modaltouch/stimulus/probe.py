@@ -236,9 +236,8 @@ class Probe:
         noise = float(np.median(self.deviation / np.abs(self.response)))
         if noise > _WEAK:
             raise ValueError(
-                f"the probe is too weak: half of its responses hold more than {noise:.0%} of noise, allowed are "
-                f"{_WEAK:.0%}; look whether the vibrometer sees the beam; `fingers probe` also takes a higher "
-                "--speed-mm-s"
+                f"the probe is too weak: half of its responses contain more than {noise:.0%} of noise, allowed: "
+                f"{_WEAK:.0%}; check that the vibrometer sees the beam, or give `fingers probe` a higher --speed-mm-s"
             )
         start = _identified(model)
         turned = self._responses(start)[0] * np.exp(-2j * np.pi * np.outer(_DELAYS, self.frequency))
@@ -275,8 +274,8 @@ class Probe:
         felt = float((self._missed(free)[free.trusted] ** 2).mean())
         if felt <= _GOOD:
             raise ValueError(
-                f"no finger is felt on the beam: it is the untouched one but for noise (misfit {felt:.1f}); lay the "
-                "fingers on, and probe again"
+                f"no finger is detected on the beam: apart from noise it is the untouched one (misfit {felt:.1f}); "
+                "lay the fingers on, and probe again"
             )
         terms = tuple((_TERM_DAMPING / time, time) for time in _RELAXATION)
         found = replace(free, misfit=np.inf)
@@ -288,8 +287,9 @@ class Probe:
                     found = min(found, self._fitted(free.laid(start)), key=_rank)
         if found.misfit > _WORST:
             raise ValueError(
-                f"no mass, damper and springs describe the fingers: misfit {found.misfit:.1f}, at most {_WORST:g} is "
-                "allowed; see that each finger lies on its zone and nothing else touches the beam, and probe again"
+                f"no combination of mass, damper and springs describes the fingers: misfit {found.misfit:.1f}, at "
+                f"most {_WORST:g} is allowed; check that each finger lies on its zone and nothing else touches the "
+                "beam, and probe again"
             )
         return found
 

@@ -233,7 +233,7 @@ def _checked(voltage: FloatArray, model: ModalModel) -> FloatArray:
         channel, sample = np.argwhere(~np.isfinite(values))[0].tolist()
         raise ValueError(
             f"sample {sample} of channel {channel + 1} is {values[channel, sample]} V; every sample must be a finite "
-            f"number: mend it where it comes from"
+            "number: correct it at its source"
         )
     return values
 

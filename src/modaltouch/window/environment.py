@@ -124,8 +124,8 @@ def explain(error: Exception) -> str:
     kind = type(error).__name__
     if missing := missing_libraries():
         return (
-            f"the answer window cannot be drawn: this machine lacks {', '.join(missing)}; install the Debian "
-            f"packages {' '.join(missing.values())}, or what holds them on this system"
+            f"the answer window cannot be drawn: this machine lacks {', '.join(missing)}; install the Debian packages "
+            f"{' '.join(missing.values())}, or their equivalents on this system"
         )
     if "NoSuchDisplay" in kind:
         return (
@@ -157,7 +157,9 @@ def fit(size: tuple[int, int], monitor: int) -> tuple[int, int]:
 
         if (depth := XDefaultDepth(display._display, display.x_screen)) < 24:
             name = os.environ.get("DISPLAY", "")
-            raise WindowError(f"the display {name!r} has colours of {depth} bits: 24 are needed; set its X server so")
+            raise WindowError(
+                f"the display {name!r} has colours of {depth} bits, but 24 are needed; set its X server to 24 bits"
+            )
     if not 0 <= monitor < len(monitors):
         raise WindowError(
             f"given screen {monitor}, but this display has {len(monitors)}; allowed: 0 to {len(monitors) - 1}; "

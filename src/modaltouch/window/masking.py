@@ -186,7 +186,7 @@ class NoiseMasking(_Noise):
         stale = time.perf_counter() - self._asked > STALE
         if stale or self._stream is None or not self._stream.active:
             self._is_lost = True
-            reason = f"the sound device {self._device.get('name')!r} takes no more samples"
+            reason = f"the sound device {self._device.get('name')!r} accepts no more samples"
             # On the record's clock: an answer of the last second may have been written down as masked.
             self._log("masking_lost", reason=reason, last_samples_s=round(self._asked, 6))
 

@@ -58,7 +58,7 @@ class DisplayLoss:
     def _check(self) -> None:
         if self.happened:
             name = os.environ.get("DISPLAY", "")
-            raise WindowError(f"the display {name!r} is gone; see why its X server ended, and start it again")
+            raise WindowError(f"the display {name!r} is gone; check why its X server ended, and start it again")
 
     def _decline_to_exit(self) -> None:
         """Stay alive when a connection breaks: pyglet has one for each window, hidden ones too."""

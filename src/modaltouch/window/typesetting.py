@@ -380,8 +380,8 @@ def _fribidi() -> ctypes.CDLL:
 
     if not features.check("raqm"):
         raise WindowError(
-            "the texts cannot be set: Pillow finds no FriBidi on this machine; install the Debian package libfribidi0, "
-            "or what holds it on this system"
+            "the texts cannot be set: Pillow finds no FriBidi on this machine; install the Debian package "
+            "libfribidi0, or its equivalent on this system"
         )
     return ctypes.CDLL(FRIBIDI)
 

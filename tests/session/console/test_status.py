@@ -90,8 +90,8 @@ def test_a_lost_masking_noise_is_warned_of_until_it_is_back() -> None:
     status.take(start())
     status.take({"event": "masking", "state": "on"})
     assert status.facts()["warnings"] == []
-    status.take({"event": "masking_lost", "reason": "the sound device takes no more samples"})
-    lost = ["the beam is not masked: the sound device takes no more samples"]
+    status.take({"event": "masking_lost", "reason": "the sound device accepts no more samples"})
+    lost = ["the beam is not masked: the sound device accepts no more samples"]
     assert status.facts()["warnings"] == lost
     status.take({"event": "masking", "state": "off"})
     assert status.facts()["warnings"] == lost
@@ -333,7 +333,7 @@ def test_events_are_written_from_the_session_alone(tmp_path: Path) -> None:
         EventLines(tmp_path / "absent" / "events.jsonl")
     protocol = tmp_path / "protocol.yaml"
     protocol.write_text("protocol: demo\n")
-    with pytest.raises(OSError, match="holds something else"):
+    with pytest.raises(OSError, match="contains something other"):
         EventLines(protocol)
     assert protocol.read_text() == "protocol: demo\n"
 

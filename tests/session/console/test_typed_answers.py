@@ -109,7 +109,7 @@ def test_the_console_answers_while_a_trial_is_on_and_only_then() -> None:
         status.take(event)
     dialogue.hear(status.facts())
     assert dialogue.press("left") is None
-    assert dialogue.prompt == "left is not taken: no trial is on"
+    assert dialogue.prompt == "left is not accepted: no trial is running"
     status.take(asked()[1])
     dialogue.hear(status.facts())
     assert dialogue.press("1") == Request("answer", "1")
@@ -202,7 +202,7 @@ def test_an_answer_whose_end_is_not_confirmed_does_not_count() -> None:
 
 
 def test_lines_are_numbered_and_say_what_is_replayed(tmp_path: Path) -> None:
-    """The number is that of the log's line; what is none of the record has none."""
+    """The number is that of the log's line; what is not one of the record has none."""
     path, status = tmp_path / "events.jsonl", Status()
     experimenter = Experimenter(EventLines(path), status=status)
     experimenter.tell(start(), replayed=True)

@@ -63,7 +63,7 @@ class CrossedPart:
 
 @dataclass(frozen=True, eq=False)
 class PartsAnalysis:
-    """What the answers to a design that is not crossed tell, and where it was written.
+    """The results of a design that is not crossed, and where they were written.
 
     Attributes
     ----------
@@ -157,7 +157,7 @@ class PartsAnalysis:
 
 
 def analyse_parts(responses: Responses) -> PartsAnalysis:
-    """Return what the answers to a design that is not crossed tell.
+    """Analyse the answers to a design that is not crossed, and return the results.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Adaptive sessions: each run's psychometric function, or why its answers tell none; figures and report.
+"""Adaptive sessions: each run's psychometric function, or why it has none; figures and report.
 
 ``psychometric``  fit, interval by profile likelihood, guard against flat data
 ``runs``          runs from the answers; thresholds over participants

@@ -22,7 +22,7 @@ MOST_FIGURES = 60
 
 @dataclass(frozen=True, eq=False)
 class ThresholdAnalysis:
-    """What adaptive sessions tell, and where it was written.
+    """The results of adaptive sessions, and where they were written.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class ThresholdAnalysis:
         return min(levels), max(levels)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain values for ``--json``; what the answers do not tell is null."""
+        """Return everything as plain values for ``--json``; what the answers do not determine is null."""
         return {
             "thresholds": [run.as_dict() for run in self.runs],
             "over_participants": self.thresholds,
@@ -92,7 +92,7 @@ class ThresholdAnalysis:
 
 
 def analyse_runs(responses: Responses) -> ThresholdAnalysis:
-    """Return what adaptive sessions tell.
+    """Analyse adaptive sessions, and return the results.
 
     Parameters
     ----------

@@ -103,7 +103,7 @@ def _band(
 
 
 def draw_thresholds(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
-    """Return the thresholds of all runs with their intervals; those that tell none stand at the edge as open marks.
+    """Draw the thresholds of all runs with their intervals; runs without one are open marks at the edge.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ DROP, REGION = 1.920729, 2.995732
 
 @dataclass(frozen=True)
 class Psychometric:
-    """What the answers of a run tell of a psychometric function.
+    """The psychometric function fitted to the answers of a run.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Psychometric:
     why_not : str
         Why no threshold can be told; empty where it can.
     is_uncertain, is_step : bool
-        Whether a constant chance explains the answers as well as the function does, or the steepest function.
+        Whether a constant probability explains the answers equally well as the function does, or the steepest function.
     """
 
     n_trials: int
@@ -294,7 +294,7 @@ def _why_not(x: FloatArray, hits: FloatArray, tries: FloatArray, gain: float, th
             f"every answer was a success: the threshold lies below {lowest}, or there is none",
         ),
         (hits.sum() == 0, f"no answer was a success: the threshold lies above {highest}, or there is none"),
-        (gain < DROP, "successes do not depend on the level: a constant chance explains the answers as well"),
+        (gain < DROP, "successes do not depend on the level: a constant probability explains the answers equally well"),
         (threshold < x[0], f"the threshold lies below the levels that were presented, from {lowest}"),
         (threshold > x[-1], f"the threshold lies above the levels that were presented, up to {highest}"),
     )

@@ -88,7 +88,7 @@ class Run:
         return int((moving[1:] != moving[:-1]).sum())
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the run as plain values; what the answers do not tell is null."""
+        """Return the run as plain values; what the answers do not determine is null."""
         fitted = self.fitted
         threshold, spread = (each or Interval.point(math.nan, 0) for each in (fitted.threshold, fitted.spread))
         is_told = fitted.threshold is not None

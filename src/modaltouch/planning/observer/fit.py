@@ -80,8 +80,8 @@ class RecordedAnswers:
         """
         if any(not np.array_equal(part.facing, parts[0].facing) for part in parts):
             raise ValueError(
-                f"answers of {', '.join(str(part.facing.size) for part in parts)} participants, or of others, do not "
-                "join: give those of the same ones to each stimulus"
+                f"answers of {', '.join(str(part.facing.size) for part in parts)} participants, or of different "
+                "people, cannot be combined: give the answers of the same people to each stimulus"
             )
         return cls(
             counts=np.concatenate([part.counts for part in parts], axis=1),
