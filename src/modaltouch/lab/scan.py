@@ -219,7 +219,7 @@ def take_scan(
     on_progress: Callable[[int, int], None] = quiet,
     check: Callable[[], None] = quiet,
 ) -> Scan:
-    """Return a scan, taken anew or from where it was stopped.
+    """Return a scan, from the start or from where it was interrupted.
 
     Parameters
     ----------

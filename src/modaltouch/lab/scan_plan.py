@@ -43,7 +43,7 @@ class ScanPlan:
     across: float = 0.0
 
     def settings(self) -> dict[str, Any]:
-        """Return everything that must be the same when a scan goes on, as plain values."""
+        """Return everything that must stay the same when a scan continues, as plain values."""
         return {
             "about": dict(self.about),
             "burst": {

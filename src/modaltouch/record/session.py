@@ -1,4 +1,4 @@
-"""A session as its log tells it."""
+"""A session as its log records it."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ _NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] 
 
 @dataclass(frozen=True)
 class Session:
-    """A session as its log tells it.
+    """A session as its log records it.
 
     Attributes
     ----------
@@ -147,13 +147,13 @@ class Session:
 
     @property
     def drawn_as(self) -> int:
-        """Number of the session whose order this one has: its own, or that of the session it began anew."""
+        """Number of the session whose order this one has: its own, or that of the session it restarted."""
         own = self.start.get("session", 1)
         return int(self.start.get("schedule", {}).get("seeds", {}).get("session", own))
 
     @property
     def begun_anew_as(self) -> int | None:
-        """Number of the session that began this one anew; None if this one may go on."""
+        """Number of the session that restarted this one; None if this one may continue."""
         closed = [event["begun_anew_as"] for event in self.events if event.get("event") == "closed"]
         return int(closed[-1]) if closed else None
 

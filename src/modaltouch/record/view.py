@@ -282,7 +282,7 @@ def _text(name: str, value: Any) -> str:
 
 @dataclass(frozen=True)
 class ViewFound:
-    """How a view stands to its log.
+    """How a view compares with its log.
 
     Attributes
     ----------
@@ -303,7 +303,7 @@ class ViewFound:
 
 
 def check_view(session: Session) -> ViewFound:
-    """Return how the BIDS view beside a log stands to it.
+    """Compare the BIDS view beside a log with the log.
 
     Parameters
     ----------

@@ -178,7 +178,7 @@ class Connection:
         return self.restore(doing, expected, replay)
 
     def restore(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> OutputState:
-        """Open the connection anew, outputs off, and make every setting again; outputs stay off.
+        """Reopen the connection, outputs off, and make every setting again; outputs stay off.
 
         Parameters and errors are those of `switch_off`.
         """

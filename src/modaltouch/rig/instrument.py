@@ -118,7 +118,7 @@ class Desk(typing.Protocol):
         """Send a command whose last argument is a block."""
 
     def revive(self) -> object:
-        """Open the connection anew after a failed exchange, outputs off."""
+        """Reopen the connection after a failed exchange, outputs off."""
 
     def log(self, event: str, **facts: Any) -> object:
         """Take an event."""

@@ -24,10 +24,10 @@ class TransportError(Exception):
 
 
 class Transport(typing.Protocol):
-    """The way to one instrument. Whatever fails raises; the transport is then to be closed and opened anew."""
+    """The way to one instrument. Whatever fails raises; the transport must then be closed and reopened."""
 
     def open(self) -> str:
-        """Open it anew and return in words how others are kept out.
+        """Reopen it and return a sentence on how others are kept out.
 
         Raises
         ------
@@ -93,7 +93,7 @@ class Link:
         self._open = False
 
     def open(self) -> None:
-        """Open the session anew.
+        """Reopen the session.
 
         Raises
         ------

@@ -119,7 +119,7 @@ class VisaSession:
         self._counted_until = 0.0
 
     def open(self) -> str:
-        """Open it anew and return in words how others are kept out.
+        """Reopen it and return a sentence on how others are kept out.
 
         Raises
         ------

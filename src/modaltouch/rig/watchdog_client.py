@@ -92,7 +92,7 @@ class WatchdogClient:
             threading.Thread(target=work, daemon=True, name=f"watchdog{work.__name__}").start()
 
     def open(self) -> str:
-        """Open the instrument anew and return in words how others are kept out.
+        """Reopen the instrument and return a sentence on how others are kept out.
 
         Raises
         ------

@@ -160,7 +160,7 @@ class Campaign:
         on_progress: Callable[[int, int], None],
         check: Callable[[], None],
     ) -> dict[str, Scan]:
-        """Return the scans of all sets, each taken anew or from where it was stopped.
+        """Return the scans of all sets, each from the start or from where it was interrupted.
 
         Parameters
         ----------

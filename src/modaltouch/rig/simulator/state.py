@@ -211,7 +211,7 @@ class GeneratorState(ABC, Generic[C]):
         self.timeline.abort(self.clock.now())
 
     def align(self) -> None:
-        """Begin anew what repeats without trigger."""
+        """Restart what repeats without a trigger."""
         self.timeline.align(self.clock.now())
 
     # what comes out

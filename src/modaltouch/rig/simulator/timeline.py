@@ -215,7 +215,7 @@ class Timeline:
         self.triggers = ()
 
     def align(self, now: float) -> None:
-        """Begin anew what repeats without trigger."""
+        """Restart what repeats without a trigger."""
         self.advance(now)
         self._end(now, in_burst=False)
         self._aligned = now

@@ -1,4 +1,4 @@
-"""The console's own process: draws how the session stands, and sends what the experimenter types.
+"""The console's own process: draws the state of the session, and sends what the experimenter types.
 
 ``python -m modaltouch.session.console KEYS SCREEN EMERGENCY`` with the descriptors of the terminal's two sides and the
 names of the keys for emergencies. Facts come on standard input and requests go to standard output, a JSON object a

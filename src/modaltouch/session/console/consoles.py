@@ -1,4 +1,4 @@
-"""Where a session shows how it stands: a picture in the terminal, plain lines, and JSON lines for other programs."""
+"""Where a session shows its state: a picture in the terminal, plain lines, and JSON lines for other programs."""
 
 from __future__ import annotations
 
@@ -215,7 +215,7 @@ class TerminalConsole(Console):
             thread.start()
 
     def show(self, facts: Facts) -> None:
-        """Show how the session stands; a terminal that stands still is not waited for."""
+        """Show the state of the session, without waiting for a terminal that has stopped."""
         if self._process.poll() is not None:
             self._give_back()
             self._instead.show(facts)

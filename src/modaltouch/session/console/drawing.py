@@ -1,4 +1,4 @@
-"""How a session stands, drawn for a terminal of any size from 40 by 12 characters; readable without colour."""
+"""The state of a session, drawn for a terminal of any size from 40 by 12 characters; readable without colour."""
 
 from __future__ import annotations
 

@@ -49,10 +49,10 @@ class Request:
 
 
 class Console:
-    """Shows how a session stands and takes requests; nothing here may raise or wait. This one shows nothing."""
+    """Shows the state of a session and takes requests; nothing here may raise or wait. This one shows nothing."""
 
     def show(self, facts: Facts) -> None:
-        """Show how the session stands."""
+        """Show the state of the session."""
 
     def requests(self) -> list[Request]:
         """Return what was asked for since the last call."""
