@@ -58,10 +58,9 @@ def read_csv(
     path : Path
         A table with the six columns, and optionally ``n`` (count of equal answers), ``repetition``, ``practice``,
         ``catch`` (1 where nothing was driven, whatever the velocity), ``excluded`` (1 where the row does not count;
-        also ``exclude``, ``withdrawn``, ``invalid``), ``mode``, ``stimulus``, ``session``,
-        ``session_kind`` and any others, which are kept. Where any response is ``none``, that was an answer, unless
-        `table_format` tells. Where ``multiple_of_threshold`` is filled in, it is the level. Sessions of a kind count as
-        repetitions, as many as all have.
+        also ``exclude``, ``withdrawn``, ``invalid``), ``mode``, ``stimulus``, ``session``, ``session_kind`` and any
+        others, which are kept. Where any response is ``none``, that was an answer, unless `table_format` tells. Where
+        ``multiple_of_threshold`` is filled in, it is the level. Sessions of a kind count as repetitions, as all have.
     table_format : TableFormat, optional
         How the words are to be read.
     mode, stimulus : str, optional
