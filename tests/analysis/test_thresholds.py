@@ -382,7 +382,8 @@ def test_the_report_says_what_was_a_success_and_what_the_standard(design: dict, 
     answers = AnswerList.of(design["answers"])
     frame = pd.DataFrame({
         "participant": "p01", "session": 1, "trial": range(8), "finger_condition": "one_hand", "zone_left": "A",
-        "zone_right": "C", "stimulus": "", "velocity_mm_s": 60.0, "response": answers.names[0], "correct": 1,
+        "zone_right": "C", "stimulus": "", "session_kind": "", "velocity_mm_s": 60.0, "response": answers.names[0],
+        "correct": 1,
     })  # fmt: skip
     source = AnswerSource("somewhere", "results", "", "real")
     responses = Responses(frame, (), (), source, "C", {"design": design, "adaptive": {"algorithm": "a rule"}},
