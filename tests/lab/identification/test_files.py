@@ -240,6 +240,53 @@ def test_missing_file_and_uneven_axis_are_refused(tmp_path: Path) -> None:
         read_responses([tmp_path / "a.npz"])
 
 
+def blow(path: Path, **spoilt: np.ndarray) -> Path:
+    """Write a burst of sines and its decay as arrays over time, with a constant beside both, or what spoils them."""
+    time = np.arange(4096) / 4096
+    drive = np.where((time > 0.01) & (time < 0.3), np.sin(2 * np.pi * (50 + 500 * time) * time), 0.0)
+    motion = np.convolve(drive, np.exp(-20 * time) * np.sin(2 * np.pi * 120 * time))[: time.size]
+    arrays = {"time": time, "drive": drive[None, None] + 0.5, "motion": motion[None, None] + 30, **spoilt}
+    np.savez(path, **arrays, sets=["hammer"], quantity="velocity")
+    return path
+
+
+def test_records_with_lost_samples_or_no_number_are_refused(tmp_path: Path) -> None:
+    """Forty samples lost in the middle would shift all frequencies by 1 %; one value is NaN."""
+    time = np.arange(4096) / 4096
+    time[2000:] += 40 / 4096
+    with pytest.raises(ValueError, match=r"a.npz: its times are not evenly spaced.*: samples are missing"):
+        read_responses([blow(tmp_path / "a.npz", time=time)])
+    motion = np.full((1, 1, 4096), np.nan)
+    with pytest.raises(ValueError, match=r"a.npz: its excitation or motion has a value that is no finite number"):
+        read_responses([blow(tmp_path / "a.npz", motion=motion)])
+
+
+def test_burst_beside_a_constant_is_one_that_rests(tmp_path: Path) -> None:
+    """The offset of an amplifier is no motion: the whole record is one spectrum, not an average of parts of it."""
+    assert read_responses([blow(tmp_path / "a.npz")]).spacing == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("coherence", [np.nan, 100.0, -0.1])
+def test_coherence_that_is_none_is_refused(tmp_path: Path, frequency: np.ndarray, coherence: float) -> None:
+    """In percent, or where nothing was measured."""
+    arrays = {"response": accelerance(frequency, RESIDUES[0])[None, None], "coherence": coherence}
+    np.savez(tmp_path / "a.npz", frequency=frequency, sets=["v"], quantity="acceleration", **arrays)
+    with pytest.raises(ValueError, match="the coherence of the response to v 1 is not between 0 and 1 throughout"):
+        read_responses([tmp_path / "a.npz"], ResponseFormat(n_averages=4))
+
+
+def test_amplitudes_are_not_taken_for_real_parts(tmp_path: Path, frequency: np.ndarray) -> None:
+    """Six places, amplitude and phase in degrees: no real part is negative."""
+    values = np.tile(accelerance(frequency, RESIDUES[0]), (1, 6, 1))
+    response = np.abs(values) + 1j * np.degrees(np.angle(values))
+    np.savez(
+        tmp_path / "a.npz", frequency=frequency, response=response, sets=["v"], quantity="velocity",
+        positions=np.arange(6.0),
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="amplitudes were taken for it; export real and imaginary part"):
+        read_responses([tmp_path / "a.npz"])
+
+
 def test_unknown_units_and_saturated_records_are_refused(tmp_path: Path) -> None:
     """Mils are no unit here; a record that stays at its end was cut."""
     with pytest.raises(ValueError, match="its channels are in mil, Newtons; it needs one motion"):

@@ -133,6 +133,12 @@ CSV_COLUMNS = ("frequency_Hz", "set", "position_mm", "real", "imag")
 """Columns of responses as CSV; ``coherence`` and ``across_mm``, from the mid-line, may follow. Repeats follow each
 other, or stand in several files."""
 
+ROUNDING = 1e-3
+"""By how much digits that are cut off may lift a coherence above 1 [1]."""
+
+FEWEST_SIGNED = 6
+"""Places from which some response of a beam has a negative real part."""
+
 TIME_COLUMNS = ("time_s", "set", "position_mm", "drive", "motion")
 """Columns of records over time as CSV, in SI units."""
 
@@ -168,6 +174,7 @@ def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> 
                 f"{path}: its frequencies differ from those of {first_path}; give files of one measurement"
             )
         quantity = _quantity(path, part, how)
+        _refuse_amplitudes(path, part)
         of_file: dict[Key, list[MeasuredResponse]] = {}
         for key, values, coherence in part.responses:
             # A response without a place may be of another one in each file.
@@ -204,6 +211,16 @@ def _quantity(path: Path, part: Part, how: ResponseFormat) -> Quantity:
     return said or found  # type: ignore[return-value]
 
 
+def _refuse_amplitudes(path: Path, part: Part) -> None:
+    """Refuse responses of several places none of which ever has a negative real part, as no beam's have."""
+    places = {key[1] for key, *_ in part.responses if key[1] is not None}
+    if len(places) >= FEWEST_SIGNED and all((values.real >= 0).all() for _, values, _ in part.responses):
+        raise ValueError(
+            f"{path}: the real part of no response is ever negative: amplitudes were taken for it; export real and "
+            "imaginary part"
+        )
+
+
 def _assemble(
     path: Path, frequency: FloatArray, found: dict[Key, list[MeasuredResponse]], repeat: int, n_averages: int
 ) -> FrequencyResponses:
@@ -213,10 +230,16 @@ def _assemble(
     _check_axis(path, frequency)
     usable = frequency > 0
     for (name, place), values in response.items():
-        if not np.isfinite(values[usable]).all():
-            where = "" if place is None else f" at {place}"
+        where = "" if place is None else f" at {place}"
+        if not np.isfinite([*values[usable], *(place or ())]).all():
             raise ValueError(
                 f"{path}: the response to {name}{where} contains a value that is not finite; measure it again"
+            )
+        known = coherence[name, place]
+        if known is not None and not ((known >= 0) & (known <= 1 + ROUNDING))[usable].all():
+            raise ValueError(
+                f"{path}: the coherence of the response to {name}{where} is not between 0 and 1 throughout; export it "
+                "as a share of 1, or leave it out"
             )
     sets = tuple(dict.fromkeys(name for name, _ in response))
     places = sorted({place for _, place in response if place is not None})
@@ -315,7 +338,7 @@ def _read_csv(path: Path, how: ResponseFormat) -> Part:
         what = "times" if needed is TIME_COLUMNS else "frequencies"
         raise ValueError(f"{path}: the set {odd[0]} at {odd[1]} does not have the {what} of the first response")
     if needed is TIME_COLUMNS:
-        step = float(first[-1] - first[0]) / max(first.size - 1, 1)
+        step = _step(path, first)
         return part_of(path, [TimeRecord(key, n.real, n.imag, step) for key, _, n, _ in repeats], None, how)
     known = "coherence" in header
     return Part(first, [MeasuredResponse(key, n, certain if known else None) for key, _, n, certain in repeats], None)
@@ -356,10 +379,22 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
         for point, place in enumerate(places)
     ]
     if over_time:
-        step = float(np.mean(np.diff(axis)))
+        step = _step(path, axis)
         return part_of(path, [TimeRecord(key, n.real, n.imag, step) for key, n, _ in found], quantity, how)
     known = "coherence" in arrays
     return Part(axis, [MeasuredResponse(key, n, certain if known else None) for key, n, certain in found], quantity)
+
+
+def _step(path: Path, time: FloatArray) -> float:
+    """Return the time between two samples; digits that are cut off may move each by less than half of it."""
+    step = float(time[-1] - time[0]) / max(time.size - 1, 1)
+    off = np.abs(time - time[0] - step * np.arange(time.size)).max()
+    if time.size > 1 and not off < step / 2:
+        raise ValueError(
+            f"{path}: its times are not evenly spaced and increasing: samples are missing, or the time has too few "
+            "digits; export them so"
+        )
+    return step
 
 
 def _read_text(path: Path, how: ResponseFormat) -> Part:

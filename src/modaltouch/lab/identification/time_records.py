@@ -128,8 +128,10 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
                 f"{path}: it has {drive.size} samples of the excitation and {motion.size} of the motion; both need "
                 f"the same number, at least {FEWEST_SAMPLES}"
             )
+        if not np.isfinite([drive, motion]).all():
+            raise ValueError(f"{path}: its excitation or motion has a value that is not a finite number; measure it again")
         if not np.ptp(drive) > 0:
-            raise ValueError(f"{path}: its excitation is constant or not finite; measure it again")
+            raise ValueError(f"{path}: its excitation is constant; measure it again")
         last_drive, last = (_last_cut(path, *each, step, how) for each in (("excitation", drive), ("motion", motion)))
         if last_drive >= 0:
             raise ValueError(f"{path}: its excitation was saturated, so no response can be computed: measure again")
@@ -155,7 +157,10 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
     n_bins = min(frequency.size for _, frequency, _, _ in found)
     axis = found[0][1][:n_bins]  # spectra of equal records differ in how far their drive reaches
     if not all(np.allclose(frequency[:n_bins], axis) for _, frequency, _, _ in found):
-        raise ValueError(f"{path}: its records differ in length or sampling rate; export them all the same way")
+        raise ValueError(
+            f"{path}: its records differ in length or sampling rate, or not all of them end at rest; export them all "
+            "the same way"
+        )
     responses = [
         MeasuredResponse(key, values[:n_bins], None if c is None else c[:n_bins]) for key, _, values, c in found
     ]
@@ -171,7 +176,8 @@ def impacts(drive: FloatArray, motion: FloatArray) -> tuple[list[slice] | None, 
     size = np.abs(drive - np.median(drive))
     high = np.flatnonzero(size > HIT * size.max())
     if high.size > IMPULSIVE * drive.size:
-        rests = all(np.abs(row[-row.size // 50 :]).max() < HIT * np.abs(row).max() for row in (drive, motion))
+        moving = [np.abs(row - np.median(row)) for row in (drive, motion)]
+        rests = all(row[-row.size // 50 :].max() < HIT * row.max() for row in moving)
         return ([slice(0, drive.size)] if rests else None), 0
     widest = max(part.size for part in np.split(high, np.flatnonzero(np.diff(high) > 1) + 1))
     # What returns sooner than a hit lasts is that hit still.
