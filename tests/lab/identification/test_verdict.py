@@ -36,7 +36,7 @@ def test_clean_responses_bear_no_mark(clean: FrequencyResponses, apparatus: Appa
     assert "the noise alone" in misfit_verdict(found)
 
 
-@pytest.mark.parametrize(("factor", "said"), [(-1.0, "inverted"), (9.81, r"9\.\d+ times too large")])
+@pytest.mark.parametrize(("factor", "said"), [(-1.0, "inverted"), (9.81, r"9\.\d+ times too large"), (0.0, "zero")])
 def test_odd_point_is_named_and_may_be_left_out(clean: FrequencyResponses, factor: float, said: str) -> None:
     """The point at -35 mm by its factor, with the option that leaves it out; without it the others are fitted."""
     response = clean.response.copy()
@@ -49,6 +49,21 @@ def test_odd_point_is_named_and_may_be_left_out(clean: FrequencyResponses, facto
     assert mended.marks == ("the responses at -35 mm were left out",)
     with pytest.raises(ValueError, match="--leave-out 1 is not a measured position; allowed: -50, -45"):
         odd.without([0.001])
+
+
+@pytest.mark.parametrize("fault", ["elsewhere", "exchanged", "too small"])
+def test_gains_own_up_to_points_that_lie_elsewhere(beam: TrueBeam, clean: FrequencyResponses, fault: str) -> None:
+    """0.3 mm off, exchanged with a neighbour, or 0.85 times: off by up to 2 %, and within twice the half-width."""
+    responses, rng = clean, np.random.default_rng(1)
+    if fault == "elsewhere":
+        assert clean.positions is not None
+        places = clean.positions + np.clip(3e-4 * rng.standard_normal(21), -5e-4, 5e-4)
+        responses = replace(clean, positions=places).without([places[0], places[-1]])
+    elif fault == "exchanged":
+        responses = replace(clean, response=clean.response[:, [*range(9), 10, 9, *range(11, 21)]])
+    else:
+        responses = replace(clean, response=clean.response * np.where(np.arange(21) == 6, 0.85, 1.0)[:, None])
+    assert not spoilt.is_wrong(identify(responses, 0.1), beam)
 
 
 def test_one_set_that_is_inverted_at_a_point_is_named(clean: FrequencyResponses) -> None:

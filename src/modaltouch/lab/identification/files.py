@@ -235,8 +235,8 @@ def _assemble(
             raise ValueError(
                 f"{path}: the response to {name}{where} contains a value that is not finite; measure it again"
             )
-        known = coherence[name, place]
-        if known is not None and not ((known >= 0) & (known <= 1 + ROUNDING))[usable].all():
+        certainty = coherence[name, place]
+        if certainty is not None and not ((certainty >= 0) & (certainty <= 1 + ROUNDING))[usable].all():
             raise ValueError(
                 f"{path}: the coherence of the response to {name}{where} is not between 0 and 1 throughout; export it "
                 "as a share of 1, or leave it out"

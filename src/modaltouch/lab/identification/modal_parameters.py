@@ -20,6 +20,7 @@ from modaltouch.lab.identification.shapes import (
     label_shapes,
     label_torsion,
     refuse_odd_point,
+    shape_scatter,
     torsion_shapes,
     unit_shape,
 )
@@ -91,7 +92,8 @@ class ModalParameters:
         if label is not None and self.length is not None:
             shape = unit_shape(residue, self.responses.places, label, self.length)
             values = residue @ shape / (shape @ shape)
-            spread = self._gain_deviation(k, shape, variance) * local
+            scatter = shape_scatter(shape, self.responses.places, label, self.length)
+            spread = np.hypot(self._gain_deviation(k, shape, variance) * local, scatter * values)
             gain = tuple(Estimate.of(float(v), float(d)) for v, d in zip(values, spread, strict=True))
         elif torsion is not None and self.length is not None:
             expected = torsion_shapes([torsion], self.responses.places, self.length)[0]
