@@ -107,6 +107,34 @@ def test_gains_between_two_units_are_named(clean: FrequencyResponses, apparatus:
         check_gains(probed, apparatus)
 
 
+def test_thousandfold_gains_are_named_by_a_rough_table(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """Velocities in mm/s for m/s, where the listed gains are 30 % off either way."""
+    modes = []
+    for k, mode in enumerate(apparatus.modes):
+        gains = {name: value * 1.3 ** (-1) ** k for name, value in mode.gain_mm_s2_per_V.items()}
+        modes.append(mode.model_copy(update={"gain_mm_s2_per_V": gains}))
+    found = identify(replace(clean, response=clean.response * 1e3), 0.1, most=0)
+    with pytest.raises(ValueError, match="times those of beam_100x6x2: milli taken for a whole unit"):
+        check_gains(found, apparatus.model_copy(update={"modes": tuple(modes)}))
+
+
+def test_angular_frequencies_are_named(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """An axis in rad/s: all natural frequencies are 2 pi times the listed ones."""
+    found = identify(replace(clean, frequency=clean.frequency * 2 * np.pi, bandwidth=None), 0.1, most=0)
+    with pytest.raises(ValueError, match=r"the natural frequencies are 6\.28 times those of .*: angular frequencies"):
+        check_gains(found, apparatus)
+
+
+def test_points_exchanged_are_no_lack_of_drive(clean: FrequencyResponses) -> None:
+    """Two points far apart exchanged: resonances that stand out have no mode's shape, and more drive would not help."""
+    order = [*range(21)]
+    order[3], order[12] = 12, 3
+    found = identify(replace(clean, response=clean.response[:, order]), 0.1)
+    with pytest.raises(ValueError, match=r"(?s)no resonance has its shape\n.* is no mode's: see the pos") as refusal:
+        check_modes(found, spoilt.LABELS)
+    assert "drive harder" not in str(refusal.value)
+
+
 def test_low_coherence_over_the_band_is_said(beam: TrueBeam) -> None:
     """Median of 0.2 where every peak is still seen."""
     found = identify(spoilt.measured(*spoilt.response_of(beam), seed=0, noise=50.0), 0.1, most=0)

@@ -265,8 +265,8 @@ def refuse_odd_point(residue: FloatArray, places: Sequence[Place], length: float
     if times < 0:
         what = "inverted" if abs(size - 1) <= OFF else f"inverted and {what}"
     raise ValueError(
-        f"the response{whose} at {place} is {what} compared with the other points, in all modes: check the sensor and "
-        f"its sign there and measure that point again, or leave it out with --leave-out {place.along * 1e3:.6g}"
+        f"the response{whose} at {place} is {what} compared with the other points, in all modes: check the sensor, its "
+        f"sign and its position and measure that point again, or leave it out with --leave-out {place.along * 1e3:.6g}"
     )
 
 

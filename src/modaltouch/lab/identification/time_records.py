@@ -129,7 +129,9 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
                 f"the same number, at least {FEWEST_SAMPLES}"
             )
         if not np.isfinite([drive, motion]).all():
-            raise ValueError(f"{path}: its excitation or motion has a value that is not a finite number; measure it again")
+            raise ValueError(
+                f"{path}: its excitation or motion has a value that is not a finite number; measure it again"
+            )
         if not np.ptp(drive) > 0:
             raise ValueError(f"{path}: its excitation is constant; measure it again")
         last_drive, last = (_last_cut(path, *each, step, how) for each in (("excitation", drive), ("motion", motion)))

@@ -17,8 +17,11 @@ LEAST_COHERENCE = 0.5
 MOST_LEFT = 0.1
 """Amplitude of what the fit leaves about a mode over that of the responses, from which it is refused [1]."""
 
+AS_HIGH = 0.1
+"""Height of a peak over the median one from which it is no mere torsion or noise [1]."""
+
 FEWEST_GAINS = 3
-"""Listed gains from which a common factor is seen."""
+"""Listed gains, or natural frequencies, from which a common factor is seen."""
 
 MARKED = {"nonlinearity": 0.004, "drift": 0.004}
 """The same of what goes smoothly over frequency, from which it is marked, by its cause [1]."""
@@ -47,16 +50,17 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     """
     found = {mode.label: mode for mode in identification.modes if mode.label is not None}
     spoilt = identification.misfit > WELL_FITTED or any(mode.rest.share > MARKED_ELSE for mode in identification.modes)
-    split = _split(identification.modes)
-    remedy = "" if spoilt or split else "; drive harder, average more, or look higher with --highest-kHz"
+    strange = "" if spoilt else _strange(identification.modes, [label for label in labels if label not in found])
+    split = "" if strange else _split(identification.modes)
+    remedy = "" if spoilt or split or strange else "; drive harder, average more, or look higher with --highest-kHz"
     lines = []
     for label in labels:
         if label not in found:
             lines.append(f"mode {label} was not found: no resonance has its mode shape{remedy}")
         else:
             lines += _faults(f"mode {label}", found[label])
-    if lines and split:
-        lines.append(split)
+    if lines and (split or strange):
+        lines.append(split or strange)
     elif lines and spoilt:
         lines.append(_cause(identification.modes))
     if lines:
@@ -77,6 +81,26 @@ def _split(modes: Sequence[IdentifiedMode]) -> str:
     return ""
 
 
+def _strange(modes: Sequence[IdentifiedMode], missing: Sequence[int]) -> str:
+    """Return what high resonances of no mode's shape say that lie where modes are missing; nothing without them."""
+    labelled = [(mode.label, mode.natural_frequency.value) for mode in modes if mode.label is not None]
+    least = AS_HIGH * float(np.median([mode.half_power.height for mode in modes]))
+    strange = []
+    for one in modes:
+        own, width = one.natural_frequency.value, 2 * one.damping_ratio.value
+        alone = all(abs(each.natural_frequency.value / own - 1) > width for each in modes if each is not one)
+        if alone and one.half_power.height > least and not (one.label or one.torsion):
+            below = max((label for label, frequency in labelled if frequency < own), default=0)
+            above = min((label for label, frequency in labelled if frequency > own), default=np.inf)
+            strange += [one.name] * any(below < label < above for label in missing)
+    if not strange:
+        return ""
+    return (
+        f"the shape at {', '.join(strange)} is no mode's: see the positions of the points, of which two may be "
+        "exchanged, and the length of the beam"
+    )
+
+
 def check_all(identification: Identification) -> None:
     """Refuse an identification without shapes of which most modes are incoherent or badly fitted."""
     modes = identification.modes
@@ -92,15 +116,22 @@ FACTORS = {
 }
 """Factors between units that are taken for each other, and what they mean."""
 
-SPREAD = 0.1
-"""How far gains may lie from one factor that is named [1]."""
+SPREAD, ROUGHLY = 0.1, 1.0
+"""How far gains may lie from one factor that is named, and from a thousand [1]."""
 
 MOST_GAINS = 0.75
 """Part of the gains that must lie there: at the end of a band one may be of another mode than its label's [1]."""
 
 
+AXES = {
+    2 * np.pi: "angular frequencies [rad/s] taken for frequencies [Hz]",
+    1e3: "milli or kilo taken for a whole unit",
+}
+"""Factors between frequencies that are taken for each other, and what they mean."""
+
+
 def check_gains(identification: Identification, apparatus: Apparatus) -> None:
-    """Refuse gains, of all sets or of one, that are those of the apparatus file times a factor between two units.
+    """Refuse natural frequencies, or gains of all sets or of one, that are those listed times one between two units.
 
     Parameters
     ----------
@@ -125,8 +156,29 @@ def check_gains(identification: Identification, apparatus: Apparatus) -> None:
         for name, value in mode.gain_mm_s2_per_V.items()
         if mode.label in found and found[mode.label].gain and name in sets and value
     }
+    _refuse_axis(
+        [
+            found[mode.label].natural_frequency.value / mode.natural_frequency_Hz
+            for mode in apparatus.modes
+            if mode.label in found
+        ],
+        apparatus,
+    )
     for chosen in dict.fromkeys((sets, *((name,) for name in sets))):
         _refuse_factor([each for (name, _), each in listed.items() if name in chosen], chosen, apparatus)
+
+
+def _refuse_axis(ratios: Sequence[float], apparatus: Apparatus) -> None:
+    """Refuse natural frequencies over the listed ones that are one factor between units."""
+    for factor, meaning in AXES.items():
+        for size in (factor, 1 / factor):
+            near = np.abs(np.array(ratios) / size - 1) < SPREAD
+            if len(ratios) >= FEWEST_GAINS and near.mean() >= MOST_GAINS:
+                raise ValueError(
+                    f"the natural frequencies are {np.median(ratios):.3g} times those of {apparatus.apparatus}: "
+                    f"{meaning}; see the frequencies or times in the files, or name the file of this beam with "
+                    "--apparatus"
+                )
 
 
 def _refuse_factor(listed: Sequence[tuple[float, float]], sets: Sequence[str], apparatus: Apparatus) -> None:
@@ -137,11 +189,15 @@ def _refuse_factor(listed: Sequence[tuple[float, float]], sets: Sequence[str], a
     for power, quantity in ((0, ""), (1, " times 2 pi f"), (-1, " over 2 pi f")):
         each = ratio / (2 * np.pi * frequency) ** power
         factor = float(np.median(each))
-        meaning = "the motion is not the one that --quantity says" if power and abs(factor - 1) < SPREAD else ""
+        meaning, spread = "", SPREAD
+        if power and abs(factor - 1) < SPREAD:
+            meaning = "the motion is not the one that --quantity says"
         for size, units in FACTORS.items():
-            if min(abs(factor / size - 1), abs(factor * size - 1)) < SPREAD:
-                meaning = units
-        if meaning and (np.abs(each / factor - 1) < SPREAD).mean() >= MOST_GAINS:
+            # A table that is roughly right tells a thousand.
+            wide = ROUGHLY if size > 1 / SPREAD**2 and not power else SPREAD
+            if abs(abs(np.log(factor)) - np.log(size)) < np.log1p(wide):
+                meaning, spread = units, wide
+        if meaning and (np.abs(np.log(each / factor)) < np.log1p(spread)).mean() >= MOST_GAINS:
             raise ValueError(
                 f"the gains of {' and '.join(sets)} are {factor:.3g}{quantity} times those of {apparatus.apparatus}: "
                 f"{meaning}; check the units of the measurement, or give the file of this beam with --apparatus"
