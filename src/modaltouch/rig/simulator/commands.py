@@ -126,12 +126,12 @@ def _waveform(afg: Afg) -> dict[str, Command]:
         chosen = read_choice("USER1" if str(name).upper() == "USER" else name, (*SHAPES, *MEMORIES, "EMEMory"))
         afg.select(number, chosen)
 
+    def highest(channel: Channel) -> float:
+        return 25e6 if channel.function == "SIN" else HIGHEST_BURST_FREQUENCY if channel.burst else 12.5e6
+
     def frequency(number: int, arguments: Arguments) -> None:
         channel = afg.channels[number]
-        highest = HIGHEST_BURST_FREQUENCY if channel.burst else 12.5e6
-        if channel.function == "SIN":
-            highest = 25e6
-        value = quantity(arguments, {"HZ": 1.0}, 1e-3, highest, 1e6)
+        value = quantity(arguments, {"HZ": 1.0}, 1e-3, highest(channel), 1e6)
         for target in afg.channels.values() if afg.frequency_concurrent else (channel,):
             target.frequency = float(f"{value:.11e}")
 
@@ -140,7 +140,10 @@ def _waveform(afg: Afg) -> dict[str, Command]:
         "[SOURce#]:FUNCtion:RAMP:SYMMetry": number(afg, "symmetry", PERCENT, 0, 100, "{:.4E}", 50.0),
         "[SOURce#]:PULSe:DCYCle": number(afg, "duty_cycle", PERCENT, 0.001, 99.999, "{:.4E}", 50.0),
         "[SOURce#]:FREQuency[:CW|FIXed]": Command(
-            set=frequency, get=get_number(afg, "frequency", 1e-3, 12.5e6, "{:.11E}")
+            set=frequency,
+            get=lambda number, arguments: get_number(afg, "frequency", 1e-3, highest(afg.channels[number]), "{:.11E}")(
+                number, arguments
+            ),
         ),
         "[SOURce#]:FREQuency:CONCurrent[:STATe]": switch(afg, "frequency_concurrent"),
         "[SOURce#]:PHASe[:ADJust]": Command(
