@@ -31,7 +31,7 @@ class SecondMassSection(Section):
 
     mass_g: Positive = described("The mass [g].")
     stiffness_N_per_mm: Positive = described("Stiffness of the spring [N/mm].")  # noqa: N815
-    damping_N_s_per_m: NotNegative = described("Damping between the mass and the beam [N s/m].", default=0.0)  # noqa: N815
+    damping_N_s_per_m: NotNegative = described("Damping between the mass and a point at rest [N s/m].", default=0.0)  # noqa: N815
 
     @property
     def values(self) -> tuple[float, float, float]:
@@ -51,7 +51,7 @@ class FingerSection(Section):
     )
     second_mass: SecondMassSection | None = described("A second mass behind a spring; null for none.", default=None)
     offset_mm: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-10, le=10)] = described(
-        "Distance to the right of the centre of the zone that it rests on [mm].", default=0.0
+        "Distance from the centre of the zone that it rests on, positive as the zones' positions are [mm].", default=0.0
     )
 
     def at(self, centre: float) -> Finger:
