@@ -40,16 +40,22 @@ def changed(**factors: float) -> Callable[[Recording], Recording]:
     return change
 
 
+def exchanged(recording: Recording) -> Recording:
+    """Exchange the drives."""
+    return replace(recording, drive=recording.drive[:, ::-1])
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         (changed(velocity=0.0), r"mode 1 at 229 Hz is not seen: it rises above the noise by 0\.0 standard errors"),
         (changed(velocity=-1.0), r"every mode moves against the sign of its listed gain"),
-        (changed(velocity=4.0), r"the gain of mode \d+ by output [12] is .* is listed: allowed 0\.4 to 2\.5 times"),
+        (changed(velocity=2.0), r"the modes move (2\.0|1\.9)\d times as fast as their listed .*sensitivity_mm_s_per_V"),
+        (exchanged, r"the drive measured for each output is that of another: the probes are exchanged"),
         (changed(drive=0.1), r"the drive measured at the beam is 0\.10 times what output 1 commands: allowed 0\.67"),
         (changed(drive=0.0), r"the drive measured at the beam is 0\.00 times what output 1 commands"),
     ],
-    ids=["dead vibrometer", "inverted vibrometer", "wrong sensitivity", "wrong probe", "no drive"],
+    ids=["dead vibrometer", "inverted vibrometer", "wrong sensitivity", "exchanged probes", "wrong probe", "no drive"],
 )
 def test_fault_of_a_rig_is_told(
     preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, change: Callable, said: str

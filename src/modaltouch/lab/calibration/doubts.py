@@ -23,6 +23,12 @@ from modaltouch.stimulus import ModalModel
 GAINS = (0.67, 1.5)
 """Measured over commanded drive that is believed [1]: beyond, a probe or a switch is not as the file says."""
 
+SPEEDS = (0.6, 1.6)
+"""Speed of all modes over the listed one that is believed [1]: beyond, a knob is not as the file says."""
+
+ALIKE = 0.2
+"""How far most gains may lie from one factor times the listed ones that is the vibrometer's [1]."""
+
 NOTHING = 0.02
 """Measured over commanded drive below which there is none [1]."""
 
@@ -125,6 +131,13 @@ def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> No
             "every mode moves against the sign of its listed gain: the vibrometer's signal or the drive is inverted; "
             "the outputs are off; invert the signal"
         )
+    common = float(np.median(ratio[known]))
+    if not SPEEDS[0] <= common <= SPEEDS[1] and np.median(np.abs(ratio[known] / common - 1)) < ALIKE:
+        raise RigError(
+            f"the modes move {common:.2f} times as fast as their listed gains say: allowed {SPEEDS[0]:g} to "
+            f"{SPEEDS[1]:g}; the outputs are off; see whether the vibrometer is set to the listed "
+            "`acquisition.sensitivity_mm_s_per_V`, or identify the beam again with `modaltouch identify`"
+        )
     for row, channel in np.argwhere((ratio < 0.4) | (ratio > 2.5)).tolist():
         raise RigError(
             f"the gain of mode {listed.label[row]} by output {channel + 1} is "
@@ -181,7 +194,13 @@ def refuse_doubtful_velocity(recording: Recording) -> None:
 
 
 def refuse_saturation(predicted: FloatArray, measured: FloatArray) -> None:
-    """Refuse an amplifier of whose predicted drive [V] so much is lacking that the rig cannot be identified."""
+    """Refuse drives [V], (n_channels, n_samples) arrays, of other outputs, or lacking too much to identify the rig."""
+    likeness = np.abs(measured @ predicted.T) / np.linalg.norm(predicted, axis=1)
+    if len(predicted) > 1 and (likeness.argmax(axis=1) != np.arange(len(predicted))).all():
+        raise RigError(
+            "the drive measured for each output is that of another: the probes are exchanged; the outputs are off; "
+            "see which probe is at which amplifier"
+        )
     lacking = peak_shortfall(predicted, measured)
     output = int(lacking.argmax())
     if lacking[output] > MOST_LACKING:
