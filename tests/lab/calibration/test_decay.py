@@ -34,6 +34,14 @@ def test_residues_of_known_poles_are_exact() -> None:
     assert np.abs(found.residue - RESIDUES).max() < 1e-9
 
 
+def test_an_offset_of_the_vibrometer_is_no_motion() -> None:
+    """A constant on each record, up to a third of its largest value: poles and residues as without it."""
+    data = records(LISTED, RESIDUES, 0.001) + np.array([[0.2], [-1.0], [0.05]])
+    found = find_poles(TIME, data, LISTED * 1.001)
+    assert found.pole.size == 4
+    assert np.abs(found.residue - RESIDUES).max() < 1e-3
+
+
 @settings(max_examples=15, deadline=None)
 @given(
     st.lists(st.floats(-0.005, 0.005), min_size=4, max_size=4),

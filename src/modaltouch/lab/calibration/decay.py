@@ -1,11 +1,11 @@
 r"""The free decay after the drive has ended: common poles, and how strongly each swings at every point.
 
-.. math:: y_q(t) = \mathrm{Re} \sum_k R_{kq} e^{s_k t} + \text{noise}
+.. math:: y_q(t) = \mathrm{Re} \sum_k R_{kq} e^{s_k t} + c_q + \text{noise}
 
-over records q (positions, bursts). For given poles the residues R follow by linear least squares; the poles by
-Gauss-Newton on what is left over, the residues eliminated (variable projection: Golub & Pereyra 1973 with the
-Jacobian of Kaufman 1975). Modes that nobody listed show as lines in the rest; their poles are added until none stands
-out of the noise, so that they do not bias the others.
+over records q (positions, bursts), with the constant c that a vibrometer's output has at rest. For given poles the
+residues R follow by linear least squares; the poles by Gauss-Newton on what is left over, the residues eliminated
+(variable projection: Golub & Pereyra 1973 with the Jacobian of Kaufman 1975). Modes that nobody listed show as lines in
+the rest; their poles are added until none stands out of the noise, so that they do not bias the others.
 """
 
 from __future__ import annotations
@@ -130,7 +130,7 @@ def find_poles(time: FloatArray, records: FloatArray, listed: ComplexArray, *, m
 
 def _next_line(time: FloatArray, records: FloatArray, decay: Decay) -> complex | None:
     """Return where the rest shows a mode that is not fitted yet."""
-    rest = records - (decay.residue.T @ np.exp(np.outer(decay.pole, time))).real
+    rest = _about_mean(records - (decay.residue.T @ np.exp(np.outer(decay.pole, time))).real)
     n_records, n_samples = rest.shape
     # A decaying line is short: a window that falls with it shows it best.
     step = float(time[1] - time[0])
@@ -161,6 +161,11 @@ def _next_line(time: FloatArray, records: FloatArray, decay: Decay) -> complex |
     return None if best is None else best[1]
 
 
+def _about_mean(rows: FloatArray) -> FloatArray:
+    """Return rows without their constants."""
+    return np.asarray(rows - rows.mean(axis=1, keepdims=True))
+
+
 class _Projection:
     """The part of the records that decays at given poles, and what is left over."""
 
@@ -168,7 +173,8 @@ class _Projection:
         self.pole = np.asarray(np.where(pole.real < 0, pole, -np.abs(pole.real) * 1e-3 - 1e-3 + 1j * pole.imag))
         swing = np.exp(np.outer(self.pole, time))
         n = self.pole.size
-        basis = np.concatenate([swing.real, -swing.imag])
+        self._swing = np.concatenate([swing.real, -swing.imag])
+        basis, records = _about_mean(self._swing), _about_mean(records)
         self._size = np.sqrt(np.einsum("ij,ij->i", basis, basis))
         self._gram = basis @ basis.T / np.outer(self._size, self._size)
         seen = basis @ records.T / self._size[:, None]
@@ -183,7 +189,7 @@ class _Projection:
     def decay(self) -> Decay:
         """Return what was fitted."""
         n = self.pole.size
-        freedom = max(1, (self._time.size - 2 * n) * self._records.shape[0])
+        freedom = max(1, (self._time.size - 2 * n - 1) * self._records.shape[0])
         noise = np.sqrt(max(self.left, 0.0) / freedom)
         weight = self._weights / self._size[:, None]
         variance = np.diag(self._solve(np.eye(2 * n))) / self._size**2
@@ -199,8 +205,8 @@ class _Projection:
         """Return the change of every pole that lessens most what is left over (Kaufman's Jacobian)."""
         n = self.pole.size
         # What moving a pole changes, less what the residues make of it: columns t cos, t (-sin), t sin, t cos.
-        turned = np.concatenate([-self._basis[n:], self._basis[:n]])
-        moved = np.concatenate([self._basis, turned]) * self._time
+        turned = np.concatenate([-self._swing[n:], self._swing[:n]])
+        moved = _about_mean(np.concatenate([self._swing, turned]) * self._time)
         cross = (self._basis @ moved.T) / self._size[:, None]
         across = moved @ moved.T - cross.T @ self._solve(cross)
         slope = moved @ self._records.T - cross.T @ self._weights
