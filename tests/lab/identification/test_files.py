@@ -148,8 +148,9 @@ def test_every_format_gives_the_modes(tmp_path: Path, frequency: np.ndarray, nam
 
 
 def test_positions_of_a_universal_file_are_from_the_middle(tmp_path: Path, frequency: np.ndarray) -> None:
-    """Nodes 0.3 m apart: -0.15 and 0.15 m."""
+    """Nodes 0.3 m apart: -0.15 and 0.15 m; the reference's name is one that an actuator set can have."""
     responses = read_responses([write_uff(tmp_path / "modes.uff", frequency)])
+    assert responses.sets == ("reference_1",)
     assert responses.positions == pytest.approx([-0.15, 0.15])
 
 
@@ -240,6 +241,15 @@ def test_missing_file_and_uneven_axis_are_refused(tmp_path: Path) -> None:
         read_responses([tmp_path / "a.npz"])
 
 
+def test_frequencies_of_few_digits_are_even(tmp_path: Path) -> None:
+    """Six digits, as data set 58 has them, of bins 7.3 Hz apart at 20 kHz: the axis is even again."""
+    frequency = 7.3 * np.arange(1, 3001)
+    printed = np.array([float(f"{each:.5e}") for each in frequency])
+    np.savez(tmp_path / "a.npz", frequency=printed, response=np.ones((1, 1, 3000)), sets=["v"], quantity="velocity")
+    assert read_responses([tmp_path / "a.npz"]).frequency == pytest.approx(frequency, rel=1e-5)
+    assert np.ptp(np.diff(read_responses([tmp_path / "a.npz"]).frequency)) < 1e-6
+
+
 def blow(path: Path, **spoilt: np.ndarray) -> Path:
     """Write a burst of sines and its decay as arrays over time, with a constant beside both, or what spoils them."""
     time = np.arange(4096) / 4096
@@ -259,6 +269,17 @@ def test_records_with_lost_samples_or_no_number_are_refused(tmp_path: Path) -> N
     motion = np.full((1, 1, 4096), np.nan)
     with pytest.raises(ValueError, match=r"a.npz: its excitation or motion has a value that is no finite number"):
         read_responses([blow(tmp_path / "a.npz", motion=motion)])
+
+
+def test_decay_that_is_cut_off_is_marked(tmp_path: Path) -> None:
+    """A blow, recorded for a quarter of the time in which its motion decays."""
+    time = np.arange(2048) / 4096
+    drive = np.where(abs(time - 0.01) < 2e-3, np.cos(2 * np.pi * 125 * (time - 0.01)), 0.0)
+    motion = np.exp(-2 * time) * np.sin(2 * np.pi * 120 * time)
+    path = blow(tmp_path / "a.npz", time=time, drive=drive[None, None], motion=motion[None, None])
+    assert read_responses([path]).marks == (
+        "the motion of a.npz still moves at the end of a record: record until it rests",
+    )
 
 
 def test_burst_beside_a_constant_is_one_that_rests(tmp_path: Path) -> None:

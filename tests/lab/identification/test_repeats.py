@@ -144,7 +144,7 @@ def test_time_records_of_a_universal_file_give_its_modes(tmp_path: Path) -> None
                 [shared | ids | kinds | {"rsp_node": node, "x": axis, "data": data, "ord_data_type": 4}], "add"
             )
     responses = read_responses([tmp_path / "a.uff"])
-    assert responses.sets == ("reference 7 node 9",)
+    assert responses.sets == ("reference_7_node_9",)
     assert len(responses.repeats) == 2
     found = identify_each(responses.between(60, 900))
     assert [mode.natural_frequency.value for mode in found.modes] == pytest.approx([own for own, _ in POLES], rel=2e-4)

@@ -54,8 +54,9 @@ def _read_universal(path: Path, how: ResponseFormat) -> Part:
 
     def name(function: dict[str, Any], reference: float) -> Key:
         node, direction = int(function["rsp_node"]), int(function["rsp_dir"])
-        told = f"reference {int(reference)}" + (f" node {node}" if node not in places else "")
-        return told + (f" direction {direction}" if len(directions) > 1 else ""), places.get(node)
+        # A word, as an apparatus file names its actuator sets.
+        told = f"reference_{int(reference)}" + (f"_node_{node}" if node not in places else "")
+        return told + (f"_direction_{direction}" if len(directions) > 1 else ""), places.get(node)
 
     kinds = {_kind(each) for each in moved}
     if len(kinds) > 1:
@@ -227,7 +228,7 @@ def _assemble(
     """Return a repeat as a whole: sets by positions where every set is measured everywhere, else one by one."""
     response = {key: repeats[repeat].values for key, repeats in found.items()}
     coherence = {key: repeats[repeat].coherence for key, repeats in found.items()}
-    _check_axis(path, frequency)
+    frequency = _even_axis(path, frequency)
     usable = frequency > 0
     for (name, place), values in response.items():
         where = "" if place is None else f" at {place}"
@@ -264,12 +265,15 @@ def _assemble(
     )
 
 
-def _check_axis(path: Path, frequency: FloatArray) -> None:
-    step = np.diff(frequency)
+def _even_axis(path: Path, frequency: FloatArray) -> FloatArray:
+    """Return frequencies that are evenly spaced but for the digits that were cut off."""
     if frequency.size < 32:
         raise ValueError(f"{path}: it has {frequency.size} bins; at least 32 are needed")
-    if not np.isfinite(frequency).all() or (step <= 0).any() or np.ptp(step) > 1e-3 * step.mean():
+    even = np.linspace(frequency[0], frequency[-1], frequency.size)
+    off, step = np.abs(frequency - even).max(), even[1] - even[0]
+    if not off < step / 4:
         raise ValueError(f"{path}: its frequencies are not evenly spaced and increasing; export them that way")
+    return even if off > 1e-3 * step else frequency
 
 
 def _read(path: Path, how: ResponseFormat) -> Part:

@@ -45,6 +45,9 @@ MOST_AT_END = 3
 CUT = 4
 """Samples there over those at the value below it, from which it was [1]."""
 
+STILL_MOVES = "still moves at the end of a record: record until it rests"
+"""How a mark ends of decays that were cut off."""
+
 FEWEST_SAMPLES = 64
 """Samples of a record from which it is used."""
 
@@ -151,6 +154,9 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
             continue
         n_double, n_hits = n_double + n_left_out, n_hits + n_left_out + len(hits)
         found += [(key, *transfer(motion[hit], drive[hit], step), None) for hit in hits]
+        if not all(_rests(motion[hit]) for hit in hits):
+            cut = f"the motion of {path.name} {STILL_MOVES}"
+            marks += [cut] * (cut not in marks)
     if not found:
         raise ValueError(f"{path}: all {n_hits} impacts are double hits: strike again, or leave the file out")
     if n_double:
@@ -178,9 +184,7 @@ def impacts(drive: FloatArray, motion: FloatArray) -> tuple[list[slice] | None, 
     size = np.abs(drive - np.median(drive))
     high = np.flatnonzero(size > HIT * size.max())
     if high.size > IMPULSIVE * drive.size:
-        moving = [np.abs(row - np.median(row)) for row in (drive, motion)]
-        rests = all(row[-row.size // 50 :].max() < HIT * row.max() for row in moving)
-        return ([slice(0, drive.size)] if rests else None), 0
+        return ([slice(0, drive.size)] if _rests(drive) and _rests(motion) else None), 0
     widest = max(part.size for part in np.split(high, np.flatnonzero(np.diff(high) > 1) + 1))
     # What returns sooner than a hit lasts is that hit still.
     start = np.append(high[0], high[1:][np.diff(high) > max(3, widest)])
@@ -192,6 +196,12 @@ def impacts(drive: FloatArray, motion: FloatArray) -> tuple[list[slice] | None, 
     length = int(time[single].min(initial=drive.size))
     before = min(int(start[0]), length // 50)
     return [slice(at - before, at - before + length) for at in start[single]], int((~single).sum())
+
+
+def _rests(row: FloatArray) -> bool:
+    """Return whether a record ends at rest, whatever constant is added to it."""
+    size = np.abs(row - np.median(row))
+    return bool(size[-size.size // 50 :].max() < HIT * size.max())
 
 
 def averaged(

@@ -9,6 +9,7 @@ import numpy as np
 
 from modaltouch.lab.identification.estimates import Identification, IdentifiedMode
 from modaltouch.lab.identification.rest import REMEDIES
+from modaltouch.lab.identification.time_records import STILL_MOVES
 from modaltouch.protocol import Apparatus
 
 LEAST_COHERENCE = 0.5
@@ -50,7 +51,7 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     """
     found = {mode.label: mode for mode in identification.modes if mode.label is not None}
     spoilt = identification.misfit > WELL_FITTED or any(mode.rest.share > MARKED_ELSE for mode in identification.modes)
-    strange = "" if spoilt else _strange(identification.modes, [label for label in labels if label not in found])
+    strange = _strange(identification.modes, [label for label in labels if label not in found])
     split = "" if strange else _split(identification.modes)
     remedy = "" if spoilt or split or strange else "; drive harder, average more, or look higher with --highest-kHz"
     lines = []
@@ -62,7 +63,8 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     if lines and (split or strange):
         lines.append(split or strange)
     elif lines and spoilt:
-        lines.append(_cause(identification.modes))
+        cut = [mark for mark in identification.responses.marks if mark.endswith(STILL_MOVES)]
+        lines += cut or [_cause(identification.modes)]
     if lines:
         raise ValueError("\n".join(lines))
 
@@ -82,14 +84,15 @@ def _split(modes: Sequence[IdentifiedMode]) -> str:
 
 
 def _strange(modes: Sequence[IdentifiedMode], missing: Sequence[int]) -> str:
-    """Return what high resonances of no mode's shape say that lie where modes are missing; nothing without them."""
+    """Return what high and well fitted resonances of no mode's shape say, where modes are missing; nothing without."""
     labelled = [(mode.label, mode.natural_frequency.value) for mode in modes if mode.label is not None]
     least = AS_HIGH * float(np.median([mode.half_power.height for mode in modes]))
     strange = []
     for one in modes:
         own, width = one.natural_frequency.value, 2 * one.damping_ratio.value
         alone = all(abs(each.natural_frequency.value / own - 1) > width for each in modes if each is not one)
-        if alone and one.half_power.height > least and not (one.label or one.torsion):
+        fitted = one.half_power.height > least and one.rest.share <= MARKED_ELSE
+        if alone and fitted and not (one.label or one.torsion):
             below = max((label for label, frequency in labelled if frequency < own), default=0)
             above = min((label for label, frequency in labelled if frequency > own), default=np.inf)
             strange += [one.name] * any(below < label < above for label in missing)
