@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import spoilt
+from scipy.signal import fftconvolve
 
+from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.lab.identification.verdict import check_gains, check_modes, misfit_verdict, warnings
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator.true_beam import TrueBeam
+from modaltouch.stimulus import mode_shapes
 
 
 def measured(beam: TrueBeam, **fault: float) -> FrequencyResponses:
@@ -139,3 +143,21 @@ def test_low_coherence_over_the_band_is_said(beam: TrueBeam) -> None:
     """Median of 0.2 where every peak is still seen."""
     found = identify(spoilt.measured(*spoilt.response_of(beam), seed=0, noise=50.0), 0.1, most=0)
     assert any("the median coherence over the band is 0." in said and "below 0.5" in said for said in warnings(found))
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_random_excitation_of_few_averages_is_no_nonlinearity(tmp_path: Path, seed: int) -> None:
+    """Leakage makes a noise that peaks as the responses do: three modes out of four Hann windows of a random drive."""
+    rng, rate = np.random.default_rng(seed), 11e3
+    time, places = np.arange(45_000) / rate, np.linspace(-0.0495, 0.0495, 9)
+    own, ratio = 2 * np.pi * np.array([271.4, 753.3, 1439.3]), np.array([0.0227, 0.0139, 0.0097])
+    swings = np.exp(-np.outer(ratio * own, time)) * np.cos(np.outer(own * np.sqrt(1 - ratio**2), time))
+    impulse = (np.array([-0.4, -4.5, -11.2]) * mode_shapes((3, 4, 5), places, 0.1).T) @ swings / rate
+    drive = np.broadcast_to(rng.standard_normal(time.size), impulse.shape)
+    motion = fftconvolve(drive, impulse, axes=1)[:, : time.size]
+    motion = motion + 1e-3 * motion.max() * rng.standard_normal(motion.shape)
+    arrays = {"time": time, "drive": drive[None], "motion": motion[None], "positions": places}
+    np.savez(tmp_path / "a.npz", **arrays, sets=["centre"], quantity="velocity")
+    found = identify(read_responses([tmp_path / "a.npz"], ResponseFormat(n_averages=4)), 0.1)
+    check_modes(found, (3, 4, 5))
+    assert [found.mode(k).natural_frequency.value for k in (3, 4, 5)] == pytest.approx(own / 2 / np.pi, rel=1e-3)

@@ -177,6 +177,9 @@ WINDOW, FEWEST_IN_WINDOW = 10.0, 20
 SURE = 6.0
 """Deviations of its damping from none from which a pole of many responses is a mode [1]."""
 
+FAR_OFF = 100.0
+"""Misfit from which the search begins anew, at the peaks over a noise that is the same throughout [1]."""
+
 BEYOND = np.array([1.02, 1.06, 1.15, 1.3])
 """Where poles beyond the band are tried, over its highest frequency [1]."""
 
@@ -223,11 +226,17 @@ def identify(
     """
     if start is None:
         responses = responses.aligned()
-    poles = first_poles(responses, length) if start is None else start
-    problem = make_problem(responses, poles, phase_at)
-    poles, fit = refine(problem, poles)
-    if most:
-        poles, problem, fit = find_more(responses, poles, problem, fit, most)
+
+    def fitted(poles: Poles) -> tuple[LeastSquaresProblem, Evaluation]:
+        problem = make_problem(responses, poles, phase_at)
+        poles, fit = refine(problem, poles)
+        return find_more(responses, poles, problem, fit, most)[1:] if most else (problem, fit)
+
+    problem, fit = fitted(first_poles(responses, length) if start is None else start)
+    if start is None and responses.coherence is not None and fit.variance > FAR_OFF:
+        # Leakage is noise that peaks as the responses do: over it their peaks vanish, or lie elsewhere.
+        again = fitted(first_poles(replace(responses, coherence=None), length))
+        problem, fit = min((problem, fit), again, key=lambda each: each[1].variance)
     return ModalParameters(responses, length, problem, fit, clock_tolerance).identification()
 
 
