@@ -17,6 +17,7 @@ from modaltouch.protocol.fingers import FingersFile
 from modaltouch.protocol.source import Source
 from modaltouch.record import RecordError
 from modaltouch.rig import Recording, RigError
+from modaltouch.rig.simulator.scope import SimulatedScope
 from modaltouch.stimulus import Finger
 
 TRUE = {"mass_g": 0.1, "damping_N_s_per_m": 0.7, "stiffness_N_per_mm": 0.9}
@@ -108,6 +109,20 @@ def test_shipped_table_is_refused(tmp_path):
     """It lacks even modes; nothing is opened."""
     with pytest.raises(ValueError, match=r"the table lacks modes 2, 4, .* run `modaltouch identify --modes all`"):
         probe_fingers(Path("under_the_finger"), tmp_path / "fingers.yaml", rig="no rig")
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_another_sensitivity_is_refused(protocol, tmp_path, monkeypatch, factor):
+    """A vibrometer set to half or twice what is listed: every level would be as wrong."""
+    measure = SimulatedScope.measure
+
+    def misread(*args):
+        recording = measure(*args)
+        return replace(recording, velocity=recording.velocity * factor)
+
+    monkeypatch.setattr(SimulatedScope, "measure", misread)
+    with pytest.raises(ValueError, match=r"the modes move (0\.50|1\.99|2\.00) times as fast .*sensitivity_mm_s_per_V"):
+        probe_fingers(protocol, tmp_path / "mine.yaml", pair="A-C", seed=5)
 
 
 def test_unknown_pair_is_refused(protocol, tmp_path):

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.calibration.doubts import SPEEDS
 from modaltouch.lab.identification.estimates import NORMAL_95
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.lab.output import rounded
@@ -67,11 +68,20 @@ class Prober:
         Raises
         ------
         ValueError
-            If something moved or touches the beam, or its table does not describe it.
+            If something moved or touches the beam, or its table or the vibrometer's sensitivity does not describe it.
         RigError
             If the rig fails.
         """
         self._free = self._beam = self._record().untouched(self._model)
+        listed = self._model.modal_gain
+        strong = np.abs(listed) == np.abs(listed).max(axis=1, keepdims=True)
+        common = float(np.median(self._free.model.modal_gain[strong] / listed[strong]))
+        if not SPEEDS[0] <= common <= SPEEDS[1]:
+            raise ValueError(
+                f"the modes move {common:.2f} times as fast as their listed gains say: allowed {SPEEDS[0]:g} to "
+                f"{SPEEDS[1]:g}; see whether the vibrometer is set to the listed `acquisition.sensitivity_mm_s_per_V`, "
+                "or identify the beam again with `modaltouch identify --modes all`"
+            )
         return {"misfit": round(self._beam.misfit, 3), "modes": self._modes(self._beam.model)}
 
     def hands_on(self, expected: Mapping[str, tuple[str, Finger]]) -> dict[str, Any]:
