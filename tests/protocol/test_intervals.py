@@ -188,7 +188,7 @@ def test_what_does_not_go_together_is_refused_in_its_place(
     ("changes", "said"),
     [
         ([], None),
-        ([(MEANINGS, "pause_s: 1")], "no answer says anything of the intervals: none is right"),
+        ([(MEANINGS, "pause_s: 1")], "no answer refers to an interval, so none is right"),
         ([(LEVELS, LEVELS.replace("90", "100"))], None),
         (
             [(LEVELS, LEVELS.replace("90", "100")), ("asked: stronger ", "asked: comparison ")],

@@ -189,10 +189,14 @@ def test_catch_trials_need_bursts_that_can_be_kept_back(edit: Edit, repetition: 
     ("repetition", "read", "words"),
     [
         ("single", "single", []),
-        ("timer", "timer", ["is timer: the free timer of the generator dates the first burst to a period and counts"]),
-        ("burst", "timer", ["is timer (`burst` is its former name): the free timer"]),
-        ("continuous", "continuous", ["is continuous: a continuous record dates the first burst to a command and"]),
-        ("wired", "wired", ["is wired: the pulse source at the trigger input counts the bursts, and this program"]),
+        ("timer", "timer", ["is timer: with the generator's free timer, the first burst is known to within a period"]),
+        ("burst", "timer", ["is timer (`burst` is its former name): with the generator's free timer"]),
+        (
+            "continuous",
+            "continuous",
+            ["is continuous: with a continuous record, the first burst is known by its command"],
+        ),
+        ("wired", "wired", ["is wired: the pulse source at the trigger input counts the bursts; this program"]),
     ],
 )
 def test_repetition_that_promises_less_is_said_by_check(

@@ -232,7 +232,7 @@ IN_BOTH: dict[str, tuple[Lie, str]] = {
     "the time": (lambda events: to_line(events[9], time="2026-11-22T05:00:00"), "names no zone"),
     "an end": (
         lambda events: to_line(last(events, "stop"), n_answered=11),
-        "says that 11 trials are answered, but but but 12 are",
+        "says that 11 trials are answered, but 12 are",
     ),
     "the seed": (start_says(seed=2), "seed 2 draws a different order"),
     "the codes": (start_says(stimulus__content_hash="0" * 64), "the recomputed drive has the hash"),

@@ -198,7 +198,7 @@ def test_a_faulty_side_file_is_refused_by_its_own_name(asking: Preflight, tmp_pa
     place.folder.mkdir(parents=True)
     (place.dataset / "participants.json").write_text(text)
     start = {"people": ANSWERS, "design": asking.experiment.protocol.model_dump(mode="json")}
-    with pytest.raises(RecordError, match=r"participants.json: cannot be read .*mend it or move it away"):
+    with pytest.raises(RecordError, match=r"participants.json: cannot be read .*repair it or move it away"):
         place.list_participants(start)
 
 

@@ -87,7 +87,7 @@ def test_nothing_is_overwritten(calibration: Calibration, tmp_path: Path) -> Non
     path = tmp_path / "folder" / "calibration.yaml"
     write_calibration(path, calibration)
     before = path.read_bytes()
-    with pytest.raises(RecordError, match="is there already and is not overwritten; give another file with --out"):
+    with pytest.raises(RecordError, match="exists already and is not overwritten; give another file with --out"):
         write_calibration(path, calibration)
     assert path.read_bytes() == before
     assert [each.name for each in path.parent.iterdir()] == ["calibration.yaml"]

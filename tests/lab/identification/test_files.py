@@ -267,7 +267,7 @@ def test_records_with_lost_samples_or_no_number_are_refused(tmp_path: Path) -> N
     with pytest.raises(ValueError, match=r"a.npz: its times are not evenly spaced.*: samples are missing"):
         read_responses([blow(tmp_path / "a.npz", time=time)])
     motion = np.full((1, 1, 4096), np.nan)
-    with pytest.raises(ValueError, match=r"a.npz: its excitation or motion has a value that is no finite number"):
+    with pytest.raises(ValueError, match=r"a.npz: its excitation or motion has a value that is not a finite number"):
         read_responses([blow(tmp_path / "a.npz", motion=motion)])
 
 

@@ -118,7 +118,7 @@ def test_thousandfold_gains_are_named_by_a_rough_table(clean: FrequencyResponses
         gains = {name: value * 1.3 ** (-1) ** k for name, value in mode.gain_mm_s2_per_V.items()}
         modes.append(mode.model_copy(update={"gain_mm_s2_per_V": gains}))
     found = identify(replace(clean, response=clean.response * 1e3), 0.1, most=0)
-    with pytest.raises(ValueError, match="times those of beam_100x6x2: milli taken for a whole unit"):
+    with pytest.raises(ValueError, match="times those of beam_100x6x2: a thousandth was taken for a whole unit"):
         check_gains(found, apparatus.model_copy(update={"modes": tuple(modes)}))
 
 
@@ -134,7 +134,9 @@ def test_points_exchanged_are_no_lack_of_drive(clean: FrequencyResponses) -> Non
     order = [*range(21)]
     order[3], order[12] = 12, 3
     found = identify(replace(clean, response=clean.response[:, order]), 0.1)
-    with pytest.raises(ValueError, match=r"(?s)no resonance has its shape\n.* is no mode's: see the pos") as refusal:
+    with pytest.raises(
+        ValueError, match=r"(?s)no resonance has its mode shape\n.* is not that of a mode: check the pos"
+    ) as refusal:
         check_modes(found, spoilt.LABELS)
     assert "drive harder" not in str(refusal.value)
 

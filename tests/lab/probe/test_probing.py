@@ -101,7 +101,7 @@ def test_file_serves_a_check(written, protocol):
 
 def test_file_is_not_overwritten(written, protocol):
     """Somebody may have used it."""
-    with pytest.raises(RecordError, match="is there already and is not overwritten; give another file with --out"):
+    with pytest.raises(RecordError, match="exists already and is not overwritten; give another file with --out"):
         probe_fingers(protocol, Path(written["file"]))
 
 

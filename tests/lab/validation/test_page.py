@@ -76,7 +76,7 @@ def test_words_follow_the_numbers(written):
 def test_an_analysis_is_not_replaced(evidences, tmp_path):
     """A folder belongs to the command that made it."""
     write_files(tmp_path / "out", {"tests.csv": b"1"}, {})
-    with pytest.raises(RecordError, match="holds what `modaltouch analyse` made"):
+    with pytest.raises(RecordError, match="contains output of `modaltouch analyse`"):
         ValidationReport(evidences, PAIRS, OCCASION, tmp_path / "out").write()
 
 

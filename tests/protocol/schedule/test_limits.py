@@ -147,7 +147,9 @@ def test_a_participant_without_an_order_is_told_and_is_rare(
     preflight = examine(edit("demo.yaml", words, ("repetitions: 1", "repetitions: 4"))).require()
     monkeypatch.setattr(order_walk, "SWEEPS", 10**6)
     monkeypatch.setattr(order_walk, "STEPS_ASTRAY", 0)
-    with pytest.raises(InputError, match="limits that no order drawn for p01 keeps, orders .* or give another --seed"):
+    with pytest.raises(
+        InputError, match="limits that no order drawn for p01 satisfies, orders .* or give another --seed"
+    ):
         wire_run(preflight, "p01", answers="simulated", results=tmp_path)
     (problem,) = examine(preflight.experiment.sources.protocol.path).problems
     assert "do not exist or are too rare to find" in problem.given

@@ -126,17 +126,7 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
     marks: list[str] = []
     n_double, n_hits = 0, 0
     for key, drive, motion, step in records:
-        if not FEWEST_SAMPLES <= drive.size == motion.size:
-            raise ValueError(
-                f"{path}: it has {drive.size} samples of the excitation and {motion.size} of the motion; both need "
-                f"the same number, at least {FEWEST_SAMPLES}"
-            )
-        if not np.isfinite([drive, motion]).all():
-            raise ValueError(
-                f"{path}: its excitation or motion has a value that is not a finite number; measure it again"
-            )
-        if not np.ptp(drive) > 0:
-            raise ValueError(f"{path}: its excitation is constant; measure it again")
+        _refuse_unusable(path, drive, motion)
         last_drive, last = (_last_cut(path, *each, step, how) for each in (("excitation", drive), ("motion", motion)))
         if last_drive >= 0:
             raise ValueError(f"{path}: its excitation was saturated, so no response can be computed: measure again")
@@ -173,6 +163,19 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
         MeasuredResponse(key, values[:n_bins], None if c is None else c[:n_bins]) for key, _, values, c in found
     ]
     return Part(axis, responses, quantity, tuple(marks))
+
+
+def _refuse_unusable(path: Path, drive: FloatArray, motion: FloatArray) -> None:
+    """Refuse a record that is too short, or whose excitation or motion is none."""
+    if not FEWEST_SAMPLES <= drive.size == motion.size:
+        raise ValueError(
+            f"{path}: it has {drive.size} samples of the excitation and {motion.size} of the motion; both need "
+            f"the same number, at least {FEWEST_SAMPLES}"
+        )
+    if not np.isfinite([drive, motion]).all():
+        raise ValueError(f"{path}: its excitation or motion has a value that is not a finite number; measure it again")
+    if not np.ptp(drive) > 0:
+        raise ValueError(f"{path}: its excitation is constant; measure it again")
 
 
 def impacts(drive: FloatArray, motion: FloatArray) -> tuple[list[slice] | None, int]:

@@ -99,8 +99,8 @@ def _strange(modes: Sequence[IdentifiedMode], missing: Sequence[int]) -> str:
     if not strange:
         return ""
     return (
-        f"the shape at {', '.join(strange)} is no mode's: see the positions of the points, of which two may be "
-        "exchanged, and the length of the beam"
+        f"the shape at {', '.join(strange)} is not that of a mode: check the positions of the points (two may be "
+        "exchanged) and the length of the beam"
     )
 
 
