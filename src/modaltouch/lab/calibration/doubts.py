@@ -135,7 +135,7 @@ def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> No
     if not SPEEDS[0] <= common <= SPEEDS[1] and np.median(np.abs(ratio[known] / common - 1)) < ALIKE:
         raise RigError(
             f"the modes move {common:.2f} times as fast as their listed gains say: allowed {SPEEDS[0]:g} to "
-            f"{SPEEDS[1]:g}; the outputs are off; see whether the vibrometer is set to the listed "
+            f"{SPEEDS[1]:g}; the outputs are off; check that the vibrometer is set to the listed "
             "`acquisition.sensitivity_mm_s_per_V`, or identify the beam again with `modaltouch identify`"
         )
     for row, channel in np.argwhere((ratio < 0.4) | (ratio > 2.5)).tolist():
@@ -199,7 +199,7 @@ def refuse_saturation(predicted: FloatArray, measured: FloatArray) -> None:
     if len(predicted) > 1 and (likeness.argmax(axis=1) != np.arange(len(predicted))).all():
         raise RigError(
             "the drive measured for each output is that of another: the probes are exchanged; the outputs are off; "
-            "see which probe is at which amplifier"
+            "check which probe is at which amplifier"
         )
     lacking = peak_shortfall(predicted, measured)
     output = int(lacking.argmax())

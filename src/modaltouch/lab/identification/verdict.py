@@ -179,7 +179,7 @@ def _refuse_axis(ratios: Sequence[float], apparatus: Apparatus) -> None:
             if len(ratios) >= FEWEST_GAINS and near.mean() >= MOST_GAINS:
                 raise ValueError(
                     f"the natural frequencies are {np.median(ratios):.3g} times those of {apparatus.apparatus}: "
-                    f"{meaning}; see the frequencies or times in the files, or name the file of this beam with "
+                    f"{meaning}; check the frequencies or times in the files, or give the file of this beam with "
                     "--apparatus"
                 )
 

@@ -79,7 +79,7 @@ class Prober:
         if not SPEEDS[0] <= common <= SPEEDS[1]:
             raise ValueError(
                 f"the modes move {common:.2f} times as fast as their listed gains say: allowed {SPEEDS[0]:g} to "
-                f"{SPEEDS[1]:g}; see whether the vibrometer is set to the listed `acquisition.sensitivity_mm_s_per_V`, "
+                f"{SPEEDS[1]:g}; check that the vibrometer is set to the listed `acquisition.sensitivity_mm_s_per_V`, "
                 "or identify the beam again with `modaltouch identify --modes all`"
             )
         return {"misfit": round(self._beam.misfit, 3), "modes": self._modes(self._beam.model)}
