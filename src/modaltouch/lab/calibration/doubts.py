@@ -136,7 +136,8 @@ def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> No
         raise RigError(
             f"the modes move {common:.2f} times as fast as their listed gains say: allowed {SPEEDS[0]:g} to "
             f"{SPEEDS[1]:g}; the outputs are off; check that the vibrometer is set to the listed "
-            "`acquisition.sensitivity_mm_s_per_V`, or identify the beam again with `modaltouch identify`"
+            "`acquisition.sensitivity_mm_s_per_V` and that the actuators have no strong hysteresis, or identify the "
+            "beam again with `modaltouch identify`"
         )
     for row, channel in np.argwhere((ratio < 0.4) | (ratio > 2.5)).tolist():
         raise RigError(

@@ -51,7 +51,7 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     """
     found = {mode.label: mode for mode in identification.modes if mode.label is not None}
     spoilt = identification.misfit > WELL_FITTED or any(mode.rest.share > MARKED_ELSE for mode in identification.modes)
-    strange = _strange(identification.modes, [label for label in labels if label not in found])
+    strange = "" if spoilt else _strange(identification.modes, [label for label in labels if label not in found])
     split = "" if strange else _split(identification.modes)
     remedy = "" if spoilt or split or strange else "; drive harder, average more, or look higher with --highest-kHz"
     lines = []
