@@ -82,8 +82,7 @@ def check(
     from modaltouch.preflight import check_legibility, examine
 
     with reporting(json_output=json_output):
-        if tolerance is not None and not 0 < tolerance < 1:
-            raise typer.BadParameter(f"--tolerance is {tolerance:g}; allowed: above 0 and below 1, such as 0.001")
+        _refuse_tolerance(tolerance)
         preflight = check_legibility(examine(protocol, calibration, marked=with_marked_calibration))
         asked = {} if preflight.problems else _explore(preflight, sensitivity, designs, contrast, tolerance)
         if export is not None and not preflight.problems:
@@ -98,6 +97,11 @@ def check(
             _show_explored(asked)
         if preflight.problems:
             raise typer.Exit(BAD_INPUT)
+
+
+def _refuse_tolerance(tolerance: float | None) -> None:
+    if tolerance is not None and not 0 < tolerance < 1:
+        raise typer.BadParameter(f"--tolerance is {tolerance:g}; allowed: above 0 and below 1, such as 0.001")
 
 
 def _export(preflight: Preflight, file: Path) -> None:
