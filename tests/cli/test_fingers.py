@@ -19,6 +19,7 @@ FOUND = {
         }
     ],
     "fingers": {"right": {"index": {"mass_g": 0.0812, "damping_N_s_per_m": 0.502, "offset_mm": -1.254}}},
+    "sensitivity_uncertainty_percent": 1.0,
     "file": "mine.yaml",
 }
 
@@ -46,6 +47,7 @@ def test_what_was_found_is_said(asked):
     row = next(row for row in result.stdout.splitlines() if "0.0812" in row)
     assert [cell.strip() for cell in row.split("│")[1:-1]] == ["right index", "0.0812", "0.502", "0", "-1.25"]
     assert "99.8 (99.5 to 100.2)" in result.stdout
+    assert "sensitivity is known to 1 %: all levels share that error" in result.stdout
     assert "Written: mine.yaml" in result.stdout
 
 

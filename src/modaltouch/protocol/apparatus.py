@@ -169,7 +169,8 @@ class AcquisitionSection(Section):
     )
     sensitivity_uncertainty_percent: NotNegative = described(
         "Half width of the 95 % interval of the sensitivity, from the data sheet or certificate [%]. It is part of the "
-        "uncertainty that a calibration states. It scales all speeds alike, so the limits do not include it.",
+        "intervals of identified gains and of a calibration. It scales all speeds alike, so the limits of calibrations "
+        "and the intervals of speeds under fingers do not include it; `fingers probe` states it beside them.",
         default=1.0,
     )
     range_mm_s: Positive = described("Highest velocity in the vibrometer's range [mm/s, peak].", default=500.0)

@@ -122,7 +122,8 @@ class FingerProbe(Section):
     mode: Text = described("simulated or real.")
     misfit: NotNegative = described("Mean square of the residuals of the fit, relative to that of the noise [1].")
     level_percent: Interval = described(
-        "95 % interval of the level at the focus, as a share of the level asked for [%]."
+        "95 % interval of the level at the focus, as a share of the level asked for, without the uncertainty of the "
+        "vibrometer's sensitivity, which all levels share [%]."
     )
     covariance: Annotated[tuple[tuple[Number, ...], ...], Field(max_length=100)] = described(
         "Covariance of the logarithms of mass, damping and stiffness, the offset [mm] and the logarithms of the "

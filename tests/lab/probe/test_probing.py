@@ -72,6 +72,11 @@ def test_level_is_predicted_with_its_interval(written):
     assert placement["attainable_mm_s"] > 20
 
 
+def test_uncertainty_of_the_sensitivity_is_stated_beside_the_levels(written):
+    """All levels share it; within one beam and vibrometer, intervals are of what differs."""
+    assert written["sensitivity_uncertainty_percent"] == 1.0
+
+
 def test_twin_really_gets_the_level(written, protocol):
     """The design for the fingers of the file, played on the twin: its true speed at C lies in the interval."""
     file, (inputs, _) = FingersFile.read(Path(written["file"])), examine(protocol).sound
@@ -111,9 +116,9 @@ def test_shipped_table_is_refused(tmp_path):
         probe_fingers(Path("under_the_finger"), tmp_path / "fingers.yaml", rig="no rig")
 
 
-@pytest.mark.parametrize("factor", [0.5, 2.0])
+@pytest.mark.parametrize("factor", [0.5, 0.8, 1.25, 2.0])
 def test_another_sensitivity_is_refused(protocol, tmp_path, monkeypatch, factor):
-    """A vibrometer set to half or twice what is listed: every level would be as wrong."""
+    """A vibrometer set to half, four fifths, five quarters or twice what is listed: every level would be as wrong."""
     measure = SimulatedScope.measure
 
     def misread(*args):
@@ -121,7 +126,8 @@ def test_another_sensitivity_is_refused(protocol, tmp_path, monkeypatch, factor)
         return replace(recording, velocity=recording.velocity * factor)
 
     monkeypatch.setattr(SimulatedScope, "measure", misread)
-    with pytest.raises(ValueError, match=r"the modes move (0\.50|1\.99|2\.00) times as fast .*sensitivity_mm_s_per_V"):
+    said = r"the modes move (0\.50|0\.80|1\.2[45]|1\.99|2\.00) times as fast .*sensitivity_mm_s_per_V"
+    with pytest.raises(ValueError, match=said):
         probe_fingers(protocol, tmp_path / "mine.yaml", pair="A-C", seed=5)
 
 

@@ -362,6 +362,7 @@ class _Beam:
             found = over_repeats(fit_jointly(responses, self.length, clock_tolerance=CLOCK_TOLERANCE))
         check_modes(found, self.labels)
         check_gains(found, self.apparatus)
+        found = found.doubted(self.apparatus.acquisition.sensitivity_uncertainty_percent * 1e-2)
         labels = self.labels
         if self.options.modes == "all":
             labels = tuple(mode.label for mode in found.modes if mode.label is not None)

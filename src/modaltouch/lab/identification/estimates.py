@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.identification.peaks import HalfPower, Poles
@@ -31,6 +32,11 @@ class Estimate:
     def of(cls, value: float, deviation: float) -> Estimate:
         """Return the estimate of a value of a standard deviation."""
         return cls(value, value - NORMAL_95 * deviation, value + NORMAL_95 * deviation)
+
+    def doubted(self, part: float) -> Estimate:
+        """Return it with the interval of a factor besides, in quadrature: half its width as a part of the value [1]."""
+        half = [math.hypot(self.value - end, part * self.value) for end in (self.low, self.high)]
+        return Estimate(self.value, self.value - half[0], self.value + half[1])
 
     def __contains__(self, value: float) -> bool:
         """Return whether the interval covers a value."""
@@ -125,6 +131,17 @@ class Identification:
     def shaped(self) -> list[tuple[IdentifiedMode, FloatArray]]:
         """The modes with a shape, and that: of bending, and of torsion where rows over the width show it."""
         return [(mode, mode.shape) for mode in self.modes if mode.shape is not None]
+
+    def doubted(self, sensitivity: float) -> Identification:
+        """Return it with the vibrometer's sensitivity in the gains' intervals.
+
+        Parameters
+        ----------
+        sensitivity : float
+            Half width of its 95 % interval, as a part of it [1].
+        """
+        modes = (replace(mode, gain=tuple(gain.doubted(sensitivity) for gain in mode.gain)) for mode in self.modes)
+        return replace(self, modes=tuple(modes))
 
     def mode(self, label: int) -> IdentifiedMode:
         """Return the mode of a label.

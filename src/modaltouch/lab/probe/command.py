@@ -45,18 +45,26 @@ class ProbeReport:
         The file of them.
     out : Path
         Where it goes.
+    sensitivity_percent : float
+        Half width of the 95 % interval of the vibrometer's sensitivity, common to all levels and in no interval [%].
     """
 
     placements: list[dict[str, Any]]
     fingers: dict[str, Any]
     text: str
     out: Path
+    sensitivity_percent: float
 
     def write(self) -> dict[str, Any]:
         """Write the file, and return the plain values with its path."""
         prepare_file(self.out)
         replace_file(self.out, self.text.encode(), "move it away, or give another file with --out")
-        return {"placements": rounded(self.placements, 6), "fingers": self.fingers, "file": str(self.out)}
+        return {
+            "placements": rounded(self.placements, 6),
+            "fingers": self.fingers,
+            "sensitivity_uncertainty_percent": self.sensitivity_percent,
+            "file": str(self.out),
+        }
 
 
 def probe_fingers(
@@ -189,4 +197,5 @@ class _Plan:
         about = {"description": f"Measured by `modaltouch fingers probe` for {self.placements.protocol.protocol}"}
         file = self.placements.file.model_validate(about | {"fingers": hands, "probes": probes})
         values = file.model_dump(mode="json", exclude_defaults=True)
-        return ProbeReport(shown, values["fingers"], HEAD + yaml_text(values), out)
+        doubt = self.apparatus.acquisition.sensitivity_uncertainty_percent
+        return ProbeReport(shown, values["fingers"], HEAD + yaml_text(values), out, doubt)

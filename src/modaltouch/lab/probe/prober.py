@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.calibration.doubts import SPEEDS
 from modaltouch.lab.identification.estimates import NORMAL_95
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.lab.output import rounded
@@ -20,6 +19,9 @@ from modaltouch.stimulus import Finger, ModalModel, Probe, Stimulus
 
 SPEED = 15e-3
 """Highest that the beam is moved at under fingers and laser, if nothing else is asked for [m/s]."""
+
+SPEED_RATIOS = 0.85, 1.15
+"""What all modes may share over their listed gains, by which amplifiers differ from their data sheets [1]."""
 
 FROM_END = 1e-3
 """From the end of the beam to the vibrometer's spot: there every mode moves [m]."""
@@ -76,11 +78,12 @@ class Prober:
         listed = self._model.modal_gain
         strong = np.abs(listed) == np.abs(listed).max(axis=1, keepdims=True)
         common = float(np.median(self._free.model.modal_gain[strong] / listed[strong]))
-        if not SPEEDS[0] <= common <= SPEEDS[1]:
+        low, high = SPEED_RATIOS
+        if not low <= common <= high:
             raise ValueError(
-                f"the modes move {common:.2f} times as fast as their listed gains say: allowed {SPEEDS[0]:g} to "
-                f"{SPEEDS[1]:g}; check that the vibrometer is set to the listed `acquisition.sensitivity_mm_s_per_V`, "
-                "or identify the beam again with `modaltouch identify --modes all`"
+                f"the modes move {common:.2f} times as fast as their listed gains say: allowed {low:g} to {high:g}; "
+                "check that the vibrometer is set to the listed `acquisition.sensitivity_mm_s_per_V` and the amplifier "
+                "to its `amplifier.gain`, or identify the beam again with `modaltouch identify --modes all`"
             )
         return {"misfit": round(self._beam.misfit, 3), "modes": self._modes(self._beam.model)}
 
