@@ -1,4 +1,4 @@
-"""SignalDetection d' and criterion of one participant, by the theory of signal detection, with 95 % intervals.
+"""Sensitivity d' and criterion of one participant, by the theory of signal detection, with 95 % intervals.
 
 Estimates are of rates with the log-linear correction, (k + 0.5) / (n + 1), so that they are finite. Intervals are of
 the counts themselves: by profile likelihood where two rates tell, exact where one does; a bound is infinite where the

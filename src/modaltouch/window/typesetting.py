@@ -1,4 +1,4 @@
-"""Typeblock: words of any script as pixels, shaped by HarfBuzz through Pillow's Raqm.
+"""Typesetting: words of any script as pixels, shaped by HarfBuzz through Pillow's Raqm.
 
 Lines break at spaces, and between ideographs; the order of their letters is that of the Unicode bidirectional algorithm
 (UAX 9, by FriBidi), each paragraph in the direction of its first letter. The first font that has a letter
