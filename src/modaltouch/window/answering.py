@@ -108,19 +108,24 @@ DOUBLE_WINDOW = 0.05
 """A different answer this soon after the first flags the trial as double [s]."""
 
 
-class AnswerTaker:
-    """Waits for answers at one window, and holds the session in a pause.
+Taken = tuple[str, Event] | None
+"""An answer with its event; None where time was up."""
+
+
+class AskedQuestion:
+    """Shows one question and takes its answer; holds the session in a pause.
 
     Parameters
     ----------
-    loop, pictures, reader
-        Where it is shown, what is shown, and what the events mean.
+    loop, pictures
+        Where it is shown, and what is shown.
     """
 
-    def __init__(self, loop: DisplayLoop, pictures: Illustrator, reader: Reader) -> None:
+    def __init__(self, loop: DisplayLoop, pictures: Illustrator) -> None:
+        self.pictures = pictures
+        self.reader = Reader.of(pictures.answers, pictures.layout)
+        """What the events mean."""
         self._loop = loop
-        self._pictures = pictures
-        self._reader = reader
 
     def hold(self, trial: Trial | None, event: Event) -> Event:
         """Show the pause screen until the session goes on, and return what made it go on.
@@ -136,16 +141,16 @@ class AnswerTaker:
         by = {"by": "experimenter"} if event.kind == "pause" else {}
         self._loop.note(name, trial=trial.index if trial else None, **by)
         began = self._loop.clock.now()
-        shown = self._loop.show(self._pictures.pause(trial), Moment("go_on", trial))
+        shown = self._loop.show(self.pictures.pause(trial), Moment("go_on", trial))
         while True:
             for press in self._loop.poll():
                 if press.kind == "close":
                     self._end("window closed")
                 if press.kind != "continue" and press.time < shown + SETTLE:
                     self.discard(press, "as the screen appeared", trial)
-                elif self._reader.ends(press):
+                elif self.reader.ends(press):
                     self._end("escape")
-                elif self._reader.goes_on(press):
+                elif self.reader.goes_on(press):
                     self._loop.note("continued", paused_s=round(press.time - began, 3))
                     return press
 
@@ -164,7 +169,7 @@ class AnswerTaker:
         interrupt: Callable[[Event], NoReturn],
         times_out: Callable[[], bool] | None = None,
         since: float | None = None,
-    ) -> tuple[str, Event] | None:
+    ) -> Taken:
         """Return the first answer and its event, or None once time is up; what came after it is left to be read.
 
         Parameters
@@ -181,13 +186,13 @@ class AnswerTaker:
         while True:
             events = self._loop.poll()
             for place, event in enumerate(events):
-                if self._reader.interrupts(event):
+                if self.reader.interrupts(event):
                     interrupt(event)
                 if event.kind == "answer" and event.time < (since or self._loop.shown):
                     # Typed at the console before the question came, and on its way since.
                     self._loop.note("discarded", when="before the question", **describe_press(event))
                     continue
-                answer = self._reader.answer(event)
+                answer = self.reader.answer(event)
                 if answer is not None:
                     self._loop.put_back(events[place + 1 :])
                     return answer, event
@@ -216,7 +221,7 @@ class AnswerTaker:
             Called with an event that cuts the trial; raises.
         """
         while True:
-            picture = self._pictures.question(trial, progress, chosen=answer, confirmed=False)
+            picture = self.pictures.question(trial, progress, chosen=answer, confirmed=False)
             self._loop.show(picture, Moment("confirm", trial))
             chosen = self.await_answer(trial, interrupt)
             if chosen is None:
@@ -237,7 +242,7 @@ class AnswerTaker:
         rest: list[Event] = []
         while True:
             for other in self._loop.poll_quietly():
-                second = self._reader.answer(other)
+                second = self.reader.answer(other)
                 if second is None:
                     rest.append(other)
                 elif second != answer and other.time <= event.time + DOUBLE_WINDOW:
@@ -248,35 +253,6 @@ class AnswerTaker:
                 self._loop.put_back(rest)
                 return is_double
             self._loop.clock.sleep(0.002)
-
-
-Taken = tuple[str, Event] | None
-"""An answer with its event; None where time was up."""
-
-
-@dataclass(frozen=True)
-class AskedQuestion:
-    """What shows one question and takes its answer.
-
-    Attributes
-    ----------
-    answers : AnswersSection
-        How it is answered.
-    loop, pictures, reader, taker
-        Where it is shown, what is shown, what events mean, and who waits for one.
-    """
-
-    answers: AnswersSection
-    loop: DisplayLoop
-    pictures: Illustrator
-    reader: Reader
-    taker: AnswerTaker
-
-    @classmethod
-    def prepare(cls, loop: DisplayLoop, pictures: Illustrator) -> AskedQuestion:
-        """Return the question that the pictures show."""
-        reader = Reader.of(pictures.answers, pictures.layout)
-        return cls(pictures.answers, loop, pictures, reader, AnswerTaker(loop, pictures, reader))
 
     def take(
         self,
@@ -294,31 +270,31 @@ class AskedQuestion:
         draw : callable
             The question with what stands on the scale.
         interrupt, times_out
-            As for `AnswerTaker.await_answer`.
+            As for `await_answer`.
         """
-        trial, scale, since = moment.trial, self.answers.scale, self.loop.shown
+        trial, scale, since = moment.trial, self.pictures.answers.scale, self._loop.shown
         if scale is None:
-            return self.taker.await_answer(trial, interrupt, times_out), None
+            return self.await_answer(trial, interrupt, times_out), None
         entry = Entry(scale, self.pictures.layout.buttons.get("line"))
 
         def show() -> None:
-            self.loop.show(draw(entry.text or None), replace(moment, entered=entry.text))
+            self._loop.show(draw(entry.text or None), replace(moment, entered=entry.text))
 
         def creeps_or_times_out() -> bool:
-            if entry.creeps(self.loop.clock.now()):
+            if entry.creeps(self._loop.clock.now()):
                 show()
             return times_out()
 
-        while (done := self.taker.await_answer(trial, interrupt, creeps_or_times_out, since)) is not None:
+        while (done := self.await_answer(trial, interrupt, creeps_or_times_out, since)) is not None:
             if entry.take(*done):
-                return (self.answers.offered[0].name, done[1]), entry.value
+                return (self.pictures.answers.offered[0].name, done[1]), entry.value
             show()
         return None, None
 
     def respond(self, taken: Taken, value: float | None, since: float, answered_by: str) -> Response:
         """Return what was answered, or that time was up, counted from `since` [s]."""
         if taken is None:
-            return Response(TIME_OUT, self.loop.clock.now() - since, answered_by=answered_by, device="none")
+            return Response(TIME_OUT, self._loop.clock.now() - since, answered_by=answered_by, device="none")
         answer, event = taken
         device, key = DEVICES[event.kind], self.reader.name(event) or answer
         return Response(answer, event.time - since, answered_by=answered_by, device=device, key=key, value=value)

@@ -128,10 +128,6 @@ class DisplayLoop:
                     f"the folder {screenshots} for screenshots cannot be made ({error}); give a folder you may write to"
                 ) from error
 
-    def prepare(self, picture: Picture) -> None:
-        """Make a picture ready to be shown quickly."""
-        self._display.prepare(picture)
-
     def show(self, picture: Picture, moment: Moment | None = None) -> float:
         """Show a picture unless it is on already, and return since when it is on [s]."""
         if picture != self._picture:

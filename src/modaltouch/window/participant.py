@@ -99,7 +99,7 @@ class ParticipantWindow(AnswerWindow):
         )
         self._answered_by = "simulated" if robot else ""
         self._first = self._asking(protocol.answers)
-        self._pictures, self._reader, self._taker = self._first.pictures, self._first.reader, self._first.taker
+        self._pictures, self._reader = self._first.pictures, self._first.reader
         self._current: tuple[Trial, Progress] | None = None
         self._answered, self._by_hand, self._onset = -math.inf, True, 0.0
 
@@ -200,7 +200,7 @@ class ParticipantWindow(AnswerWindow):
         taken, value = self._first.take(moment, draw, interrupt, is_over)
         gap = self._loop.poll_gap
         if taken is not None and value is None and answers.change_until_confirmed:
-            taken = self._taker.await_confirmation(trial, counted, *taken, interrupt)
+            taken = self._first.await_confirmation(trial, counted, *taken, interrupt)
         presentation.end()
         since, by = asked if stops_first else onset, self._answered_by or self._who(trial)
         response = self._first.respond(taken, value, since, by)
@@ -209,7 +209,7 @@ class ParticipantWindow(AnswerWindow):
             response,
             onset="question" if stops_first else "first_burst",
             way=answers.way(trial.condition.finger_condition),
-            double=taken is not None and value is None and self._taker.watch_double(*taken),
+            double=taken is not None and value is None and self._first.watch_double(*taken),
             question_after=asked - onset,
             question_uncertainty=flip_took,
             time_uncertainty=gap,
@@ -240,7 +240,7 @@ class ParticipantWindow(AnswerWindow):
             shown = self._loop.show(draw(None), moment)
             flip_took, limit = self._loop.flip_took, shown + (asked.time_out_s or math.inf)
             for event in self._loop.poll_quietly():
-                self._taker.discard(event, "before the question", trial)
+                self._first.discard(event, "before the question", trial)
             try:
                 taken, value = question.take(moment, draw, interrupt, partial(self._is_past, limit))
             except TrialInterrupted:
@@ -264,7 +264,7 @@ class ParticipantWindow(AnswerWindow):
         layout = lay_out(*self._display.size, self._zones, answers.offered, answers.scale)
         design = self._design
         pictures = Illustrator(layout, self._colours, self._texts, answers, design.hand, design.fingers)
-        return AskedQuestion.prepare(self._loop, pictures)
+        return AskedQuestion(self._loop, pictures)
 
     def _end_of(self, presentation: Presentation, asked: float) -> Callable[[], bool]:
         """Return what, asked again and again, ends the longest stimulus and tells whether the time to answer is up."""
@@ -336,9 +336,9 @@ class ParticipantWindow(AnswerWindow):
         progress, draw = Progress(1, 1), self._pictures
         felt = [draw.feel(trial, progress, interval) for interval in range(self._n_intervals + 1)]
         for picture in (draw.placement(trial), *felt, draw.question(trial, progress)):
-            self._loop.prepare(picture)
+            self._display.prepare(picture)
         for answer in draw.layout.buttons if self._answers.scale is None else ():
-            self._loop.prepare(draw.question(trial, progress, chosen=answer))
+            self._display.prepare(draw.question(trial, progress, chosen=answer))
 
     def _count(self, trial: Trial, progress: tuple[int, int]) -> Progress:
         """Return the progress as the participant sees it: practice trials count on their own."""
@@ -360,7 +360,7 @@ class ParticipantWindow(AnswerWindow):
                     self._hold(trial, event)
                     shown = self._loop.show(draw(), Moment("go_on", trial))
                 elif event.time < shown + SETTLE:
-                    self._taker.discard(event, "as the screen appeared")
+                    self._first.discard(event, "as the screen appeared")
                 elif event.kind == "click" or self._reader.goes_on(event):
                     self._loop.write_notes()
                     self._note_press(event)
@@ -380,12 +380,12 @@ class ParticipantWindow(AnswerWindow):
                 if self._reader.interrupts(event):
                     self._hold(None, event)
                     return False
-                self._taker.discard(event, "between trials")
+                self._first.discard(event, "between trials")
         return True
 
     def _hold(self, trial: Trial | None, event: Event) -> None:
         """Pause until the session goes on."""
-        self._note_press(self._taker.hold(trial, event))
+        self._note_press(self._first.hold(trial, event))
 
     def _note_press(self, event: Event) -> None:
         """Keep when something was pressed, and whether it was by somebody at the window."""
@@ -411,7 +411,7 @@ class ParticipantWindow(AnswerWindow):
     def _before_question(self, event: Event, trial: Trial, stop: Callable[[], None]) -> None:
         if self._reader.interrupts(event):
             self._interrupt(trial, event, stop)
-        self._taker.discard(event, "before the question", trial)
+        self._first.discard(event, "before the question", trial)
 
     def _interrupt(self, trial: Trial, event: Event, stop: Callable[[], None]) -> NoReturn:
         """Stop the stimulus, pause, and have the trial offered again."""
