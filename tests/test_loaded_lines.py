@@ -59,7 +59,7 @@ def test_a_simulated_session_loads_neither_lab_nor_analysis_nor_screen(tmp_path)
         "session.console.keyboard",
         "session.resumption",
         "stimulus.timoshenko",
-        "window.noise",
+        "window.masking",
         "window.screen",
     }
     assert lines <= 23_600

@@ -19,7 +19,7 @@ import numpy as np
 from modaltouch.window.display_loop import POLL_INTERVAL
 from modaltouch.window.environment import LIBRARIES, is_loadable, missing_libraries, some_display
 from modaltouch.window.interface import WindowError
-from modaltouch.window.noise import DeviceError, default_device
+from modaltouch.window.masking import DeviceError, default_device
 from modaltouch.window.screen import Screen
 from modaltouch.window.shapes import Box, Picture, Words, rectangle
 from modaltouch.window.typesetting import Fonts

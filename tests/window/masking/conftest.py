@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import sounddevice
 
-from modaltouch.window.noise import DeviceError
+from modaltouch.window.masking import DeviceError
 
 NO_CARD = "pcm.!default { type hw card 31 }\nctl.!default { type null }\n"
 
@@ -88,7 +88,7 @@ def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
     monkeypatch.setattr(sounddevice, "_terminate", lambda: None)
     monkeypatch.setattr(sounddevice, "_initialize", lambda: None)
     monkeypatch.setattr(
-        "modaltouch.window.noise.default_device",
+        "modaltouch.window.masking.default_device",
         lambda name="": {"name": "earphones", "max_output_channels": 8},
     )
     return opened
@@ -103,6 +103,6 @@ def unplug(monkeypatch: pytest.MonkeyPatch) -> Callable[[Device], None]:
 
     def pull(device: Device) -> None:
         device.active = False
-        monkeypatch.setattr("modaltouch.window.noise.default_device", nothing)
+        monkeypatch.setattr("modaltouch.window.masking.default_device", nothing)
 
     return pull

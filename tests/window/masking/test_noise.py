@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import welch
 
-from modaltouch.window.masking import highest_level
-from modaltouch.window.noise import HIGHEST, LOWEST, LoopedNoise, amplitude_at, make_noise
+from modaltouch.window.masking import HIGHEST, LOWEST, LoopedNoise, amplitude_at, highest_level, make_noise
 
 RATE = 48_000.0
 

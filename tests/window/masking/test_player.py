@@ -16,8 +16,7 @@ from modaltouch.protocol import MaskingSection
 from modaltouch.protocol.apparatus import Apparatus, Sound
 from modaltouch.window import masking as player
 from modaltouch.window.interface import Masking, MaskingError
-from modaltouch.window.masking import NoiseMasking
-from modaltouch.window.noise import amplitude_at, make_noise
+from modaltouch.window.masking import NoiseMasking, amplitude_at, make_noise
 
 SECTION = MaskingSection(noise="pink", level_dB_FS=-20.0, fade_s=0.05)
 ALSA = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="ALSA is Linux's")
@@ -30,8 +29,7 @@ def test_the_device_gets_the_noise_faded_in_and_out(in_a_process: Any, null_devi
 import json
 import numpy as np
 from modaltouch.protocol.apparatus import Apparatus, Sound
-from modaltouch.window.noise import amplitude_at, make_noise
-from modaltouch.window.masking import NoiseMasking
+from modaltouch.window.masking import NoiseMasking, amplitude_at, make_noise
 from modaltouch.protocol import MaskingSection
 
 events, blocks = [], []
