@@ -12,13 +12,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from modaltouch.record import RecordError, move
-from modaltouch.system import sync_file
+from modaltouch.record import RecordError, move, replace_file
 
 MANIFEST = "manifest.json"
 
 _MAKER = "modaltouch "
 """What the maker of every manifest begins with."""
+_REMEDY = "give a folder you may write to with --out"
 
 
 def write_files(
@@ -54,8 +54,10 @@ def write_files(
     files = {name: _encode(name, content) for name, content in contents.items()}
     about = {"generated_by": _MAKER + command, **about}
     known = _read_manifest(folder)
-    for name in (*files, MANIFEST):
-        _refuse_strange(folder / name, known.get(name, []) if name != MANIFEST else None, bool(known))
+    for name in files:
+        _refuse_strange(folder / name, known.get(name, []))
+    if not known:
+        _refuse_strange(folder / MANIFEST, [])
     hashes = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
     temporary = _new_folder(folder, folder.parent)
     try:
@@ -64,12 +66,12 @@ def write_files(
         # While files are replaced one by one, the manifest owns the old and the new ones alike.
         either = {name: sorted({*known.get(name, []), new}) for name, new in hashes.items()}
         folder.mkdir(exist_ok=True)
-        _put(temporary, folder, MANIFEST, _manifest(about, {**known, **either}))
+        replace_file(folder / MANIFEST, _manifest(about, {**known, **either}), _REMEDY)
         for name in files:
             move((temporary / name).replace, folder / name)
         for name in known.keys() - hashes.keys():
             (folder / name).unlink(missing_ok=True)
-        _put(temporary, folder, MANIFEST, _manifest(about, {name: [value] for name, value in hashes.items()}))
+        replace_file(folder / MANIFEST, _manifest(about, {name: [value] for name, value in hashes.items()}), _REMEDY)
     except OSError as error:
         raise _cannot(folder, error) from error
     finally:
@@ -136,18 +138,9 @@ def _new_folder(folder: Path, place: Path) -> Path:
         raise _cannot(folder, error) from error
 
 
-def _put(temporary: Path, folder: Path, name: str, text: str) -> None:
-    path = temporary / name
-    with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(text)
-        file.flush()
-        sync_file(file.fileno())
-    move(path.replace, folder / name)
-
-
-def _manifest(about: dict[str, Any], hashes: dict[str, list[str]]) -> str:
+def _manifest(about: dict[str, Any], hashes: dict[str, list[str]]) -> bytes:
     values = {**about, "files": dict(sorted(hashes.items()))}
-    return json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    return (json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
 def _read_manifest(folder: Path) -> dict[str, list[str]]:
@@ -173,12 +166,9 @@ def _plain(name: object) -> bool:
     return isinstance(name, str) and Path(name).name == name
 
 
-def _refuse_strange(path: Path, own: list[str] | None, ours: bool) -> None:
+def _refuse_strange(path: Path, own: list[str]) -> None:
+    """Refuse a file that is there and has none of our own hashes."""
     if not path.exists():
-        return
-    if own is None:
-        if not ours:
-            raise RecordError(f"{path}: exists already and is not from modaltouch; give another folder with --out")
         return
     try:
         found = hashlib.sha256(path.read_bytes()).hexdigest()
@@ -190,4 +180,4 @@ def _refuse_strange(path: Path, own: list[str] | None, ours: bool) -> None:
 
 
 def _cannot(path: Path, error: OSError) -> RecordError:
-    return RecordError(f"{path}: cannot be written ({error.strerror}); give a folder you may write to with --out")
+    return RecordError(f"{path}: cannot be written ({error.strerror}); {_REMEDY}")
