@@ -80,13 +80,10 @@ def render_page(package: str, template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters.update(data_uri=_data_uri, number=say_number)
+    environment.filters.update(
+        data_uri=lambda svg: "data:image/svg+xml;base64," + base64.b64encode(svg).decode("ascii"), number=say_number
+    )
     return environment.get_template(template).render(**values)
-
-
-def _data_uri(svg: bytes) -> str:
-    """Return an address that holds the picture itself."""
-    return "data:image/svg+xml;base64," + base64.b64encode(svg).decode("ascii")
 
 
 def say_number(value: float | None, digits: int = 3, *, decimals: int | None = None) -> str:
