@@ -173,13 +173,8 @@ _PATIENCE = 60.0
 
 
 @contextmanager
-def some_display(size: tuple[int, int] = (1920, 1080)) -> Iterator[str]:
+def some_display() -> Iterator[str]:
     """Keep the display there is, or start a virtual one and take it down again.
-
-    Parameters
-    ----------
-    size : (width, height) of int
-        Size of the virtual screen [pixels].
 
     Yields
     ------
@@ -194,15 +189,12 @@ def some_display(size: tuple[int, int] = (1920, 1080)) -> Iterator[str]:
     if sys.platform != "linux" or os.environ.get("DISPLAY"):
         yield "the screen"
         return
-    with virtual_display(size) as name:
-        before = os.environ.get("DISPLAY")
+    with virtual_display() as name:
         os.environ["DISPLAY"] = name
         try:
             yield f"a virtual display ({name}), as there is no screen"
         finally:
             os.environ.pop("DISPLAY")
-            if before is not None:
-                os.environ["DISPLAY"] = before
 
 
 @contextmanager
