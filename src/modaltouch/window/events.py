@@ -64,8 +64,8 @@ class EventTap:
         self._digits = _engraved_digits(window)
         self.repeats_are_detectable = _report_releases_once(window)
         window.push_handlers(
-            on_key_press=self._on_key_press,
-            on_key_release=self._on_key_release,
+            on_key_press=partial(self._on_key, "key"),
+            on_key_release=partial(self._on_key, "release"),
             on_text=self._swallow,
             on_text_motion=self._swallow,
             on_mouse_press=self._on_mouse_press,
@@ -100,11 +100,8 @@ class EventTap:
         self._queue.append(Event(self._clock.now(), kind, key, x, y, self._digits.get(key, "")))
         return True
 
-    def _on_key_press(self, symbol: int, modifiers: int) -> bool:
-        return self._add("key", canonical_key(self._symbol_name(symbol)))
-
-    def _on_key_release(self, symbol: int, modifiers: int) -> bool:
-        return self._add("release", canonical_key(self._symbol_name(symbol)))
+    def _on_key(self, kind: EventKind, symbol: int, modifiers: int) -> bool:
+        return self._add(kind, canonical_key(self._symbol_name(symbol)))
 
     def _on_mouse_press(self, x: int, y: int, button: int, modifiers: int) -> bool:
         if button != self._left_button:
