@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
@@ -153,17 +154,24 @@ class Preflight:
         """The protocol with each of its stimuli alone, by name; itself, without a name, where it has one."""
         return self.variants or {"": self}
 
+    @property
+    def by_placement(self) -> dict[str, Preflight]:
+        """One stimulus, designed for fingers of each placement; itself, without a name, where it is for none."""
+        return self.placed or {"": self}
+
     @cached_property
     def designs(self) -> dict[str, Preflight]:
         """Each design alone: of each stimulus, and where it is designed for fingers of each placement, by both names.
 
         Without a name where there is one alone.
         """
-        return {
-            " ".join(filter(None, (name, place))): each
-            for name, part in self.parts.items()
-            for place, each in (part.placed or {"": part}).items()
-        }
+        return {" ".join(named.values()): each for named, each in self._named_designs()}
+
+    def _named_designs(self) -> Iterator[tuple[dict[str, str], Preflight]]:
+        """Yield each design alone, with the names of its stimulus and placement where there are several."""
+        for name, part in self.parts.items():
+            for place, each in part.by_placement.items():
+                yield {key: own for key, own in (("stimulus", name), ("placement", place)) if own}, each
 
     def design_of(self, condition: Any) -> str:
         """Return the name of the design that a condition is presented with; a catch trial has its placement's first."""
@@ -217,9 +225,16 @@ class Preflight:
         level : float
             Peak velocity at the focus [mm/s].
         """
-        inputs, stimulus = self.designs[name].sound
-        peaks = stimulus.peak_velocity(finger_places(inputs), level * 1e-3)
-        return dict(zip(inputs.apparatus.ordered_zones, peaks.tolist(), strict=True))
+        if (name, level) not in self._peaks:
+            inputs, stimulus = self.designs[name].sound
+            peaks = stimulus.peak_velocity(finger_places(inputs), level * 1e-3)
+            self._peaks[name, level] = dict(zip(inputs.apparatus.ordered_zones, peaks.tolist(), strict=True))
+        return self._peaks[name, level]
+
+    @cached_property
+    def _peaks(self) -> dict[tuple[str, float], dict[str, float]]:
+        """What `zone_peaks` has found: every trial asks for it."""
+        return {}
 
     @cached_property
     def stimuli(self) -> list[dict[str, Any]]:
@@ -235,23 +250,11 @@ class Preflight:
 
     @property
     def fields(self) -> list[dict[str, Any]]:
-        """The field of each design at its highest level; empty where anything is wrong."""
-        if self.problems:
-            return []
-        return [
-            {
-                **({"stimulus": name} if name else {}),
-                **({"placement": place} if place else {}),
-                **field_figures(*each.sound),
-            }
-            for name, part in self.parts.items()
-            for place, each in (part.placed or {"": part}).items()
-        ]
+        """The field of each design at its highest level."""
+        return [{**named, **field_figures(*each.sound)} for named, each in self._named_designs()]
 
     def comparison(self) -> list[dict[str, Any]]:
         """Return what the other drive law would do on the same rig, level by level."""
-        if self.problems:
-            return []
         if self.variants:
             return [{"stimulus": name, **each} for name, part in self.parts.items() for each in part.comparison()]
         if self.placed:
@@ -261,17 +264,15 @@ class Preflight:
         compared = stimulus.under_law(other)
         return [stimulus_figures(inputs, compared, level) for level in inputs.levels.values()]
 
-    def continuous_fallback(self) -> dict[str, Any] | None:
-        """Return what a generator without burst mode would miss at the highest level; None where anything is wrong."""
-        if self.problems:
-            return None
+    def continuous_fallback(self) -> dict[str, Any]:
+        """Return what a generator without burst mode would miss at the highest level."""
         from modaltouch.preflight.exploration import continuous_figures
 
         inputs, stimulus = self.sound
         return continuous_figures(inputs.apparatus, stimulus, max(inputs.levels.values()) * 1e-3)
 
     def touched(self, fingers: str | None = None) -> list[dict[str, dict[str, Any]]]:
-        """Return what each level of each stimulus does under fingers, by placement (see `preflight.touched`).
+        """Return what each level of each stimulus does under fingers, by placement (see `preflight.exploration`).
 
         Parameters
         ----------
@@ -283,26 +284,24 @@ class Preflight:
         InputError
             With every fault of the file, or of the protocol.
         """
-        from modaltouch.preflight.touched import touched_figures
+        from modaltouch.preflight.exploration import touched_figures
 
         findings = self.require().findings if fingers is None else self.findings.under(fingers)
-        by_placement = ({name: each.sound for name, each in part.placed.items()} for part in self.parts.values())
-        alone = ({"": part.sound} for part in self.parts.values())
         return [
             row
-            for placed, one in zip(by_placement, alone, strict=True)
-            for row in touched_figures(findings, placed or one)
+            for part in self.parts.values()
+            for row in touched_figures(findings, {name: each.sound for name, each in part.by_placement.items()})
         ]
 
     def untouched_warning(self) -> str | None:
         """Return what typical fingers would make of a level for the untouched beam; None of one for fingers."""
-        from modaltouch.preflight.touched import untouched_warning
+        from modaltouch.preflight.exploration import untouched_warning
 
         return None if self.findings.fingers is not None else untouched_warning(self.findings, *self.sound)
 
     def drive_arrays(self) -> dict[str, Any]:
-        """Return what the beam gets at the highest level: ``time_s`` and ``voltage_V`` (see `preflight.touched`)."""
-        from modaltouch.preflight.touched import drive_arrays
+        """Return what the beam gets at the highest level: ``time_s`` and ``voltage_V``."""
+        from modaltouch.preflight.exploration import drive_arrays
 
         return drive_arrays({name: part.sound for name, part in self.designs.items()})
 
@@ -395,10 +394,9 @@ class Preflight:
     def _contrasts(self) -> list[dict[str, Any]]:
         protocol = self.experiment.protocol
         return [
-            {**({"stimulus": name} if name else {}), **({"placement": place} if place else {}), **row}
-            for name, part in self.parts.items()
-            for place, each in (part.placed or {"": part}).items()
-            for row in contrasts(protocol, each.stimuli[-1]["zone_peak_mm_s"], place.split(" ")[0])
+            {**named, **row}
+            for named, each in self._named_designs()
+            for row in contrasts(protocol, each.stimuli[-1]["zone_peak_mm_s"], named.get("placement", "").split(" ")[0])
         ]
 
     @property

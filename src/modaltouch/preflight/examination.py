@@ -325,7 +325,7 @@ def _examine_several(findings: Findings) -> Preflight:
     if not problems and first.inputs is not None:
         by_placement: dict[str, list[Burst]] = {}
         for part in variants.values():
-            for place, each in (part.placed or {"": part}).items():
+            for place, each in part.by_placement.items():
                 by_placement.setdefault(place, []).append(each.stimulus.burst)
         for bursts in by_placement.values():
             problems.update(_check_memories(findings, first.inputs.apparatus, bursts))

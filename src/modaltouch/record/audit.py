@@ -197,8 +197,8 @@ def _check_shown(start: dict[str, Any], restored: RestoredExperiment, place: str
     """Return whether the fields and the speeds at the zones, which reports show as recorded, are predicted again."""
     for row in start["stimulus"].get("stimuli", ()):
         design = " ".join(filter(None, (row.get("stimulus", ""), row.get("placement", ""))))
-        peaks = restored.zone_peaks_mm_s(design, row["velocity_mm_s"])
-        if not _agree(row["zone_peak_mm_s"], peaks):
+        peaks = restored.preflight.zone_peaks(design, row["velocity_mm_s"])
+        if not _agree(row["zone_peak_mm_s"], {zone: peak * 1e3 for zone, peak in peaks.items()}):
             return (
                 False,
                 f"{place} its speeds at the zones at {row['velocity_mm_s']:g} mm/s are not those recomputed",

@@ -44,7 +44,6 @@ class RestoredExperiment:
         self._forget()
 
     def _forget(self) -> None:
-        self._peaks: dict[tuple[str, float], dict[str, float]] = {}
         self.agreed: set[tuple[str, float, tuple[float, ...], tuple[float, ...]]] = set()
         """Stimulus, level, commanded and read back amplitudes that were found to agree."""
         self._amplitudes: dict[tuple[str, float], tuple[float, ...]] = {}
@@ -72,23 +71,6 @@ class RestoredExperiment:
         from modaltouch.protocol import Levels
 
         return Levels(self.protocol)
-
-    def speeds_mm_s(self, trial: Trial) -> tuple[float, ...]:
-        """Return the predicted peak speeds under the fingers in a trial, from left to right [mm/s]."""
-        condition = trial.condition
-        if condition.is_catch:
-            return (0.0,) * len(condition.zones)
-        level = self.preflight.played(condition, condition.velocity_mm_s)
-        peaks = self.zone_peaks_mm_s(self.preflight.design_of(condition), level)
-        return tuple(peaks[zone] for zone in condition.zones)
-
-    def zone_peaks_mm_s(self, design: str, level_mm_s: float) -> dict[str, float]:
-        """Return the predicted peak speed at the centre of each zone, for a design at a level [mm/s]."""
-        key = design, level_mm_s
-        if key not in self._peaks:
-            peaks = self.preflight.zone_peaks(*key)
-            self._peaks[key] = {zone: peak * 1e3 for zone, peak in peaks.items()}
-        return self._peaks[key]
 
     def fields(self, own_levels_mm_s: tuple[float, ...]) -> list[dict[str, Any]]:
         """Return the predicted field of each stimulus at the highest level of the protocol, or of own levels [mm/s]."""

@@ -128,7 +128,7 @@ def _check_planned(planned: dict[str, Any], trial: Trial, given: TrialExpectatio
     level, said = condition.velocity_mm_s, tuple(planned[f"speed_{side}_mm_s"] for side in condition.sides)
     if planned["velocity_mm_s"] != level:
         yield f"was planned at {planned['velocity_mm_s']:g} mm/s and presented at {level:g} mm/s"
-    found = given.restored.speeds_mm_s(trial)
+    found = tuple(speed * 1e3 for speed in given.restored.preflight.speeds(trial))
     if not all(abs(a - b) <= SPEED for a, b in zip(said, found, strict=True)):
         yield f"{level:g} mm/s gives {listed(found)} mm/s at the fingers, not {listed(said)}"
 
