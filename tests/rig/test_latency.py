@@ -6,7 +6,7 @@ from pathlib import Path
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig import Generator, Simulator
-from modaltouch.rig.latency import judge_latency
+from modaltouch.rig.checklist import judge_latency
 
 APPARATUS = Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 GOOD = {"level_p95_ms": 2.0, "off_p95_ms": 2.0}

@@ -107,8 +107,15 @@ class Session:
 
     @staticmethod
     def is_complete_or_running(log: Path) -> bool:
-        """Return whether no answer is missing in a log, or one is being recorded; reads no more than it must."""
-        return _is_complete(log) or is_locked(log)
+        """Return whether no answer is missing in a log, or one is being recorded; mostly its last line tells."""
+        try:
+            with log.open("rb") as file:
+                file.seek(max(file.seek(0, os.SEEK_END) - _TAIL, 0))
+                last = read_object(file.read().rstrip(b"\n").rsplit(b"\n", 1)[-1])
+        except (OSError, UnreadableLineError):
+            last = {}
+        says_so = bool(last.get("event") == "stop" and last.get("complete"))
+        return says_so or read_session(log).complete or is_locked(log)
 
     @cached_property
     def problems(self) -> tuple[str, ...]:
@@ -353,17 +360,6 @@ def read_session(path: Path) -> Session:
     """
     chain = read_chain(path)
     return Session(path, chain.events, chain)
-
-
-def _is_complete(log: Path) -> bool:
-    """Return whether no answer is missing in a log: its last line says so, or else all of them together."""
-    try:
-        with log.open("rb") as file:
-            file.seek(max(file.seek(0, os.SEEK_END) - _TAIL, 0))
-            last = read_object(file.read().rstrip(b"\n").rsplit(b"\n", 1)[-1])
-    except (OSError, UnreadableLineError):
-        last = {}
-    return bool(last.get("event") == "stop" and last.get("complete")) or read_session(log).complete
 
 
 def check_shape(events: Iterable[dict[str, Any]], name: str, *, to_repeat: bool = False) -> tuple[str, ...]:

@@ -85,9 +85,11 @@ class Generator:
         self._patience = patience or Patience()
         self._latency = apparatus.generator.trigger_latency
         self._last_beat = self._longest_silence = 0.0
-        self._lead = RELAYS_SETTLE
+        self.lead = RELAYS_SETTLE
+        """How long before a stimulus `fire` is to be called [s]: twice as long as its preparation takes."""
         self._silent = self._is_counted = False
-        self._firing: Firing | None = None
+        self.firing: Firing | None = None
+        """The latest firing; unconfirmed if `stop` found settings or outputs no longer as set."""
         self._on = False
         self._closed = False
         self._connection = Connection(
@@ -106,27 +108,8 @@ class Generator:
             # No output was ever on, so the watchdog has nothing to do.
             self._connection.guard.release(clean=True)
             raise
+        self.identity, self.address = self._connection.identity, address
         self._opened_in = time.perf_counter() - began
-
-    @property
-    def identity(self) -> str:
-        """Reply to ``*IDN?``."""
-        return self._connection.identity
-
-    @property
-    def address(self) -> str:
-        """VISA address."""
-        return self._connection.address
-
-    @property
-    def lead(self) -> float:
-        """How long before a stimulus `fire` is to be called [s]: twice as long as its preparation takes."""
-        return self._lead
-
-    @property
-    def firing(self) -> Firing | None:
-        """The latest firing; unconfirmed if `stop` found settings or outputs no longer as set."""
-        return self._firing
 
     def command_latency(self, n: int = 50) -> tuple[dict[str, Any], str]:
         """Return how soon the instrument does as it is told, from `n` commands of each kind, and what that means.
@@ -138,9 +121,9 @@ class Generator:
         RigError
             If the instrument is lost.
         """
-        from modaltouch.rig.latency import measure
+        from modaltouch.rig.checklist import measure_latency
 
-        return measure(self, self._player.set_levels, self._opened_in, n=n)
+        return measure_latency(self, self._player.set_levels, self._opened_in, n=n)
 
     def load(self, burst: Burst, *further: Burst, repetition: Repetition | None = None) -> None:
         """Have both channels' records in the instrument, verified, and set everything but the level.
@@ -201,7 +184,7 @@ class Generator:
             # Lasts longer than the watchdog waits within a stimulus.
             self._bring(lambda: self._player.choose(which))
         self._is_counted = exactly
-        self._firing = Firing(
+        self.firing = Firing(
             commanded,
             (),
             self._clock.now(),
@@ -216,11 +199,11 @@ class Generator:
                 self._connection.guard.arm(plays_by_itself=self._player.plays_by_itself and not silent)
                 self._player.choose(which)
                 read_back = self._player.prepare(commanded, silent=silent)
-                self._firing = replace(self._firing, confirmed_amplitude=numbers(read_back))
-                self._begin(self._firing, n_bursts, due, silent=silent)
+                self.firing = replace(self.firing, confirmed_amplitude=numbers(read_back))
+                self._begin(self.firing, n_bursts, due, silent=silent)
             except (Unconfirmed, LinkError) as error:
-                self._give_up(self._firing, error)
-        return self._firing
+                self._give_up(self.firing, error)
+        return self.firing
 
     def _bring(self, records: Callable[[], None]) -> None:
         """Have records in the instrument, over a new connection if the first is lost."""
@@ -233,7 +216,7 @@ class Generator:
     def _give_up(self, firing: Firing, error: Unconfirmed | LinkError) -> None:
         """Switch off a stimulus that did not begin as it should, and keep why."""
         read_back, reason = error.read_back if isinstance(error, Unconfirmed) else (), str(error)
-        self._firing = replace(firing, confirmed_amplitude=numbers(read_back), reason=reason)
+        self.firing = replace(firing, confirmed_amplitude=numbers(read_back), reason=reason)
         self._log("unconfirmed", reason=reason)
         if isinstance(error, LinkError):
             # A trigger of its own may still be on its way over it.
@@ -241,7 +224,7 @@ class Generator:
         self._switch_off("starting the stimulus")
         # While this computer stands still, nothing is held against the instrument.
         if self._connection.guard.held_up() > HELD_UP:
-            self._firing = replace(self._firing, stalled=True)
+            self.firing = replace(self.firing, stalled=True)
         if isinstance(error, Unconfirmed):
             # Whoever changed a setting is to find it as it was for the next try.
             self._connection.restore("starting the stimulus", (), self._player.replay)
@@ -256,7 +239,7 @@ class Generator:
         self._player.switch_on()
         on = clock.now()
         needed = RELAYS_SETTLE + 2 * (set_after + on - started)
-        self._lead = min(max(needed, FORGETTING * self._lead), LONGEST_LEAD)
+        self.lead = min(max(needed, FORGETTING * self.lead), LONGEST_LEAD)
         due = max(due, on + RELAYS_SETTLE)
         if silent:
             clock.sleep(due - on)
@@ -269,7 +252,7 @@ class Generator:
                 clock.sleep(self._player.period / 4)
                 report = self._connection.guard.look()
             if report.first is None:
-                self._firing = replace(firing, stalled=report.ended != "failed")
+                self.firing = replace(firing, stalled=report.ended != "failed")
                 raise LinkError(report.reason or "this computer was held up: no burst could be played in time")
             span = self._sample_left(report.first)
             bursts = self._count(report)
@@ -280,7 +263,7 @@ class Generator:
         # Of pulses that come by a wire nobody here knows the rate, nor whether they come.
         if not silent and self._player.repetition != "wired":
             bursts = replace(bursts, first_s=middle, uncertainty_s=half)
-        self._firing = replace(firing, onset=middle, onset_uncertainty=half, started=True, bursts=bursts)
+        self.firing = replace(firing, onset=middle, onset_uncertainty=half, started=True, bursts=bursts)
         self._last_beat = clock.now()
 
     def _sample_left(self, trigger: tuple[float, float]) -> tuple[float, float]:
@@ -308,14 +291,14 @@ class Generator:
         RigError
             If the instrument cannot be brought to confirm it.
         """
-        was_on, firing = self._on, self._firing
+        was_on, firing = self._on, self.firing
         if not was_on or firing is None or not firing.started:
             self._switch_off("switching the outputs off")
             return
         self._longest_silence = max(self._longest_silence, self._clock.now() - self._last_beat)
         # Until the end is confirmed nothing is.
         unknown = replace(firing.bursts, played=None, whole=None)
-        self._firing = replace(firing, reason="the end of the stimulus was not confirmed", bursts=unknown)
+        self.firing = replace(firing, reason="the end of the stimulus was not confirmed", bursts=unknown)
         try:
             report, fault = (None, ()) if at_once else self._ask_report(wait=True)
             if at_once:
@@ -328,11 +311,11 @@ class Generator:
             if at_once:
                 report, fault = self._ask_report(wait=False)
         except RigError as error:
-            self._firing = replace(self._firing, reason=str(error))
+            self.firing = replace(self.firing, reason=str(error))
             raise
-        self._firing = self._judged(firing, report, (*fault, *found.faults), off)
-        if not self._firing.confirmed:
-            self._log("unconfirmed", reason=self._firing.reason)
+        self.firing = self._judged(firing, report, (*fault, *found.faults), off)
+        if not self.firing.confirmed:
+            self._log("unconfirmed", reason=self.firing.reason)
         if found.differences and not found.renewed:
             self._connection.restore("making the settings again", (), self._player.replay)
 

@@ -154,6 +154,8 @@ class PicoScope(Scope):
         If the library or the scope is not found.
     """
 
+    identity = ""
+
     def __init__(
         self,
         apparatus: Apparatus,
@@ -169,7 +171,7 @@ class PicoScope(Scope):
         self._open = self._waits = False
         self._start()
         try:
-            self._identity = f"PicoScope {self._about(VARIANT)}, serial {self._about(SERIAL)}"
+            self.identity = f"PicoScope {self._about(VARIANT)}, serial {self._about(SERIAL)}"
             highest = ctypes.c_int16()
             self._call("MaximumValue", ctypes.byref(highest))
             self._full_scale = highest.value
@@ -177,11 +179,6 @@ class PicoScope(Scope):
         except BaseException:
             self.close()
             raise
-
-    @property
-    def identity(self) -> str:
-        """Model and serial number."""
-        return self._identity
 
     def configure(self, acquisition: Acquisition) -> Acquisition:
         """Make the settings, and return them."""
