@@ -87,7 +87,7 @@ def test_the_page_beside_the_protocol_is_found(tmp_path: Path) -> None:
     assert run("prereg", protocol, "-n", 2, "--experiments", 4).exit_code == 0
     again = run("prereg", protocol, "-n", 2, "--experiments", 4)
     assert again.exit_code == 4
-    assert "demo.prereg.md: exists already; move it away" in again.stderr
+    assert "demo.prereg.md: exists already and is not overwritten" in again.stderr
     assert run("simulate", protocol, "-n", 1, "--results", tmp_path / "results").exit_code == 0
     done = run("analyse", tmp_path / "results")
     assert done.exit_code == 0, done.stderr

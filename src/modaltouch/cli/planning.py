@@ -308,25 +308,20 @@ def prereg(
     """
     from modaltouch.planning import preregister, read_observer, usual_observer
     from modaltouch.preflight import examine
-    from modaltouch.record import RecordError
+    from modaltouch.record import prepare_file, replace_file
 
     with reporting(json_output=json_output):
         preflight = examine(protocol, uncalibrated=True).require()
         source = preflight.experiment.sources.protocol.path
         file = out or (source if protocol.is_file() else Path(source.name)).with_suffix(".prereg.md")
-        if file.exists():
-            raise RecordError(f"{file}: exists already; move it away, or give another file with --out")
+        prepare_file(file)
         population = read_observer(observer or usual_observer(preflight.experiment.protocol))
         with progress("experiments") as on_progress:
             text = preregister(
                 preflight, population, participants, n_experiments=experiments, seed=seed,
                 on_progress=on_progress, study=partial(_simulate_study, preflight, population, participants),
             )  # fmt: skip
-        try:
-            with file.open("x", encoding="utf-8", newline="\n") as opened:
-                opened.write(text)
-        except OSError as error:
-            raise RecordError(f"{file}: cannot be written ({error.strerror}); give another file with --out") from error
+        replace_file(file, text.encode(), "give another file with --out")
         print_json({"file": str(file)}) if json_output else print(
             f"{file}\nPut it where nobody can change it, such as OSF."
         )
