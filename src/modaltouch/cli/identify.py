@@ -12,10 +12,6 @@ from modaltouch.cli.exit_status import BAD_INPUT, leave, reporting
 from modaltouch.cli.lab import bars, give
 from modaltouch.cli.options import APPARATUS, JSON, MEASURED_RIG, SHIPPED_APPARATUS
 
-Quantity = Literal["velocity", "displacement", "acceleration"]
-Excitation = Literal["multisine", "chirp"]
-Estimator = Literal["H1", "H2", "Hv"]
-
 FILES = Annotated[
     list[Path] | None,
     typer.Argument(
@@ -31,7 +27,8 @@ AVERAGES = Annotated[
 ]
 DRIVE = Annotated[float, typer.Option("--drive-V", help="Peak of the excitation at the beam [V].")]
 EXCITATION = Annotated[
-    Excitation, typer.Option(help="multisine: all modes at once; chirp: one after the other, as in the paper.")
+    Literal["multisine", "chirp"],
+    typer.Option(help="multisine: all modes at once; chirp: one after the other, as in the paper."),
 ]
 HIGHEST = Annotated[
     float | None,
@@ -49,7 +46,10 @@ SETS = Annotated[list[str] | None, typer.Option("--set", help="Actuator set, rep
 MODES = Annotated[
     str, typer.Option(help="Modes of the new table: `listed` in the apparatus file, `all`, or labels such as 1,3,5.")
 ]
-QUANTITY = Annotated[Quantity | None, typer.Option(help="What a file contains, if it does not say so.")]
+QUANTITY = Annotated[
+    Literal["velocity", "displacement", "acceleration"] | None,
+    typer.Option(help="What a file contains, if it does not say so."),
+]
 CONJUGATED = Annotated[bool, typer.Option("--conjugated", help="The files follow exp(-i w t).")]
 LOWEST = Annotated[
     float | None, typer.Option("--lowest-Hz", help="Lowest frequency used from a file.", show_default="the whole band")
@@ -65,7 +65,7 @@ USE_CLIPPED = Annotated[
     bool, typer.Option("--use-clipped", help="Use the free decay after the last saturated sample of a record.")
 ]
 ESTIMATOR = Annotated[
-    Estimator,
+    Literal["H1", "H2", "Hv"],
     typer.Option(help="H1; H2 if the measured drive is noisy; Hv lies between."),
 ]
 SEED = Annotated[

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -13,12 +12,8 @@ from modaltouch.cli.exit_status import reporting
 SHIPPED_APPARATUS = Path("beam_100x6x2")
 
 
-class ThemeChoice(StrEnum):
-    """Colours of the window."""
-
-    dark = "dark"
-    light = "light"
-
+ThemeChoice = Literal["dark", "light"]
+"""Colours of the window."""
 
 # Eager: known before a protocol is looked for.
 JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.", is_eager=True)]

@@ -6,10 +6,9 @@ import itertools
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -39,13 +38,8 @@ if TYPE_CHECKING:
     from modaltouch.window import WindowOptions
 
 
-class AnswersChoice(StrEnum):
-    """Who answers, and how."""
-
-    window = "window"
-    robot = "robot"
-    simulated = "simulated"
-
+AnswersChoice = Literal["window", "robot", "simulated"]
+"""Who answers, and how."""
 
 RIG = Annotated[
     str | None,
@@ -102,7 +96,7 @@ def run(
     participant: PARTICIPANT = None,
     session: SESSION_NUMBER = None,
     rig: RIG = None,
-    answers: ANSWERS = AnswersChoice.window,
+    answers: ANSWERS = "window",
     pilot: PILOT = False,
     seed: SEED = 1,
     results: RESULTS = Path("results"),
@@ -138,17 +132,17 @@ def run(
         chosen = _chosen(size, theme, fullscreen=fullscreen, screen=screen, screenshots=screenshots)
         window_options = WindowOptions(**chosen)
         preflight = examine(protocol, calibration, marked=with_marked_calibration)
-        if answers is not AnswersChoice.simulated:
+        if answers != "simulated":
             preflight = check_legibility(preflight, None if fullscreen else window_options.size)
         preflight.require()
         from modaltouch.record import SessionFolder
         from modaltouch.session import begin, mode_of, wire_run
 
-        mode = mode_of(rig := rig or ask_rig(may_ask), answers.value, pilot=pilot)
+        mode = mode_of(rig := rig or ask_rig(may_ask), answers, pilot=pilot)
         dataset = SessionFolder.dataset_of(results, mode, preflight.experiment.protocol.protocol)
         participant = SessionFolder.check_participant(ask_participant(dataset) if participant is None else participant)
         setup = wire_run(
-            preflight, participant, session=session, rig=rig, answers=answers.value, pilot=pilot, seed=seed,
+            preflight, participant, session=session, rig=rig, answers=answers, pilot=pilot, seed=seed,
             results=results, window_options=window_options, threshold_mm_s=threshold, group=group, any_gap=any_gap,
         )  # fmt: skip
         setup.place.refuse_existing()
@@ -160,8 +154,8 @@ def run(
 
 
 def _refuse_people(people: Path | None, answers: AnswersChoice) -> None:
-    if people is not None and answers is not AnswersChoice.window:
-        given = f"given --people {people} with --answers {answers.value}"
+    if people is not None and answers != "window":
+        given = f"given --people {people} with --answers {answers}"
         raise typer.BadParameter(f"{given}, whose answers are drawn; leave it out, or have a person answer")
 
 
@@ -215,7 +209,7 @@ def resume(
         setup = wire_resume(
             session,
             rig=rig,
-            answers=answers.value if answers else None,
+            answers=answers,
             restart=restart,
             window=_chosen(size, theme, fullscreen=fullscreen, screen=screen, screenshots=screenshots),
         )
@@ -310,7 +304,7 @@ def _chosen(
     given = {
         "fullscreen": fullscreen,
         "size": None if size is None else _read_size(size),
-        "theme": None if theme is None else theme.value,
+        "theme": theme,
         "screen": screen,
         "screenshots": screenshots,
     }
