@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from modaltouch.protocol import Apparatus, Findings, Problem, StimulusSection
+from modaltouch.protocol import Apparatus, Findings, StimulusSection
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Correction, Law, Release, Stimulus, TargetField, Timing, design_stimulus
 
@@ -70,7 +70,7 @@ def find_ground(findings: Findings) -> DesignInputs | None:
         return None
     # Faults of a single key are told apart below; faults between keys are blamed on the section.
     between = set(findings.problems) - set(protocol.problems) - set(apparatus.problems)
-    if any(_section(problem) in _NEEDED for problem in between):
+    if any(problem.path.split(".")[0].split("[")[0] in _NEEDED for problem in between):
         return None
     section = protocol.salvage("stimulus")
     parts = {name: apparatus.salvage(name) for name in _NEEDED if name != "stimulus"}
@@ -167,10 +167,6 @@ def design(
         priority=section.priority if (law or section.law) == "exact" else "field",
         correction=inputs.correction,
     )
-
-
-def _section(problem: Problem) -> str:
-    return problem.path.split(".")[0].split("[")[0]
 
 
 def equalised(inputs: DesignInputs, stimulus: Stimulus, first: tuple[DesignInputs, Stimulus]) -> DesignInputs:

@@ -148,7 +148,7 @@ def _read_manifest(folder: Path) -> dict[str, list[str]]:
     if not str(values.get("generated_by", "")).startswith(_MAKER):
         return {}
     try:
-        return {str(name): [str(h) for h in hashes] for name, hashes in values["files"].items() if _plain(name)}
+        return {name: [str(h) for h in hashes] for name, hashes in values["files"].items() if Path(name).name == name}
     except (KeyError, TypeError, AttributeError):
         return {}
 
@@ -160,10 +160,6 @@ def _manifest_of(folder: Path) -> dict[str, Any]:
     except (OSError, ValueError):
         return {}
     return values if isinstance(values, dict) else {}
-
-
-def _plain(name: object) -> bool:
-    return isinstance(name, str) and Path(name).name == name
 
 
 def _refuse_strange(path: Path, own: list[str]) -> None:

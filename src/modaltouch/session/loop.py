@@ -11,15 +11,15 @@ from modaltouch.protocol import TIME_OUT, AnswersSection, Protocol, Response, Tr
 from modaltouch.record import RecordError, SessionLog
 from modaltouch.rig import Firing, Rig, RigError, StimulusLost
 from modaltouch.session.console.experimenter import Experimenter
-from modaltouch.session.events import describe_answer, describe_ending, describe_placement, describe_trial
-from modaltouch.system import SYSTEM_CLOCK, Clock
-from modaltouch.window import (
-    AnswerWindow,
-    Masking,
-    Presentation,
-    SessionStopped,
-    TrialInterrupted,
+from modaltouch.session.events import (
+    PRACTICE_FAILED,
+    describe_answer,
+    describe_ending,
+    describe_placement,
+    describe_trial,
 )
+from modaltouch.system import SYSTEM_CLOCK, Clock
+from modaltouch.window import AnswerWindow, Masking, Presentation, SessionStopped, TrialInterrupted
 
 if TYPE_CHECKING:
     from modaltouch.protocol import Levels
@@ -140,7 +140,9 @@ def repeat(sitting: SessionRun, previous: Trial | None) -> Trial | None:
         again = [event]
         if sitting.protocol.adaptive is not None and not event["trial"]["practice"]:
             first = event["trial"]["index"]
-            again = [e for e in _counted(sitting) if not e["trial"]["practice"] and e["trial"]["index"] >= first]
+            again = [
+                e for e in sitting.log.session.trials if not e["trial"]["practice"] and e["trial"]["index"] >= first
+            ]
         lines = [each["n"] for each in again]
         sitting.log.append("withdrawn", lines=lines, reason="the experimenter has the trial repeated")
         for each in again:
@@ -149,11 +151,6 @@ def repeat(sitting: SessionRun, previous: Trial | None) -> Trial | None:
             _comment(sitting, trial, response)
             previous = trial
     return previous
-
-
-def _counted(sitting: SessionRun) -> tuple[dict[str, Any], ...]:
-    """Return the trial events that count so far."""
-    return sitting.log.session.trials
 
 
 def practise(sitting: SessionRun) -> Trial | None:
@@ -179,7 +176,7 @@ def practise(sitting: SessionRun) -> Trial | None:
     failed = schedule.practice_criterion is not None and not _has_passed_practice(sitting)
     if failed and schedule.practice_trials and schedule.after_failed_practice == "stop":
         sitting.window.goodbye()
-        raise SessionStopped("practice not passed")
+        raise SessionStopped(PRACTICE_FAILED)
     return previous
 
 
@@ -201,13 +198,13 @@ def _settle(sitting: SessionRun, trial: Trial) -> Trial:
     if sitting.levels is None:
         return trial
     algorithm = str(sitting.log.session.start.get("adaptive", {}).get("algorithm", ""))
-    return sitting.levels.settle(trial, _counted(sitting), algorithm)
+    return sitting.levels.settle(trial, sitting.log.session.trials, algorithm)
 
 
 def _close_rounds(sitting: SessionRun) -> None:
     """Write down how each round of practice went that is over and not yet judged, before a kill or after it."""
     schedule, events = sitting.protocol.schedule, sitting.log.events
-    counted = [event for event in _counted(sitting) if event["trial"]["practice"]]
+    counted = [event for event in sitting.log.session.trials if event["trial"]["practice"]]
     if schedule.practice_criterion is None or not schedule.practice_trials:
         return
     done = {event["trial"]["index"] for event in counted}

@@ -65,21 +65,6 @@ def examine_interruption(session: Session, *, now: datetime, clock: float, boot:
     }
 
 
-def refuse_failed(session: Session, interruption: dict[str, Any]) -> None:
-    """Raise if a session ended because its practice was not passed: it would only end again.
-
-    Raises
-    ------
-    RecordInputError
-        With the way to begin it anew.
-    """
-    if interruption["reason"] == PRACTICE_FAILED:
-        raise RecordInputError(
-            f"{session.path}: practice was not passed, and the protocol then ends the session "
-            f"(schedule.after_failed_practice); {way_on(PRACTICE_FAILED, session.path.parent)}"
-        )
-
-
 def refuse_old(session: Session, interruption: dict[str, Any], within_hours: float | None) -> None:
     """Raise if the protocol does not let a session go on after so long a time.
 
@@ -245,13 +230,14 @@ def wire_resume(
     begins_anew = (restart and not session.complete) or (at == "restart" and session.lacks_trials)
     begins_anew = begins_anew or session.begun_anew_as is not None
     anew = _place_anew(place, session) if begins_anew else None
+    latest = next(event for event in reversed(session.events) if event["event"] in ("start", "resume"))
     wires = SessionParts(
         preflight,
         anew or place,
         seed=start["seed"],
         rig=rig,
         answers=answers,
-        window_options=replace(WindowOptions.recorded(_latest_window(session)), **(window or {})),
+        window_options=replace(WindowOptions.recorded(latest.get("window") or {}), **(window or {})),
         observer=observer,
         after=float(session.events[-1]["clock"]),
     )
@@ -293,7 +279,11 @@ def resume(setup: Setup) -> Session:
         old = setup.replaces
         setup.place.refuse_existing()
         return sit(setup, lambda place, facts: begin_anew(old, place, cut, facts, setup.clock), "start")
-    refuse_failed(session, cut)
+    if cut["reason"] == PRACTICE_FAILED:
+        raise RecordInputError(
+            f"{session.path}: practice was not passed, and the protocol then ends the session "
+            f"(schedule.after_failed_practice); {way_on(PRACTICE_FAILED, session.path.parent)}"
+        )
     refuse_old(session, cut, policy.within_hours)
     return sit(setup, lambda place, facts: go_on(place, setup.schedule, policy.at, cut, facts, setup.clock), "resume")
 
@@ -313,12 +303,6 @@ def _refuse_another_kind(session: Session, rig: str, answers: AnswersBy, *, rest
             f"{log}: is a {session.mode} session, and with rig {rig!r} and answers {answers!r} it would continue as "
             "another kind; give the --rig and --answers that it began with"
         )
-
-
-def _latest_window(session: Session) -> dict[str, Any]:
-    """Return what the record says of the window of the latest sitting."""
-    sittings = (event for event in reversed(session.events) if event["event"] in ("start", "resume"))
-    return next(sittings).get("window") or {}
 
 
 def _place_anew(place: SessionFolder, session: Session) -> SessionFolder:

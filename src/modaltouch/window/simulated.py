@@ -218,35 +218,19 @@ class SimulatedParticipant(AnswerWindow):
             presentation.stop()
         limit = math.inf if stops_first or self._after_longest != "time_out" else presentation.ends - start
         limit = min(limit, self._time_out)
-        timed_out = reaction_time > limit
         if not stops_first and start + reaction_time > presentation.ends:
             self._pass_until(presentation.ends, presentation)
             presentation.stop()
         self._pass_until(start + min(reaction_time, limit), presentation)
         presentation.end()
-        return Response(
-            answer=TIME_OUT if timed_out else answer,
-            reaction_time=min(reaction_time, limit),
-            onset=self._onset_is,
-            answered_by="simulated",
-            device="none" if timed_out else "model",
-            value=None if timed_out else value,
-        )
+        return _respond(answer, value, reaction_time, limit, self._onset_is)
 
     def ask_further(self, name: str, asked: AnswersSection, trial: Trial | None = None) -> Response:
         """Return the observer's answer to a further question once its reaction time has passed."""
         answer, value, reaction_time = self._answerer.rate(trial, asked.scale, asked.offered.names, name)
         limit = asked.time_out_s or math.inf
-        timed_out = reaction_time > limit
         self._pass(min(reaction_time, limit))
-        return Response(
-            TIME_OUT if timed_out else answer,
-            min(reaction_time, limit),
-            onset="question",
-            answered_by="simulated",
-            device="none" if timed_out else "model",
-            value=None if timed_out else value,
-        )
+        return _respond(answer, value, reaction_time, limit, "question")
 
     def _pass_until(self, instant: float, presentation: Presentation) -> None:
         if self._pass(instant - self._clock.now()):
@@ -278,3 +262,10 @@ class SimulatedParticipant(AnswerWindow):
             time.sleep(1e-3)
         self._log("continued", paused_s=round(self._clock.now() - began, 3))
         return True
+
+
+def _respond(answer: str, value: float | None, reaction_time: float, limit: float, onset: str) -> Response:
+    """Return an answer, or that time was up, counted from an onset [s]."""
+    if reaction_time > limit:
+        return Response(TIME_OUT, limit, onset=onset, answered_by="simulated", device="none")
+    return Response(answer, reaction_time, onset=onset, answered_by="simulated", device="model", value=value)
