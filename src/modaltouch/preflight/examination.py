@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
@@ -21,6 +22,20 @@ _POINTS_PER_ZONE = 5
 """Points at which a zone's speed is looked at: a quarter of the shortest wavelength of Table I apart."""
 
 _Key = tuple[str | int, ...]
+
+_PLACES: tuple[tuple[str, str], ...] = (
+    (r"sampled field", "field"),
+    (r"projects to|centred at", "focus"),
+    (r"decomposed on", "decomposed_modes"),
+    (r"selected", "selected_modes"),
+    (r"focusing instant", "focusing_instant_ms"),
+    (r"period|duration|repetition", "duration_ms"),
+    (r"samples|sampling", "n_samples"),
+    (r"base of the field|shape", "field"),
+)
+"""Words of the engine's messages and the key of the stimulus section that they are about, first match first."""
+_MODE_KEYS = (("gain", "gain_mm_s2_per_V"), ("damping", "damping_ratio"), ("frequency", "natural_frequency_Hz"))
+"""The same, of the table of modes."""
 
 
 def check_levels(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
@@ -291,12 +306,35 @@ def _examine_one(findings: Findings, inputs: DesignInputs | None) -> Preflight:
                 stimulus = None if unplayable else design_to_fit(inputs)
                 problems += [] if stimulus is None else check_levels(inputs, stimulus, findings)
         except (ValueError, ArithmeticError) as error:
-            from modaltouch.preflight.refusals import locate
-
-            problems.append(locate(error, findings))
+            problems.append(_locate(error, findings))
     if not findings.problems:
         problems += [*_check_schedule(findings), *_check_masking_level(findings)]
     return Preflight(findings, tuple(sorted(set(problems))), inputs, stimulus)
+
+
+def _locate(error: Exception, findings: Findings) -> Problem:
+    """Return what the engine refused as a problem of the file and the key that asked for it."""
+    protocol, apparatus = findings.protocol, findings.apparatus
+    if protocol is None or apparatus is None:
+        raise error
+    message = " ".join(str(error).split())
+    given, _, remedy = message.rpartition(": ") if ": " in message else (message, "", "")
+    given = f"a stimulus that cannot be made, {given}"
+    mode = re.search(r"mode (\d+)", message)
+    key = next((key for word, key in _MODE_KEYS if word in message), "")
+    if mode is not None and key:
+        index = next((index for index, each in apparatus.items("modes") if each.label == int(mode.group(1))), None)
+        if index is not None:
+            return apparatus.problem(("modes", index, key), given, "", remedy)
+    if re.search(r"linearly dependent|scan grid|zero at every point", message):
+        return apparatus.problem(("beam", "measured_shapes"), given, "", remedy)
+    # Late is a delay that takes most of the time before the focusing instant.
+    delay, instant = apparatus.sound("amplifier", "delay_us"), protocol.sound("stimulus", "focusing_instant_ms")
+    if "samples are fewer" in message and delay is not None and instant is not None and delay > 500 * instant:
+        remedy = "shorten the delay, or move the focusing instant"
+        return apparatus.problem(("amplifier", "delay_us"), given, "", remedy)
+    key = next((key for words, key in _PLACES if re.search(words, message)), "")
+    return protocol.problem(("stimulus", key) if key else ("stimulus",), given, "", remedy)
 
 
 def _check_generator_itself(inputs: DesignInputs, findings: Findings) -> Iterator[Problem]:
