@@ -176,7 +176,7 @@ def furnish(display: Any, experiment: Experiment, clock: Clock, *, seconds: floa
         protocol,
         options.pop("texts", experiment.texts),
         zones=experiment.apparatus.zone_spans,
-        theme=options.pop("theme", DARK),
+        theme=options.pop("theme", "dark"),
         tick=room.tick,
         log=lambda event, **facts: room.log.append((event, facts)),
         clock=clock,

@@ -121,16 +121,15 @@ def open_window(
     from modaltouch.window.theme import THEMES
 
     options = options or WindowOptions()
-    theme = THEMES[options.theme]
     robot = None if answerer is None else Robot(answerer, protocol, texts=texts)
     display = Screen(
-        size=options.size, fullscreen=options.fullscreen, monitor=options.screen, ground=theme.ground,
+        size=options.size, fullscreen=options.fullscreen, monitor=options.screen, ground=THEMES[options.theme].ground,
         title=protocol.title, typesetter=typesetter_of(texts), clock=clock,
     )  # fmt: skip
     try:
         return ParticipantWindow(
-            display, protocol, texts, zones=zones, theme=theme, tick=tick, log=log, screenshots=options.screenshots,
-            robot=robot, clock=clock,
+            display, protocol, texts, zones=zones, theme=options.theme, tick=tick, log=log,
+            screenshots=options.screenshots, robot=robot, clock=clock,
         )  # fmt: skip
     except BaseException:
         display.close()

@@ -20,7 +20,7 @@ from modaltouch.window.layout import Spans, lay_out
 from modaltouch.window.pictures import Illustrator
 from modaltouch.window.rating import as_read
 from modaltouch.window.shapes import Picture
-from modaltouch.window.theme import THEMES, Theme
+from modaltouch.window.theme import THEMES
 
 if TYPE_CHECKING:
     from modaltouch.window.screen import Screen
@@ -52,8 +52,8 @@ class ParticipantWindow(AnswerWindow):
         Every word on the screen.
     zones : mapping of str to (float, float)
         As `layout.Spans`.
-    theme : Theme
-        Colours.
+    theme : str
+        Colours, by their name in `theme.THEMES`.
     tick : callable
         Called about every millisecond while the window waits; may raise, and returns what the experimenter asks for.
     log : callable
@@ -73,7 +73,7 @@ class ParticipantWindow(AnswerWindow):
         texts: Texts,
         *,
         zones: Spans,
-        theme: Theme,
+        theme: str,
         tick: Tick,
         log: Log,
         screenshots: Path | None = None,
@@ -86,7 +86,7 @@ class ParticipantWindow(AnswerWindow):
         self._n_practice = protocol.schedule.practice_trials
         self._n_intervals = 0 if protocol.intervals is None else protocol.intervals.number
         self._texts = texts
-        self._colours, self._theme = theme, next((name for name, known in THEMES.items() if known == theme), "")
+        self._theme = theme
         self._zones, self._design = zones, protocol.conditions
         self._loop = DisplayLoop(
             display,
@@ -263,7 +263,7 @@ class ParticipantWindow(AnswerWindow):
         answers = as_read(answers, self._texts)
         layout = lay_out(*self._display.size, self._zones, answers.offered, answers.scale)
         design = self._design
-        pictures = Illustrator(layout, self._colours, self._texts, answers, design.hand, design.fingers)
+        pictures = Illustrator(layout, THEMES[self._theme], self._texts, answers, design.hand, design.fingers)
         return AskedQuestion(self._loop, pictures)
 
     def _end_of(self, presentation: Presentation, asked: float) -> Callable[[], bool]:
