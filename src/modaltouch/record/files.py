@@ -6,7 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from modaltouch.record.chain import RecordError
@@ -143,12 +143,14 @@ def hold(folder: Path) -> Iterator[None]:
 
     Raises
     ------
-    OSError
+    RecordError
         If the lock cannot be made, or another process keeps it for longer than `LOCK_PATIENCE`.
     """
-    descriptor = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT, 0o600)
-    try:
-        lock(descriptor, LOCK_PATIENCE)
+    with ExitStack() as stack:
+        try:
+            descriptor = open_file(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT)
+            stack.callback(os.close, descriptor)
+            lock(descriptor, LOCK_PATIENCE)
+        except OSError as error:
+            raise RecordError(f"{folder}: cannot be locked ({error.strerror}); see what else writes there") from error
         yield
-    finally:
-        os.close(descriptor)

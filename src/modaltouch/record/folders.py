@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
@@ -197,23 +197,9 @@ class SessionFolder:
         replace_text(dataset / "README", f"{description['Name']}: sessions recorded by modaltouch {version()}.\n")
         replace_text(dataset / ".bidsignore", f"*.jsonl\n*.log\n{LOCK_NAME}\n")
 
-    @contextmanager
-    def hold_dataset(self) -> Iterator[None]:
-        """Keep other sessions from beginning in the dataset, for milliseconds.
-
-        Raises
-        ------
-        RecordError
-            If it cannot be locked.
-        """
-        with ExitStack() as stack:
-            try:
-                stack.enter_context(hold(self.dataset))
-            except OSError as error:
-                raise RecordError(
-                    f"{self.dataset}: cannot be locked ({error.strerror}); see what else writes there"
-                ) from error
-            yield
+    def hold_dataset(self) -> AbstractContextManager[None]:
+        """Keep other sessions from beginning in the dataset, for milliseconds; raises `RecordError` as `hold` does."""
+        return hold(self.dataset)
 
     def list_participants(self, start: Mapping[str, Any] | None = None) -> None:
         """Add the participants whose folders are not listed yet, and what this one said in answer to the protocol.
