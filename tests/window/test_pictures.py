@@ -348,7 +348,7 @@ def test_four_answers_are_shown_with_their_words_and_keys(experiment: Experiment
         box = layout.buttons[answer]  # type: ignore[index]
         assert box.contains(words.box.left, words.box.bottom)
         assert box.contains(words.box.right, words.box.top)
-    texts = [mark.text for mark in pictures.answering(make_trial()).marks if isinstance(mark, Words)]
+    texts = [mark.text for mark in pictures.answering().marks if isinstance(mark, Words)]
     assert texts[0] == "Each time, choose one of these four answers."
     assert "choose “Nowhere” whenever you felt nothing" in texts[1]
     chosen = pictures.question(make_trial(), PROGRESS, chosen="none")
@@ -375,9 +375,9 @@ def test_the_instructions_count_the_answers_of_the_list(
     texts = texts.model_copy(update={"answers": dict.fromkeys(keys, "Label")})
     layout = lay_out(800, 600, experiment.apparatus.zone_spans, answers.offered)
     pictures = Illustrator(layout, DARK, texts, answers, "right")
-    assert words in pictures.answering(make_trial()).texts[0]
+    assert words in pictures.answering().texts[0]
     wordless = replace(pictures, texts=texts.model_copy(update={"numbers": ()}))
-    assert f" {n_answers} " in wordless.answering(make_trial()).texts[0]
+    assert f" {n_answers} " in wordless.answering().texts[0]
 
 
 def test_answers_of_any_names_are_shown_in_the_order_of_the_file(experiment: Experiment) -> None:

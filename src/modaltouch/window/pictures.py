@@ -181,7 +181,7 @@ class Illustrator:
         words = Words(text, self.layout.body, size, self.theme.text)
         return Picture("welcome", (self._headline(self.texts.welcome, 0.054), words, *self._go_on(), *lowered))
 
-    def answering(self, trial: Trial) -> Picture:
+    def answering(self) -> Picture:
         """Return the screen that shows how to answer."""
         layout, texts, offered = self.layout, self.texts, self.answers.offered
         nothing = offered.naming()
