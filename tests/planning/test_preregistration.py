@@ -94,6 +94,21 @@ def test_the_page_beside_the_protocol_is_found(tmp_path: Path) -> None:
     assert "departs from the preregistration: participants: 2 preregistered, 1 analysed" in done.stderr
 
 
+def test_a_page_that_cannot_be_written_is_refused_before_anything_is_simulated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file stands where its folder would be."""
+
+    def simulate(*given: object, **options: object) -> str:
+        raise AssertionError("simulated")
+
+    monkeypatch.setattr("modaltouch.planning.preregister", simulate)
+    (tmp_path / "held").write_text("")
+    done = run("prereg", "demo", "-n", 2, "--out", tmp_path / "held" / "demo.prereg.md")
+    assert done.exit_code == 4
+    assert "demo.prereg.md: cannot be written" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("protocol", "families"),
     [
