@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.preregistration import find_departures, read_preregistration
 from modaltouch.cli.commands import app
 from modaltouch.protocol import InputError
+from modaltouch.session import simulate_session
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
@@ -182,6 +184,38 @@ def test_every_session_of_a_participant_is_planned(edit, tmp_path: Path, session
     assert run("prereg", source, "-n", 2, "--experiments", 1, "--out", file).exit_code == 0
     text = file.read_text(encoding="utf-8")
     assert all(line in text for line in planned) and "| trials per participant |" not in text
+
+
+@pytest.mark.parametrize(
+    "change", [("", ""), ("schedule:\n", "schedule:\n  sessions: 2\n")], ids=["stimuli", "sessions"]
+)
+def test_what_is_planned_is_what_is_analysed(edit, tmp_path: Path, change: tuple[str, str]) -> None:
+    """Several stimuli are corrected together, and repetitions of all sessions count, as in the analysis."""
+    name = "demo" if change[0] else "two_fields"
+    source = edit(f"{name}.yaml", change) if change[0] else ROOT / "protocols" / f"{name}.yaml"
+    file, results = tmp_path / "plan.md", tmp_path / "results"
+    assert run("prereg", source, "-n", 2, "--experiments", 1, "--out", file).exit_code == 0
+    for participant, session in product(("p1", "p2"), (1, 2) if change[0] else (1,)):
+        simulate_session(source, participant, results, session=session)
+    found = analyse(results, prereg=file)
+    assert found.registration.departures == ()
+    scopes = "part 1: one hand, A and C: P(C) - P(A); " if name == "two_fields" else "one hand, A and C: P(C) - P(A); "
+    assert scopes in file.read_text(encoding="utf-8")
+
+
+def test_levels_by_participant_are_planned_with_the_threshold_that_is_expected(tmp_path: Path) -> None:
+    """Without one it is refused with what to do; for fixed levels one is refused."""
+    file = tmp_path / "plan.md"
+    asked = ("-n", 1, "--experiments", 1, "--out", file)
+    done = run("prereg", "sensation_levels", *asked)
+    assert done.exit_code == 2 and "give the threshold that you expect with --threshold" in done.stderr
+    done = run("prereg", "sensation_levels", *asked, "--threshold", 20)
+    assert done.exit_code == 0, done.stderr
+    text = file.read_text(encoding="utf-8")
+    assert "The levels are those of a threshold of 20 mm/s" in text and "--seed 1 --threshold 20 --out FILE`" in text
+    assert read_preregistration(file)["levels [x threshold]"] == [1, 1.5, 2, 3]
+    done = run("prereg", DEMO, "-n", 1, "--threshold", 20, "--out", tmp_path / "other.md")
+    assert done.exit_code == 2 and "the levels do not depend on a threshold" in done.stderr
 
 
 def test_what_is_no_preregistration_is_refused(tmp_path: Path) -> None:

@@ -69,6 +69,7 @@ def describe_families(analysis: RegisteredAnalysis) -> list[dict[str, Any]]:
                 row.scope.replace("_", " ")
                 if part == ALL_PARTS
                 else say_scope(row.scope, own.finger_conditions, own.pairs),
+                row.quantity,
             )
             for part, own, row in rows
         ]
@@ -76,7 +77,7 @@ def describe_families(analysis: RegisteredAnalysis) -> list[dict[str, Any]]:
             {
                 "name": name,
                 "asks": asks.get(name) or claim_of(name, headings(counts).get(first.question, _SHARES)[1]),
-                "test": first.name,
+                "test": "; ".join(dict.fromkeys(row.name for *_, row in rows)),
                 "scopes": [": ".join(filter(None, scope)) for scope in scopes],
                 "significant": any(row.p_holm <= ALPHA for *_, row in rows),
             }

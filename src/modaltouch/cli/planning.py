@@ -32,7 +32,11 @@ PARTICIPANTS = Annotated[
 ]
 REPETITIONS = Annotated[
     str | None,
-    typer.Option("--reps", help="Repetitions of each condition, such as 1,2,4.", show_default="the protocol's own"),
+    typer.Option(
+        "--reps",
+        help="Repetitions of each condition, such as 1,2,4.",
+        show_default="the protocol's own, of all sessions",
+    ),
 ]
 NULL = Annotated[bool, typer.Option("--null", help="Simulate no effect, to check the rate of false alarms.")]
 
@@ -75,7 +79,7 @@ def power(
     with reporting(json_output=json_output):
         model = read_observer(observer)
         preflight = examine(protocol, uncalibrated=True).require()
-        repetitions = sizes_r or (preflight.experiment.protocol.schedule.repetitions,)
+        repetitions = sizes_r or (preflight.experiment.protocol.schedule.all_repetitions,)
         designs = designs_for(preflight, model)
         _refuse_too_large(max(sizes_n) * max(repetitions) * len(preflight.experiment.protocol.scheduled_levels))
         folders = {name: out / name for name in designs} if out is not None else {}
@@ -265,7 +269,9 @@ def _cell(row: dict[str, Any]) -> str:
     return f"{100 * row['power']:.0f} ({100 * row['low']:.0f}-{100 * row['high']:.0f})"
 
 
-def _simulate_study(preflight: Preflight, population: Observer, n_participants: int, seed: int) -> Responses:
+def _simulate_study(
+    preflight: Preflight, population: Observer, n_participants: int, threshold_mm_s: float | None, seed: int
+) -> Responses:
     """Return the answers of a whole experiment in simulated sessions, whose records are not kept."""
     from modaltouch.analysis import read_responses
     from modaltouch.session import simulate_session
@@ -274,8 +280,10 @@ def _simulate_study(preflight: Preflight, population: Observer, n_participants: 
     with TemporaryDirectory() as folder:
         for number in range(1, n_participants + 1):
             for session in range(1, schedule.n_sessions + 1):
-                name = f"p{number:04d}"
-                simulate_session(preflight, name, folder, seed=seed, observer=population, session=session)
+                simulate_session(
+                    preflight, f"p{number:04d}", folder, seed=seed, observer=population, session=session,
+                    threshold_mm_s=threshold_mm_s,
+                )  # fmt: skip
         return read_responses(Path(folder))
 
 
@@ -295,6 +303,12 @@ def prereg(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed; the same seed gives the same figures.")] = 1,
+    threshold: Annotated[
+        float | None,
+        typer.Option(
+            min=1e-3, help="Threshold in mm/s that is expected, if the protocol calibrates levels by participant."
+        ),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(help="File to write.", show_default="PROTOCOL.prereg.md, where analyse finds it")
     ] = None,
@@ -318,8 +332,9 @@ def prereg(
         population = read_observer(observer or usual_observer(preflight.experiment.protocol))
         with progress("experiments") as on_progress:
             text = preregister(
-                preflight, population, participants, n_experiments=experiments, seed=seed,
-                on_progress=on_progress, study=partial(_simulate_study, preflight, population, participants),
+                preflight, population, participants, n_experiments=experiments, seed=seed, threshold_mm_s=threshold,
+                on_progress=on_progress,
+                study=partial(_simulate_study, preflight, population, participants, threshold),
             )  # fmt: skip
         replace_file(file, text.encode(), "give another file with --out")
         print_json({"file": str(file)}) if json_output else print(

@@ -83,11 +83,15 @@ class Design:
         )
 
     @cached_property
-    def _scopes(self) -> dict[str, tuple[str, ...]]:
+    def tests(self) -> dict[str, list[tuple[str, str]]]:
+        """Scope and quantity of each test of each family, one of `STATISTICS`, worded by the analysis."""
         everywhere_left = self.count(np.broadcast_to([1, 0, 0], (1, *self.shape, 3)), 1)
         found = {family: statistic.compute(everywhere_left) for family, statistic in STATISTICS.items()}
-        return {family: () if result is None else tuple(result.scopes) for family, result in found.items()}
+        return {
+            family: [] if result is None else list(zip(result.scopes, result.quantities, strict=True))
+            for family, result in found.items()
+        }
 
     def scopes(self, family: str) -> tuple[str, ...]:
         """Return what each test of a family, one of `STATISTICS`, is about, worded by the analysis."""
-        return self._scopes[family]
+        return tuple(scope for scope, _ in self.tests[family])

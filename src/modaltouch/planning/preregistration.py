@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from modaltouch.analysis import (
-    ALPHA,
     STATISTICS,
     AnswerCounts,
     Responses,
@@ -29,7 +28,7 @@ from modaltouch.planning.observer import Observer
 from modaltouch.planning.power import plan
 from modaltouch.planning.presented import designs_for, refuse_own_levels
 from modaltouch.preflight import Preflight
-from modaltouch.protocol import InputError
+from modaltouch.protocol import InputError, Protocol
 from modaltouch.report import render_page
 from modaltouch.system import commit, version
 
@@ -50,7 +49,6 @@ class _Plan:
     power: list[dict[str, Any]]
     n_experiments: int
     repeated_by: str
-    stimuli: tuple[str, ...] = ()
     thresholds: list[dict[str, Any]] = field(default_factory=list)
 
     @property
@@ -72,9 +70,10 @@ def preregister(
     observer: Observer,
     n_participants: int,
     *,
-    study: Callable[[int], Responses] | None = None,
+    study: Callable[[int], Responses],
     n_experiments: int | None = None,
     seed: int = 1,
+    threshold_mm_s: float | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> str:
     """Return the preregistration of a protocol as a page of Markdown.
@@ -87,27 +86,28 @@ def preregister(
         Who is simulated for the power.
     n_participants, n_experiments, seed : int
         Participants that are planned, simulated experiments, and their seed.
-    study : callable, optional
-        Takes a seed, and returns the answers of a whole experiment in simulated sessions. It is called where the counts
-        of an observer that compares two fingers do not stand for the design: several intervals, ratings, one finger,
-        adaptive runs, conditions that are not crossed.
+    study : callable
+        Takes a seed, and returns the answers of a whole experiment in simulated sessions, for designs that no observer
+        counts: several intervals, ratings, one finger, adaptive runs, cells that are not crossed, several stimuli.
+    threshold_mm_s : float, optional
+        What every simulated participant's threshold is taken for, where levels are calibrated by participant.
     on_progress : callable, optional
-        Called with (jobs done, jobs in all) of each stimulus.
+        Called with (jobs done, jobs in all).
 
     Raises
     ------
     InputError
-        If anything is wrong with the protocol, or its levels differ between participants.
+        If anything is wrong with the protocol, or its levels depend on a threshold that is not given.
     """
     protocol, source = preflight.experiment.protocol, preflight.experiment.sources.protocol
-    path = source.path.as_posix()
-    try:
-        found = _by_counts(preflight, observer, n_participants, n_experiments or N_COUNTED, seed, on_progress)
-    except InputError:
-        if study is None:
-            raise
-        refuse_own_levels(preflight)
+    path, given = source.path.as_posix(), f" --threshold {threshold_mm_s:g}" if threshold_mm_s else ""
+    if threshold_mm_s is None:
+        refuse_own_levels(preflight, "give the threshold that you expect with --threshold")
+    if threshold_mm_s is not None or not (design := _counted(preflight, observer)):
         found = _by_sessions(study, n_experiments or N_RECORDED, seed, on_progress)
+    else:
+        counted = Study(design, observer, tuple(filter(design.scopes, STATISTICS)), null=False, seed=seed)
+        found = _by_counts(counted, protocol, n_participants, n_experiments or N_COUNTED, on_progress)
     several = (preflight, *preflight.others) if preflight.others else ()
     terms, size = _terms(preflight, found), {"n": n_participants, "observer": observer.name, "seed": seed}
     return render_page(
@@ -118,43 +118,43 @@ def preregister(
         path=path,
         plan=found,
         times=say_times,
-        level=100 * ALPHA,
-        repeated_by=found.repeated_by.format(path=path, experiments=found.n_experiments, **size),
+        repeated_by=found.repeated_by.format(path=path, experiments=found.n_experiments, threshold=given, **size),
+        threshold_mm_s=threshold_mm_s,
         **size,
         terms=terms,
         block=json.dumps(terms, indent=1, ensure_ascii=False),
-        version=version(),
-        commit=commit(),
+        program=(version(), commit()),
     )
 
 
+def _counted(preflight: Preflight, observer: Observer) -> Design | None:
+    """Return the design whose answers an observer counts without sessions, as they will be analysed; None of others."""
+    if len(preflight.parts) > 1:
+        return None
+    try:
+        return next(iter(designs_for(preflight, observer).values()))
+    except InputError:
+        return None
+
+
 def _by_counts(
-    preflight: Preflight,
-    observer: Observer,
+    study: Study,
+    protocol: Protocol,
     n_participants: int,
     n_experiments: int,
-    seed: int,
     on_progress: Callable[[int, int], None] | None,
 ) -> _Plan:
     """Return the plan of a design whose answers an observer counts without sessions."""
-    schedule = preflight.experiment.protocol.schedule
-    designs = designs_for(preflight, observer)
-    first = next(iter(designs.values()))
-    families = tuple(family for family in STATISTICS if first.scopes(family))
-    rows = []
-    for name, design in designs.items():
-        study = Study(design, observer, families, null=False, seed=seed)
-        found = plan(study, [(n_participants, schedule.repetitions)], n_experiments, on_progress=on_progress)
-        floors = {floor.family: floor.least_participants or "none" for floor in found.floors}
-        rows += [{**row, "stimulus": name, "floor": floors[row["family"]]} for row in found.families]
-    offered = preflight.experiment.protocol.answers.offered
-    shape = (n_participants, *first.shape, len(offered))
-    planned = replace(first.count(np.zeros(shape, dtype=np.int64), schedule.repetitions), answers=offered)
-    described = [_describe_family(family, first) for family in families]
+    design, offered, n_repetitions = study.design, protocol.answers.offered, protocol.schedule.all_repetitions
+    found = plan(study, [(n_participants, n_repetitions)], n_experiments, on_progress=on_progress)
+    floors = {floor.family: floor.least_participants or "none" for floor in found.floors}
+    rows = [{**row, "floor": floors[row["family"]]} for row in found.families]
+    shape = (n_participants, *design.shape, len(offered))
+    planned = replace(design.count(np.zeros(shape, dtype=np.int64), n_repetitions), answers=offered)
+    described = [_describe_family(family, design) for family in study.families]
     tests = {family["name"]: len(family["scopes"]) for family in described}
     again = "modaltouch power {path} -n {n} --experiments {experiments} --observer {observer} --seed {seed}"
-    names = tuple(name for name in designs if name)
-    return _Plan(planned, terms_of(planned, tests), described, rows, n_experiments, again, names)
+    return _Plan(planned, terms_of(planned, tests), described, rows, n_experiments, again)
 
 
 def _by_sessions(
@@ -183,7 +183,8 @@ def _by_sessions(
         {"family": name, "power": share.estimate, "low": share.low, "high": share.high, "floor": "not computed"}
         for name, share in shares.items()
     ]
-    again = "modaltouch prereg {path} -n {n} --experiments {experiments} --observer {observer} --seed {seed} --out FILE"
+    again = "modaltouch prereg {path} -n {n} --experiments {experiments} --observer {observer} --seed {seed}"
+    again += "{threshold} --out FILE"
     terms = analysis.terms({family["name"]: len(family["scopes"]) for family in families})
     thresholds = [_describe_threshold(name, found) for name, found in estimates.items()]
     counts = getattr(analysis, "answers", None)
@@ -208,7 +209,10 @@ def _describe_family(family: str, design: Design) -> dict[str, Any]:
         "name": family,
         "asks": STATISTICS[family].asks,
         "test": STATISTICS[family].name,
-        "scopes": [say_scope(scope, design.finger_conditions, design.pairs) for scope in design.scopes(family)],
+        "scopes": [
+            f"{say_scope(scope, design.finger_conditions, design.pairs)}: {quantity}"
+            for scope, quantity in design.tests[family]
+        ],
     }
 
 

@@ -57,8 +57,8 @@ def refuse_open_levels(preflight: Preflight) -> None:
     refuse_own_levels(preflight)
 
 
-def refuse_own_levels(preflight: Preflight) -> None:
-    """Refuse a protocol whose levels differ between participants.
+def refuse_own_levels(preflight: Preflight, remedy: str = "plan with the peak velocities that you expect") -> None:
+    """Refuse a protocol whose levels differ between participants, and say what to do.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def refuse_own_levels(preflight: Preflight) -> None:
             ("conditions", "sensation_levels"),
             "levels calibrated by participant, which depend on thresholds not yet known",
             "fixed levels",
-            "plan with the peak velocities that you expect",
+            remedy,
         ),
     )
 

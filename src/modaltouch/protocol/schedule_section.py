@@ -112,6 +112,11 @@ class ScheduleSection(Section):
         """Sessions of each participant."""
         return self.sessions if isinstance(self.sessions, int) else len(self.session_kinds)
 
+    @property
+    def all_repetitions(self) -> int:
+        """Repetitions of a cell in all of a participant's sessions, where these are alike."""
+        return self.repetitions * self.n_sessions
+
     def kind_of(self, session: int) -> SessionKind | None:
         """Return the kind of a participant's session, from 1; of one beyond the last, the last's."""
         return self.session_kinds[: max(session, 1)][-1] if self.session_kinds else None

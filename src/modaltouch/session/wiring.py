@@ -143,6 +143,7 @@ def simulate_session(
     seed: int = 1,
     observer: Observer | None = None,
     session: int = 1,
+    threshold_mm_s: float | None = None,
 ) -> Session:
     """Return a session as it was recorded, answered by an observer model.
 
@@ -160,6 +161,8 @@ def simulate_session(
         Population from which the participant is drawn.
     session : int
         Number of the session; one of a kind that wants a gap begins without it.
+    threshold_mm_s : float, optional
+        The participant's own threshold, as for `wire_run`.
 
     Raises
     ------
@@ -171,7 +174,7 @@ def simulate_session(
     preflight = protocol if isinstance(protocol, Preflight) else examine(protocol)
     setup = wire_run(
         preflight.require(), participant, session=session, answers="simulated", seed=seed, results=Path(results),
-        observer=observer, any_gap=True,
+        observer=observer, any_gap=True, threshold_mm_s=threshold_mm_s,
     )  # fmt: skip
     return begin(setup)
 
