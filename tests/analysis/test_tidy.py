@@ -611,3 +611,32 @@ def test_who_has_no_answer_at_all_is_named_and_a_table_without_any_refused(write
     assert note == "Left out, since there is no answer at all: 80 mm/s"
     with pytest.raises(InputError, match="no answer to any trial"):
         read_responses(write_csv([row | {"response": ""} for row in paper_rows]))
+
+
+@pytest.mark.parametrize("times", [2, 3])
+def test_a_table_that_stands_there_several_times_is_told(write_csv, paper_rows, times) -> None:
+    """Repetitions may be all alike, so it is read; one row that differs is enough to say nothing."""
+    note = f"every row occurs {times} times, taken as repetitions: if the table was pasted together, remove the copies"
+    assert note in read_responses(write_csv(paper_rows * times)).notes
+    other = {**paper_rows[0], "response": "both"}
+    assert note not in read_responses(write_csv(paper_rows * (times - 1) + [other, *paper_rows[1:]])).notes
+
+
+def test_levels_in_metres_per_second_are_refused(write_csv, paper_rows) -> None:
+    """All below 1 mm/s: refused, unless the protocol has such levels."""
+    path = write_csv([{**row, "velocity_mm_s": float(row["velocity_mm_s"]) / 1000} for row in paper_rows])
+    said = "velocity_mm_s: given levels of at most 0.2; allowed: peak velocities in mm/s; multiply them by 1000"
+    with pytest.raises(InputError, match=said):
+        read_responses(path)
+    design = {"conditions": {"peak_velocities_mm_s": [0.08, 0.1, 0.15, 0.2]}}
+    assert read_responses(path, table_format=TableFormat(design=design)).frame["velocity_mm_s"].max() == 0.2
+    with pytest.raises(InputError, match=said):
+        read_responses(path, table_format=TableFormat(design={"conditions": {"peak_velocities_mm_s": [80, 200]}}))
+
+
+def test_a_number_of_a_session_is_not_proposed_for_its_kind(write_csv, paper_rows) -> None:
+    """`session` has a meaning of its own, so it is not to be renamed."""
+    rows = [{**row, "session": "1"} for row in paper_rows]
+    design = {"schedule": {"sessions": [{"name": "pre"}, {"name": "post"}]}}
+    with pytest.raises(InputError, match="add the column session_kind"):
+        read_responses(write_csv(rows), table_format=TableFormat(design=design))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ import pandas as pd
 
 from modaltouch.analysis.csv_table import Table, list_faults
 from modaltouch.analysis.responses import answers_per_cell, cell_of, describe_cell, keys_of
-from modaltouch.analysis.scale import scale_of
+from modaltouch.analysis.scale import VELOCITY, scale_of
 from modaltouch.protocol import Problem
 
 _MOST_MISSING = 0.25
@@ -79,6 +80,24 @@ def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True)
         *list_faults(table.file, more, "cells with surplus answers", surplus, f"{usual} in every cell"),
     ]
     return problems, usual
+
+
+def say_doubled(table: Table) -> list[str]:
+    """Return a note where every row of a table stands there several times, which repetitions alone seldom do."""
+    times = math.gcd(*pd.util.hash_pandas_object(table.fields, index=False).value_counts().tolist())
+    said = f"every row occurs {times} times, taken as repetitions: if the table was pasted together, remove the copies"
+    return [said] if times > 1 else []
+
+
+def check_unit(table: Table, frame: pd.DataFrame, design: Mapping[str, Any]) -> list[Problem]:
+    """Return levels that are all below 1 mm/s, as those in m/s are, unless the protocol has such levels."""
+    planned = (design.get("conditions") or {}).get("peak_velocities_mm_s") or (1.0,)
+    highest = frame[VELOCITY.column].max() if VELOCITY.column in frame else math.inf
+    if not highest < 1 <= max(planned):
+        return []
+    remedy = "multiply them by 1000 if they are in m/s; if not, name their protocol with --protocol"
+    given, allowed = f"levels of at most {highest:g}", "peak velocities in mm/s"
+    return [table.problem(int(frame.index[0]), VELOCITY.column, given, allowed, remedy)]
 
 
 def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:

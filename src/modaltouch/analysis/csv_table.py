@@ -191,7 +191,7 @@ def _check_header(file: str, line: int, header: list[str], required: Sequence[st
         given = f"a first line {text.split(chr(10))[line - 1][:80]!r}"
         raise InputError([Problem(file, line, 1, "", given, _form(required), "name the columns in the first line")])
     for name in missing:
-        meant = suggest(name, [other for other in header if other and other not in required])
+        meant = suggest(name, [other for other in header if other and other not in {*required, "session"}])
         remedy = f"rename {meant!r}" if meant else f"add the column {name}"
         problems.append(Problem(file, line, 1, name, f"columns {found}", _form(required), remedy))
     for name in sorted({name for name in header if header.count(name) > 1}):

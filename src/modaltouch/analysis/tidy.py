@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from modaltouch.analysis.balance import check_balance
+from modaltouch.analysis.balance import check_balance, check_unit, say_doubled
 from modaltouch.analysis.csv_table import Table, list_faults, read_table
 from modaltouch.analysis.responses import (
     MODES,
@@ -72,8 +72,7 @@ def read_csv(
         With every fault of a field; where there is none, with every one of the balance.
     """
     table_format = table_format or TableFormat()
-    table = read_table(path, (*REQUIRED, *table_format.asked))
-    table = choose_rows(table, "mode", mode)
+    table = choose_rows(read_table(path, (*REQUIRED, *table_format.asked)), "mode", mode)
     table = table if stimulus is None else choose_rows(table, "stimulus", stimulus)
     table, left_out, notes = choose_sessions(table)
     fields, columns = table.fields, _Columns(table)
@@ -81,6 +80,7 @@ def read_csv(
     caught, counts = apart[_CAUGHT], ~pd.DataFrame(apart).any(axis=1)
     frame, answers = _frame_of(columns, fields, counts, table_format)
     columns.check_words(counts, table_format.design)
+    columns.problems += check_unit(table, frame[counts], table_format.design)
     if not columns.problems:
         asked = unmirror(frame[counts], answers)
         is_whole, parts = _is_crossed(table_format.design), _parts(asked, table_format.design)
@@ -103,7 +103,7 @@ def read_csv(
         answers=answers,
         margin=table_format.margin,
         asked=checked[-1][1] or None,
-        notes=(*notes, *(say_unanswered(kept, given) if is_crossed else ())),
+        notes=(*notes, *say_doubled(table), *(say_unanswered(kept, given) if is_crossed else ())),
         scheduled=None if is_crossed else kept,
         design=table_format.design,
     )
