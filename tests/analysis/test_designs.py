@@ -23,7 +23,7 @@ from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.measures import Measure, Own, contrast_findings
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.pipeline import analyse
-from modaltouch.analysis.ratings import friedman, power_law
+from modaltouch.analysis.ratings import friedman, level_findings, power_law
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.report import design_limits
 from modaltouch.analysis.responses import AnswerSource, Responses, TableFormat
@@ -542,3 +542,30 @@ def test_a_measure_that_nobody_has_is_told_as_such() -> None:
     threshold = findings["detection threshold over participants", "one_hand A-C"]
     assert math.isnan(threshold.estimate) and threshold.n == 0
     assert threshold.note.endswith("8 participants without a value left out; described, not tested")
+
+
+def test_no_p_of_friedman_is_below_the_smallest_there_is() -> None:
+    """Six who agree about three levels: 6 of the 6^6 orders, although none of the 9,999 that were drawn."""
+    test, _ = friedman(np.tile([1.0, 2.0, 3.0], (6, 1)))
+    assert test.p == test.p_min == pytest.approx(6**-5)
+
+
+@pytest.mark.parametrize("is_ratio", [False, True])
+def test_ratings_of_two_levels_are_compared_by_signed_ranks(is_ratio) -> None:
+    """Reference: scipy's Wilcoxon test, of magnitudes by their logarithms; one without the second level is left out."""
+    measure = Measure("loud", "loud", "rating", None, is_ratio=is_ratio, is_ranked=True)
+    low, high = np.array([1.0, 2, 4, 3, 5, 2, 7]), np.array([2.0, 6, 4.5, 10, 3.5, 7, 30])
+    values = [
+        Own(measure, f"p{who}", "one_hand", "A-C", level, Interval.point(value, 1), 1)
+        for level, rated in ((50.0, low), (150.0, high))
+        for who, value in enumerate(rated)
+    ]
+    values.append(Own(measure, "alone", "one_hand", "A-C", 50.0, Interval.point(1.0, 1), 1))
+    (row,) = level_findings(values)
+    gaps = np.log(high / low) if is_ratio else high - low
+    assert row.p == pytest.approx(stats.wilcoxon(gaps, method="exact").pvalue)
+    averages = [(one + other) / 2 for place, one in enumerate(gaps) for other in gaps[place:]]
+    middle = np.median(averages)
+    assert row.estimate == pytest.approx(math.exp(middle) if is_ratio else middle, rel=1e-6)
+    assert (row.family, row.n) == ("rating over levels", 7)
+    assert "signed ranks" in row.name and "1 participants without a rating at every level" in row.note

@@ -138,7 +138,7 @@ def over_participants(measure: Measure, own: Sequence[Own]) -> Located:
     in_place = np.array([each.tested for each in own if each.tested is not None], dtype=float)
     if in_place.size:
         test = flip_test(in_place[np.isfinite(in_place)])
-    return test, _told(measure, interval)
+    return test, as_told(measure, interval)
 
 
 def mean_findings(values: Sequence[Own], scale: LevelScale, groups: Mapping[str, str]) -> Iterator[Finding]:
@@ -177,7 +177,7 @@ def contrast_findings(values: Sequence[Own]) -> Iterator[Finding]:
     for measure, own in by_measure(values):
         tables: dict[tuple[str, str], dict[tuple[str, str], float]] = {}
         for each in own:
-            tables.setdefault((each.finger_condition, each.pair), {})[each.participant, str(each.level)] = _linear(each)
+            tables.setdefault((each.finger_condition, each.pair), {})[each.participant, str(each.level)] = linear(each)
         for (a, first), (b, second) in combinations(tables.items(), 2):
             differ = [x != y for x, y in zip(_factors(*a), _factors(*b), strict=True)]
             if sum(differ) != 1 or (measure.question == "shares" and any(differ[:2])):
@@ -196,7 +196,7 @@ def contrast_findings(values: Sequence[Own]) -> Iterator[Finding]:
             notes = ["the interval ends at 0, which the test rejects: zeros count only in the interval"] if ends else []
             yield finding_of(
                 measure.question, f"{measure.name} compared, {_RANKS if measure.is_ranked else _FLIPS}", scope, test,
-                f"{_difference(measure)} of {measure.quantity}", _told(measure, interval), numbers.size,
+                f"{_difference(measure)} of {measure.quantity}", as_told(measure, interval), numbers.size,
                 family=f"{measure.question} compared", notes=notes,
             )  # fmt: skip
 
@@ -231,11 +231,11 @@ def group_findings(
             yield finding_of("group", name, scope, None, quantity, Interval.point(math.nan, 0), 0, notes=[why])
             continue
         test, interval = group_test(first, second)
-        n_values = Counter(each.participant for each in compared[measure] if math.isfinite(_linear(each)))
+        n_values = Counter(each.participant for each in compared[measure] if math.isfinite(linear(each)))
         n_partial = sum(n < max(n_values.values()) for n in n_values.values())
         yield finding_of(
             "group", f"{measure.name} between groups, permutation test of participants", scope, test, quantity,
-            _told(measure, interval), first.size + second.size, family="groups",
+            as_told(measure, interval), first.size + second.size, family="groups",
             notes=[
                 f"{a}: {first.size}, {b}: {second.size} participants; interval of a shift",
                 "over the cells that both groups met" if shared is not values else "",
@@ -319,7 +319,7 @@ def _known(own: Iterable[Own]) -> dict[str, float]:
     """Return the mean of each participant's values, as they are compared; of those who have any."""
     known: dict[str, list[float]] = {}
     for each in own:
-        value = _linear(each)
+        value = linear(each)
         if math.isfinite(value):
             known.setdefault(each.participant, []).append(value)
     return {who: float(np.mean(values)) for who, values in known.items()}
@@ -327,11 +327,11 @@ def _known(own: Iterable[Own]) -> dict[str, float]:
 
 def of_participants(own: Sequence[Own]) -> list[Own]:
     """Return the mean of each participant's values of a measure as one value, of those who have any."""
-    whole = [(who, _told(own[0].measure, Interval.point(mean, 1))) for who, mean in _known(own).items()]
+    whole = [(who, as_told(own[0].measure, Interval.point(mean, 1))) for who, mean in _known(own).items()]
     return [Own(own[0].measure, who, "", "", math.nan, interval, 1) for who, interval in whole]
 
 
-def _linear(own: Own) -> float:
+def linear(own: Own) -> float:
     """Return a value as it is compared: of ratios the logarithm."""
     value = float(own.interval.estimate)
     if own.measure.is_ratio:
@@ -339,7 +339,7 @@ def _linear(own: Own) -> float:
     return value
 
 
-def _told(measure: Measure, interval: Interval) -> Interval:
+def as_told(measure: Measure, interval: Interval) -> Interval:
     """Return an interval of what is compared as it is told: of ratios no logarithm."""
     return interval.changed(np.exp) if measure.is_ratio else interval
 

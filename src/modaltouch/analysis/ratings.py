@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from modaltouch.analysis.exact import ExactTest
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import Interval, student_quantile
-from modaltouch.analysis.measures import Measure, Own, cells
+from modaltouch.analysis.location import by_ranks
+from modaltouch.analysis.measures import Measure, Own, as_told, cells, linear
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import LevelScale, scale_of
 from modaltouch.analysis.task import TrialTask
@@ -172,7 +173,7 @@ def power_law(levels: ArrayLike, magnitudes: ArrayLike) -> Interval:
 
 
 def level_findings(values: Sequence[Own]) -> Iterator[Finding]:
-    """Yield Friedman's test of each rating over levels, with Kendall's coefficient of concordance.
+    """Yield Friedman's test of each rating over levels, with Kendall's coefficient; of two levels signed ranks.
 
     Parameters
     ----------
@@ -183,18 +184,26 @@ def level_findings(values: Sequence[Own]) -> Iterator[Finding]:
     for each in values:
         if each.measure.is_ranked:
             own = tables.setdefault((each.measure, f"{each.finger_condition} {each.pair}"), {})
-            own.setdefault(each.participant, {})[each.level] = float(each.interval.estimate)
+            own.setdefault(each.participant, {})[each.level] = linear(each)
     for (measure, scope), people in tables.items():
         levels = sorted(set().union(*people.values()))
         rows = np.array([[own[level] for level in levels] for own in people.values() if len(own) == len(levels)])
-        if len(levels) > 2 and len(rows) > 1:
+        if len(levels) < 2 or len(rows) < 2:
+            continue
+        if len(levels) == 2:
+            test, interval = by_ranks(rows[:, 1] - rows[:, 0])
+            way, interval = "signed ranks", as_told(measure, interval)
+            quantity = f"{'ratio' if measure.is_ratio else 'difference'} of {measure.quantity}, higher to lower level"
+        else:
             test, concordance = friedman(rows)
-            left_out = len(people) - len(rows)
-            yield finding_of(
-                "rating", f"{measure.name} over levels, Friedman's test by shuffles within participants", scope, test,
-                "Kendall's W", Interval.point(concordance, len(rows)), len(rows), family="rating over levels",
-                notes=[f"{left_out} participants without a rating at every level left out" if left_out else ""],
-            )  # fmt: skip
+            way, interval = "Friedman's test by shuffles within participants", Interval.point(concordance, len(rows))
+            quantity = "Kendall's W"
+        left_out = len(people) - len(rows)
+        yield finding_of(
+            "rating", f"{measure.name} over levels, {way}", scope, test, quantity, interval, len(rows),
+            family="rating over levels",
+            notes=[f"{left_out} participants without a rating at every level left out" if left_out else ""],
+        )  # fmt: skip
 
 
 def friedman(rows: np.ndarray) -> tuple[ExactTest, Any]:
@@ -223,7 +232,8 @@ def friedman(rows: np.ndarray) -> tuple[ExactTest, Any]:
     found: list[Any] = [
         np.where(varies, value, nothing).reshape(shape)[()]
         for value, nothing in (
-            (n * (k - 1) * concordance, 0.0), ((reached + 1) / (_SHUFFLES + 1), 1.0), (least, 1.0), (n, 0)
+            (n * (k - 1) * concordance, 0.0), (np.maximum((reached + 1) / (_SHUFFLES + 1), least), 1.0),
+            (least, 1.0), (n, 0),
         )
     ]  # fmt: skip
     return ExactTest(*found), concordance.reshape(shape)[()]
