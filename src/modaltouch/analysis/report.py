@@ -40,9 +40,7 @@ def _cautions(answers: AnswerCounts) -> dict[str, str]:
             * answers.offers_none
             or "."
         ),
-        "b": "A lack of information is not evidence that the level does not matter."
-        if len(answers.levels) > 1
-        else "One level only: a trend needs two.",
+        "b": "A lack of information is not evidence that the level does not matter.",
         "c": "A difference that is not significant does not show that the conditions are alike; "
         + (
             "that takes analysis.equivalence_margin, fixed in the protocol beforehand, and here there is none."

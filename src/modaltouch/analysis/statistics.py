@@ -165,11 +165,13 @@ def _levels_of(answers: AnswerCounts) -> tuple[list[str], list[str], Shares]:
     return scopes, labels, Shares(of_pairs.reshape(shape), asked.reshape(shape), answers.n_repetitions)
 
 
-def level_tests(answers: AnswerCounts) -> FamilyResult:
-    """Return whether the choice of the dominant zone changes with the level in any participant."""
+def level_tests(answers: AnswerCounts) -> FamilyResult | None:
+    """Return whether the choice of the dominant zone changes with the level in any participant; None at one level."""
+    if len(answers.levels) < 2:
+        return None
     scopes, labels, shares = _levels_of(answers)
     test = trend_test(shares.given, answers.levels, shares.answered if shares.is_short else shares.asked)
-    alone = ["one level only: a trend needs two"] if len(answers.levels) < 2 else []
+    alone = []
     if (shares.answered.sum(axis=-1) > MOST_EXACT).any():
         alone.append(f"p by the normal law of the sum, as there are more than {MOST_EXACT} answers of each participant")
     return FamilyResult(
@@ -268,12 +270,12 @@ STATISTICS: dict[str, Statistic] = {
         lambda answers: means_of(_scores(dominance(answers))),
     ),
     "b": Statistic(
-        "b", "does the choice of the dominant zone change with the level in anybody",
+        "b", "does the choice change with the level in anybody",
         "exact trend test that no participant's answers change with the level", level_tests,
         "", lambda levels, n, n_repetitions, margin: smallest_trend_p(levels, n, n_repetitions),
     ),
     "b mean": Statistic(
-        "b", "does the choice of the dominant zone change with the level on average", f"slope, {_ON_AVERAGE}",
+        "b", "does the choice change with the level on average", f"slope, {_ON_AVERAGE}",
         lambda answers: means_of(slopes(answers)), "slope per 100 mm/s",
     ),
     "c": Statistic(
@@ -292,11 +294,11 @@ STATISTICS: dict[str, Statistic] = {
         when_alike=True,
     ),
     "d": Statistic(
-        "d", 'is "both" answered more often for one pair than for another in anybody', _ANYBODY,
+        "d", "do the pairs of zones differ in anybody", _ANYBODY,
         lambda answers: signs_of(pairs_compared(answers)),
     ),
     "d mean": Statistic(
-        "d", 'is "both" answered more often for one pair than for another on average', f"difference, {_ON_AVERAGE}",
+        "d", "do the pairs of zones differ on average", f"difference, {_ON_AVERAGE}",
         lambda answers: means_of(_scores(pairs_compared(answers))),
     ),
 }  # fmt: skip
