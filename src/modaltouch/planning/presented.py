@@ -37,24 +37,13 @@ def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
         If anything is wrong with the protocol, or its levels follow from answers or differ between participants.
     """
     protocol = preflight.experiment.protocol
-    refuse_open_levels(preflight)
+    adaptive = "adaptive runs, which have no fixed conditions"
+    remedy = "plan with a protocol of fixed levels"
+    _refuse(preflight, (protocol.adaptive, ("adaptive",), adaptive, "fixed levels", remedy))
+    refuse_own_levels(preflight)
     refuse_unlike(preflight)
     placements = _placements(protocol)
     return {name: _design(name, part, observer, placements) for name, part in preflight.parts.items()}
-
-
-def refuse_open_levels(preflight: Preflight) -> None:
-    """Refuse a protocol whose levels follow from answers or differ between participants.
-
-    Raises
-    ------
-    InputError
-        If they do.
-    """
-    adaptive = "adaptive runs, which have no fixed conditions"
-    given = preflight.experiment.protocol.adaptive
-    _refuse(preflight, (given, ("adaptive",), adaptive, "fixed levels", "plan with a protocol of fixed levels"))
-    refuse_own_levels(preflight)
 
 
 def refuse_own_levels(preflight: Preflight, remedy: str = "plan with the peak velocities that you expect") -> None:
