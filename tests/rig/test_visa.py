@@ -73,6 +73,19 @@ def test_a_record_that_is_read_is_not_spelt_out(simulator: Simulator) -> None:
     assert max(len(repr(each)) for each in received) < 40
 
 
+@pytest.mark.parametrize("way", ["address", "socket_address"])
+def test_reply_after_a_block_that_ends_in_line_feeds_is_its_own(simulator: Simulator, way: str) -> None:
+    """A Keysight's file of a record ends so: over a raw socket, every later reply came one too late."""
+    session = VisaSession(getattr(simulator, way))
+    session.open()
+    try:
+        session.exchange(b"DATA EMEM,#14\n\n\n\n\n", timeout=1.0, reply=False)
+        assert session.exchange(b"DATA? EMEM\n", timeout=1.0, reply=True) == b"#14\n\n\n\n\n"
+        assert session.exchange(b"DATA:POIN? EMEM\n", timeout=1.0, reply=True) == b"2\n"
+    finally:
+        session.close(broken=False)
+
+
 def test_session_that_was_cut_may_still_be_counted(single_link: Simulator, monkeypatch: pytest.MonkeyPatch) -> None:
     """An instrument of one session that learns of a reset 0.3 s late admits the next; a stranger is refused at once."""
     forget = Links.forget

@@ -115,6 +115,7 @@ class VisaSession:
         self._resource: Any = None
         self._timeout = 0.0
         self._shares = shares
+        self._is_socket = self._address.upper().endswith("SOCKET")
         self._lock: int | None = None
         self._counted_until = 0.0
 
@@ -148,7 +149,7 @@ class VisaSession:
         message_based = cast("pyvisa.resources.MessageBasedResource", resource)
         message_based.chunk_size = CHUNK
         hush(message_based)
-        if self._address.upper().endswith("SOCKET"):
+        if self._is_socket:
             message_based.read_termination = "\n"
         self._resource, self._timeout = message_based, 0.0
         return "other programs on this machine are kept out"
@@ -163,8 +164,8 @@ class VisaSession:
         resource.write_raw(message)
         data: bytes = resource.read_raw() if reply else b""
         if data[:1] == b"#":
-            # A termination character may lie within a block, and end a read, on a raw socket.
-            while len(data) < block_bounds(data)[1]:
+            # On a raw socket a block's line feeds end reads, and what ends the reply still comes after its last byte.
+            while len(data) < block_bounds(data)[1] + self._is_socket:
                 data += resource.read_raw()
         return data
 
