@@ -169,6 +169,17 @@ FOUND: list[tuple[bytes, int]] = [
     (b"DATA EMEM,#0abc", -102),
     (b":VOLT" * 40_000, -112),
     (b"SOUR0:VOLT 1", -114),
+    (b'SOUR1:FREQ "1e3"', -104),
+    (b"OUTP1 'ON'", -104),
+    (b'SOUR1:FUNC "SIN"', -104),
+    (b'DATA:DEF EMEM,"100"', -104),
+    (b'DATA? "EMEM"', -104),
+    (b"*IDN? 3", -108),
+    (b"*RST 1", -108),
+    (b"ABOR 1", -108),
+    (b"SYST:ERR? 1", -108),
+    (b"OUTP:TRIG:MODE? 3", -108),
+    (b"DATA:CAT? 3", -108),
 ]
 
 

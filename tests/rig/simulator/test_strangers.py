@@ -268,6 +268,12 @@ def test_high_and_low_level_are_amplitude_and_offset(simulator: Simulator) -> No
     assert simulator.front_panel("SYST:ERR?").startswith("-222")
 
 
+def test_most_cycles_are_not_endless_ones(simulator: Simulator) -> None:
+    """`MAX` is a million, by number and as a limit that is asked for; a part of a cycle is none."""
+    told = simulator.front_panel("*RST;:SOUR1:BURS:NCYC MAX;NCYC?;NCYC? MIN;NCYC 2.6;NCYC?;NCYC INF;NCYC?")
+    assert told == "1.0000E+06;1.0000E+00;3.0000E+00;9.9000E+37"
+
+
 def test_tm_devices_finds_what_it_sends(simulator: Simulator) -> None:
     """Line by line as over a raw socket: each query has one reply, and nothing is in the error queue."""
     replies = {sent: simulator.front_panel(sent) for sent in SENT_BY_TM_DEVICES}

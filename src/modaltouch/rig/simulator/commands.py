@@ -13,6 +13,7 @@ import numpy as np
 from modaltouch.rig.simulator.afg import MAX_CODE, MEMORIES, Afg, Channel
 from modaltouch.rig.simulator.common import (
     PERCENT,
+    bare,
     choice,
     common_commands,
     get_number,
@@ -32,7 +33,6 @@ from modaltouch.rig.simulator.scpi import (
     asked,
     exactly,
     flag,
-    is_word,
     one,
     quantity,
     read_boolean,
@@ -40,7 +40,7 @@ from modaltouch.rig.simulator.scpi import (
     read_number,
     whole,
 )
-from modaltouch.rig.simulator.state import OPEN, SOURCE_IMPEDANCE, Behaviour
+from modaltouch.rig.simulator.state import SOURCE_IMPEDANCE, Behaviour
 
 LOWEST, HIGHEST, DEFAULT = 20e-3, 20.0, 2.0
 """Amplitude into an open circuit [V peak to peak]."""
@@ -108,7 +108,6 @@ def afg_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> tuple[
         _levels,
         _burst,
         _trigger,
-        _system,
     )
     commands = noticed(afg, ChainMap(*(group(afg) for group in groups)), FORCED)
     return afg, CommandTable(commands, afg.n_channels, further=_further)
@@ -154,7 +153,7 @@ def _waveform(afg: Afg) -> dict[str, Command]:
             ),
             get=get_number(afg, "phase", -math.pi, math.pi, "{:.4E}"),
         ),
-        "[SOURce#]:PHASe:INITiate": Command(set=lambda n, a: afg.align()),
+        "[SOURce#]:PHASe:INITiate": Command(set=bare(lambda _: afg.align())),
     }
 
 
@@ -192,11 +191,6 @@ def _levels(afg: Afg) -> dict[str, Command]:
             set=change, get=get_of(afg, lambda c: f"{(c.offset + sign * c.amplitude / 2) * c.load_factor:.4E}")
         )
 
-    def load(number: int, arguments: Arguments) -> None:
-        text = one(arguments)
-        infinite = isinstance(text, str) and is_word(text.upper(), "INFinity")
-        afg.channels[number].load = OPEN if infinite else quantity(arguments, {"OHM": 1.0}, 1, 10e3, SOURCE_IMPEDANCE)
-
     level = "[SOURce#]:VOLTage[:LEVel][:IMMediate]"
     return {
         f"{level}[:AMPLitude]": Command(set=amplitude, get=_get_amplitude(afg)),
@@ -207,9 +201,7 @@ def _levels(afg: Afg) -> dict[str, Command]:
         "[SOURce#]:VOLTage:LIMit:LOW": limit("limit_low"),
         "[SOURce#]:VOLTage:UNIT": keyword(afg, "unit", ("VPP", "VRMS", "DBM")),
         "[SOURce#]:VOLTage:CONCurrent[:STATe]": switch(afg, "level_concurrent"),
-        "OUTPut#:IMPedance": Command(
-            set=load, get=get_of(afg, lambda c: f"{9.9e37 if math.isinf(c.load) else c.load:.4E}")
-        ),
+        "OUTPut#:IMPedance": number(afg, "load", {"OHM": 1.0}, 1, 10e3, "{:.4E}", SOURCE_IMPEDANCE, endless=True),
         "OUTPut#:POLarity": keyword(afg, "polarity", ("NORMal", "INVerted")),
         "OUTPut#[:STATe]": on(afg, "output"),
     }
@@ -223,18 +215,10 @@ def _burst(afg: Afg) -> dict[str, Command]:
             raise ScpiError(-221, f"{channel.frequency:g} Hz is too fast for a burst")
         channel.burst = on
 
-    def cycles(number: int, arguments: Arguments) -> None:
-        value = quantity(arguments, {}, 1, 9.9e37, 5.0)
-        if 1e6 < value < 9.9e37:
-            raise ScpiError(-222, f"{value:g} cycles")
-        afg.channels[number].n_cycles = float(round(value)) if value <= 1e6 else math.inf
-
     return {
         "[SOURce#]:BURSt[:STATe]": Command(set=state, get=get_of(afg, lambda c: flag(c.burst))),
         "[SOURce#]:BURSt:MODE": keyword(afg, "burst_mode", ("TRIGgered", "GATed")),
-        "[SOURce#]:BURSt:NCYCles": Command(
-            set=cycles, get=get_of(afg, lambda c: f"{9.9e37 if math.isinf(c.n_cycles) else c.n_cycles:.4E}")
-        ),
+        "[SOURce#]:BURSt:NCYCles": number(afg, "n_cycles", {}, 1, 1e6, "{:.4E}", 5.0, endless=True),
         "[SOURce#]:BURSt:TDELay": number(afg, "delay", {"S": 1.0}, 0, 85, "{:.4E}", 0.0),
     }
 
@@ -249,16 +233,9 @@ def _trigger(afg: Afg) -> dict[str, Command]:
         "TRIGger[:SEQuence]:TIMer": Command(
             set=timer, get=lambda c, a: f"{asked(a, afg.timer, 1e-6, 500):.{afg.behaviour.timer_digits - 1}E}"
         ),
-        "TRIGger[:SEQuence][:IMMediate]": Command(set=lambda c, a: afg.trigger()),
-        "ABORt": Command(set=lambda c, a: afg.abort()),
-        "OUTPut:TRIGger:MODE": choice(afg, "trigger_output", ("TRIGger", "SYNC")),
-    }
-
-
-def _system(afg: Afg) -> dict[str, Command]:
-    return {
+        "TRIGger[:SEQuence][:IMMediate]": Command(set=bare(lambda _: afg.trigger())),
         "SOURce:ROSCillator:SOURce": choice(afg, "clock_source", ("INTernal", "EXTernal")),
-        "SYSTem:BEEPer[:IMMediate]": Command(set=lambda c, a: None),
+        "OUTPut:TRIGger:MODE": choice(afg, "trigger_output", ("TRIGger", "SYNC")),
     }
 
 
@@ -347,7 +324,7 @@ def _user_commands(afg: Afg) -> dict[str, Command]:
             _of_edit((target,), 1)
             afg.copy_from_user(_user(source))
 
-    def catalogue(channel: int, arguments: Arguments) -> str:
+    def catalogue(_: int) -> str:
         filled = [f'"USER{number}"' for number, record in afg.user.items() if record is not None]
         return ",".join([*filled, '"EMEM"'])
 
@@ -357,7 +334,7 @@ def _user_commands(afg: Afg) -> dict[str, Command]:
 
     return {
         f"{ROOT}:COPY": Command(set=copy),
-        f"{ROOT}:CATalog": Command(get=catalogue),
+        f"{ROOT}:CATalog": Command(get=bare(catalogue)),
         f"{ROOT}:LOCK[:STATe]": Command(set=lock, get=lambda c, a: flag(afg.locked[_user(one(a))])),
         f"{ROOT}:DELete[:NAME]": Command(set=lambda c, a: afg.erase(_user(one(a)))),
     }
@@ -366,8 +343,7 @@ def _user_commands(afg: Afg) -> dict[str, Command]:
 def _of_edit(arguments: Arguments, n: int) -> Arguments:
     """Return what follows the name of the edit memory, the first of n arguments."""
     name, *rest = exactly(arguments, n)
-    if not isinstance(name, str) or not (is_word(name.upper(), "EMEMory") or is_word(name.upper(), "EMEMory1")):
-        raise ScpiError(-224, str(name)[:40])
+    read_choice(name, ("EMEMory", "EMEMory1"))
     return tuple(rest)
 
 

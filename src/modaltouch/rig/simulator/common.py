@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -9,9 +10,11 @@ from typing import Any
 from modaltouch.rig.simulator.scpi import (
     Arguments,
     Command,
+    Handler,
     asked,
     exactly,
     flag,
+    is_word,
     one,
     quantity,
     read_boolean,
@@ -45,34 +48,36 @@ def _changing(state: State, command: Command) -> Command:
 
 
 def common_commands(state: State) -> dict[str, Command]:
-    """Return the common commands of IEEE 488.2, and those that SCPI requires."""
+    """Return the common commands of IEEE 488.2, and what of SCPI all of them have."""
 
-    def clear(channel: int, arguments: Arguments) -> None:
+    def clear(_: int) -> None:
         state.errors.clear()
         state.event_status = 0
 
-    def event_status(channel: int, arguments: Arguments) -> str:
+    def event_status(_: int) -> str:
         value, state.event_status = state.event_status, 0
         return str(value)
 
-    def complete(channel: int, arguments: Arguments) -> None:
+    def complete(_: int) -> None:
         state.event_status |= 1
 
     return {
-        "*IDN": Command(get=lambda c, a: state.identity),
-        "*OPT": Command(get=lambda c, a: "0"),
-        "*CLS": Command(set=clear),
-        "*RST": Command(set=lambda c, a: state.reset()),
-        "*OPC": Command(set=complete, get=lambda c, a: "1"),
-        "*WAI": Command(set=lambda c, a: None),
-        "*TST": Command(get=lambda c, a: "0"),
-        "*ESR": Command(get=event_status),
+        "*IDN": Command(get=bare(lambda _: state.identity)),
+        "*OPT": Command(get=bare(lambda _: "0")),
+        "*CLS": Command(set=bare(clear)),
+        "*RST": Command(set=bare(lambda _: state.reset())),
+        "*OPC": Command(set=bare(complete), get=bare(lambda _: "1")),
+        "*WAI": Command(set=bare(lambda _: None)),
+        "*TST": Command(get=bare(lambda _: "0")),
+        "*ESR": Command(get=bare(event_status)),
         "*ESE": _register(state, "event_enable"),
         "*SRE": _register(state, "service_enable"),
-        "*STB": Command(get=lambda c, a: str(state.status_byte)),
-        "*TRG": Command(set=lambda c, a: state.trigger()),
-        "SYSTem:ERRor[:NEXT]": Command(get=lambda c, a: state.next_error()),
-        "SYSTem:VERSion": Command(get=lambda c, a: "1999.0"),
+        "*STB": Command(get=bare(lambda _: str(state.status_byte))),
+        "*TRG": Command(set=bare(lambda _: state.trigger())),
+        "ABORt": Command(set=bare(lambda _: state.abort())),
+        "SYSTem:BEEPer[:IMMediate]": Command(set=bare(lambda _: None)),
+        "SYSTem:ERRor[:NEXT]": Command(get=bare(lambda _: state.next_error())),
+        "SYSTem:VERSion": Command(get=bare(lambda _: "1999.0")),
     }
 
 
@@ -83,29 +88,52 @@ def _register(state: State, name: str) -> Command:
     )
 
 
-def get_of(state: State, read: Callable[[Any], str]) -> Callable[[int, Arguments], str]:
-    """Return what answers a query with what is read of a channel."""
+def bare(carry_out: Callable[[int], str | None]) -> Handler:
+    """Return what takes no parameter, only the number of a channel."""
 
-    def get(number: int, arguments: Arguments) -> str:
+    def handle(number: int, arguments: Arguments) -> str | None:
         exactly(arguments, 0)
-        return read(state.channels[number])
+        return carry_out(number)
 
-    return get
+    return handle
+
+
+def get_of(state: State, read: Callable[[Any], str]) -> Handler:
+    """Return what answers a query with what is read of a channel."""
+    return bare(lambda number: read(state.channels[number]))
 
 
 def get_number(state: State, name: str, low: float, high: float, form: str) -> Callable[[int, Arguments], str]:
     """Return what answers a query with a number of a channel, or with its limits."""
-    return lambda number, arguments: form.format(asked(arguments, getattr(state.channels[number], name), low, high))
+
+    def get(number: int, arguments: Arguments) -> str:
+        value = asked(arguments, getattr(state.channels[number], name), low, high)
+        # As instruments print what SCPI has for infinity; 9.9E37 itself is no binary number.
+        return form.format(9.9).replace("E+00", "E+37") if math.isinf(value) else form.format(value)
+
+    return get
 
 
 def number(
-    state: State, name: str, units: dict[str, float], low: float, high: float, form: str, default: float | None = None
+    state: State,
+    name: str,
+    units: dict[str, float],
+    low: float,
+    high: float,
+    form: str,
+    default: float | None = None,
+    *,
+    endless: bool = False,
 ) -> Command:
-    """Return the command of a number of a channel."""
-    return Command(
-        set=lambda n, a: setattr(state.channels[n], name, quantity(a, units, low, high, default)),
-        get=get_number(state, name, low, high, form),
-    )
+    """Return the command of a number of a channel, a whole one without units, which may be `endless`: ``INFinity``."""
+
+    def change(number: int, arguments: Arguments) -> None:
+        word = one(arguments)
+        infinite = endless and isinstance(word, str) and is_word(word.upper(), "INFinity")
+        value = math.inf if infinite else quantity(arguments, units, low, high, default)
+        setattr(state.channels[number], name, value if units or infinite else float(round(value)))
+
+    return Command(set=change, get=get_number(state, name, low, high, form))
 
 
 def on(state: State, name: str) -> Command:
@@ -127,12 +155,12 @@ def keyword(state: State, name: str, choices: tuple[str, ...]) -> Command:
 def choice(state: State, name: str, choices: tuple[str, ...]) -> Command:
     """Return the command of a keyword of the whole instrument."""
     return Command(
-        set=lambda n, a: setattr(state, name, read_choice(one(a), choices)), get=lambda n, a: str(getattr(state, name))
+        set=lambda n, a: setattr(state, name, read_choice(one(a), choices)), get=bare(lambda _: getattr(state, name))
     )
 
 
 def switch(state: State, name: str) -> Command:
     """Return the command of a switch of the whole instrument."""
     return Command(
-        set=lambda n, a: setattr(state, name, read_boolean(one(a))), get=lambda n, a: flag(getattr(state, name))
+        set=lambda n, a: setattr(state, name, read_boolean(one(a))), get=bare(lambda _: flag(getattr(state, name)))
     )

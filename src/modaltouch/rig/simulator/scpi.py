@@ -9,6 +9,13 @@ from dataclasses import dataclass, field
 Argument = str | bytes
 """A text argument as it was sent, or the content of a definite block."""
 
+
+class Quoted(str):
+    """A string between quotes: a name or a text, never a number or a keyword."""
+
+    __slots__ = ()
+
+
 TEXTS = {
     -100: "Command error",
     -101: "Invalid character",
@@ -124,7 +131,7 @@ def _read_argument(message: bytes, at: int) -> tuple[Argument, int]:
         end = message.find(first, at + 1)
         if end < 0:
             raise ScpiError(-151, "no closing quote")
-        return message[at + 1 : end].decode("latin1"), end + 1
+        return Quoted(message[at + 1 : end].decode("latin1")), end + 1
     found = _PLAIN.match(message, at)
     text = found[0] if found else b""
     if not text:
@@ -166,8 +173,7 @@ def read_number(
     ScpiError
         -104 for what is not a number, -131 for a foreign unit, -222 for a value out of range.
     """
-    if isinstance(argument, bytes):
-        raise ScpiError(-104, "a block where a number belongs")
+    argument = _plain(argument)
     if len(argument) > LONGEST_TEXT:
         raise ScpiError(-124, argument[:20])
     word = argument.upper()
@@ -201,9 +207,16 @@ def _factor(unit: str, units: Mapping[str, float]) -> float:
     raise ScpiError(-131, unit)
 
 
+def _plain(argument: Argument) -> str:
+    """Return a number or keyword as it was sent."""
+    if isinstance(argument, bytes | Quoted):
+        raise ScpiError(-104, "a block or string where a number or keyword belongs")
+    return argument
+
+
 def read_boolean(argument: Argument) -> bool:
     """Return ON, OFF or a number as a truth value."""
-    word = argument.upper() if isinstance(argument, str) else ""
+    word = _plain(argument).upper()
     if word in ("ON", "OFF"):
         return word == "ON"
     return round(read_number(argument, units={}, minimum=-9.9e37, maximum=9.9e37)) != 0
@@ -211,10 +224,11 @@ def read_boolean(argument: Argument) -> bool:
 
 def read_choice(argument: Argument, choices: tuple[str, ...]) -> str:
     """Return the short form of a keyword, given in its short or long form."""
+    word = _plain(argument)
     for choice in choices:
-        if isinstance(argument, str) and is_word(argument.upper(), choice):
+        if is_word(word.upper(), choice):
             return short_form(choice)
-    raise ScpiError(-224, str(argument)[:40])
+    raise ScpiError(-224, word[:40])
 
 
 def short_form(mnemonic: str) -> str:

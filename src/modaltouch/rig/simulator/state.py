@@ -47,9 +47,6 @@ class Behaviour:
     retrigger: Retrigger = "ignored"
 
 
-OPEN = math.inf
-"""Load impedance of an open circuit [ohm]."""
-
 SOURCE_IMPEDANCE = 50.0
 """Output impedance of every channel [ohm]."""
 
