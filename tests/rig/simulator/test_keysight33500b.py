@@ -139,7 +139,11 @@ def test_codes_that_are_not_used_limit_the_amplitude(simulator: Simulator) -> No
         ("SOUR1:DATA:ARB:DAC NAMEOF13CHARS,1,2,3,4,5,6,7,8", -220),
         ("SOUR1:DATA:ARB:DAC REC,-32768,2,3,4,5,6,7,8", -222),
         ("SOUR1:DATA:ARB:DAC REC", -109),
-        ("SOUR1:DATA:ARB:DAC REC,#13abc", -220),
+        ("SOUR1:DATA:ARB:DAC REC,#12ab", -220),
+        ("SOUR1:DATA:ARB:DAC REC,#217" + 17 * "~", -161),
+        ("SOUR1:DATA:ARB:DAC #13abc,1,2,3,4,5,6,7,8", -220),
+        ('SOUR1:DATA:ARB:DAC "A B",1,2,3,4,5,6,7,8', -220),
+        ("SOUR1:DATA:ARB REC,#232" + 8 * "\x7f\x7f\x7f\x7f", -222),
         ("SOUR1:FUNC:ARB NOBODY", 785),
         ("SOUR1:DATA:ATTR:POIN? NOBODY", 785),
         ('MMEM:UPL? "INT:\\NONE.ARB"', -256),
@@ -147,6 +151,14 @@ def test_codes_that_are_not_used_limit_the_amplitude(simulator: Simulator) -> No
         ("SOUR1:VOLT 1 VRMS", -131),
         ("SOUR3:VOLT 1", -114),
         ("*TRG", -211),
+        ("TRIG2", -211),
+        ("SOUR1:BURS:STAT ON;:SOUR2:BURS:STAT ON;:TRIG2", -241),
+        ("OUTP1:LOAD 20000", -222),
+        ("SOUR1:BURS:NCYC 1e9", -222),
+        ("SOUR1:VOLT MAX", 0),
+        ("SOUR1:VOLT MIN", 0),
+        ("SOUR1:VOLT 1e400", -222),
+        ("OUTP1:LOAD INF;:SOUR1:VOLT MAX;VOLT:OFFS 1", -221),
         ("SOUR1:VOLT:LIM:HIGH 0.05", 0),
         ("SOUR1:VOLT:LIM:STAT ON;:SOUR1:VOLT:LIM:HIGH 0.01", -221),
         ("SOUR1:VOLT:LIM:STAT ON;:SOUR1:VOLT:LIM:HIGH 1;:SOUR1:VOLT 4", -221),
@@ -183,6 +195,30 @@ def test_one_bus_trigger_begins_both_channels(simulator: Simulator, clock: Virtu
     said(simulator, "TRIG2:SOUR EXT", "*TRG")
     clock.sleep(0.1)
     assert [playback is not None for playback in simulator.playbacks] == [True, False]
+
+
+def test_values_come_as_floats_in_either_byte_order(simulator: Simulator) -> None:
+    """`DATA:ARB` takes values from -1 to 1, as text or as a block of four bytes each."""
+    values = np.array([0, 0.5, -0.5, 1, -1, 0.25, 0, 0])
+    for name, order, kind in (("A", "NORM", ">f4"), ("B", "SWAP", "<f4")):
+        simulator.front_panel(f"FORM:BORD {order}")
+        simulator._instrument.perform(f"SOUR1:DATA:ARB {name},#232".encode() + values.astype(kind).tobytes())
+        np.testing.assert_array_equal(simulator.afg.volatile[1][name], np.round(values * HIGHEST_CODE))
+
+
+def test_a_burst_without_end_plays_from_its_trigger_until_it_is_aborted(
+    simulator: Simulator, clock: VirtualClock
+) -> None:
+    """`BURS:NCYC INF` reads 9.9E+37; `TRIG1` begins it whatever the source, `ABOR` ends it."""
+    write(simulator, [0, 20000] * 50)
+    said(simulator, "TRIG1:SOUR EXT", "SOUR1:BURS:NCYC INF", "SOUR1:BURS:STAT ON")
+    assert float(said(simulator, "SOUR1:BURS:NCYC?")) == 9.9e37
+    seen = []
+    for message in ("*OPC?", "TRIG1", "ABOR"):
+        assert error_of(simulator, message) == NO_ERROR
+        clock.sleep(0.1)
+        seen.append(simulator.playbacks[0] is not None)
+    assert seen == [False, True, False]
 
 
 STATE, TABLE = keysight_twin("33522B", None, clock=VirtualClock(0.0))

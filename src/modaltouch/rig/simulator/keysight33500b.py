@@ -2,12 +2,13 @@
 
 Its amplitude is that of the record, from its lowest code to its highest, as the guide's figure for "Sinc" says and
 users of the series have measured. Not modelled: the filters (what is not played with FILTer OFF moves nothing),
-modulation, sweeps, sequences, pulses and ramps, endless bursts, amplitudes in VRMS and DBM.
+modulation, sweeps, sequences, pulses and ramps, amplitudes in VRMS and DBM, triggers of one of two channels in burst.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections import ChainMap
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -76,9 +77,10 @@ class TrueformChannel(OutputChannel):
 
     @property
     def allowed(self) -> bool:
-        """Whether what it sends stays within the limits that are set, if they are on."""
+        """Whether what it sends stays within what an output gives, and within the limits that are set and on."""
         low, high = (end * self.amplitude / self.span / 2 + self.offset for end in self.ends)
-        return not self.limited or (self.limit_low - 1e-9 <= low and high <= self.limit_high + 1e-9)
+        lowest, highest = (self.limit_low, self.limit_high) if self.limited else (-HIGHEST / 2, HIGHEST / 2)
+        return lowest - 1e-9 <= low and high <= highest + 1e-9
 
 
 @dataclass
@@ -109,10 +111,12 @@ class Trueform(GeneratorState[TrueformChannel]):
         """Whether pulses at the trigger input begin bursts."""
         return self.waiting.source == "EXT"
 
-    def trigger(self) -> None:
-        """Take ``*TRG``, on the channels that wait for it."""
-        if self.waiting.source != "BUS":
+    def trigger(self, number: int = 0) -> None:
+        """Take ``*TRG`` on the channels that wait for it, or a trigger of one channel, whatever that waits for."""
+        if not number and self.waiting.source != "BUS":
             raise ScpiError(-211, "no channel in burst waits for the bus")
+        if number and any(channel.burst for each, channel in self.channels.items() if each != number):
+            raise ScpiError(-241, "not simulated: a trigger of one of two channels in burst")
         super().trigger()
 
     def sent(self, channel: TrueformChannel) -> Playback | None:
@@ -125,10 +129,10 @@ class Trueform(GeneratorState[TrueformChannel]):
         sign = -1.0 if channel.polarity == "INV" else 1.0
         level = sign * channel.amplitude / channel.span, sign * channel.offset
         rest = {"first": int(codes[0]), "last": int(codes[-1])}.get(self.behaviour.idle_level, HIGHEST_CODE)
-        if not channel.burst:
-            return Playback(codes.tobytes(), *level, channel.cycle, channel.cycle, rest, converter=CONVERTER)
-        burst = int(channel.n_cycles), channel.delay
-        return Playback(codes.tobytes(), *level, channel.cycle, math.inf, rest, *burst, CONVERTER)
+        played = Playback(codes.tobytes(), *level, channel.cycle, channel.cycle, rest, converter=CONVERTER)
+        if not channel.burst or math.isinf(channel.n_cycles):
+            return played
+        return replace(played, period=math.inf, n_cycles=int(channel.n_cycles), delay=channel.delay)
 
     def change(self, number: int, **settings: Any) -> None:
         """Change levels or their limits, open circuit [V], unless the level would lie beyond the limits."""
@@ -140,19 +144,20 @@ class Trueform(GeneratorState[TrueformChannel]):
 
     def write(self, number: int, arguments: Arguments, scale: float) -> None:
         """Keep a record, given as a block or as numbers, under a name that no other has."""
-        if len(arguments) < 2:
-            raise ScpiError(-109)
+        scpi.exactly(arguments[:2], 2)
         memory, name, points = self.volatile[number], str(arguments[0]).upper(), arguments[1:]
-        if len(points) == 1 and isinstance(points[0], bytes) and scale == 1:
-            block = points[0][: len(points[0]) // 2 * 2]
-            values = np.frombuffer(block, ">i2" if self.byte_order == "NORM" else "<i2").astype(float)
+        if len(points) == 1 and isinstance(points[0], bytes):
+            kind = (">" if self.byte_order == "NORM" else "<") + ("i2" if scale == 1 else "f4")
+            if len(points[0]) % int(kind[2]):
+                raise ScpiError(-161, f"{len(points[0])} bytes")
+            values = np.frombuffer(points[0], kind).astype(float)
         else:
             values = np.array([scpi.read_number(each, units={}, minimum=-1e6, maximum=1e6) for each in points])
         if name in memory:
             raise ScpiError(786, "Specified arb waveform already exists")
-        if len(name) > 12 or not name[:1].isalpha() or not FEWEST <= values.size <= self.free(number):
+        if not re.fullmatch(r"[A-Z]\w{,11}", name, re.ASCII) or not FEWEST <= values.size <= self.free(number):
             raise ScpiError(-220, f"{name[:20]} of {values.size} points")
-        if np.abs(values * scale).max() > HIGHEST_CODE:
+        if not (np.abs(values * scale) <= HIGHEST_CODE).all():
             raise ScpiError(-222, "a point beyond the converter's range")
         memory[name] = np.round(values * scale).astype(np.int16)
 
@@ -181,10 +186,10 @@ class Trueform(GeneratorState[TrueformChannel]):
 
 def keysight_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> tuple[Trueform, CommandTable]:
     """Return the state of a simulated instrument, and what it understands."""
-    identity = f"Agilent Technologies,{model},SIMULATED,4.00-1.19-2.00-58-00"
-    state = Trueform(behaviour or Behaviour(queue_depth=20), identity=identity, **hardware)
-    groups = (common.common_commands, _waveform, _data, _levels, _triggers)
-    commands = common.noticed(state, ChainMap(*(group(state) for group in groups)), ("*TRG", "TRIGger#[:IMMediate]"))
+    state = Trueform(behaviour or Behaviour(queue_depth=20), **hardware)
+    state.identity = f"Agilent Technologies,{model},SIMULATED,4.00-1.19-2.00-58-00"
+    groups = ChainMap(*(group(state) for group in (common.common_commands, _waveform, _data, _levels, _triggers)))
+    commands = common.noticed(state, groups, ("*TRG", "TRIGger#[:IMMediate]"))
     return state, CommandTable(commands, state.n_channels, largest_reply=1 << 22, further=_further)
 
 
@@ -203,9 +208,9 @@ def _waveform(state: Trueform) -> dict[str, Command]:
         "[SOURce#]:FUNCtion:ARBitrary:SRATe": common.number(state, "rate", {"": 1.0}, 1e-6, 62.5e6, NUMBER),
         "[SOURce#]:FUNCtion:ARBitrary:FILTer": common.keyword(state, "filter", ("NORMal", "STEP", "OFF")),
         "[SOURce#]:FUNCtion:ARBitrary:ADVance": common.keyword(state, "advance", ("TRIGger", "SRATe")),
-        "[SOURce#]:FUNCtion:ARBitrary:SYNChronize": Command(set=lambda n, a: state.align()),
+        "[SOURce#]:FUNCtion:ARBitrary:SYNChronize": Command(set=common.bare(lambda _: state.align())),
         "[SOURce#]:FREQuency": common.number(state, "frequency", {"HZ": 1.0}, 1e-6, 30e6, NUMBER),
-        "[SOURce#]:PHASe:SYNChronize": Command(set=lambda n, a: state.align()),
+        "[SOURce#]:PHASe:SYNChronize": Command(set=common.bare(lambda _: state.align())),
     }
 
 
@@ -229,16 +234,14 @@ def _data(state: Trueform) -> dict[str, Command]:
         "[SOURce#]:DATA:ARBitrary:DAC": Command(set=lambda n, a: state.write(n, a, 1)),
         "[SOURce#]:DATA:ARBitrary": Command(set=lambda n, a: state.write(n, a, HIGHEST_CODE)),
         "[SOURce#]:DATA:VOLatile:CATalog": Command(
-            get=lambda n, a: ",".join(f'"{name}"' for name in (BUILT_IN, *state.volatile[n]))
+            get=common.bare(lambda n: ",".join(f'"{name}"' for name in (BUILT_IN, *state.volatile[n])))
         ),
-        "[SOURce#]:DATA:VOLatile:CLEar": Command(set=lambda n, a: state.clear(n)),
-        "[SOURce#]:DATA:VOLatile:FREE": Command(get=lambda n, a: f"{state.free(n):+d}"),
+        "[SOURce#]:DATA:VOLatile:CLEar": Command(set=common.bare(state.clear)),
+        "[SOURce#]:DATA:VOLatile:FREE": Command(get=common.bare(lambda n: f"{state.free(n):+d}")),
         "[SOURce#]:DATA:ATTRibute:POINts": attribute(lambda values: f"{values.size:+d}"),
         "[SOURce#]:DATA:ATTRibute:AVERage": attribute(lambda values: f"{values.mean():+.4f}"),
         "[SOURce#]:DATA:ATTRibute:PTPeak": attribute(lambda values: f"{np.ptp(values):+.4f}"),
-        "[SOURce#]:DATA:ATTRibute:CFACtor": attribute(
-            lambda values: f"{np.abs(values).max() / (np.sqrt(np.mean(values**2)) or 1.0):+.4f}"
-        ),
+        "[SOURce#]:DATA:ATTRibute:CFACtor": attribute(lambda v: f"{abs(v).max() / ((v**2).mean() ** 0.5 or 1):+.4f}"),
         "MMEMory:STORe:DATA#": Command(set=store),
         "MMEMory:UPLoad": Command(get=upload),
         "MMEMory:DELete": Command(set=lambda n, a: state.files.pop(str(one(a)).upper(), None) and None),
@@ -253,10 +256,10 @@ def _levels(state: Trueform) -> dict[str, Command]:
 
         def change(n: int, arguments: Arguments) -> None:
             most = most_of(state.channels[n])
-            value = scpi.quantity(arguments, {"V": 1.0, "VPP": 1.0}, -1e3, 1e3, None) / state.channels[n].load_factor
+            value = scpi.quantity(arguments, {"V": 1.0, "VPP": 1.0}, -1e38, 1e38, None) / state.channels[n].load_factor
             state.change(n, **{name: float(f"{min(max(value, low), most):.4g}")})
-            if not low - 1e-9 <= value <= most + 1e-9:
-                # What is out of range is not left out: it is cut, and reported.
+            if not low - 1e-9 <= value <= most + 1e-9 and abs(value) < 1e38:
+                # What is out of range is not left out: it is cut, and reported; MIN and MAX mean just that.
                 raise ScpiError(-222, "value clipped to limit")
 
         def get(n: int, arguments: Arguments) -> str:
@@ -264,10 +267,6 @@ def _levels(state: Trueform) -> dict[str, Command]:
             return NUMBER.format(value * state.channels[n].load_factor)
 
         return Command(set=change, get=get)
-
-    def load(n: int, arguments: Arguments) -> None:
-        ohms = scpi.quantity(arguments, {"OHM": 1.0}, 1, 9.9e37, SOURCE_IMPEDANCE)
-        state.channels[n].load = ohms if ohms <= 10e3 else math.inf
 
     return {
         "[SOURce#]:VOLTage": level("amplitude", LOWEST, HIGHEST),
@@ -280,9 +279,7 @@ def _levels(state: Trueform) -> dict[str, Command]:
             get=common.get_of(state, lambda channel: scpi.flag(channel.limited)),
         ),
         "OUTPut#": common.on(state, "output"),
-        "OUTPut#:LOAD": Command(
-            set=load, get=common.get_of(state, lambda c: "+9.9E+37" if math.isinf(c.load) else NUMBER.format(c.load))
-        ),
+        "OUTPut#:LOAD": common.number(state, "load", {"OHM": 1.0}, 1, 10e3, NUMBER, SOURCE_IMPEDANCE, endless=True),
         "OUTPut#:POLarity": common.keyword(state, "polarity", ("NORMal", "INVerted")),
     }
 
@@ -291,13 +288,13 @@ def _triggers(state: Trueform) -> dict[str, Command]:
     return {
         "[SOURce#]:BURSt:STATe": common.on(state, "burst"),
         "[SOURce#]:BURSt:MODE": common.keyword(state, "burst_mode", ("TRIGgered", "GATed")),
-        "[SOURce#]:BURSt:NCYCles": common.number(state, "n_cycles", {"": 1.0}, 1, 1e8, NUMBER),
+        "[SOURce#]:BURSt:NCYCles": common.number(state, "n_cycles", {}, 1, 1e8, NUMBER, endless=True),
         "[SOURce#]:BURSt:PHASe": common.number(state, "burst_phase", {"DEG": 1.0}, -360, 360, NUMBER),
         "[SOURce#]:BURSt:INTernal:PERiod": common.number(state, "burst_period", {"S": 1.0}, 1e-6, 8000, NUMBER),
         "TRIGger#:SOURce": common.keyword(state, "source", ("IMMediate", "EXTernal", "TIMer", "BUS")),
         "TRIGger#:TIMer": common.number(state, "timer", {"S": 1.0}, 1e-6, 8000, NUMBER),
         "TRIGger#:DELay": common.number(state, "delay", {"S": 1.0}, 0, 1000, NUMBER),
+        "TRIGger#[:IMMediate]": Command(set=common.bare(state.trigger)),
         "OUTPut:TRIGger": common.switch(state, "trigger_output"),
-        "SYSTem:BEEPer": Command(set=lambda n, a: None),
         "DISPlay:TEXT[:CLEar]": Command(set=lambda n, a: None),
     }
