@@ -35,6 +35,9 @@ from modaltouch.system import Interrupted, commit, versions
 SCHEMA = "modaltouch scan 1"
 DESCRIPTION = "scan.json"
 
+LARGEST_SHIFT = 20e-9
+"""Difference between the samples' instants of two records up to which they count as the same [s]."""
+
 
 @dataclass(frozen=True, eq=False)
 class Scan:
@@ -119,8 +122,24 @@ class Scan:
             if names:
                 raise RecordInputError(
                     f"{' and '.join(names)} reached the end of the range at {position * 1e3:g} mm, so the record is "
-                    "clipped: scan again into another folder, with a wider range or a lower drive"
+                    "clipped: widen the range and continue, or scan again into another folder with a lower drive"
                 )
+        return self
+
+    def refuse_other_instants(self) -> Scan:
+        """Return the scan itself if its last position was sampled when the first was, as far as it keeps instants.
+
+        Raises
+        ------
+        RecordInputError
+            If it was not: positions are compared sample by sample.
+        """
+        first, last = (np.asarray(each.get("time", 0.0)) for each in (self.arrays[0], self.arrays[-1]))
+        if first.shape != last.shape or np.abs(last - first).max() > LARGEST_SHIFT:
+            raise RecordInputError(
+                f"the sampling instants at {self.positions[-1] * 1e3:g} mm differ from those of the positions before: "
+                "set the scope as it was and continue, or scan again into another folder"
+            )
         return self
 
 
@@ -242,6 +261,8 @@ def take_scan(
     ------
     RigError
         If the rig fails; the outputs are off and what was recorded is kept.
+    RecordInputError
+        If a record is clipped, or sampled at other instants than the first; it is not kept.
     RecordError
         If the folder holds a scan of other settings, something else, or cannot be written.
     """
@@ -261,9 +282,10 @@ def take_scan(
                 "overloaded": np.array(recording.overloaded, dtype="U16"),
                 **reduction(recording),
             }
+            kept.append(arrays)
+            assemble(facts, kept).refuse_overloaded().refuse_other_instants()
             if folder is not None:
                 save_arrays(position_file(folder, index), arrays)
-            kept.append(arrays)
             on_progress(len(kept), len(places))
     except (Interrupted, KeyboardInterrupt) as error:
         error.add_note(_way_on(folder, len(kept), len(places)))

@@ -187,12 +187,29 @@ def test_damage_is_told(laboratory: Laboratory, tmp_path: Path) -> None:
         read_scan(tmp_path)
 
 
-def test_overload_is_told_with_its_place(laboratory: Laboratory) -> None:
-    """A range of 1 mm/s is too narrow; whoever needs whole records refuses the scan."""
+def test_overload_is_told_with_its_place(laboratory: Laboratory, tmp_path: Path) -> None:
+    """A range of 1 mm/s is too narrow: said at the first point, which is not kept, before anybody aims at the next."""
     narrow = Acquisition(250e3, 5000, 1, (1,), velocity_range=1e-3)
-    scan = take_scan(laboratory, plan(acquisition=narrow))
     with pytest.raises(RecordInputError, match="velocity reached the end of the range at -40 mm"):
-        scan.refuse_overloaded()
+        take_scan(laboratory, plan(acquisition=narrow), tmp_path)
+    assert not position_file(tmp_path, 0).exists()
+
+
+def test_a_scan_goes_on_at_the_same_instants(laboratory: Laboratory, tmp_path: Path) -> None:
+    """A trigger 0.3 us later on the second day: points are compared sample by sample, and this one is not kept."""
+    take_scan(laboratory, plan(), tmp_path)
+    for gone in (2, 3):
+        position_file(tmp_path, gone).unlink()
+    measure = laboratory.scope.measure
+
+    def later(position: float, across: float) -> Any:
+        recording = measure(position, across)
+        return replace(recording, time=recording.time + 0.3e-6)
+
+    laboratory.scope.measure = later  # type: ignore[method-assign]
+    with pytest.raises(RecordInputError, match="the sampling instants at .* mm differ from those .* another folder"):
+        take_scan(laboratory, plan(), tmp_path)
+    assert not position_file(tmp_path, 2).exists()
 
 
 def test_outputs_are_off_while_the_spot_is_moved(laboratory: Laboratory) -> None:
