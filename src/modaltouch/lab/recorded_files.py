@@ -14,6 +14,7 @@ An NPZ file holds arrays of these names, (n_samples,) or (n_records, n_samples).
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import time
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.laboratory import Laboratory, MeasurementProgress, open_laboratory
+from modaltouch.lab.scan import LARGEST_SHIFT
 from modaltouch.protocol import Apparatus
 from modaltouch.record import replace_file
 from modaltouch.rig import Acquisition, Recording, RigError, Scope
@@ -36,13 +38,12 @@ POLL = 0.5
 MOST_OVERSAMPLED = 50.0
 """Sampling rate of a file over the one that is asked for, at most [1]."""
 
-LARGEST_SHIFT = 20e-9
-"""Difference between the samples' instants of two records up to which they count as the same [s]."""
-
 CUT = 4
 """Samples at the highest value over those at the next one, from which a record was cut [1]."""
 
 REMEDY = "move it away, or give another folder with --record"
+
+FORM = "save it as UTF-8, with commas between columns and points in decimals"
 
 
 @contextmanager
@@ -76,6 +77,7 @@ class RecordedFiles(Scope):
         self._sensitivity = apparatus.acquisition.sensitivity_mm_s_per_V * 1e-3
         self._highest = apparatus.acquisition.range_mm_s * 1e-3
         self._grids: dict[tuple[float, ...], FloatArray] = {}
+        self._former: dict[bytes, str] = {}
         self._asked = Acquisition()
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -97,24 +99,25 @@ class RecordedFiles(Scope):
         taken = [int(each.stem) for each in self._folder.iterdir() if each.stem.isdecimal()]
         name = f"{max(taken, default=0) + 1:04d}"
         self._ask(name, position, across)
-        before = refused = None
+        before, refused, why = None, None, ""
         deadline = time.monotonic() + self.slowest
         while time.monotonic() < deadline:
             self._progress.check()
-            found = next((each for each in (self._folder / f"{name}{end}" for end in READERS) if each.is_file()), None)
-            seen = None if found is None else _state(found)
-            if found is not None and seen is not None and seen == before != refused:
+            # Scopes that number their files may write the ending in capitals.
+            found = [each for each in self._folder.iterdir() if each.stem == name and each.suffix.lower() in READERS]
+            seen = [_state(each) for each in sorted(found)]
+            if found and seen == before != refused:
                 try:
-                    return self._recording(found, position)
+                    return self._recording(*sorted(found), position=position)
                 except (OSError, ValueError) as error:
-                    refused = seen
+                    refused, why = seen, f" ({error})"
                     self._progress.say(f"{error}; write it again")
                     self._ask(name, position, across, str(error))
             before = seen
             time.sleep(POLL)
         raise RigError(
-            f"no record arrived as {self._folder / name}.csv or .npz within {self.slowest / 60:g} min; the outputs "
-            "are off; get the scope ready and run the command again"
+            f"no record arrived as {self._folder / name}.csv or .npz within {self.slowest / 60:g} min that can be "
+            f"used{why}; the outputs are off; get the scope ready and run the command again"
         )
 
     def close(self) -> None:
@@ -149,9 +152,11 @@ class RecordedFiles(Scope):
                 f"{asked.sampling_rate * 1e-3:.6g} kHz, up to {highest * 1e3:.4g} mm/s"
             )
 
-    def _recording(self, path: Path, position: float) -> Recording:
-        """Return what a file holds, cut to what is asked for."""
-        asked, table = self._asked, READERS[path.suffix](path)
+    def _recording(self, path: Path, *others: Path, position: float) -> Recording:
+        """Return what the only file of a name holds, cut to what is asked for."""
+        if others:
+            raise ValueError(f"{path}: {others[0].name} is there too; delete one of them")
+        asked, table = self._asked, READERS[path.suffix.lower()](path)
         names = ["velocity_m_s" if "velocity_m_s" in table else "velocity_V", *(f"drive_{n}_V" for n in asked.drives)]
         for name in ("time_s", *names):
             if name not in table:
@@ -166,6 +171,7 @@ class RecordedFiles(Scope):
                 f"{path}: its sampling instants differ from those of the records before; use the same sampling rate "
                 "for all, and no interpolation of the trigger"
             )
+        self._refuse_former(path, table[names[0]])
         kept = [table[name][:, first : first + n_samples] for name in names]
         velocity = kept[0] * (self._sensitivity if names[0] == "velocity_V" else 1.0)
         over = _is_cut(velocity) or float(np.abs(velocity).max()) > self._highest
@@ -177,6 +183,16 @@ class RecordedFiles(Scope):
             sampling_rate=1 / step,
             overloaded=("velocity",) if over else (),
         )
+
+    def _refuse_former(self, path: Path, velocity: FloatArray) -> None:
+        """Refuse a record that was there before: two bursts never have the same noise."""
+        marks = [hashlib.blake2b(record.tobytes(), digest_size=16).digest() for record in velocity]
+        if len(marks) > len(set(marks)) == 1:
+            raise ValueError(f"{path}: its {len(marks)} records are one and the same; record {len(marks)} bursts")
+        former = next((self._former[mark] for mark in marks if mark in self._former), None)
+        if former is not None:
+            raise ValueError(f"{path}: its velocity is, sample by sample, that of {former}; arm the scope anew")
+        self._former |= dict.fromkeys(marks, path.name)
 
 
 def _state(path: Path) -> tuple[str, int, int] | None:
@@ -245,7 +261,9 @@ def _read_csv(path: Path) -> dict[str, FloatArray]:
     header, *rows = path.read_text(encoding="utf-8-sig", errors="replace").splitlines() or [""]
     names = [name.strip() for name in header.split(",")]
     if "time_s" not in names:
-        raise ValueError(f"{path}:1: the column time_s is missing; there are {header[:80]!r}")
+        raise ValueError(f"{path}:1: the column time_s is missing; there are {header[:80]!r}; {FORM}")
+    if len(set(names)) < len(names):
+        raise ValueError(f"{path}:1: a column is there twice among {', '.join(names)}")
     values = np.array([_numbers(path, line, row, len(names)) for line, row in enumerate(rows or [""], start=2)])
     time_s = values[:, names.index("time_s")]
     if not np.isfinite(time_s).all():
@@ -266,7 +284,7 @@ def _numbers(path: Path, line: int, row: str, n_columns: int) -> list[float]:
     """Return the numbers of a line of a CSV file."""
     cells, numbers = row.split(","), list[float]()
     if len(cells) != n_columns:
-        raise ValueError(f"{path}:{line}: the line has {len(cells)} cells, but the header has {n_columns}")
+        raise ValueError(f"{path}:{line}: the line has {len(cells)} cells, but the header has {n_columns}; {FORM}")
     try:
         numbers.extend(map(float, cells))
     except ValueError:
@@ -279,7 +297,9 @@ def _read_npz(path: Path) -> dict[str, FloatArray]:
     """Return the arrays of an NPZ file, (n_records, n_samples)."""
     try:
         with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
-            arrays = {name: np.atleast_2d(np.asarray(file[name], dtype=float)) for name in file}
+            arrays = {name: np.atleast_2d(file[name].astype(float, casting="same_kind")) for name in file}
+            if any(each.ndim > 2 for each in arrays.values()):
+                raise ValueError("an array has more than 2 dimensions")
         return dict(zip(arrays, np.broadcast_arrays(*arrays.values()), strict=True))
     # numpy and zipfile raise whatever damage makes them meet.
     except Exception as error:

@@ -128,7 +128,7 @@ def apparatus() -> Apparatus:
 def csv_of(*, rate: float = 1e5, first: float = 1e-3, n: int = 50, n_records: int = 2, late: float = 0.0) -> list[str]:
     """Return the lines of a file that holds what is asked for, with as many digits as a scope prints."""
     rows = [
-        f"{first + late * record + sample / rate:.7f},{0.1 + 0.01 * (sample % 7):.4f},{record:.2f}"
+        f"{first + late * record + sample / rate:.7f},{0.1 + 0.01 * (sample % 7) + 0.001 * record:.4f},{record:.2f}"
         for record in range(n_records)
         for sample in range(n)
     ]
@@ -162,6 +162,13 @@ def changed(line: int, text: str) -> list[str]:
         (csv_of(first=2e-3), r"last from 2 to 2\.49 ms after the trigger; 1 to 1\.49 ms were asked for"),
         (csv_of(n=40), r"last from 1 to 1\.39 ms"),
         (csv_of(late=1e-6), r"its records differ by 1000 ns, at most 20 ns are allowed; switch off interpolation"),
+        ([csv_of()[0], *csv_of()[1:51], *csv_of()[1:51]], r"its 2 records are one and the same; record 2 bursts"),
+        (
+            [line.replace(",", ";") for line in csv_of()],
+            r"time_s is missing; .*; save it as UTF-8, with commas between",
+        ),
+        ([line.replace(".", ",") for line in csv_of()], r"csv:2: the line has 6 cells.* points in decimals"),
+        ([csv_of()[0] + ",velocity_V", *(line + ",9" for line in csv_of()[1:])], r"csv:1: a column is there twice"),
     ],
 )
 def test_a_wrong_file_is_refused_with_its_place_and_written_again(
@@ -210,7 +217,7 @@ def answered(apparatus: Apparatus, tmp_path: Path) -> Iterator[Callable[..., Rec
 def test_a_record_that_was_cut_is_overloaded(answered: Callable[..., Recording]) -> None:
     """A sine of 8 bits is whole; cut at 0.9 of its peak it is not, nor beyond the vibrometer's range."""
     time = 1e-3 + np.arange(60) / 1e5
-    volts = np.round(127 * np.sin(2 * np.pi * 3137 * time + np.zeros((2, 1)))) / 127 * 0.1
+    volts = np.round(127 * np.sin(2 * np.pi * 3137 * time + [[0.0], [0.1]])) / 127 * 0.1
     assert answered(time, volts).overloaded == ()
     assert answered(time, np.clip(volts, -0.09, 0.09)).overloaded == ("velocity",)
     assert answered(time, 1e3 * volts).overloaded == ("velocity",)
@@ -223,10 +230,60 @@ def test_other_instants_than_before_are_refused(
     """Records at two points are compared sample by sample: 30 ns beside the first are refused."""
     time, volts = 1e-3 + np.arange(60) / 1e5, np.sin(np.arange(120)).reshape(2, 60) / 100
     answered(time, volts)
-    answered(time + 10e-9, volts)
+    answered(time + 10e-9, 2 * volts)
     monkeypatch.setattr(RecordedFiles, "slowest", 0.2)
     with pytest.raises(RigError, match=r"no record arrived as .*0003\.csv or \.npz within"):
-        answered(time + 30e-9, volts)
+        answered(time + 30e-9, 3 * volts)
+
+
+@pytest.mark.usefixtures("quickly")
+def test_a_trace_saved_twice_is_refused(answered: Callable[..., Recording], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A scope that was not armed anew writes the former trace under the next name: no point's field is another's."""
+    time, volts = 1e-3 + np.arange(60) / 1e5, np.sin(np.arange(120)).reshape(2, 60) / 100
+    answered(time, volts)
+    monkeypatch.setattr(RecordedFiles, "slowest", 0.2)
+    with pytest.raises(
+        RigError, match=r"that can be used \(.*0002.npz: its velocity is, sample by sample, that of 0001.npz; arm the"
+    ):
+        answered(time, volts[::-1])
+
+
+@pytest.mark.usefixtures("quickly")
+@pytest.mark.parametrize(
+    ("endings", "shape", "said"),
+    [
+        ([".NPZ"], (2, 60), ""),
+        ([".npz", ".NPZ"], (2, 60), r"0001\.NPZ: 0001\.npz is there too; delete one of them"),
+        ([".npz"], (1, 2, 60), "cannot be read .an array has more than 2 dimensions"),
+        ([".npz"], (60,), "its 2 records are one and the same"),
+    ],
+)
+def test_a_name_has_one_file_of_records(
+    apparatus: Apparatus,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    endings: list[str],
+    shape: tuple[int, ...],
+    said: str,
+) -> None:
+    """Its ending may be in capitals; of two files, and of one trace instead of two, none is taken."""
+    heard, time = list[str](), np.broadcast_to(1e-3 + np.arange(60) / 1e5, (2, 60))
+
+    def hear(text: str) -> None:
+        heard.append(text)
+        for ending in endings:
+            with (tmp_path / f"0001{ending}").open("wb") as file:
+                np.savez(file, time_s=time, velocity_V=np.sin(np.arange(np.prod(shape))).reshape(shape), drive_1_V=time)
+
+    monkeypatch.setattr(RecordedFiles, "slowest", 0.3)
+    with RecordedFiles(tmp_path, apparatus, MeasurementProgress(say=hear)) as scope:
+        scope.configure(ASKED)
+        if not said:
+            assert scope.measure(0.0).velocity.shape == (2, 49)
+            return
+        with pytest.raises(RigError, match="no record arrived"):
+            scope.measure(0.0)
+    assert re.search(said, heard[1])
 
 
 @pytest.mark.parametrize("order", ["calibrate", "validate"])
