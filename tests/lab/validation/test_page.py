@@ -73,6 +73,19 @@ def test_words_follow_the_numbers(written):
     assert "Law “paper” has the smaller worst modal error" in " ".join(findings(swapped))
 
 
+def test_a_drive_that_is_not_the_predicted_one_is_told(written):
+    """Probes that are exchanged, or whose attenuation is not the file's, leave the field as it is: a sentence each."""
+    figures = [dict(each) for each in written[1]]
+    assert "probe" not in " ".join(findings(figures))
+    peaks = figures[0]["peak_drive_V"]
+    figures[0]["peak_drive_V"] = {
+        output: {**peak, "measured": peaks["2" if output == "1" else "1"]["measured"]} for output, peak in peaks.items()
+    }
+    told = findings(figures)[-2:]
+    assert re.search("output 1 by law “exact” was measured as .* V were predicted: check which probe", told[0])
+    assert "output 2 by law “exact”" in told[1]
+
+
 def test_an_analysis_is_not_replaced(evidences, tmp_path):
     """A folder belongs to the command that made it."""
     write_files(tmp_path / "out", {"tests.csv": b"1"}, {})

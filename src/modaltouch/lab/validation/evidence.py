@@ -128,7 +128,7 @@ def measurement_delay(observations: Sequence[Observation], predictions: Sequence
     if best in (0, LAGS.size - 1):
         raise RecordInputError(
             f"the recordings do not match the predictions at any delay from {LAGS[0] * 1e6:g} to {LAGS[-1] * 1e6:g} "
-            "us: check wiring, trigger and apparatus file"
+            "us: check wiring, trigger, sign and unit of the velocity, and the apparatus file"
         )
     before, at, after = missed[best - 1 : best + 2]
     return float(LAGS[best] + (LAGS[1] - LAGS[0]) * (before - after) / (2 * (before - 2 * at + after)))

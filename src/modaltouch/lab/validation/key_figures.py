@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.calibration.doubts import GAINS
 from modaltouch.lab.validation.evidence import Evidence, contrast, root_mean_square, spot_width, standard_error
 from modaltouch.preflight import finite
 from modaltouch.report import say_number
+
+NO_DRIVE = 1.0
+"""Peak below which an output is taken to have none [V]."""
 
 
 def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[str, Any]:
@@ -196,7 +200,7 @@ def findings(figures: Sequence[Figures]) -> list[str]:
     if len(figures) > 1:
         said.append(_compared(figures))
     said += [_limits(f) for f in figures[:1]]
-    return said
+    return said + [sentence for f in figures for sentence in _doubtful_drives(f)]
 
 
 def _reached(f: Figures) -> str:
@@ -222,6 +226,16 @@ def _compared(figures: Sequence[Figures]) -> str:
         f"The measured field is closest to that of the selected modes by law “{field['law']}”, "
         f"{field['field_error']['measured_from_selected_modes']['rms_mm_s']:.2f} mm/s rms."
     )
+
+
+def _doubtful_drives(f: Figures) -> Iterator[str]:
+    for output, peak in f["peak_drive_V"].items():
+        if not GAINS[0] * peak["predicted"] <= peak["measured"] <= GAINS[1] * max(peak["predicted"], NO_DRIVE):
+            yield (
+                f"The drive of output {output} by law “{f['law']}” was measured as {peak['measured']:.0f} V, and "
+                f"{peak['predicted']:.0f} V were predicted: check which probe is at which amplifier, and "
+                "`acquisition.probe_attenuation`."
+            )
 
 
 def _limits(f: Figures) -> str:
