@@ -19,7 +19,7 @@ import json
 import math
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -105,8 +105,11 @@ class RecordedFiles(Scope):
             self._progress.check()
             # Scopes that number their files may write the ending in capitals.
             found = [each for each in self._folder.iterdir() if each.stem == name and each.suffix.lower() in READERS]
-            seen = [_state(each) for each in sorted(found)]
-            if found and seen == before != refused:
+            seen = []
+            # What has just been taken away is looked for again.
+            with suppress(OSError):
+                seen = [(each, each.stat().st_size, each.stat().st_mtime_ns) for each in sorted(found)]
+            if seen and seen == before != refused:
                 try:
                     return self._recording(*sorted(found), position=position)
                 except (OSError, ValueError) as error:
@@ -193,15 +196,6 @@ class RecordedFiles(Scope):
         if former is not None:
             raise ValueError(f"{path}: its velocity is, sample by sample, that of {former}; arm the scope anew")
         self._former |= dict.fromkeys(marks, path.name)
-
-
-def _state(path: Path) -> tuple[str, int, int] | None:
-    """Return what tells a file from itself once it has changed; None where it has just been taken away."""
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return path.name, found.st_size, found.st_mtime_ns
 
 
 def _window(path: Path, time_s: FloatArray, asked: Acquisition) -> tuple[float, float, int, int]:

@@ -53,9 +53,18 @@ def exchanged(recording: Recording) -> Recording:
         (changed(velocity=2.0), r"the modes move (2\.0|1\.9)\d times as fast as their listed .*sensitivity_mm_s_per_V"),
         (exchanged, r"the drive measured for each output is that of another: the probes are exchanged"),
         (changed(drive=0.1), r"the drive measured at the beam is 0\.10 times what output 1 commands: allowed 0\.67"),
+        (changed(drive=-1.0), r"is -\d\.\d\d times what output 1 .* the probe is at its output and not inverted"),
         (changed(drive=0.0), r"the drive measured at the beam is 0\.00 times what output 1 commands"),
     ],
-    ids=["dead vibrometer", "inverted vibrometer", "wrong sensitivity", "exchanged probes", "wrong probe", "no drive"],
+    ids=[
+        "dead vibrometer",
+        "inverted vibrometer",
+        "wrong sensitivity",
+        "exchanged probes",
+        "wrong probe",
+        "inverted probe",
+        "no drive",
+    ],
 )
 def test_fault_of_a_rig_is_told(
     preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable, change: Callable, said: str

@@ -76,7 +76,8 @@ def refuse_doubtful_drive(drive: DriveDelay) -> None:
             raise RigError(
                 f"the drive measured at the beam is {gain:.2f} times what output {number} commands: allowed "
                 f"{GAINS[0]:g} to {GAINS[1]:g}; the outputs are off; check that the amplifier is on, its gain matches "
-                "the apparatus file, the probe is at its output, and `acquisition.probe_attenuation` is right"
+                "the apparatus file, the probe is at its output and not inverted, and "
+                "`acquisition.probe_attenuation` is right"
             )
     if not believed:
         raise RigError(

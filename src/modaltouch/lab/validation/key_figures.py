@@ -13,9 +13,6 @@ from modaltouch.lab.validation.evidence import Evidence, contrast, root_mean_squ
 from modaltouch.preflight import finite
 from modaltouch.report import say_number
 
-NO_DRIVE = 1.0
-"""Peak below which an output is taken to have none [V]."""
-
 
 def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[str, Any]:
     """Return what one drive law was seen to do.
@@ -230,7 +227,8 @@ def _compared(figures: Sequence[Figures]) -> str:
 
 def _doubtful_drives(f: Figures) -> Iterator[str]:
     for output, peak in f["peak_drive_V"].items():
-        if not GAINS[0] * peak["predicted"] <= peak["measured"] <= GAINS[1] * max(peak["predicted"], NO_DRIVE):
+        # An output without a drive shows the noise of its probe.
+        if not GAINS[0] * peak["predicted"] <= peak["measured"] <= GAINS[1] * max(peak["predicted"], 1.0):
             yield (
                 f"The drive of output {output} by law “{f['law']}” was measured as {peak['measured']:.0f} V, and "
                 f"{peak['predicted']:.0f} V were predicted: check which probe is at which amplifier, and "
