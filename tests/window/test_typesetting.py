@@ -164,6 +164,17 @@ def test_digits_and_punctuation_are_in_the_font_of_their_letters() -> None:
     assert Fonts().lacking("A \U0010fffd") == "\U0010fffd"
 
 
+@pytest.mark.parametrize("name", ["NotoSans", "DejaVuSans"])
+@pytest.mark.parametrize("bold", [False, True])
+def test_the_fonts_that_come_along_have_the_letters_of_western_europe(name: str, bold: bool) -> None:
+    """So that no font need be read for them; expected: all of code page 1252, by the tables of the fonts."""
+    font = find_font(name, bold=bold)
+    assert font is not None
+    letters = bytes(range(32, 256)).decode("cp1252", errors="ignore")
+    missing = [each for each in letters if ord(each) not in TTFont(font.path).getBestCmap()]
+    assert missing in ([], ["\x7f"])
+
+
 def test_a_named_font_is_asked_first_and_a_font_without_bold_is_emboldened() -> None:
     """Expected: DejaVu Sans, which comes along, for Latin and Arabic; strokes where a font has no bold companion."""
     assert {font.path.rpartition("/")[2] for font in Fonts("DejaVuSans.ttf").choose("قلم A")} == {"DejaVuSans.ttf"}

@@ -10,7 +10,7 @@ from typing import Any
 
 from modaltouch.preflight.checked import Preflight
 from modaltouch.protocol import Findings, Problem, Schedule
-from modaltouch.window import Fonts, find_font, smallest_type
+from modaltouch.window import Fonts, find_font
 
 LEAST_ANGLE = 20.0
 """Least height of a capital at the eye; ISO 9241-303 recommends 20 to 22 [arcmin]."""
@@ -66,6 +66,8 @@ def _check_type(findings: Findings, window: tuple[int, int] | None) -> Iterator[
     protocol, screen = experiment.protocol, experiment.apparatus.screen
     if screen is None or reading is None:
         return
+    from modaltouch.window import smallest_type
+
     size = window or (screen.width_px, screen.height_px)
     trials = Schedule.draw(protocol, "p01", 1).trials
     placements = {

@@ -12,6 +12,7 @@ import math
 import sys
 import unicodedata
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from importlib.util import find_spec
@@ -82,8 +83,9 @@ class Fonts:
         return chosen
 
     def lacking(self, text: str) -> str:
-        """Return the characters that no font has; every font for text has those of ASCII, and need not be read."""
-        if text.isascii():
+        """Return the characters that no font has; those of Western Europe come along, and no font need be read."""
+        with suppress(UnicodeEncodeError):
+            text.encode("cp1252")
             return ""
         return "".join(letter for letter, font in zip(text, self.choose(text), strict=True) if not font.has(letter))
 
