@@ -6,9 +6,10 @@ import difflib
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
-from pydantic_core import PydanticCustomError
+if TYPE_CHECKING:
+    from pydantic_core import PydanticCustomError
 
 
 @dataclass(frozen=True, order=True)
@@ -81,6 +82,8 @@ class InputError(Exception):
 
 def fault(given: str, allowed: str, remedy: str = "") -> PydanticCustomError:
     """Return the error that a model's validator raises so that `Problem` can say it in its three parts."""
+    from pydantic_core import PydanticCustomError
+
     return PydanticCustomError(
         "modaltouch",
         "given {given}; allowed: {allowed}; {remedy}",

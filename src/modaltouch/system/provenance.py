@@ -10,7 +10,6 @@ import platform
 import re
 import subprocess
 from functools import lru_cache
-from importlib import metadata
 from pathlib import Path
 
 RELEASE = "0.2.0"
@@ -33,6 +32,8 @@ def commit() -> str:
 
 def versions() -> dict[str, str]:
     """Return the versions of the program, of Python, of the system and of the packages that take part."""
+    from importlib import metadata  # which loads half of what reads mail
+
     found = {"modaltouch": version(), "python": platform.python_version(), "system": platform.platform()}
     for package in PACKAGES:
         try:
