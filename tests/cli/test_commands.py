@@ -11,6 +11,7 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
+import typer
 
 from modaltouch.__main__ import main
 
@@ -253,3 +254,26 @@ def test_the_program_takes_one_thread_of_blas_unless_told_otherwise(given: dict[
         [sys.executable, "-c", ask], env=environment | given, check=True, capture_output=True, text=True
     )
     assert int(found.stdout) == min(threads, os.cpu_count() or 1)
+
+
+def test_values_are_read_as_typer_reads_them():
+    """Words, paths and lists of them without its library of types; what it does not give is left to it."""
+    from modaltouch.cli.commands import app, get_command
+
+    group = get_command(app)
+    with group.make_context("modaltouch", ["doctor"]) as context:
+        for name, word in (("analyse", "a/b"), ("new", "nothing"), ("verify", "c"), ("simulate", "7")):
+            command = group.get_command(context, name)
+            for each in command.get_params(context):
+                value = [word, "d"] if each.nargs != 1 or each.multiple else word
+                for given in (value, None, each.default):
+                    assert outcome(each, context, given, ours=True) == outcome(each, context, given, ours=False)
+
+
+def outcome(parameter, context, given, *, ours):
+    """Return what a value is read as, by us or by typer alone; of a refusal its words."""
+    reader = parameter.get_runtime_param() if ours else type(parameter).get_runtime_param(parameter)
+    try:
+        return reader.coerce(given, param=parameter, ctx=context)
+    except typer.BadParameter as error:
+        return str(error)

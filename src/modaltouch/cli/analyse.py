@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -87,8 +86,6 @@ def analyse(
     json_output: JSON = False,
 ) -> None:
     """Write the tables and bars of Fig. 10 and Fig. 11, exact statistics, and an HTML report."""
-    # What loading makes stays: to look for what could go would take a tenth of the time.
-    gc.set_threshold(100_000)
     from modaltouch.analysis import analyse as run_analysis
 
     words = _mapped(answers)

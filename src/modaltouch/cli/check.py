@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -78,7 +77,6 @@ def check(
     No instrument is opened, and only --export writes a file. All faults are reported at once, each with file, line and
     column.
     """
-    gc.set_threshold(100_000)  # what loading makes stays: to look for what could go costs a twentieth of the time
     from modaltouch.preflight import check_legibility, examine
 
     with reporting(json_output=json_output):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
+from functools import partial
 from importlib import import_module
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, get_args, get_origin
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
 from modaltouch.cli.exit_status import INTERRUPTED, leave
@@ -35,7 +38,47 @@ MODULES = {
 """In which module of this room each command is, under its own name, in the order of the list of commands."""
 
 
-class CommandGroup(TyperGroup):
+class _Value:
+    """Reads words and paths, and leaves the rest to typer, which loads pydantic even to read what was not given."""
+
+    def __init__(self, read_by_typer: Any) -> None:
+        self._read_by_typer = read_by_typer
+
+    def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Return what was given, or the default, as what the command takes."""
+        kind = param.type_descriptor.annotation
+        is_list = get_origin(kind) is list
+        if value is None or (value is param.default and not is_list):
+            return () if is_list else value
+        words, kind = (value, get_args(kind)[0]) if is_list else ([value], kind)
+        if kind is str or (kind is Path and all(map(_is_allowed, words))):
+            read = [kind(word) for word in words]
+            return read if is_list else read[0]
+        return self._read_by_typer().coerce(value, param=param, ctx=ctx)
+
+
+def _is_allowed(path: str | Path) -> bool:
+    """Return whether a file may be read, or is not there; another typer refuses."""
+    return os.access(path, os.R_OK) or not os.path.lexists(path)
+
+
+class _Reading:
+    """Has the values of a command read so."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters, that of the help included."""
+        params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for each in params:
+            if "get_runtime_param" not in vars(each):
+                each.get_runtime_param = partial(_Value, each.get_runtime_param)
+        return params
+
+
+class _Command(_Reading, TyperCommand):
+    """A command."""
+
+
+class CommandGroup(_Reading, TyperGroup):
     """Commands by name; a module is imported when its command is asked for, and all of them for the list."""
 
     def __init__(self, **attributes: Any) -> None:
@@ -47,20 +90,36 @@ class CommandGroup(TyperGroup):
             self.commands[cmd_name] = _load(cmd_name)
         return self.commands.get(cmd_name)
 
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """List the commands with their summaries; typer would first make all of them, with every option."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, _summary(_find(name))) for name in MODULES])
 
-def _load(name: str) -> Any:
-    """Return a command, or a group of such, made of the function or the Typer that bears its name."""
+
+def _find(name: str) -> Any:
+    """Return the function, or the Typer of several, that bears the name of a command."""
     try:
-        found = getattr(import_module(f"modaltouch.cli.{MODULES[name]}"), name)
+        return getattr(import_module(f"modaltouch.cli.{MODULES[name]}"), name)
     except KeyboardInterrupt:
         leave(INTERRUPTED, "interrupted; nothing was begun")
+
+
+def _summary(command: Any) -> str:
+    """Return what a Typer says of itself, or the whole first line of a function, which the library would cut."""
+    words = command.info.help if isinstance(command, typer.Typer) else command.__doc__
+    return str(words).partition("\n")[0]
+
+
+def _load(name: str) -> Any:
+    """Return a command, or a group of such."""
+    found = _find(name)
     if not isinstance(found, typer.Typer):
         alone = typer.Typer(add_completion=False, rich_markup_mode=None)
         alone.command(name)(found)
         found = alone
     for each in found.registered_commands:
-        # The whole first line in lists of commands, where the library would cut it.
-        each.short_help = (getattr(each.callback, "__doc__", None) or "").partition("\n")[0]
+        each.cls = _Command
+        each.short_help = _summary(each.callback)
     return get_command(found)
 
 
