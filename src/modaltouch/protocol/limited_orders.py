@@ -7,14 +7,13 @@ running, by counting the ways to go on where these can be counted, by rejection 
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import accumulate, groupby, pairwise
 from math import comb
 
-from modaltouch.protocol.streams import Stream
+from modaltouch.protocol.streams import Cuts, Stream
 
 STATE_LIMIT = 40_000
 """Most states that are counted: half a second."""
@@ -183,10 +182,9 @@ def _draw_word(counts: tuple[int, ...], limit: int, stream: Stream) -> list[int]
     """Return a uniform draw among all orders that keep the limit, cut where its counts go wrong."""
     steps = _totals_of_runs(sum(counts), len(counts), limit)
     left, last, order, others = list(counts), -1, list[int](), len(counts)
-    rest = len(steps) - 1
+    rest = len(steps)
     while rest:
-        totals = steps[rest]
-        run = 1 + bisect_right(totals, stream.below(totals[-1]))
+        run = 1 + stream.among(steps[rest - 1])
         rest -= run
         kind = stream.below(others)
         if last >= 0:
@@ -202,12 +200,13 @@ def _draw_word(counts: tuple[int, ...], limit: int, stream: Stream) -> list[int]
 
 
 @lru_cache(maxsize=8)
-def _totals_of_runs(length: int, n_kinds: int, limit: int) -> list[list[int]]:
+def _totals_of_runs(length: int, n_kinds: int, limit: int) -> list[Cuts]:
     """Return the ways to go on with runs of 1, 2, ... at most, added up, by the number of places left."""
-    ways, rows = [1], [list[int]()]
+    ways, rows = [1], list[Cuts]()
     for rest in range(1, length + 1):
-        rows.append(list(accumulate((n_kinds - 1) * ways[rest - run] for run in range(1, min(limit, rest) + 1))))
-        ways.append(rows[-1][-1])
+        totals = list(accumulate((n_kinds - 1) * ways[rest - run] for run in range(1, min(limit, rest) + 1)))
+        rows.append(Cuts.of(totals))
+        ways.append(totals[-1])
     return rows
 
 

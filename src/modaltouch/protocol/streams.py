@@ -10,8 +10,9 @@ from __future__ import annotations
 import hashlib
 from bisect import bisect_right
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from itertools import accumulate
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 
@@ -43,6 +44,34 @@ def seed_sequence(seed: int, participant: str, session: int, purpose: str) -> np
     return np.random.SeedSequence([seed, key_of(participant), session, key_of(purpose)])
 
 
+@dataclass(frozen=True, slots=True)
+class Cuts:
+    """Whole numbers that cut a range, and their first words, which nearly always tell where a drawn number lies.
+
+    Attributes
+    ----------
+    totals : list of int
+        Increasing, the last being the end of the range.
+    n_words, n_spare : int
+        Number of words of a draw from the range, and of their bits that are dropped.
+    words : list of int
+        First words of the totals, as of a draw.
+    """
+
+    totals: list[int]
+    n_words: int
+    n_spare: int
+    words: list[int]
+
+    @classmethod
+    def of(cls, totals: list[int]) -> Self:
+        """Return the cuts at totals."""
+        n_bits = (totals[-1] - 1).bit_length()
+        n_words = (n_bits + 63) // 64
+        n_spare = 64 * n_words - n_bits
+        return cls(totals, n_words, n_spare, [total << n_spare >> max(0, 64 * n_words - 64) for total in totals])
+
+
 class Stream:
     """Uniform whole numbers and orders from one stream.
 
@@ -54,21 +83,50 @@ class Stream:
 
     def __init__(self, seed: int, participant: str, session: int, purpose: str) -> None:
         self._source = np.random.PCG64(seed_sequence(seed, participant, session, purpose))
-        self._bytes, self._read = b"", 0
+        # Read where they lie, for a list of all words would take longer to make than most draws.
+        self._words, self._read, self._end = self._source.random_raw(0).data, 0, 0
 
     def below(self, bound: int) -> int:
         """Return a uniform whole number from 0 to `bound` - 1, exactly, however large the bound."""
         n_bits = (bound - 1).bit_length()
         n_words = (n_bits + 63) // 64
+        n_spare = 64 * n_words - n_bits
         while True:
-            end = self._read + 8 * n_words
-            if end > len(self._bytes):
-                fresh = self._source.random_raw(1024 + n_words).astype(">u8").tobytes()
-                self._bytes, self._read, end = self._bytes[self._read :] + fresh, 0, 8 * n_words
-            value = int.from_bytes(self._bytes[self._read : end]) >> 64 * n_words - n_bits
-            self._read = end
+            if self._read + n_words > self._end:
+                self._refill(n_words)
+            read = self._read
+            self._read = read + n_words
+            value = (self._words[read] if n_words == 1 else self._number(read)) >> n_spare
             if value < bound:
                 return value
+
+    def among(self, cuts: Cuts) -> int:
+        """Return the place of a uniform whole number among totals, as `bisect_right(totals, below(totals[-1]))`."""
+        n_words, words = cuts.n_words, cuts.words
+        while True:
+            if self._read + n_words > self._end:
+                self._refill(n_words)
+            read = self._read
+            self._read = read + n_words
+            word = self._words[read] if n_words else 0
+            place = bisect_right(words, word)
+            if place and word == words[place - 1]:  # the words after the first decide
+                place = bisect_right(cuts.totals, self._number(read) >> cuts.n_spare)
+            if place < len(words):
+                return place
+
+    def _refill(self, n_words: int) -> None:
+        """Have at least so many words that are not read yet."""
+        left = self._words[self._read :]
+        self._words = np.concatenate([left, self._source.random_raw(4096 + n_words)]).data
+        self._read, self._end = 0, len(self._words)
+
+    def _number(self, begin: int) -> int:
+        """Return the number that the words make together which were passed last."""
+        value = 0
+        for word in self._words[begin : self._read]:
+            value = value << 64 | word
+        return value
 
     def shuffled(self, items: Iterable[Item]) -> list[Item]:
         """Return the items in an order drawn uniformly among all of them (Fisher-Yates)."""
