@@ -106,6 +106,48 @@ def test_cause_is_named(
     assert re.match(cause, "".join(mark["causes"]))
 
 
+@pytest.mark.parametrize(
+    ("spot", "factor", "cause"),
+    [
+        (0.0, 1.05, r"at the focus the beam moves 1\.05 times as fast as its other points say: the spot is beside"),
+        (0.0, 0.8, r"at the focus the beam moves 0\.80 times as fast as its other points say"),
+        (24.0, 1.05, "the points along the beam disagree: the sensor is loose, or its spot is in the wrong place"),
+    ],
+)
+def test_a_spot_that_reads_too_much_is_named_and_its_level_not_trusted(
+    preflight: Preflight,
+    shipped_apparatus: Apparatus,
+    make_bench: Callable,
+    monkeypatch: pytest.MonkeyPatch,
+    spot: float,
+    factor: float,
+    cause: str,
+) -> None:
+    """At the focus every level was trimmed by as much, with an interval of 1 %, and hysteresis was blamed."""
+    bench = make_bench(shipped_apparatus, 1)
+    record = bench.record
+
+    def misread(position: float, *rest: Any) -> Any:
+        taken = record(position, *rest)
+        return replace(taken, velocity=taken.velocity * factor) if abs(position * 1e3 - spot) < 0.01 else taken
+
+    monkeypatch.setattr(bench, "record", misread)
+    outcome = calibrate(bench, shipped_apparatus, preflight.inputs)
+    mark = mark_of(outcome, preflight.experiment.protocol)
+    assert re.match(cause, "".join(mark["causes"]))
+    for level in outcome.levels:
+        true = level.at_focus / (factor if spot == 0 else 1)
+        assert abs(level.at_focus - true) <= 1.1 * level.true_half_width
+
+
+def test_one_bad_record_halfway_is_no_hysteresis(preflight: Preflight, outcome: CalibrationResult) -> None:
+    """Hysteresis keeps the shapes; a point that reads too much does not."""
+    half = outcome.halfway.state
+    off = replace(half, velocity=half.velocity * 1.05, disagreement=half.spread + 1e-3)
+    mark = mark_of(replace(outcome, halfway=replace(outcome.halfway, state=off)), preflight.experiment.protocol)
+    assert mark["causes"][0].startswith("the points along the beam disagree")
+
+
 def test_a_drift_is_named_and_the_best_turn_kept(
     preflight: Preflight, shipped_apparatus: Apparatus, make_bench: Callable
 ) -> None:

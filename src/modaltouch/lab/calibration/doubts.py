@@ -47,6 +47,9 @@ MOST_LACKING = 0.5
 LARGEST_STRAIN = 0.2
 """Change of a natural frequency between two probes, over the mode's decay rate [1]."""
 
+MOST_ASIDE = 0.04
+"""Speed of the listed modes at the focus over what the other points say of it, less 1, either way [1]."""
+
 MOST_DISPROPORTION = 0.02
 """Speed of the modes at half a level over half the speed at the level, less 1, either way [1]."""
 
@@ -279,6 +282,7 @@ def _missed(outcome: CalibrationResult, protocol: Protocol) -> Iterator[Missed]:
     for asked in outcome.levels:
         reached_percent = _level_error(asked, limits.level_percent, highest.velocity)
         yield from _beyond("level_percent", asked.velocity * 1e3, reached_percent, limits.level_percent)
+    yield from _beyond("focus_percent", highest.velocity * 1e3, 100 * abs(highest.aside), 100 * MOST_ASIDE)
     shortfall = float(outcome.drive_shortfall.max()) * 100
     yield from _beyond("drive_percent", highest.velocity * 1e3, shortfall, LARGEST_SHORTFALL * 100)
 
@@ -308,7 +312,7 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]
     limits, last = protocol.calibration.limits, outcome.turns[-1].state
     allowed = min(limits.velocity_mm_s, limits.displacement_mm_s) * 1e-3
     noise = INTERVAL * float(outcome.best.state.spread.max())
-    highest = max(level.velocity for level in outcome.levels)
+    highest, aside = max((level.velocity, level.aside) for level in outcome.levels)
     level_noise = INTERVAL * max(level.spread for level in outcome.levels)
     if any(each["limit"] == "drive_percent" for each in missed):
         output = int(outcome.drive_shortfall.argmax())
@@ -325,10 +329,16 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]
             "remain unknown; focus the vibrometer on a spot that reflects, fasten the sensor, and choose the "
             "smallest range that covers the velocity"
         )
-    elif (last.disagreement > np.maximum(4 * last.spread, allowed / 4)).any():
+    elif any((s.disagreement > np.maximum(4 * s.spread, allowed / 4)).any() for s in (last, outcome.halfway.state)):
         yield (
             "the points along the beam disagree: the sensor is loose, or its spot is in the wrong place; fasten it, "
             "aim it again, and calibrate again"
+        )
+    elif any(each["limit"] == "focus_percent" for each in missed):
+        yield (
+            f"at the focus the beam moves {1 + aside:.2f} times as fast as its other points say: the spot is "
+            "beside the centre of the focus zone, or the vibrometer's angle or range is another there; aim it again, "
+            "and calibrate again"
         )
     elif all(each["level_mm_s"] != outcome.inputs.reference for each in missed):
         yield HYSTERESIS

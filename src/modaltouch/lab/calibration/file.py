@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -73,6 +74,8 @@ class Level:
         Of each output [V peak to peak, open circuit].
     at_focus : float
         Velocity at the focusing instant [m/s].
+    aside : float
+        What the listed modes have of it over what the points along the beam say, less 1 [1].
     spread : float
         Its standard error as this vibrometer shows it [m/s].
     highest : float
@@ -85,6 +88,7 @@ class Level:
     factor: float
     amplitude: tuple[float, ...]
     at_focus: float
+    aside: float
     spread: float
     highest: float
     sensitivity_doubt: float = 0.0
@@ -92,7 +96,10 @@ class Level:
     @property
     def true_half_width(self) -> float:
         """Half width of the 95 % interval of the true velocity [m/s]."""
-        return float(np.hypot(INTERVAL * self.spread, self.sensitivity_doubt * self.at_focus))
+        noise = INTERVAL * self.spread
+        # Which is right where they disagree, the focus or the other points, nobody knows.
+        beyond = max(abs(self.aside / (1 + self.aside) * self.at_focus) - noise, 0.0)
+        return math.hypot(noise, self.sensitivity_doubt * self.at_focus, beyond)
 
 
 @dataclass(frozen=True, eq=False)

@@ -38,6 +38,7 @@ from modaltouch.lab.calibration.file import (
 )
 from modaltouch.lab.calibration.plant import (
     INTERVAL,
+    ModalState,
     Plant,
     fit_drive,
     identify_plant,
@@ -198,7 +199,7 @@ class _Loop:
             # What several stimuli share, the rig as identified, is not that of the file.
             best, kept, refined = turns[0], listed_target, self._apparatus
         correction = self._correction(kept)
-        levels = self._levels(plant, refined, correction)
+        levels = self._levels(plant, refined, correction, best.state)
         correction = replace(correction, corrections=tuple((level.velocity, level.factor) for level in levels))
         stimulus = self._corrected(refined, correction)
         drives = self._drives("drive", stimulus, plant)
@@ -321,12 +322,14 @@ class _Loop:
         taken = self._recorder.drive_from(about - SWEEP / 2, level, float(highest.max()))
         return predicted_drive(plant.drive, commanded, taken.time, self._timing), taken.drive.mean(axis=0)
 
-    def _levels(self, plant: Plant, refined: Apparatus, correction: Correction) -> tuple[Level, ...]:
+    def _levels(
+        self, plant: Plant, refined: Apparatus, correction: Correction, reached: ModalState
+    ) -> tuple[Level, ...]:
         """Measure every level at the focus, with amplitudes in proportion and then, where that is off, as measured."""
         stimulus = self._corrected(refined, correction)
         self._bench.load(stimulus.burst)
         self._recorder.begin("levels", 2 * len(self._asked))
-        first = [self._level(plant, stimulus, level, 1.0) for level in self._asked]
+        first = [self._level(plant, stimulus, reached, level, 1.0) for level in self._asked]
         factors = [_trim(level) for level in first]
         if all(factor == 1.0 for factor in factors):
             return tuple(first)
@@ -334,20 +337,23 @@ class _Loop:
         corrected = self._corrected(refined, replace(correction, corrections=corrections))
         self._bench.load(corrected.burst)
         self._recorder.begin("levels again", 2 * len(self._asked))
-        return tuple(self._level(plant, corrected, level, factor) for level, factor in corrections)
+        return tuple(self._level(plant, corrected, reached, level, factor) for level, factor in corrections)
 
-    def _level(self, plant: Plant, stimulus: Stimulus, level: float, factor: float) -> Level:
+    def _level(self, plant: Plant, stimulus: Stimulus, reached: ModalState, level: float, factor: float) -> Level:
         time, decay, highest = self._recorder.at_level(level, stimulus.target_field.centre)
         fitted = fit_residues(plant.decay_time(time, self._timing), decay, plant.pole)
         vibrometer = plant.vibrometer.response(plant.pole)
-        at_focus = float((fitted.residue[:, 0] / vibrometer).real.sum())
+        swing = (fitted.residue[:, 0] / vibrometer).real
+        shape = plant.model.shapes([stimulus.target_field.centre])[:, 0]
+        said = float(shape @ reached.velocity) * factor * level / self._reference
         noise = float(np.sqrt(np.sum((fitted.spread / np.abs(vibrometer)) ** 2)))
         missed = missed_swing(fitted.residue[:, 0], fitted.spread, fitted.pole, fitted.pole_error)
         return Level(
             velocity=level,
             factor=factor,
             amplitude=stimulus.amplitude_for(level),
-            at_focus=at_focus,
+            at_focus=float(swing.sum()),
+            aside=float(swing[: plant.model.n_modes].sum()) / said - 1,
             spread=float(np.hypot(noise, np.linalg.norm(missed) / INTERVAL)),
             sensitivity_doubt=plant.sensitivity_doubt,
             highest=highest,
