@@ -86,6 +86,18 @@ def test_a_drive_that_is_not_the_predicted_one_is_told(written):
     assert "output 2 by law “exact”" in told[1]
 
 
+@pytest.mark.parametrize("factor", [0.5, 1.25])
+def test_speeds_that_share_a_factor_are_told(written, factor):
+    """A vibrometer at another sensitivity than listed shows a field of the right form: only its size gives it away."""
+    assert "times as fast" not in " ".join(findings(written[1]))
+    figures = [dict(each) for each in written[1]]
+    zones = figures[0]["zone_peak_mm_s"].items()
+    figures[0]["zone_peak_mm_s"] = {zone: {**peak, "measured": factor * peak["measured"]} for zone, peak in zones}
+    (told,) = (each for each in findings(figures) if "times as fast" in each)
+    said = float(re.search(r"law “exact” the zones moved (\S+) times as fast as predicted: check", told)[1])
+    assert said == pytest.approx(factor, rel=0.05)
+
+
 def test_an_analysis_is_not_replaced(evidences, tmp_path):
     """A folder belongs to the command that made it."""
     write_files(tmp_path / "out", {"tests.csv": b"1"}, {})

@@ -26,6 +26,9 @@ GAINS = (0.67, 1.5)
 SPEEDS = (0.6, 1.6)
 """Speed of all modes over the listed one that is believed [1]: beyond, a knob is not as the file says."""
 
+SAME_GAIN = (0.85, 1.15)
+"""Speed of everything over the predicted one by which amplifiers may differ from their data sheets [1]."""
+
 ALIKE = 0.2
 """How far most gains may lie from one factor times the listed ones that is the vibrometer's [1]."""
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.calibration.doubts import SAME_GAIN
 from modaltouch.lab.identification.estimates import NORMAL_95
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.lab.output import rounded
@@ -19,9 +20,6 @@ from modaltouch.stimulus import Finger, ModalModel, Probe, Stimulus
 
 SPEED = 15e-3
 """Highest that the beam is moved at under fingers and laser, if nothing else is asked for [m/s]."""
-
-SPEED_RATIOS = 0.85, 1.15
-"""What all modes may share over their listed gains, by which amplifiers differ from their data sheets [1]."""
 
 FROM_END = 1e-3
 """From the end of the beam to the vibrometer's spot: there every mode moves [m]."""
@@ -78,7 +76,7 @@ class Prober:
         listed = self._model.modal_gain
         strong = np.abs(listed) == np.abs(listed).max(axis=1, keepdims=True)
         common = float(np.median(self._free.model.modal_gain[strong] / listed[strong]))
-        low, high = SPEED_RATIOS
+        low, high = SAME_GAIN
         if not low <= common <= high:
             raise ValueError(
                 f"the modes move {common:.2f} times as fast as their listed gains say: allowed {low:g} to {high:g}; "

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.calibration.doubts import GAINS
+from modaltouch.lab.calibration.doubts import GAINS, SAME_GAIN
 from modaltouch.lab.validation.evidence import Evidence, contrast, root_mean_square, spot_width, standard_error
 from modaltouch.preflight import finite
 from modaltouch.report import say_number
@@ -197,7 +197,7 @@ def findings(figures: Sequence[Figures]) -> list[str]:
     if len(figures) > 1:
         said.append(_compared(figures))
     said += [_limits(f) for f in figures[:1]]
-    return said + [sentence for f in figures for sentence in _doubtful_drives(f)]
+    return said + [sentence for f in figures for sentence in (*_doubtful_drives(f), *_doubtful_speeds(f))]
 
 
 def _reached(f: Figures) -> str:
@@ -234,6 +234,16 @@ def _doubtful_drives(f: Figures) -> Iterator[str]:
                 f"{peak['predicted']:.0f} V were predicted: check which probe is at which amplifier, and "
                 "`acquisition.probe_attenuation`."
             )
+
+
+def _doubtful_speeds(f: Figures) -> Iterator[str]:
+    ratio = float(np.median([peak["measured"] / peak["predicted"] for peak in f["zone_peak_mm_s"].values()]))
+    if not SAME_GAIN[0] <= ratio <= SAME_GAIN[1]:
+        yield (
+            f"By law “{f['law']}” the zones moved {ratio:.2f} times as fast as predicted: check that the vibrometer is "
+            "set to the listed `acquisition.sensitivity_mm_s_per_V` and the amplifier to its `amplifier.gain`, or "
+            "identify the beam again."
+        )
 
 
 def _limits(f: Figures) -> str:
