@@ -11,15 +11,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.dynamics import DiagonalSystem
+from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
+from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import decay
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import BlockStates
+from modaltouch.stimulus.vibration import BlockStates, history
+
+if TYPE_CHECKING:
+    from modaltouch.stimulus.fingers import Finger
 
 GOAL = 3e-8
 """Error, as a fraction of the largest target, below which a mode is no longer urgent [1]."""
@@ -36,25 +41,35 @@ _TOGETHER = 64
 
 @dataclass(frozen=True, eq=False)
 class QuantisedStimulus:
-    """A record in the generator before a beam. What is linear in the level is computed once.
+    """A record in the generator before a beam, be it that of the design or one under other fingers.
+
+    What is linear in the level is computed once.
 
     Attributes
     ----------
-    system : DiagonalSystem
-        The beam behind its amplifier.
+    model : ModalModel
+        The beam with its fingers; without any, the untouched beam.
+    amplifier : Amplifier
+        Its pole and delay count.
     timing : Timing
         Clock of the samples.
     codes : (n_channels, n_samples) array
         Codes counted from mid-scale [1].
     """
 
-    system: DiagonalSystem
+    model: ModalModel
+    amplifier: Amplifier
     timing: Timing
     codes: FloatArray
     # States already computed, and peaks by position, by the ratio of the channels.
     _responses: dict[tuple[float, ...], tuple[BlockStates, dict[float, float]]] = field(
         default_factory=dict, init=False
     )
+
+    @cached_property
+    def system(self) -> DiagonalSystem:
+        """The beam behind its amplifier."""
+        return DiagonalSystem.of(self.model, self.amplifier)
 
     @cached_property
     def highest(self) -> FloatArray:
@@ -98,25 +113,112 @@ class QuantisedStimulus:
             self._responses[ratio] = BlockStates.of(replace(self.system, input_gain=gain), self.codes, self.timing), {}
         return *self._responses[ratio], largest
 
-    def passes(self, unit: FloatArray, shapes: FloatArray, limit: float) -> bool:
-        """Return whether the speed at points with these mode shapes passes a limit; most blocks are skipped."""
+    def velocity_at_focus(self, positions: ArrayLike, unit: FloatArray) -> FloatArray:
+        """Return the velocity at points of the beam at the focusing instant, (n_positions,) array [m/s].
+
+        Parameters
+        ----------
+        positions : (n_positions,) array_like
+            Where, origin at mid-beam [m].
+        unit : (n_channels,) array
+            What a code is worth at the beam [V].
+        """
+        velocity, _ = self.system.read(self.states_at_focus(unit))
+        return self.model.field(velocity, positions)
+
+    def passes(self, positions: ArrayLike, unit: FloatArray, limit: float) -> bool:
+        """Return whether the speed at any of some points passes a limit; most blocks are skipped."""
         response, _, scale = self._response(unit)
         floor = limit / scale
         # Not multiplied again: rounding would let the floor itself pass.
-        return bool((response.peak(shapes.T @ self.system.velocity, floor) > floor).any())
+        return bool((response.peak(self.model.shapes(positions).T @ self.system.velocity, floor) > floor).any())
 
-    def peak_of(self, unit: FloatArray, output: ComplexArray) -> float:
-        """Return the largest magnitude of one output, (1, n_states) array, until the next burst."""
-        response, _, scale = self._response(unit)
-        return float(response.peak(output)[0]) * scale
-
-    def peaks(self, unit: FloatArray, positions: ArrayLike, shapes: FloatArray) -> FloatArray:
-        """Return the highest speed at positions with these mode shapes until the next burst [m/s]."""
+    def peak_velocity(self, positions: ArrayLike, unit: FloatArray) -> FloatArray:
+        """Return the highest speed at points of the beam until the next burst, (n_positions,) array [m/s]."""
         place = np.atleast_1d(np.asarray(positions, dtype=float)).tolist()
         response, known, scale = self._response(unit)
         if not all(point in known for point in place):
-            known.update(zip(place, response.peak(shapes.T @ self.system.velocity).tolist(), strict=True))
+            output = self.model.shapes(place).T @ self.system.velocity
+            known.update(zip(place, response.peak(output).tolist(), strict=True))
         return np.array([known[point] for point in place]) * scale
+
+    def velocity_at(self, positions: ArrayLike, instants: ArrayLike, unit: FloatArray) -> FloatArray:
+        """Return the velocity at points, each at its own instant of the burst [s], (n_positions,) array [m/s]."""
+        shapes, codes, system = self.model.shapes(positions), self.codes * unit[:, None], self.system
+        states = [system.state_at(codes, self.timing, instant) for instant in np.asarray(instants).tolist()]
+        return np.array([shape @ system.read(state)[0] for shape, state in zip(shapes.T, states, strict=True)])
+
+    def peak_instants(self, positions: ArrayLike, unit: FloatArray) -> FloatArray:
+        """Return the instants of a burst at which points are fastest, (n_positions,) array [s]."""
+        output = self.model.shapes(positions).T @ self.system.velocity
+        speed = np.abs(history(self.system, output, self.codes * unit[:, None], self.timing))
+        return np.asarray(speed.argmax(axis=1) * self.timing.hold + self.system.delay)
+
+    def peak_below(self, frequency: float, position: float, unit: FloatArray) -> float:
+        """Return the highest speed at a point [m] of what swings and decays slower than a frequency [Hz], [m/s]."""
+        response, _, scale = self._response(unit)
+        slow = np.abs(self.system.exponent) < 2 * np.pi * frequency
+        return float(response.peak((self.model.shapes([position]).T @ self.system.velocity) * slow)[0]) * scale
+
+    def peak_when_lifted(
+        self, left: QuantisedStimulus, positions: ArrayLike, unit: FloatArray, floor: float = 0.0
+    ) -> FloatArray:
+        """Return the highest speed at points where fingers are taken away at the worst instant, (n_positions,) array.
+
+        Parameters
+        ----------
+        left : QuantisedStimulus
+            The same burst on the beam under the fingers that stay.
+        positions, unit
+            As for `velocity_at_focus`.
+        floor : float
+            Speed below which nobody needs to know; lower peaks are returned as it [m/s].
+        """
+        from modaltouch.stimulus.lifted import FINE, LiftedBeam
+
+        times = max(1, round(self.timing.hold / FINE))
+        systems = self.system, left.system, DiagonalSystem.of(left.model)
+        voltage = np.repeat(self.codes * unit[:, None], times, axis=1)
+        lifted = LiftedBeam(*systems, voltage, self.timing.hold / times)
+        known = np.stack([each.peak_velocity(positions, unit) for each in (self, left)])
+        return lifted.peaks(left.model.shapes(positions), known, floor)
+
+    def highest_contrast(self, focus: float, points: FloatArray, level: float) -> tuple[QuantisedStimulus, float]:
+        """Return the beam under a drive that moves other points least, and a bound (see `stimulus.contrast`).
+
+        Parameters
+        ----------
+        focus, points : float and (n_points,) array
+            What reaches the level at the focusing instant, and the others, origin at mid-beam [m].
+        level : float
+            Velocity of the focus [m/s].
+
+        Returns
+        -------
+        played : QuantisedStimulus
+            Its codes are volts: a code is worth 1 V at the beam.
+        bound : float
+            Level over the highest speed of the points that no drive of the family passes [1].
+        """
+        from modaltouch.stimulus.contrast import HOLD, contrast_drive
+
+        timing = replace(self.timing, n_samples=2 * round(self.timing.duration / HOLD / 2))
+        drive, bound = contrast_drive(self.model, self.amplifier, timing, np.append(focus, points), level)
+        return replace(self, timing=timing, codes=drive), bound
+
+    def pull(self, unit: FloatArray) -> FloatArray:
+        """Return the largest force by which each finger would have to stick to the beam, (n_fingers,) array [N].
+
+        The impedance holds as long as the contact can pull, which skin cannot: where this passes the force with which
+        the finger presses, skin and beam part, and no linear figure holds.
+        """
+        if not self.model.fingers:
+            return np.zeros(0)
+        rows = [_force(self.model, finger, self.system) for finger in self.model.fingers]
+        at_once, voltage = np.stack([direct for _, direct in rows]), self.codes * unit[:, None]
+        # The force of an inertia follows the acceleration, in which a step of voltage shows at once.
+        force = history(self.system, np.stack([row for row, _ in rows]), voltage, self.timing) + at_once @ voltage
+        return np.asarray(np.abs(force).max(axis=1))
 
 
 def settle(
@@ -250,3 +352,12 @@ def _on_clock(effect: ComplexArray, system: DiagonalSystem, timing: Timing, samp
     late, next_late = timing.clock_error[sample], timing.clock_error[sample + 1]
     grown = np.exp(s * timing.hold)
     return np.asarray(effect[:, None] * (1 + (grown * np.expm1(-s * late) - np.expm1(-s * next_late)) / (grown - 1)))
+
+
+def _force(model: ModalModel, finger: Finger, system: DiagonalSystem) -> tuple[ComplexArray, FloatArray]:
+    """What reads the force of a finger off the states, and what a volt adds to it at once, two (n_...,) arrays."""
+    mean = finger.mean_shape(model.shapes, model.length)
+    velocity = mean @ system.velocity
+    # Each state decays by its own exponent s, and the impedance at s turns its velocity into force.
+    row = velocity * finger.impedance(system.exponent)
+    return row, finger.mass * (velocity @ system.input_gain).real

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -35,12 +35,8 @@ from modaltouch.stimulus.vibration import velocity_history
 
 if TYPE_CHECKING:
     from modaltouch.stimulus.fingers import Finger
-    from modaltouch.stimulus.touched import TouchedBeam
 
-_FEW = 1024
-"""Points up to which mode shapes are kept for the next question."""
-
-_SHARED = ("projection", "system", "_shapes")
+_SHARED = ("projection", "system")
 """What is computed and does not depend on the drive law."""
 
 
@@ -94,8 +90,6 @@ class Stimulus:
     correction: Correction | None = None
     design: Design = "least_energy"
     priority: Priority = "field"
-    # Mode shapes already computed, by the positions.
-    _shapes: dict[tuple[float, ...], FloatArray] = field(default_factory=dict, init=False)
 
     @cached_property
     def projection(self) -> Projection:
@@ -211,7 +205,9 @@ class Stimulus:
             states = volts_per_code @ self.system.states_by_channel(codes, self.timing, self.timing.focusing_instant)
             error = self._reached - np.concatenate(self.system.read(states))
             codes = settle(codes, volts_per_code, self.system, self.timing, error, float(np.abs(self.target).max()))
-        return QuantisedStimulus(self.system, self.timing, codes)
+        played = QuantisedStimulus(self.model, self.amplifier, self.timing, codes)
+        vars(played)["system"] = self.system  # under fingers it takes long
+        return played
 
     @property
     def _reached(self) -> FloatArray:
@@ -225,11 +221,9 @@ class Stimulus:
         """Return the highest magnitude of each channel's voltage played at a level [m/s], (n_channels,) array [V]."""
         return self._played.highest * self.volts_per_code(velocity)
 
-    def touched(self, fingers: tuple[Finger, ...]) -> TouchedBeam:
+    def touched(self, fingers: tuple[Finger, ...]) -> QuantisedStimulus:
         """Return the beam under fingers while the codes are played; take `volts_per_code` for what a code is worth."""
-        from modaltouch.stimulus.touched import TouchedBeam
-
-        return TouchedBeam(self.model.touched(fingers), self.amplifier, self.timing, self._played.codes)
+        return replace(self._played, model=self.model.touched(fingers))
 
     def under_law(self, law: Law) -> Stimulus:
         """Return the same stimulus under another drive law; what does not depend on the law is not computed again."""
@@ -318,17 +312,7 @@ class Stimulus:
 
     def velocity_at_focus(self, positions: ArrayLike, velocity: float) -> FloatArray:
         """Return the velocity at points of the beam [m] at the focus, at a level [m/s], (n_positions,) array [m/s]."""
-        reached, _ = self.achieved(velocity)
-        if np.size(positions) > _FEW:
-            return self.model.field(reached, positions)
-        return np.asarray(reached @ self._shapes_at(positions))
-
-    def _shapes_at(self, positions: ArrayLike) -> FloatArray:
-        """Return the mode shapes at points asked for before, or again at others, (n_modes, n_positions) array."""
-        place = tuple(np.atleast_1d(np.asarray(positions, dtype=float)).tolist())
-        if place not in self._shapes:
-            self._shapes[place] = self.model.shapes(place)
-        return self._shapes[place]
+        return self._played.velocity_at_focus(positions, self.volts_per_code(velocity))
 
     def passes(self, positions: ArrayLike, velocity: float, limit: float) -> bool:
         """Return whether the speed at any of some points of the beam passes a limit.
@@ -342,7 +326,7 @@ class Stimulus:
         limit : float
             Speed [m/s].
         """
-        return self._played.passes(self.volts_per_code(velocity), self._shapes_at(positions), limit)
+        return self._played.passes(positions, self.volts_per_code(velocity), limit)
 
     def velocity_history(self, positions: ArrayLike, velocity: float, *, whole_period: bool = False) -> FloatArray:
         """Return the velocity at points of the beam during the first burst as played, (n_positions, n_samples) array.
@@ -373,7 +357,7 @@ class Stimulus:
         positions, velocity
             As for `velocity_at_focus`.
         """
-        return self._played.peaks(self.volts_per_code(velocity), positions, self._shapes_at(positions))
+        return self._played.peak_velocity(positions, self.volts_per_code(velocity))
 
 
 def design_stimulus(

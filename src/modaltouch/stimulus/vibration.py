@@ -194,7 +194,7 @@ def velocity_history(
     """
     system = DiagonalSystem.of(model, amplifier)
     output = model.shapes(positions).T @ system.velocity
-    return _history(system, output, _checked(voltage, model), timing)
+    return history(system, output, _checked(voltage, model), timing)
 
 
 def modal_history(
@@ -202,7 +202,7 @@ def modal_history(
 ) -> FloatArray:
     """Return the modal velocities as each sample arrives, (n_modes, n_samples) array [m/s], from rest."""
     system = DiagonalSystem.of(model, amplifier)
-    return _history(system, system.velocity, _checked(voltage, model), timing)
+    return history(system, system.velocity, _checked(voltage, model), timing)
 
 
 def peak_velocity(
@@ -238,10 +238,21 @@ def _checked(voltage: FloatArray, model: ModalModel) -> FloatArray:
     return values
 
 
-def _history(system: DiagonalSystem, output: ComplexArray, voltage: FloatArray, timing: Timing) -> FloatArray:
-    """Return the outputs at the starts of the samples, (n_outputs, n_samples) array [m/s]."""
+def history(system: DiagonalSystem, output: ComplexArray, voltage: FloatArray, timing: Timing) -> FloatArray:
+    """Return the outputs at the starts of the samples of a burst from rest, (n_outputs, n_samples) array.
+
+    Parameters
+    ----------
+    system : DiagonalSystem
+        The beam behind its amplifier.
+    output : (n_outputs, n_states) complex array
+        The outputs are the real part of ``output @ state``.
+    voltage : (n_channels, n_samples) array
+        Held samples at the beam [V].
+    timing : Timing
+        Their clock.
+    """
     kernel = BlockKernel(system.exponent, system.clock_gain(timing), output, timing.hold)
-    n_inputs = kernel.push.shape[1]
-    history = np.empty((output.shape[0], voltage.shape[1]))
-    kernel.write(lambda start, stop: clock_inputs(voltage, timing, start, stop, n_inputs), history)
-    return history
+    n_inputs, course = kernel.push.shape[1], np.empty((output.shape[0], voltage.shape[1]))
+    kernel.write(lambda start, stop: clock_inputs(voltage, timing, start, stop, n_inputs), course)
+    return course
