@@ -16,8 +16,8 @@ from modaltouch.preflight import examine
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.stimulus import DiagonalSystem, Finger, ModalModel, Stimulus, Timing
 from modaltouch.stimulus.blocks import BlockKernel
+from modaltouch.stimulus.quantised import QuantisedStimulus
 from modaltouch.stimulus.reachability import Taper
-from modaltouch.stimulus.touched import TouchedBeam
 
 ZONES = (-0.04, -0.02, 0.0, 0.02, 0.04)
 N_TRAINED, N_JUDGED = 9, 40
@@ -72,7 +72,7 @@ def judge(voltage: np.ndarray, timing: Timing, stimulus: Stimulus, beams: list[M
     at_limit, unit = voltage * (LIMIT / np.abs(voltage).max()), np.ones(len(voltage))
     found = []
     for beam in beams:
-        played = TouchedBeam(beam, stimulus.amplifier, timing, at_limit)
+        played = QuantisedStimulus(beam, stimulus.amplifier, timing, at_limit)
         peak = played.peak_velocity([0.0], unit)[0]
         found.append((played.velocity_at_focus([0.0], unit)[0], peak, played.peak_below(SLOW, 0.0, unit)))
     values = np.array(found)

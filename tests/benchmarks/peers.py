@@ -15,6 +15,7 @@ from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import Stimulus, design_stimulus
 from modaltouch.stimulus.target_field import TargetField
 from modaltouch.stimulus.timing import Timing
+from modaltouch.stimulus.vibration import BlockStates
 
 ZONES = (-0.04, -0.02, 0.0, 0.02, 0.04)
 LEVELS = (0.08, 0.1, 0.15, 0.2)
@@ -45,6 +46,12 @@ def design(model: ModalModel, **options: Any) -> Stimulus:
     return design_stimulus(
         model, options.pop("target_field", TargetField()), timing, AMPLIFIER, levels=LEVELS, **options
     )
+
+
+def peak_velocity(model: ModalModel, voltage: Any, timing: Timing, positions: Any) -> Any:
+    """Return the highest speed at points of the beam until the next burst would begin."""
+    system = DiagonalSystem.of(model)
+    return BlockStates.of(system, voltage, timing).peak(model.shapes(positions).T @ system.velocity)
 
 
 def race(

@@ -13,7 +13,7 @@ from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantisation import Converter
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import modal_history, peak_velocity, velocity_history
+from modaltouch.stimulus.vibration import BlockStates, modal_history, velocity_history
 
 PI = np.longdouble("3.14159265358979323846264338327950288")
 
@@ -21,6 +21,12 @@ PI = np.longdouble("3.14159265358979323846264338327950288")
 def clocked(rate: float) -> Converter:
     """Return a converter of another clock [Hz]."""
     return replace(AFG3022B.converter, clock_rate=rate)
+
+
+def peak_velocity(model, voltage, timing, positions, amplifier=None):
+    """Return the highest speed at points of the beam until the next burst would begin."""
+    system = DiagonalSystem.of(model, amplifier)
+    return BlockStates.of(system, voltage, timing).peak(model.shapes(positions).T @ system.velocity)
 
 
 def stepped(model, voltage, hold):

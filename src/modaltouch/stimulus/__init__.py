@@ -3,8 +3,8 @@
 In go the modes of a beam (`ModalModel`), a velocity field at an instant (`TargetField`), the clock (`Timing`) and the
 `Amplifier`. `design_stimulus` returns a `Stimulus`: voltages, codes and amplitudes (`Burst`), and what they do to the
 beam at every level. `focus_sensitivity`, `scatter` and `cheapest_samples` tell how well the beam must be identified and
-how few samples will do. `DiagonalSystem` and `BlockKernel` carry any voltages forward, for the simulated rig. A `Probe`
-tells the beam from measured responses, fingers and all.
+how few samples will do. `DiagonalSystem`, `BlockKernel` and `BlockStates` carry any voltages forward, for the simulated
+rig. A `Probe` tells the beam from measured responses, fingers and all.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from modaltouch.stimulus.target_field import TargetField
     from modaltouch.stimulus.timing import Timing
     from modaltouch.stimulus.timoshenko import TimoshenkoBeam
-    from modaltouch.stimulus.vibration import peak_velocity
+    from modaltouch.stimulus.vibration import BlockStates
 else:
     __getattr__ = lazily(
         __name__,
@@ -55,13 +55,14 @@ else:
             "target_field": "TargetField",
             "timing": "Timing",
             "timoshenko": "TimoshenkoBeam",
-            "vibration": "peak_velocity",
+            "vibration": "BlockStates",
         },
     )
 
 __all__ = [
     "Amplifier",
     "BlockKernel",
+    "BlockStates",
     "Burst",
     "Converter",
     "Correction",
@@ -82,6 +83,5 @@ __all__ = [
     "design_stimulus",
     "focus_sensitivity",
     "mode_shapes",
-    "peak_velocity",
     "scatter",
 ]

@@ -311,10 +311,6 @@ class BlockKernel:
         _write_states(side, begin, states)
         return np.asarray(side @ table)
 
-    def bounds(self, blocks: FloatArray, begin: ComplexArray) -> FloatArray:
-        """Return upper bounds of the outputs in each block, (n_outputs, n_blocks) array, as `peak` takes them."""
-        return PeakBound.of(blocks, begin).of_outputs(self.output, self.push, self.powers)
-
     def peak(self, place: int, blocks: FloatArray, begin: ComplexArray, bound: FloatArray, least: float) -> float:
         """Return the largest magnitude of one output within the blocks, or `least` where that is higher.
 
@@ -327,7 +323,7 @@ class BlockKernel:
         begin : (n_states, n_blocks) complex array
             From `states`.
         bound : (n_blocks,) array
-            From `bounds`.
+            From `PeakBound`.
         least : float
             Value that the output is known to reach.
         """

@@ -124,7 +124,8 @@ class BlockStates:
         for step in range(1, pushed.shape[2]):
             begin[:, :, step] = ratio * begin[:, :, step - 1] + pushed[:, :, step - 1]
         short = begin.reshape(n_states, -1)
-        for place, bound in enumerate(kernel.bounds(blocks, short)):
+        bounds = PeakBound.of(blocks, short).of_outputs(kernel.output, self._push, kernel.powers)
+        for place, bound in enumerate(bounds):
             peak[place] = kernel.peak(place, blocks, short, bound, float(peak[place]))
 
     def _different(self, output: ComplexArray) -> tuple[ComplexArray, list[int]]:
@@ -203,22 +204,6 @@ def modal_history(
     """Return the modal velocities as each sample arrives, (n_modes, n_samples) array [m/s], from rest."""
     system = DiagonalSystem.of(model, amplifier)
     return history(system, system.velocity, _checked(voltage, model), timing)
-
-
-def peak_velocity(
-    model: ModalModel,
-    voltage: FloatArray,
-    timing: Timing,
-    positions: ArrayLike,
-    amplifier: Amplifier | None = None,
-) -> FloatArray:
-    """Return the highest speed at points of the beam until the next burst would begin, (n_positions,) array [m/s].
-
-    It is the largest magnitude of the velocity at the starts of the samples, and of the decay after them, from rest;
-    arguments as for `velocity_history`.
-    """
-    system = DiagonalSystem.of(model, amplifier)
-    return BlockStates.of(system, _checked(voltage, model), timing).peak(model.shapes(positions).T @ system.velocity)
 
 
 def _checked(voltage: FloatArray, model: ModalModel) -> FloatArray:

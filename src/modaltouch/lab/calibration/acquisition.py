@@ -11,14 +11,7 @@ from modaltouch.lab.calibration.doubts import refuse_doubtful_velocity
 from modaltouch.lab.calibration.plant import DriveDelay
 from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
 from modaltouch.rig import Acquisition, Recording, RigError
-from modaltouch.stimulus import (
-    Amplifier,
-    Burst,
-    ModalModel,
-    Taper,
-    Timing,
-    peak_velocity,
-)
+from modaltouch.stimulus import Amplifier, BlockStates, Burst, DiagonalSystem, ModalModel, Taper, Timing
 
 SHARE = 0.6
 """Part of the amplifier's and of the velocity limit that identification uses [1]: the table may be wrong by a third."""
@@ -116,7 +109,8 @@ def identifying_burst(
         Highest velocity of the beam, and within the vibrometer's range [m/s].
     """
     points = np.linspace(-0.5, 0.5, 4 * max(model.label) + 1) * model.length
-    speed = float(peak_velocity(model, voltage, timing, points).max())
+    system = DiagonalSystem.of(model)
+    speed = float(BlockStates.of(system, voltage, timing).peak(model.shapes(points).T @ system.velocity).max())
     highest = np.abs(voltage).max(axis=1)
     scale = SHARE * min(amplifier.limit / highest.max(), velocity_limit / max(speed, 1e-30))
     to_beam = amplifier.gain * load_factor

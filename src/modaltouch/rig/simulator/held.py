@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.rig.simulator.timeline import CONVERTER
-from modaltouch.stimulus import BlockKernel, Converter, DiagonalSystem, Timing
+from modaltouch.stimulus import BlockStates, Converter, DiagonalSystem, Timing
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -129,21 +129,11 @@ def peak(system: DiagonalSystem, output: ComplexArray, held: Held) -> FloatArray
     held : Held
         What is played.
     """
-    voltage, hold = refined(system, held)
-    kernel = BlockKernel.of(system, output, hold)
-    reached = np.zeros(output.shape[0])
-    state = np.zeros(system.exponent.size, dtype=complex)
-    silence = min(held.period, LONGEST_SILENCE * held.duration) - held.duration
-    n_silent = max(0, int(silence / hold) // BlockKernel.BLOCK_LENGTH * BlockKernel.BLOCK_LENGTH)
-    for part in (voltage, np.zeros((voltage.shape[0], n_silent))):
-        if part.size == 0 or (part is not voltage and (np.abs(output * state).sum(axis=1) <= reached).all()):
-            break
-        blocks = BlockKernel.blocks(part)
-        begin, state = kernel.states(blocks, state)
-        bounds = kernel.bounds(blocks, begin)
-        for place, bound in enumerate(bounds):
-            reached[place] = kernel.peak(place, blocks, begin, bound, float(reached[place]))
-    return reached
+    voltage, _ = refined(system, held)
+    n_samples = voltage.shape[1]
+    finer = replace(held.converter, any_rate=True, max_points=n_samples)
+    timing = replace(held.timing, converter=finer, n_samples=n_samples)
+    return BlockStates.of(system, voltage, timing).peak(output)
 
 
 def refined(system: DiagonalSystem, held: Held) -> tuple[FloatArray, float]:
