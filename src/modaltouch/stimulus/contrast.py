@@ -11,11 +11,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from modaltouch.stimulus.blocks import BlockKernel
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import FloatArray
 from modaltouch.stimulus.timing import Timing
+from modaltouch.stimulus.vibration import history
 
 HOLD = 2e-6
 """Length of a sample [s], about: six to a cycle of the highest mode of Table I."""
@@ -60,7 +60,7 @@ def contrast_drive(
     time = np.asarray((np.arange(timing.n_samples) + 0.5) * timing.hold - focused, dtype=float)
     waves = _family(model, time)
     bounded = np.flatnonzero((np.abs(time) < _NEAR) | (np.arange(time.size) % _SPARSE == 0))
-    speeds = _speeds(DiagonalSystem.of(model, amplifier), model.shapes(places), timing.hold, waves)
+    speeds = _speeds(DiagonalSystem.of(model, amplifier), model.shapes(places), timing, waves)
     # In volts over the limit and speeds over the level; what reaches the level with least energy, and the rest.
     limit = _KEPT * amplifier.limit
     speeds *= limit / level
@@ -91,18 +91,15 @@ def _family(model: ModalModel, time: FloatArray) -> FloatArray:
     return np.asarray((direction[:, kept] / np.sqrt(size[kept])).T @ waves)
 
 
-def _speeds(system: DiagonalSystem, shapes: FloatArray, hold: float, waves: FloatArray) -> FloatArray:
+def _speeds(system: DiagonalSystem, shapes: FloatArray, timing: Timing, waves: FloatArray) -> FloatArray:
     """Return the speeds of points under a volt of each wave on each channel, (n_points, n_waves of all, n_samples)."""
     n, n_channels = waves.shape[1], system.input_gain.shape[1]
     spectrum = np.fft.rfft(waves, 2 * n)
     speeds = np.empty((shapes.shape[1], n_channels, len(waves), n))
-    kernel = BlockKernel.of(system, shapes.T @ system.velocity, hold)
     for channel in range(n_channels):
-        pulse, response = np.zeros((n_channels, n)), np.empty((shapes.shape[1], n))
+        pulse = np.zeros((n_channels, n))
         pulse[channel, 0] = 1.0
-        blocks = BlockKernel.blocks(pulse)
-        begin, _ = kernel.states(blocks, np.zeros(system.exponent.size, dtype=complex))
-        kernel.respond(blocks, begin, response)
+        response = history(system, shapes.T @ system.velocity, pulse, timing)
         for speed, answer in zip(speeds[:, channel], np.fft.rfft(response, 2 * n), strict=True):
             speed[:] = np.fft.irfft(answer * spectrum, 2 * n)[:, :n]
     return speeds.reshape(len(speeds), -1, n)
