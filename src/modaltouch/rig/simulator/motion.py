@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.rig.simulator.held import ComplexArray, FloatArray, Held, refined, start_state
-from modaltouch.stimulus import BlockKernel, DiagonalSystem
+from modaltouch.stimulus import Amplifier, BlockKernel, DiagonalSystem
 
 SAME_POLE = 1e-6
 """Relative distance below which two poles count as one [1]."""
@@ -282,11 +282,10 @@ class SampledDrive:
 def low_passed(
     system: DiagonalSystem, output: ComplexArray, bandwidth: float | None
 ) -> tuple[DiagonalSystem, ComplexArray]:
-    r"""Return equations and output behind a first-order low-pass, which is a state more for each channel.
+    """Return equations and output behind a first-order low-pass, which is a state more for each channel.
 
-    The difference :math:`w = y - Re(\sum_j c_j x_j)` with :math:`c_j = r_j p/(p + s_j)` for an output r.x obeys an
-    equation of its own, :math:`\dot w = -p w - Re(c B) v`: it is -Re(c B) q of the voltages v behind
-    :math:`\dot q = -p q + v`. The equations are so the same for every output.
+    Beam and low-pass are linear, so that their order does not matter: the low-pass is put where an amplifier is. The
+    equations are so the same for every output.
 
     Parameters
     ----------
@@ -303,14 +302,6 @@ def low_passed(
     if np.min(np.abs(pole + system.exponent)) < SAME_POLE * pole:
         # Two equal poles have no uncoupled form; a millionth apart they differ from it by a millionth.
         pole *= 1 + SAME_POLE
-    passed = output * pole / (pole + system.exponent)
-    n_channels = system.input_gain.shape[1]
-    none = np.zeros((system.n_modes, n_channels))
-    behind = DiagonalSystem(
-        exponent=np.append(system.exponent, np.full(n_channels, -pole)),
-        input_gain=np.concatenate([system.input_gain, np.eye(n_channels)]),
-        velocity=np.concatenate([system.velocity, none], axis=1),
-        displacement=np.concatenate([system.displacement, none], axis=1),
-        delay=system.delay,
-    )
-    return behind, np.append(passed, -(passed @ system.input_gain).real)
+    sensor = Amplifier(gain=1.0, limit=1.0, bandwidth=pole / (2 * np.pi), delay=system.delay)
+    behind = DiagonalSystem.behind(sensor, system.exponent, system.input_gain, output[None], output[None])
+    return behind, behind.velocity[0]
