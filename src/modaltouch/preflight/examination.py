@@ -97,7 +97,7 @@ def _sounding(stimulus: Stimulus, level: float) -> tuple[dict[int, float], dict[
     silent = stimulus.peak_drive(level * 1e-3) == 0
     amplitude, full = (
         {number: float(each) for number, each in enumerate(volts, 1) if not silent[number - 1]}
-        for volts in (stimulus.amplitude_for(level * 1e-3), stimulus.full_scale_for(level * 1e-3))
+        for volts in (stimulus.burst.amplitude_for(level * 1e-3), stimulus.burst.full_scale_for(level * 1e-3))
     )
     return amplitude, full
 
@@ -202,7 +202,7 @@ def _check_safety(
 def attainable_level(inputs: DesignInputs, stimulus: Stimulus) -> float:
     """Return the highest level that amplifier, generator and safety allow, fingers taken away included [mm/s]."""
     amplifier = inputs.apparatus.amplifier.limit_V / float(stimulus.peak_drive(inputs.reference * 1e-3).max())
-    generator = _highest_amplitude(inputs) / max(stimulus.full_scale_for(inputs.reference * 1e-3))
+    generator = _highest_amplitude(inputs) / max(stimulus.burst.full_scale_for(inputs.reference * 1e-3))
     level, most = inputs.reference * min(amplifier, generator), inputs.velocity_limit * 1e-3 / _uncertain(inputs)
     speeds = _speeds_when_lifted(inputs, stimulus, level, most)
     speeds[""] = stimulus.peak_velocity(_zone_points(inputs).ravel(), level * 1e-3)
@@ -398,7 +398,7 @@ def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> St
     """
     stimulus = design(inputs, release=release)
     within = float(stimulus.peak_voltage.max()) <= inputs.apparatus.amplifier.limit_V
-    if within and max(stimulus.full_scale_for(stimulus.target_field.velocity)) > _highest_amplitude(inputs):
+    if within and max(stimulus.burst.full_scale_for(stimulus.target_field.velocity)) > _highest_amplitude(inputs):
         return design(inputs, release=release, on_grid=False)
     return stimulus
 

@@ -50,7 +50,7 @@ def stimulus_figures(inputs: DesignInputs, stimulus: Stimulus, level: float) -> 
         "worst_modal_error_mm_s": finite(stimulus.worst_modal_error(velocity) * 1e3),
         "worst_modal_error_steady_mm_s": finite(stimulus.worst_modal_error(velocity, steady=True) * 1e3),
         "peak_drive_V": by_name(channels, stimulus.peak_drive(velocity)),
-        "amplitude_Vpp": by_name(channels, stimulus.amplitude_for(velocity)),
+        "amplitude_Vpp": by_name(channels, stimulus.burst.amplitude_for(velocity)),
         "n_samples": inputs.section.n_samples,
         "sampling_rate_Hz": finite(stimulus.timing.sampling_rate),
         "fwhm_mm": finite(stimulus.projection.fwhm * 1e3),

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.burst import Burst
-from modaltouch.stimulus.correction import Correction, LevelCorrections, corrected
+from modaltouch.stimulus.correction import Correction, LevelCorrections
 from modaltouch.stimulus.drive import (
     MEANT,
     Design,
@@ -235,27 +235,9 @@ class Stimulus:
         """Return what a code is worth at the beam at a level [m/s] as the generator plays, (n_channels,) array [V]."""
         require_positive("the velocity level", velocity, "m/s", MEANT)
         # A level is trimmed so that the generator, as measured, really gives what proportion asks of it.
-        full_scale = np.asarray(self._amplitudes_at(velocity)) / self._shares
-        return full_scale * (self._to_beam / 2 / self.timing.converter.mid_code)
-
-    def amplitude_for(self, velocity: float) -> tuple[float, ...]:
-        """Return the amplitude of each channel at a level [m/s], as that of `burst` [V peak to peak, open circuit]."""
-        require_positive("the velocity level", velocity, "m/s", MEANT)
-        return self._amplitudes_at(corrected(velocity, self._level_corrections))
-
-    def full_scale_for(self, velocity: float) -> tuple[float, ...]:
-        """Return the amplitude of each channel's full scale at a level [m/s] [V peak to peak, open circuit]."""
-        return tuple((np.asarray(self.amplitude_for(velocity)) / self._shares).tolist())
-
-    def _amplitudes_at(self, velocity: float) -> tuple[float, ...]:
-        return self.timing.converter.amplitudes_at(self._full_scale, velocity, self.target_field.velocity, self._shares)
-
-    @cached_property
-    def _shares(self) -> FloatArray:
-        """What part of its full scale the amplitude of each channel is, (n_channels,) array [1]."""
-        converter = self.timing.converter
-        # Of all codes it is known without them, and no check has to make them for it.
-        return converter.shares(self._played.codes if converter.of_record else self.voltage[:, :1])
+        burst = self.burst
+        amplitude = burst.converter.amplitudes_at(burst.amplitude, velocity, burst.velocity, burst.shares)
+        return np.asarray(amplitude) / burst.shares * (self._to_beam / 2 / self.timing.converter.mid_code)
 
     def voltage_played(self, velocity: float) -> FloatArray:
         """Return the voltages at the beam of the codes played at a level [m/s], (n_channels, n_samples) array [V]."""

@@ -65,7 +65,7 @@ def test_the_session_plays_what_the_loop_verified(
     verified = design_to_fit(corrected_inputs(preflight.inputs, outcome.refined, outcome.correction))
     assert read.burst.content_hash == verified.burst.content_hash
     for level, kept in zip(read.levels, calibration.levels, strict=True):
-        assert read.burst.amplitude_for(level) == read.amplitude_for(level) == kept.amplitude_Vpp
+        assert read.burst.amplitude_for(level) == kept.amplitude_Vpp
     assert calibration.levels[0].amplitude_factor == pytest.approx(1 / 1.02, rel=5e-3)
 
 

@@ -351,7 +351,7 @@ class _Loop:
         return Level(
             velocity=level,
             factor=factor,
-            amplitude=stimulus.amplitude_for(level),
+            amplitude=stimulus.burst.amplitude_for(level),
             at_focus=float(swing.sum()),
             aside=float(swing[: plant.model.n_modes].sum()) / said - 1,
             spread=float(np.hypot(noise, np.linalg.norm(missed) / INTERVAL)),
