@@ -14,7 +14,7 @@ def history(shipped):
 
 def test_spot_measures_roughly_one_and_a_half_centimetres(shipped):
     """Section IV-A: "a spot measuring roughly 1.5 cm"; 14 mm at 80 % of the peak."""
-    assert shipped.projection.width_80 == pytest.approx(0.015, abs=0.0015)
+    assert shipped.projection.width(0.8) == pytest.approx(0.015, abs=0.0015)
 
 
 def test_peak_lasts_roughly_twenty_microseconds(shipped, history):

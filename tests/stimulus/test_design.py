@@ -25,8 +25,8 @@ def test_target_adds_up_to_the_level_at_the_centre(shipped):
 
 def test_shipped_field_is_fourteen_millimetres_wide_at_80_per_cent(shipped):
     """14 mm at 80 %, the paper's "roughly 1.5 cm"."""
-    assert shipped.projection.width_80 == pytest.approx(14e-3, abs=0.1e-3)
-    assert 0.025 < shipped.projection.fwhm < 0.035
+    assert shipped.projection.width(0.8) == pytest.approx(14e-3, abs=0.1e-3)
+    assert 0.025 < shipped.projection.width(0.5) < 0.035
 
 
 def test_rounded_codes_meet_every_modal_target_at_every_level(shipped):

@@ -199,7 +199,7 @@ def test_whatever_is_asked_is_finite_or_a_clear_error(data, law, release):
         level = target_field.velocity
         found = [stimulus.voltage, *stimulus.achieved(level), *stimulus.achieved(level, steady=True)]
         found += [stimulus.peak_velocity([0.0], level), stimulus.velocity_at_focus([0.0], level)]
-        found += [stimulus.projection.fwhm, stimulus.projection.reconstruction_error, stimulus.burst.amplitude]
+        found += [stimulus.projection.width(0.5), stimulus.projection.reconstruction_error, stimulus.burst.amplitude]
     except ValueError as error:
         refusal: ValueError | None = error
     else:

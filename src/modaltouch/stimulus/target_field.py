@@ -310,16 +310,6 @@ class Projection:
         ideal = self.target_field.velocity * self.target_field.profile(position)
         return math.sqrt(float(weight @ self.residual(position) ** 2) / float(weight @ ideal**2))
 
-    @cached_property
-    def fwhm(self) -> float:
-        """Width of the field at half its value at the centre [m]."""
-        return self.width(0.5)
-
-    @cached_property
-    def width_80(self) -> float:
-        """Width of the field at 80 % of its value at the centre [m]."""
-        return self.width(0.8)
-
     def width(self, fraction: float) -> float:
         """Return how wide the field is at a fraction of its value at the centre [m].
 
