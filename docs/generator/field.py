@@ -18,7 +18,7 @@ from generator.pages import write
 from modaltouch.protocol.fingers import FingersFile
 from modaltouch.stimulus import Correction, Finger, Stimulus
 from modaltouch.stimulus.target_field import Projection
-from modaltouch.stimulus.vibration import modal_history
+from modaltouch.stimulus.vibration import history
 
 PROTOCOL = "differentiated_stimulation"
 ROOT = Path(__file__).parents[2]
@@ -65,15 +65,15 @@ def tables() -> dict[str, Any]:
         Projection(model, replace(stimulus.target_field, centre=focus * 1e-3)).coefficient / level for focus in FOCI
     ]
     alone, kept = one_by_one(stimulus), instants(timing)
-    history = np.array(
-        [modal_history(model, each.voltage, timing, stimulus.amplifier)[:, kept] / level for each in alone]
+    courses = np.array(
+        [history(stimulus.system, stimulus.system.velocity, each.voltage, timing)[:, kept] / level for each in alone]
     )
     touched = {
         f"{left} {right}": [_under(each, (left, right), shapes, level) for each in alone]
         for left, right in combinations(LAID.tolist(), 2)
     }
-    scale = np.abs(history).max(axis=2)
-    codes = np.round(history / np.maximum(scale, 1e-12)[..., None] * 32767).astype("<i2")
+    scale = np.abs(courses).max(axis=2)
+    codes = np.round(courses / np.maximum(scale, 1e-12)[..., None] * 32767).astype("<i2")
     return {
         "protocol": PROTOCOL,
         "labels": list(model.label),

@@ -17,12 +17,14 @@ from peers import (
     eighty_bits,
     forced_response,
     lsim,
+    modal_history,
     nine_lfilters,
     one_by_one,
     peak_velocity,
     race,
     shipped_model,
     state_space,
+    velocity_history,
 )
 from threadpoolctl import threadpool_limits
 
@@ -30,7 +32,6 @@ from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import modal_history, velocity_history
 
 N_SAMPLES = 65_536
 TIMING = Timing(replace(AFG3022B.converter, clock_rate=N_SAMPLES * 20 * 190), n_samples=N_SAMPLES)

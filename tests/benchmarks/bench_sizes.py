@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from bars import at_most, write
 from bench_synthesis import undying
-from peers import design, many_modes, milliseconds, peak_velocity, shipped_model
+from peers import design, many_modes, milliseconds, modal_history, peak_velocity, shipped_model
 from threadpoolctl import threadpool_limits
 
 from modaltouch.rig.afg3022b import AFG3022B
@@ -20,7 +20,6 @@ from modaltouch.stimulus.blocks import BlockKernel
 from modaltouch.stimulus.dynamics import DiagonalSystem, moments
 from modaltouch.stimulus.synthesis import synthesise
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import modal_history
 
 MODES = (6, 12, 25, 50, 100, 200)
 SAMPLES = tuple(2**power for power in range(10, 23, 2))

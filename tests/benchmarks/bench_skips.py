@@ -15,7 +15,7 @@ from unittest.mock import patch
 import numpy as np
 from bars import at_least, at_most, write
 from bench_synthesis import exact_amplitudes
-from peers import ZONES, design, milliseconds, peak_velocity, race, shipped_model
+from peers import ZONES, design, milliseconds, modal_history, peak_velocity, race, shipped_model, velocity_history
 from threadpoolctl import threadpool_limits
 
 from modaltouch.protocol.apparatus import Apparatus
@@ -28,7 +28,6 @@ from modaltouch.stimulus.sample_count import SampleCount, cheapest_samples
 from modaltouch.stimulus.stimulus import Stimulus
 from modaltouch.stimulus.synthesis import synthesise
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import modal_history, velocity_history
 
 APPARATUS = Path(__file__).resolve().parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml"
 TOLERANCE = 1e-3

@@ -19,6 +19,7 @@ from peers import (
     eighty_bits,
     forced_response,
     lsim,
+    modal_history,
     nine_lfilters,
     plain_prediction,
     race,
@@ -33,7 +34,6 @@ from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import Stimulus
 from modaltouch.stimulus.target_field import TargetField
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import modal_history
 
 SAMPLES = (12_500, 25_000, 62_500, 125_000)
 MODES = (3, 6, 9)

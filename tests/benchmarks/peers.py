@@ -15,7 +15,7 @@ from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import Stimulus, design_stimulus
 from modaltouch.stimulus.target_field import TargetField
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import BlockStates
+from modaltouch.stimulus.vibration import BlockStates, history
 
 ZONES = (-0.04, -0.02, 0.0, 0.02, 0.04)
 LEVELS = (0.08, 0.1, 0.15, 0.2)
@@ -46,6 +46,18 @@ def design(model: ModalModel, **options: Any) -> Stimulus:
     return design_stimulus(
         model, options.pop("target_field", TargetField()), timing, AMPLIFIER, levels=LEVELS, **options
     )
+
+
+def modal_history(model: ModalModel, voltage: Any, timing: Timing) -> Any:
+    """Return the modal velocities as each sample arrives."""
+    system = DiagonalSystem.of(model)
+    return history(system, system.velocity, voltage, timing)
+
+
+def velocity_history(model: ModalModel, voltage: Any, timing: Timing, positions: Any) -> Any:
+    """Return the velocity at points of the beam as each sample arrives."""
+    system = DiagonalSystem.of(model)
+    return history(system, model.shapes(positions).T @ system.velocity, voltage, timing)
 
 
 def peak_velocity(model: ModalModel, voltage: Any, timing: Timing, positions: Any) -> Any:

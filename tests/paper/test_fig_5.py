@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-
-from modaltouch.stimulus.vibration import velocity_history
+from forward import velocity_history
 
 
 @pytest.fixture(scope="module")

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from forward import modal_history
 
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import modal_history
 
 
 @pytest.fixture(scope="module")

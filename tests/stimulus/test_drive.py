@@ -5,6 +5,7 @@ from dataclasses import replace
 import mpmath
 import numpy as np
 import pytest
+from forward import modal_history
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
@@ -16,7 +17,6 @@ from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import design_stimulus
 from modaltouch.stimulus.target_field import TargetField
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import modal_history
 
 EPS = np.finfo(float).eps
 PI = np.longdouble("3.14159265358979323846264338327950288")

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from forward import modal_history
 
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.fingers import Finger
 from modaltouch.stimulus.stimulus import Stimulus
-from modaltouch.stimulus.vibration import modal_history
 
 LEVEL = 0.2
 ZONES = np.array([-0.04, -0.02, 0.0, 0.02, 0.04])

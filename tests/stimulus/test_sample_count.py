@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from forward import modal_history
 
 from modaltouch.stimulus.sample_count import cheapest_samples
-from modaltouch.stimulus.vibration import modal_history
 
 PLACES = np.linspace(-0.05, 0.05, 21)
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from forward import modal_history
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,7 +15,6 @@ from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import design_stimulus
 from modaltouch.stimulus.target_field import TargetField
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import modal_history
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(24)
 

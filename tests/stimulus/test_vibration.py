@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from forward import modal_history, peak_velocity, velocity_history
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,7 +14,6 @@ from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantisation import Converter
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import BlockStates, modal_history, velocity_history
 
 PI = np.longdouble("3.14159265358979323846264338327950288")
 
@@ -21,12 +21,6 @@ PI = np.longdouble("3.14159265358979323846264338327950288")
 def clocked(rate: float) -> Converter:
     """Return a converter of another clock [Hz]."""
     return replace(AFG3022B.converter, clock_rate=rate)
-
-
-def peak_velocity(model, voltage, timing, positions, amplifier=None):
-    """Return the highest speed at points of the beam until the next burst would begin."""
-    system = DiagonalSystem.of(model, amplifier)
-    return BlockStates.of(system, voltage, timing).peak(model.shapes(positions).T @ system.velocity)
 
 
 def stepped(model, voltage, hold):
@@ -243,17 +237,6 @@ def test_a_limit_is_passed_where_the_peak_passes_it(shipped, zones):
     assert shipped.passes(zones, 0.2, 0.999999 * peak)
     assert not shipped.passes(zones, 0.2, 1.000001 * peak)
     assert not shipped.passes(zones, 0.2, 10 * peak)
-
-
-def test_voltages_that_do_not_fit_are_refused(model):
-    """One row to each channel, and finite."""
-    timing = Timing(AFG3022B.converter, n_samples=4, duration=1e-6, focusing_instant=5e-7)
-    with pytest.raises(ValueError, match=r"voltages of shape \(3, 4\) do not fit a beam with 2 channels"):
-        velocity_history(model, np.zeros((3, 4)), timing, [0.0])
-    voltage = np.zeros((2, 4))
-    voltage[1, 2] = np.nan
-    with pytest.raises(ValueError, match=r"sample 2 of channel 2 is nan V; every sample must be a finite number"):
-        velocity_history(model, voltage, timing, [0.0])
 
 
 def test_many_points_need_no_array_of_all_modes_at_all_points(shipped):

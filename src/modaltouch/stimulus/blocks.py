@@ -226,26 +226,26 @@ class BlockKernel:
             begin, state = self.states(blocks, state)
             self.respond(blocks, begin, out[:, start:stop])
 
-    def peaks(self, inputs: FloatArray, starts: ComplexArray) -> FloatArray:
+    def peaks(self, blocks: FloatArray, starts: ComplexArray) -> FloatArray:
         """Return the largest magnitude of each output, (n_outputs,) array.
 
         Parameters
         ----------
-        inputs : (n_inputs, n) array
-            Their samples; zeros follow up to the end of the last group.
+        blocks : (n_inputs, n_groups, SHORT**2) array
+            Inputs of groups of SHORT blocks.
         starts : (n_states, n_groups) complex array
-            States at the start of each group of SHORT blocks.
+            States at the start of each group.
         """
         peak, some = np.zeros(len(self.output)), np.empty((len(self.output), _CHUNK))
-        for start in range(0, starts.shape[1] * SHORT**2, _CHUNK):
-            part, first = inputs[:, start : start + _CHUNK], starts[:, start // SHORT**2 :][:, : _CHUNK // SHORT**2]
-            n = first.shape[1] * SHORT**2
-            blocks = self.blocks(np.pad(part, ((0, 0), (0, n - part.shape[1]))) if part.shape[1] < n else part)
-            groups = self.pushed(blocks).reshape(*first.shape, SHORT)
-            begin = np.empty_like(groups)
-            self.scan.within(groups, first, begin)
-            self.respond(blocks, begin.reshape(len(first), -1), some[:, :n])
-            peak = np.maximum(peak, np.maximum(some[:, :n].max(axis=1), -some[:, :n].min(axis=1)))
+        for start in range(0, starts.shape[1], _CHUNK // SHORT**2):
+            groups = slice(start, start + _CHUNK // SHORT**2)
+            part, first = blocks[:, groups].reshape(len(blocks), -1, SHORT), starts[:, groups]
+            pushed = self.pushed(part).reshape(*first.shape, SHORT)
+            begin = np.empty_like(pushed)
+            self.scan.within(pushed, first, begin)
+            course = some[:, : part.shape[1] * SHORT]
+            self.respond(part, begin.reshape(len(first), -1), course)
+            peak = np.maximum(peak, np.maximum(course.max(axis=1), -course.min(axis=1)))
         return peak
 
     def states(self, blocks: FloatArray, state: ComplexArray) -> tuple[ComplexArray, ComplexArray]:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from modaltouch.stimulus.quantities import FloatArray, require_positive
 from modaltouch.stimulus.stimulus import Stimulus
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import modal_history
+from modaltouch.stimulus.vibration import history
 
 LEAST_SAMPLES_PER_CYCLE = 2.5
 """Of the highest mode, whatever the tolerance [1]."""
@@ -107,7 +107,7 @@ def _counts(finest: Stimulus) -> Iterator[int]:
 
 
 def _history(stimulus: Stimulus) -> FloatArray:
-    return modal_history(stimulus.model, stimulus.voltage, stimulus.timing, stimulus.amplifier)
+    return history(stimulus.system, stimulus.system.velocity, stimulus.voltage, stimulus.timing)
 
 
 def _around_focus(timing: Timing) -> NDArray[np.intp]:

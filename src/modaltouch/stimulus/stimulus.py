@@ -31,7 +31,7 @@ from modaltouch.stimulus.quantised import QuantisedStimulus, settle
 from modaltouch.stimulus.quantities import FloatArray, require_positive
 from modaltouch.stimulus.target_field import Projection, TargetField
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import velocity_history
+from modaltouch.stimulus.vibration import history
 
 if TYPE_CHECKING:
     from modaltouch.stimulus.fingers import Finger
@@ -329,7 +329,7 @@ class Stimulus:
         if whole_period:
             n_silent = int(self.timing.sampling_rate / self.timing.repetition_rate) - voltage.shape[1]
             voltage = np.pad(voltage, ((0, 0), (0, max(0, n_silent))))
-        return velocity_history(self.model, voltage, self.timing, positions, self.amplifier)
+        return history(self.system, self.model.shapes(positions).T @ self.system.velocity, voltage, self.timing)
 
     def peak_velocity(self, positions: ArrayLike, velocity: float) -> FloatArray:
         """Return the highest speed at points of the beam until the next burst, (n_positions,) array [m/s].

@@ -8,17 +8,14 @@ Peaks are looked for only in the blocks whose upper bound passes what is already
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from modaltouch.stimulus.blocks import SHORT, BlockKernel, BlockRecursion, PeakBound
-from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem, clock_inputs
-from modaltouch.stimulus.modes import ModalModel
+from modaltouch.stimulus.dynamics import DiagonalSystem, clock_inputs
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import BLOCK, decay, ladders
 from modaltouch.stimulus.timing import Timing
@@ -40,15 +37,15 @@ class BlockStates:
         The beam behind its amplifier.
     timing : Timing
         Clock of the samples.
-    inputs : (n_inputs, n_samples) array
-        Voltages, and the steps times the powers of their delay to the clock.
+    blocks : (n_inputs, n_blocks, BLOCK) array
+        Voltages, and the steps times the powers of their delay to the clock; the last block is filled up with zeros.
     begin : (n_states, n_blocks + 1) complex array
-        States at the starts of blocks of BLOCK samples, and after the last, which is filled up with zeros.
+        States at the starts of the blocks, and after the last.
     """
 
     system: DiagonalSystem
     timing: Timing
-    inputs: FloatArray
+    blocks: FloatArray
     begin: ComplexArray
 
     @classmethod
@@ -56,24 +53,22 @@ class BlockStates:
         """Return the states under held samples at the beam, (n_channels, n_samples) array [V]."""
         push = system.clock_gain(timing)
         inputs = clock_inputs(voltage, timing, 0, voltage.shape[1], push.shape[1])
+        filled = np.pad(inputs, ((0, 0), (0, -inputs.shape[1] % BLOCK)))
+        blocks = filled.reshape(len(inputs), -1, BLOCK)
         fine, _ = ladders(system.exponent, timing.hold, 1)
-        pushed = np.zeros((system.exponent.size, -(-inputs.shape[1] // BLOCK)), dtype=complex)
-        for row, column in zip(inputs, push.T, strict=True):
+        pushed = np.zeros((system.exponent.size, blocks.shape[1]), dtype=complex)
+        for rows, column in zip(blocks, push.T, strict=True):
             driven = np.flatnonzero(column)
             table = column[driven, None] * fine[driven]
-            for place, blocks in _whole_and_rest(row):
-                parts = blocks @ np.concatenate([table.real, table.imag]).T
-                pushed[driven, place] += (parts[:, : driven.size] + 1j * parts[:, driven.size :]).T
+            parts = rows @ np.concatenate([table.real, table.imag]).T
+            pushed[driven] += (parts[:, : driven.size] + 1j * parts[:, driven.size :]).T
         rest = np.zeros(system.exponent.size, dtype=complex)
         begin, left = BlockRecursion.of(system.exponent, timing.hold, BLOCK).follow(pushed, rest)
-        return cls(system, timing, inputs, np.concatenate([begin, left[:, None]], axis=1))
+        return cls(system, timing, blocks, np.concatenate([begin, left[:, None]], axis=1))
 
     @cached_property
     def _peak_bound(self) -> PeakBound:
-        parts = []
-        for place, blocks in _whole_and_rest(self.inputs):
-            parts.append(PeakBound.of(blocks, self.begin[:, :-1][:, place]))
-        return PeakBound(*(np.concatenate(each, axis=1) for each in zip(*map(astuple, parts), strict=True)))
+        return PeakBound.of(self.blocks, self.begin[:, :-1])
 
     def peak(self, output: ComplexArray, floor: float = 0.0) -> FloatArray:
         """Return the largest magnitude of each output until the next burst would begin, (n_outputs,) array.
@@ -91,7 +86,7 @@ class BlockStates:
         bound = self._bounds(some)
         which = np.flatnonzero((bound > peak[:, None]).any(axis=0))
         if which.size > _DENSE * bound.shape[1]:
-            peak = np.maximum(peak, kernel.peaks(self.inputs, self.begin[:, :-1]))
+            peak = np.maximum(peak, kernel.peaks(self.blocks, self.begin[:, :-1]))
         else:
             self._look_into(which, kernel, peak)
         period = int(self.timing.sampling_rate / self.timing.repetition_rate)
@@ -112,10 +107,7 @@ class BlockStates:
         """Raise the peaks, in place, by what the outputs reach within some blocks."""
         if which.size == 0:
             return
-        parts = []
-        for span, long in _whole_and_rest(self.inputs):
-            parts.append(long[:, which[(which >= span.start) & (which < span.stop)] - span.start])
-        blocks = np.concatenate(parts, axis=1).reshape(len(self.inputs), -1, SHORT)
+        blocks = self.blocks[:, which].reshape(len(self.blocks), -1, SHORT)
         # All long blocks go side by side through their short ones.
         n_states, ratio = len(self.begin), decay(self.system.exponent, self.timing.hold, np.array([SHORT]))
         pushed = kernel.pushed(blocks).reshape(n_states, which.size, -1)
@@ -152,75 +144,6 @@ class BlockStates:
             speed = np.abs((now @ decay(exponent, hold, steps)).real)
             peak = np.maximum(peak, speed.max(axis=1))
         return peak
-
-
-def _whole_and_rest(samples: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
-    """Yield places among the blocks and samples as blocks (..., n_blocks, BLOCK), the rest filled up with zeros."""
-    n_whole, rest = divmod(samples.shape[-1], BLOCK)
-    form = (*samples.shape[:-1], -1, BLOCK)
-    if n_whole:
-        yield slice(0, n_whole), samples[..., : n_whole * BLOCK].reshape(form)
-    if rest:
-        filled = np.zeros((*samples.shape[:-1], BLOCK))
-        filled[..., :rest] = samples[..., n_whole * BLOCK :]
-        yield slice(n_whole, n_whole + 1), filled.reshape(form)
-
-
-def velocity_history(
-    model: ModalModel,
-    voltage: FloatArray,
-    timing: Timing,
-    positions: ArrayLike,
-    amplifier: Amplifier | None = None,
-) -> FloatArray:
-    """Return the velocity at points of the beam during a burst that starts from rest.
-
-    Parameters
-    ----------
-    model : ModalModel
-        The beam: the identified one, or another, such as the true one of a simulated rig.
-    voltage : (n_channels, n_samples) array
-        Held samples at the beam [V].
-    timing : Timing
-        Clock of the samples.
-    positions : (n_positions,) array_like
-        Where, origin at mid-beam [m].
-    amplifier : Amplifier, optional
-        Pole and delay before the beam.
-
-    Returns
-    -------
-    (n_positions, n_samples) array
-        Velocity at the start of each sample as it arrives, at ``n * hold + delay`` [m/s].
-    """
-    system = DiagonalSystem.of(model, amplifier)
-    output = model.shapes(positions).T @ system.velocity
-    return history(system, output, _checked(voltage, model), timing)
-
-
-def modal_history(
-    model: ModalModel, voltage: FloatArray, timing: Timing, amplifier: Amplifier | None = None
-) -> FloatArray:
-    """Return the modal velocities as each sample arrives, (n_modes, n_samples) array [m/s], from rest."""
-    system = DiagonalSystem.of(model, amplifier)
-    return history(system, system.velocity, _checked(voltage, model), timing)
-
-
-def _checked(voltage: FloatArray, model: ModalModel) -> FloatArray:
-    values = np.ascontiguousarray(voltage, dtype=float)
-    if values.ndim != 2 or values.shape[0] != model.n_channels:
-        raise ValueError(
-            f"voltages of shape {values.shape} do not fit a beam with {model.n_channels} channels: "
-            f"give one row of samples to each channel"
-        )
-    # The square of every sample goes into one number: no array as large as the burst is needed to find none bad.
-    if not math.isfinite(np.vdot(values, values)) and not np.isfinite(values).all():
-        channel, sample = np.argwhere(~np.isfinite(values))[0].tolist()
-        raise ValueError(
-            f"sample {sample} of channel {channel + 1} is {values[channel, sample]} V; every sample must be a finite "
-            "number: correct it at its source"
-        )
-    return values
 
 
 def history(system: DiagonalSystem, output: ComplexArray, voltage: FloatArray, timing: Timing) -> FloatArray:

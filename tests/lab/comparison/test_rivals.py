@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from forward import velocity_history
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -21,7 +22,6 @@ from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.target_field import TargetField
 from modaltouch.stimulus.timing import Timing
-from modaltouch.stimulus.vibration import velocity_history
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from forward import velocity_history
 
 from modaltouch.planning.observer.felt import FeltSpeeds, sense
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol.trial import Condition, Trial
-from modaltouch.stimulus.vibration import velocity_history
 
 ZONES = {"A": -0.04, "B": -0.02, "C": 0.0, "D": 0.02, "E": 0.04}
 
