@@ -198,17 +198,14 @@ class DriveVoltage:
         voltage = np.append(held.voltage[channel], 0.0)
         if bandwidth is None:
             return cls(held, channel, None, voltage)
+        from scipy.signal import lfilter
+
         pole = 2 * np.pi * bandwidth
-        exponent = np.array([-pole], dtype=complex)
-        one = np.ones((1, 1), dtype=complex)
-        system = DiagonalSystem(exponent, np.asarray(pole * one), one, one, 0.0)
-        kernel = BlockKernel.of(system, one, held.hold)
-        alone = Held(held.voltage[channel : channel + 1], held.rest[:1], held.duration, held.period)
-        blocks = BlockKernel.blocks(voltage[None])
-        begin, _ = kernel.states(blocks, start_state(system, alone))
-        before = np.empty((1, voltage.size))
-        kernel.respond(blocks, begin, before)
-        return cls(held, channel, pole, before[0])
+        faded = pole * held.hold
+        before = lfilter([0.0, -math.expm1(-faded)], [1.0, -math.exp(-faded)], voltage)
+        # What the bursts before have left, after their pause.
+        left = before[-1] * math.exp(-pole * (held.period - held.duration)) / -math.expm1(-pole * held.period)
+        return cls(held, channel, pole, before + left * np.exp(-faded * np.arange(voltage.size)))
 
     def at(self, time: FloatArray) -> FloatArray:
         """Return the voltage at instants since the first sample of a burst reached the beam [V].
