@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from modaltouch.stimulus.burst import Burst
-from modaltouch.stimulus.correction import Correction, LevelCorrections
+from modaltouch.stimulus.correction import Correction
 from modaltouch.stimulus.drive import (
     MEANT,
     Design,
@@ -125,10 +125,6 @@ class Stimulus:
     def _correction(self) -> Correction | None:
         return self.correction if self.law == "exact" else None
 
-    @property
-    def _level_corrections(self) -> LevelCorrections:
-        return self._correction.corrections if self._correction is not None else ()
-
     @cached_property
     def _steering(self) -> Steering:
         return Steering(
@@ -181,7 +177,7 @@ class Stimulus:
             velocity=self.target_field.velocity,
             amplitude=self._full_scale,
             converter=self.timing.converter,
-            corrections=self._level_corrections,
+            corrections=() if self._correction is None else self._correction.corrections,
         )
 
     @property

@@ -234,5 +234,4 @@ def _burst(apparatus: Apparatus, voltage: FloatArray, speed: float) -> Burst:
     amplitude = tuple(converter.full_scale(2 * float(np.abs(row).max()) / to_beam, (1.0,)) for row in voltage)
     unit = np.array(amplitude) * to_beam / 2 / converter.mid_code
     codes = converter.unsigned(converter.round_to_codes(voltage, unit))
-    codes[:, [0, -1]] = converter.mid_code
     return Burst(codes, N_SAMPLES / RATE, RATE / N_SAMPLES, speed, amplitude, converter)
