@@ -282,7 +282,14 @@ class ComparisonReport:
     @property
     def table(self) -> list[dict[str, Any]]:
         """A line to each criterion, with a cell to each method and whether it is the best."""
-        return _table(self.rows, self.level)
+        lines = []
+        for each in criteria(self.rows):
+            best = each.winners(self.rows, self.level)
+            cells = [{"text": each.printed(row), "best": row in best} for row in self.rows]
+            lines.append({"key": each.key, "name": each.name, "unit": each.unit, "cells": cells})
+        cells = [{"text": f"{row['computing_time_s'] * 1e3:.0f}", "best": False} for row in self.rows]
+        name = "computing time, on this machine"
+        return [*lines, {"key": "computing_time_s", "name": name, "unit": "ms", "cells": cells}]
 
     @property
     def level(self) -> float:
@@ -402,18 +409,6 @@ def compare(
         "commit": commit(),
     }
     return ComparisonReport(found, about, folder)
-
-
-def _table(rows: Sequence[Row], level: float) -> list[dict[str, Any]]:
-    """Return a line to each criterion, with a cell to each method and whether it is the best."""
-    lines = []
-    for each in criteria(rows):
-        best = each.winners(rows, level)
-        cells = [{"text": each.printed(row), "best": row in best} for row in rows]
-        lines.append({"key": each.key, "name": each.name, "unit": each.unit, "cells": cells})
-    times = [{"text": f"{row['computing_time_s'] * 1e3:.0f}", "best": False} for row in rows]
-    lines.append({"key": "computing_time_s", "name": "computing time, on this machine", "unit": "ms", "cells": times})
-    return lines
 
 
 def _table_rows(rows: Sequence[Row]) -> Any:
