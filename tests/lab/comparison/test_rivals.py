@@ -30,8 +30,8 @@ class InTime(TransferFunctions):
 
     given: np.ndarray
 
-    def towards(self, instant: float, step: float) -> np.ndarray:
-        return self.given
+    def in_time(self, spectrum: np.ndarray, first: float, step: float, n: int) -> np.ndarray:
+        return self.given / step
 
 
 def lossless(source: float = 0.031) -> tuple[ModalModel, TrainingData]:

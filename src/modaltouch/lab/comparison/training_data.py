@@ -73,30 +73,9 @@ class TransferFunctions:
         carrier = np.exp(2j * np.pi * self.frequency[0] * (first + step * np.arange(n)))
         return np.asarray(2 * self.spacing * (carrier * transform(spectrum)).real)
 
-    def towards(self, instant: float, step: float) -> FloatArray:
-        """Return what a volt held for a step leaves at the focusing instant, by how long ago it was.
-
-        Parameters
-        ----------
-        instant : float
-            How far back [s].
-        step : float
-            How long each voltage is held [s].
-
-        Returns
-        -------
-        (n_channels, n_points, n_steps) array
-            The latest step first [m/s per V]: the impulse response at the middle of each step, times the step.
-        """
-        return self.in_time(self.response, step / 2, step, round(instant / step)) * step
-
     def noise_towards(self, step: float) -> FloatArray:
-        """Return the mean square of what noise adds to each number of `towards`, (n_channels,) array."""
+        """Return the mean square of what noise adds to each number of `TrainingData.towards`, (n_channels,) array."""
         return np.asarray(2 * self.spacing**2 * self.variance.sum(axis=1) * step**2)
-
-    def nearest(self, place: float) -> int:
-        """Return which control point lies nearest to a place [m]."""
-        return int(np.abs(self.position - place).argmin())
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,13 +119,17 @@ class TrainingData:
 
     @cached_property
     def towards(self) -> FloatArray:
-        """What a volt of each step before the focus leaves at the control points, the latest step first [m/s per V]."""
-        return self.responses.towards(self.n_before * self.step, self.step)
+        """What a volt of each step before the focus leaves at the control points there, the latest step first.
+
+        (n_channels, n_points, n_before) array [m/s per V]: the impulse response at the middle of each step, times it.
+        """
+        step, responses = self.step, self.responses
+        return responses.in_time(responses.response, step / 2, step, self.n_before) * step
 
     @property
     def focus(self) -> int:
         """The control point at the focus."""
-        return self.responses.nearest(self.target_field.centre)
+        return int(np.abs(self.responses.position - self.target_field.centre).argmin())
 
     def target(self) -> FloatArray:
         """Return the target field at the control points, (n_points,) array [m/s]."""
