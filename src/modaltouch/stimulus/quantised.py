@@ -35,6 +35,9 @@ _VISITS = (300, 600, 1000, 2000)
 _SETTLED = 3e-7
 """Error, as a fraction of the largest target, at which no more samples are visited [1]."""
 
+_FEW = 1024
+"""Points up to which mode shapes are kept for the next question."""
+
 _TOGETHER = 64
 """Moves whose effects on each other are computed at once."""
 
@@ -61,6 +64,8 @@ class QuantisedStimulus:
     amplifier: Amplifier
     timing: Timing
     codes: FloatArray
+    # Mode shapes already computed, by the positions.
+    _shapes: dict[bytes, FloatArray] = field(default_factory=dict, init=False)
     # States already computed, and peaks by position, by the ratio of the channels.
     _responses: dict[tuple[float, ...], tuple[BlockStates, dict[float, float]]] = field(
         default_factory=dict, init=False
@@ -124,21 +129,30 @@ class QuantisedStimulus:
             What a code is worth at the beam [V].
         """
         velocity, _ = self.system.read(self.states_at_focus(unit))
-        return self.model.field(velocity, positions)
+        if np.size(positions) > _FEW:
+            return self.model.field(velocity, positions)
+        return np.asarray(velocity @ self._shapes_at(positions))
+
+    def _shapes_at(self, positions: ArrayLike) -> FloatArray:
+        """Return the mode shapes at points asked for before, or again at others, (n_modes, n_positions) array."""
+        place = np.atleast_1d(np.asarray(positions, dtype=float))
+        if place.tobytes() not in self._shapes:
+            self._shapes[place.tobytes()] = self.model.shapes(place)
+        return self._shapes[place.tobytes()]
 
     def passes(self, positions: ArrayLike, unit: FloatArray, limit: float) -> bool:
         """Return whether the speed at any of some points passes a limit; most blocks are skipped."""
         response, _, scale = self._response(unit)
         floor = limit / scale
         # Not multiplied again: rounding would let the floor itself pass.
-        return bool((response.peak(self.model.shapes(positions).T @ self.system.velocity, floor) > floor).any())
+        return bool((response.peak(self._shapes_at(positions).T @ self.system.velocity, floor) > floor).any())
 
     def peak_velocity(self, positions: ArrayLike, unit: FloatArray) -> FloatArray:
         """Return the highest speed at points of the beam until the next burst, (n_positions,) array [m/s]."""
         place = np.atleast_1d(np.asarray(positions, dtype=float)).tolist()
         response, known, scale = self._response(unit)
         if not all(point in known for point in place):
-            output = self.model.shapes(place).T @ self.system.velocity
+            output = self._shapes_at(place).T @ self.system.velocity
             known.update(zip(place, response.peak(output).tolist(), strict=True))
         return np.array([known[point] for point in place]) * scale
 
