@@ -69,7 +69,8 @@ class _Reading:
         """Return the parameters, that of the help included."""
         params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
         for each in params:
-            if "get_runtime_param" not in vars(each):
+            # Another version of typer may read values in another way: then it reads them all.
+            if hasattr(each, "get_runtime_param") and "get_runtime_param" not in vars(each):
                 each.get_runtime_param = partial(_Value, each.get_runtime_param)
         return params
 
