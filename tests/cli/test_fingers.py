@@ -47,7 +47,7 @@ def test_what_was_found_is_said(asked):
     row = next(row for row in result.stdout.splitlines() if "0.0812" in row)
     assert [cell.strip() for cell in row.split("│")[1:-1]] == ["right index", "0.0812", "0.502", "0", "-1.25"]
     assert "99.8 (99.5 to 100.2)" in result.stdout
-    assert "sensitivity is known to 1 %: all levels share that error" in result.stdout
+    assert "the vibrometer's sensitivity, known to 1 %, an error all levels share" in result.stdout
     assert "Written: mine.yaml" in result.stdout
 
 

@@ -392,8 +392,8 @@ def _show_fingers(result: dict[str, Any]) -> None:
     ]
     headings = ("placement", "misfit", "asked", "level (95 %)", "attainable")
     print_table("Designed for these fingers, mm/s at the focus", headings, levels)
-    doubt = result["sensitivity_uncertainty_percent"]
-    print(f"The vibrometer's sensitivity is known to {doubt:g} %: all levels share that error, beside their intervals.")
+    uncertainty = result["sensitivity_uncertainty_percent"]
+    print(f"Not in the intervals: the vibrometer's sensitivity, known to {uncertainty:g} %, an error all levels share.")
     print(f"Written: {result['file']}")
     print(
         f"Next: name it in the protocol, `stimulus: {{fingers: {result['file']}}}`, and run `modaltouch check` on that"

@@ -228,6 +228,16 @@ def keep_records(recording: Recording) -> dict[str, NDArray[Any]]:
     }
 
 
+def _arrays(recording: Recording, reduction: Reduction) -> dict[str, NDArray[Any]]:
+    """Return what is saved of a position."""
+    return {
+        "position": np.array(recording.position),
+        "sampling_rate": np.array(recording.sampling_rate),
+        "overloaded": np.array(recording.overloaded, dtype="U16"),
+        **reduction(recording),
+    }
+
+
 def take_scan(
     laboratory: Laboratory,
     plan: ScanPlan,
@@ -276,16 +286,10 @@ def take_scan(
         for index in range(len(kept), len(places)):
             check()
             recording = laboratory.record(float(places[index]), plan.velocity, plan.acquisition, plan.across)
-            arrays = {
-                "position": np.array(recording.position),
-                "sampling_rate": np.array(recording.sampling_rate),
-                "overloaded": np.array(recording.overloaded, dtype="U16"),
-                **reduction(recording),
-            }
-            kept.append(arrays)
+            kept.append(_arrays(recording, reduction))
             assemble(facts, kept).refuse_overloaded().refuse_other_instants()
             if folder is not None:
-                save_arrays(position_file(folder, index), arrays)
+                save_arrays(position_file(folder, index), kept[-1])
             on_progress(len(kept), len(places))
     except (Interrupted, KeyboardInterrupt) as error:
         error.add_note(_way_on(folder, len(kept), len(places)))

@@ -109,8 +109,8 @@ def test_cause_is_named(
 @pytest.mark.parametrize(
     ("spot", "factor", "cause"),
     [
-        (0.0, 1.05, r"at the focus the beam moves 1\.05 times as fast as its other points say: the spot is beside"),
-        (0.0, 0.8, r"at the focus the beam moves 0\.80 times as fast as its other points say"),
+        (0.0, 1.05, r"at the focus the beam moves 1\.05 times as fast as the points along the beam tell: the spot"),
+        (0.0, 0.8, r"at the focus the beam moves 0\.80 times as fast as the points along the beam"),
         (24.0, 1.05, "the points along the beam disagree: the sensor is loose, or its spot is in the wrong place"),
     ],
 )

@@ -57,7 +57,7 @@ def test_file_is_read_back_with_every_number(found: Identification, tmp_path: Pa
 
 def test_intervals_of_gains_hold_the_sensitivity(found: Identification) -> None:
     """A vibrometer 0.8 % off, within its data sheet of 1 %: each gain read with it has the true one in its interval."""
-    stated = found.doubted(0.01)
+    stated = found.with_sensitivity_uncertainty(0.01)
     for mode, before in zip(stated.modes, found.modes, strict=True):
         assert mode.natural_frequency == before.natural_frequency
         for gain, exact in zip(mode.gain, before.gain, strict=True):

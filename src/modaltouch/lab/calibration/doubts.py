@@ -26,8 +26,8 @@ GAINS = (0.67, 1.5)
 SPEEDS = (0.6, 1.6)
 """Speed of all modes over the listed one that is believed [1]: beyond, a knob is not as the file says."""
 
-SAME_GAIN = (0.85, 1.15)
-"""Speed of everything over the predicted one by which amplifiers may differ from their data sheets [1]."""
+COMMON_FACTORS = (0.85, 1.15)
+"""Measured over predicted speed, common to all modes or zones, that an amplifier's tolerance may explain [1]."""
 
 ALIKE = 0.2
 """How far most gains may lie from one factor times the listed ones that is the vibrometer's [1]."""
@@ -50,8 +50,8 @@ MOST_LACKING = 0.5
 LARGEST_STRAIN = 0.2
 """Change of a natural frequency between two probes, over the mode's decay rate [1]."""
 
-MOST_ASIDE = 0.04
-"""Speed of the listed modes at the focus over what the other points say of it, less 1, either way [1]."""
+LARGEST_EXCESS = 0.04
+"""Excess of the speed measured at the focus over that told by the other points, either way [1]."""
 
 MOST_DISPROPORTION = 0.02
 """Speed of the modes at half a level over half the speed at the level, less 1, either way [1]."""
@@ -285,7 +285,7 @@ def _missed(outcome: CalibrationResult, protocol: Protocol) -> Iterator[Missed]:
     for asked in outcome.levels:
         reached_percent = _level_error(asked, limits.level_percent, highest.velocity)
         yield from _beyond("level_percent", asked.velocity * 1e3, reached_percent, limits.level_percent)
-    yield from _beyond("focus_percent", highest.velocity * 1e3, 100 * abs(highest.aside), 100 * MOST_ASIDE)
+    yield from _beyond("focus_percent", highest.velocity * 1e3, 100 * abs(highest.excess), 100 * LARGEST_EXCESS)
     shortfall = float(outcome.drive_shortfall.max()) * 100
     yield from _beyond("drive_percent", highest.velocity * 1e3, shortfall, LARGEST_SHORTFALL * 100)
 
@@ -315,7 +315,7 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]
     limits, last = protocol.calibration.limits, outcome.turns[-1].state
     allowed = min(limits.velocity_mm_s, limits.displacement_mm_s) * 1e-3
     noise = INTERVAL * float(outcome.best.state.spread.max())
-    highest, aside = max((level.velocity, level.aside) for level in outcome.levels)
+    highest, excess = max((level.velocity, level.excess) for level in outcome.levels)
     level_noise = INTERVAL * max(level.spread for level in outcome.levels)
     if any(each["limit"] == "drive_percent" for each in missed):
         output = int(outcome.drive_shortfall.argmax())
@@ -339,8 +339,8 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]
         )
     elif any(each["limit"] == "focus_percent" for each in missed):
         yield (
-            f"at the focus the beam moves {1 + aside:.2f} times as fast as its other points say: the spot is "
-            "beside the centre of the focus zone, or the vibrometer's angle or range is another there; aim it again, "
+            f"at the focus the beam moves {1 + excess:.2f} times as fast as the points along the beam tell: the spot "
+            "misses the centre of the focus zone, or the vibrometer's angle or range is different there; aim it again, "
             "and calibrate again"
         )
     elif all(each["level_mm_s"] != outcome.inputs.reference for each in missed):

@@ -74,8 +74,8 @@ class Level:
         Of each output [V peak to peak, open circuit].
     at_focus : float
         Velocity at the focusing instant [m/s].
-    aside : float
-        What the listed modes have of it over what the points along the beam say, less 1 [1].
+    excess : float
+        Its excess over the velocity told by the points along the beam, listed modes alone [1].
     spread : float
         Its standard error as this vibrometer shows it [m/s].
     highest : float
@@ -88,7 +88,7 @@ class Level:
     factor: float
     amplitude: tuple[float, ...]
     at_focus: float
-    aside: float
+    excess: float
     spread: float
     highest: float
     sensitivity_doubt: float = 0.0
@@ -98,7 +98,7 @@ class Level:
         """Half width of the 95 % interval of the true velocity [m/s]."""
         noise = INTERVAL * self.spread
         # Which is right where they disagree, the focus or the other points, nobody knows.
-        beyond = max(abs(self.aside / (1 + self.aside) * self.at_focus) - noise, 0.0)
+        beyond = max(abs(self.excess / (1 + self.excess) * self.at_focus) - noise, 0.0)
         return math.hypot(noise, self.sensitivity_doubt * self.at_focus, beyond)
 
 

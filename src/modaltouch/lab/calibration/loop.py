@@ -353,7 +353,7 @@ class _Loop:
             factor=factor,
             amplitude=stimulus.burst.amplitude_for(level),
             at_focus=float(swing.sum()),
-            aside=float(swing[: plant.model.n_modes].sum()) / said - 1,
+            excess=float(swing[: plant.model.n_modes].sum()) / said - 1,
             spread=float(np.hypot(noise, np.linalg.norm(missed) / INTERVAL)),
             sensitivity_doubt=plant.sensitivity_doubt,
             highest=highest,

@@ -362,7 +362,8 @@ class _Beam:
             found = over_repeats(fit_jointly(responses, self.length, clock_tolerance=CLOCK_TOLERANCE))
         check_modes(found, self.labels)
         check_gains(found, self.apparatus)
-        found = found.doubted(self.apparatus.acquisition.sensitivity_uncertainty_percent * 1e-2)
+        uncertainty = self.apparatus.acquisition.sensitivity_uncertainty_percent * 1e-2
+        found = found.with_sensitivity_uncertainty(uncertainty)
         labels = self.labels
         if self.options.modes == "all":
             labels = tuple(mode.label for mode in found.modes if mode.label is not None)

@@ -33,9 +33,9 @@ class Estimate:
         """Return the estimate of a value of a standard deviation."""
         return cls(value, value - NORMAL_95 * deviation, value + NORMAL_95 * deviation)
 
-    def doubted(self, part: float) -> Estimate:
-        """Return it with the interval of a factor besides, in quadrature: half its width as a part of the value [1]."""
-        half = [math.hypot(self.value - end, part * self.value) for end in (self.low, self.high)]
+    def widened(self, uncertainty: float) -> Estimate:
+        """Return it with a further uncertainty in its interval, in quadrature: a half width over the value [1]."""
+        half = [math.hypot(self.value - end, uncertainty * self.value) for end in (self.low, self.high)]
         return Estimate(self.value, self.value - half[0], self.value + half[1])
 
     def __contains__(self, value: float) -> bool:
@@ -132,15 +132,15 @@ class Identification:
         """The modes with a shape, and that: of bending, and of torsion where rows over the width show it."""
         return [(mode, mode.shape) for mode in self.modes if mode.shape is not None]
 
-    def doubted(self, sensitivity: float) -> Identification:
-        """Return it with the vibrometer's sensitivity in the gains' intervals.
+    def with_sensitivity_uncertainty(self, uncertainty: float) -> Identification:
+        """Return it with the uncertainty of the vibrometer's sensitivity in the gains' intervals.
 
         Parameters
         ----------
-        sensitivity : float
-            Half width of its 95 % interval, as a part of it [1].
+        uncertainty : float
+            Half width of its 95 % interval, relative to the sensitivity [1].
         """
-        modes = (replace(mode, gain=tuple(gain.doubted(sensitivity) for gain in mode.gain)) for mode in self.modes)
+        modes = (replace(mode, gain=tuple(gain.widened(uncertainty) for gain in mode.gain)) for mode in self.modes)
         return replace(self, modes=tuple(modes))
 
     def mode(self, label: int) -> IdentifiedMode:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.calibration.doubts import SAME_GAIN
+from modaltouch.lab.calibration.doubts import COMMON_FACTORS
 from modaltouch.lab.identification.estimates import NORMAL_95
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.lab.output import rounded
@@ -76,7 +76,7 @@ class Prober:
         listed = self._model.modal_gain
         strong = np.abs(listed) == np.abs(listed).max(axis=1, keepdims=True)
         common = float(np.median(self._free.model.modal_gain[strong] / listed[strong]))
-        low, high = SAME_GAIN
+        low, high = COMMON_FACTORS
         if not low <= common <= high:
             raise ValueError(
                 f"the modes move {common:.2f} times as fast as their listed gains say: allowed {low:g} to {high:g}; "

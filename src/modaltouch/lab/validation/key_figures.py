@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.calibration.doubts import GAINS, SAME_GAIN
+from modaltouch.lab.calibration.doubts import COMMON_FACTORS, GAINS
 from modaltouch.lab.validation.evidence import Evidence, contrast, root_mean_square, spot_width, standard_error
 from modaltouch.preflight import finite
 from modaltouch.report import say_number
@@ -238,7 +238,7 @@ def _doubtful_drives(f: Figures) -> Iterator[str]:
 
 def _doubtful_speeds(f: Figures) -> Iterator[str]:
     ratio = float(np.median([peak["measured"] / peak["predicted"] for peak in f["zone_peak_mm_s"].values()]))
-    if not SAME_GAIN[0] <= ratio <= SAME_GAIN[1]:
+    if not COMMON_FACTORS[0] <= ratio <= COMMON_FACTORS[1]:
         yield (
             f"By law “{f['law']}” the zones moved {ratio:.2f} times as fast as predicted: check that the vibrometer is "
             "set to the listed `acquisition.sensitivity_mm_s_per_V` and the amplifier to its `amplifier.gain`, or "
