@@ -213,17 +213,20 @@ def compare(
     from modaltouch.lab import compare as measure
 
     with reporting(json_output=json_output):
-        with bars() as progress:
-            report = measure(
-                protocol,
-                out=out,
-                scan=scan,
-                points=points,
-                averages=averages,
-                beams=beams,
-                seed=seed,
-                progress=progress,
-            )
+        try:
+            with bars() as progress:
+                report = measure(
+                    protocol,
+                    out=out,
+                    scan=scan,
+                    points=points,
+                    averages=averages,
+                    beams=beams,
+                    seed=seed,
+                    progress=progress,
+                )
+        except ValueError as error:
+            leave(BAD_INPUT, str(error), json_output=json_output)
         give(report, lambda values: _show_comparison(report.table, values), json_output=json_output)
 
 
@@ -237,6 +240,7 @@ def _show_comparison(lines: list[dict[str, Any]], values: dict[str, Any]) -> Non
         cells = [line["cells"][number] for line in shown]
         rows.append((method["name"], *(f"[bold]{cell['text']}[/]" if cell["best"] else cell["text"] for cell in cells)))
     print_table(title, ("method", *(COLUMNS[line["key"]] for line in shown)), rows)
+    print("\n".join(f"Identification: {said}" for said in values["identification"]))
     print(values["files"]["comparison.html"])
 
 

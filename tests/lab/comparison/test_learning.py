@@ -4,7 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
+from modaltouch.cli import BAD_INPUT
+from modaltouch.cli.commands import app
+from modaltouch.lab.comparison import command
 from modaltouch.lab.comparison.contest import for_rivals, identified_model, learn, without_mismatch
 from modaltouch.lab.comparison.methods import design_all
 from modaltouch.lab.comparison.training_data import TrainingData
@@ -75,13 +79,14 @@ def test_laws_and_rivals_learn_from_the_same_recordings(preflight, known, record
     assert all(0 < each.peak_voltage <= 250 * (1 + 1e-9) for each in every)
 
 
-def test_a_mode_that_was_not_found_keeps_the_values_of_the_table(preflight, recorded):
-    """Fewer modes in the recordings: said by no error, and no method is left without a table."""
-    low = identify(recorded.between(120.0, 20e3), 0.1)
-    model = identified_model(low, preflight.experiment.apparatus)
-    table = preflight.experiment.apparatus.modal_model()
-    assert model.natural_frequency[-1] == table.natural_frequency[-1]
-    assert model.modal_gain[-1] == pytest.approx(table.modal_gain[-1])
+def test_a_mode_that_was_not_found_ends_the_comparison(recorded, monkeypatch, tmp_path):
+    """With the table's values in its place, which are the true beam's, the laws would know what no rival can."""
+    monkeypatch.setattr(command, "learn", lambda *_, **__: recorded.between(120.0, 20e3))
+    out = tmp_path / "out"
+    result = CliRunner().invoke(app, ["compare", "differentiated_stimulation", "--beams", "0", "--out", str(out)])
+    assert result.exit_code == BAD_INPUT
+    assert "mode 17 was not found" in result.stderr
+    assert not out.exists()
 
 
 def test_steps_end_at_the_focusing_instant(known):

@@ -305,6 +305,7 @@ class ComparisonReport:
             "voltage_limit_V": self.contest.known.amplifier.limit,
             "n_points": int(self.contest.known.responses.position.size),
             "n_other_beams": len(self.contest.changed[0]),
+            "identification": list(self.contest.identification),
             "methods": self.rows,
         }
 
@@ -388,6 +389,8 @@ def compare(
         If a folder holds something else, or cannot be written.
     RigError
         If the twin's generator does not confirm a drive.
+    ValueError
+        If a mode of the table was not found in the recordings, or is not fitted well.
     """
     preflight = examine(protocol).of_untouched_beam()
     experiment = preflight.experiment

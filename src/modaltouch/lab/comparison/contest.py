@@ -21,6 +21,7 @@ from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.excitation import LOWEST, Campaign, evenly, highest_needed
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import FrequencyResponses, responses_of
+from modaltouch.lab.identification.verdict import check_modes, misfit_verdict, warnings
 from modaltouch.lab.laboratory import UNTOLD, MeasurementProgress, open_laboratory
 from modaltouch.lab.validation.evidence import contrast, root_mean_square, spot_width
 from modaltouch.preflight import Preflight, finite
@@ -168,6 +169,8 @@ class Contest:
         What each was given.
     delay : float
         Of the recordings, identified and taken out of what rivals are given [s].
+    identification : tuple of str
+        How well the modes were identified, a sentence each.
     designed : tuple of MethodDrive
         Their drives.
     verdicts : tuple of DriveAssessment
@@ -179,6 +182,7 @@ class Contest:
     task: Task
     known: TrainingData
     delay: float
+    identification: tuple[str, ...]
     designed: tuple[MethodDrive, ...]
     verdicts: tuple[DriveAssessment, ...]
     changed: tuple[tuple[DriveAssessment, ...], ...]
@@ -212,12 +216,13 @@ def contest(
     RigError
         If the twin's generator does not confirm a drive.
     ValueError
-        If the recordings do not tell the modes.
+        If a mode of the table was not found or is not fitted well: its parameters would be those of the true beam.
     """
     apparatus, stimulus = preflight.experiment.apparatus, preflight.stimulus
     progress.show("modes identified", 0, 1)
     excited = responses.between(LOWEST, float(responses.frequency[-1]))
     identification = identify(excited, apparatus.beam.length_mm * 1e-3)
+    check_modes(identification, apparatus.modal_model().label)
     progress.show("modes identified", 1, 1)
     known = TrainingData(
         model=identified_model(identification, apparatus),
@@ -226,13 +231,15 @@ def contest(
         timing=stimulus.timing,
         amplifier=stimulus.amplifier,
     )
-    return contend(preflight, known, identification.delay.value, n_beams=n_beams, seed=seed, progress=progress)
+    said = (misfit_verdict(identification), *warnings(identification))
+    return contend(preflight, known, identification.delay.value, said, n_beams=n_beams, seed=seed, progress=progress)
 
 
 def contend(
     preflight: Preflight,
     known: TrainingData,
     delay: float = 0.0,
+    identification: tuple[str, ...] = (),
     *,
     n_beams: int = 20,
     seed: int = 1,
@@ -260,7 +267,7 @@ def contend(
         for own, each in zip(changed, sent, strict=True):
             own.append(judge(each.on_beam(apparatus, seed + number), task, everywhere=False))
         progress.show("other beams", number + 1, n_beams)
-    return Contest(task, known, delay, tuple(designed), tuple(verdicts), tuple(map(tuple, changed)))
+    return Contest(task, known, delay, identification, tuple(designed), tuple(verdicts), tuple(map(tuple, changed)))
 
 
 def without_mismatch(apparatus: Apparatus) -> Apparatus:
@@ -314,19 +321,16 @@ def learn(
 
 
 def identified_model(found: Identification, apparatus: Apparatus) -> ModalModel:
-    """Return the modes of the table with the values that were identified; those not found keep the table's."""
+    """Return the modes of the table, all of which must have been found, with the values that were identified."""
     table = apparatus.modal_model()
-    frequency, ratio, gain = (
-        np.array(values) for values in (table.natural_frequency, table.damping_ratio, table.modal_gain)
-    )
+    frequency, ratio = np.empty(len(table.label)), np.empty(len(table.label))
+    gain = table.modal_gain.copy()
     channels = [apparatus.actuator_sets[name].channel - 1 for name in found.responses.sets]
-    for mode in found.modes:
-        if mode.label not in table.label:
-            continue
-        row = table.label.index(mode.label)
+    by_label = {mode.label: mode for mode in found.modes}
+    for row, label in enumerate(table.label):
+        mode = by_label[label]
         frequency[row], ratio[row] = mode.natural_frequency.value, mode.damping_ratio.value
-        for channel, estimate in zip(channels, mode.gain, strict=True):
-            gain[row, channel] = estimate.value
+        gain[row, channels] = [estimate.value for estimate in mode.gain]
     return replace(table, natural_frequency=frequency, damping_ratio=ratio, modal_gain=gain)
 
 
