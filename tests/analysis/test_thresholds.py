@@ -17,12 +17,13 @@ from scipy.optimize import minimize
 from scipy.special import ndtr
 from scipy.stats import binom
 
+from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.responses import AnswerSource, Responses
 from modaltouch.analysis.thresholds import ThresholdAnalysis, analyse_runs, render_runs
 from modaltouch.analysis.thresholds.psychometric import DROP, REGION, Psychometric, fit_psychometric
-from modaltouch.analysis.thresholds.runs import find_runs, is_forced, over_participants
+from modaltouch.analysis.thresholds.runs import Run, compare_runs, find_runs, is_forced, over_participants
 from modaltouch.cli.analyse import tell
 from modaltouch.planning.fitting import fit_answers
 from modaltouch.planning.observer import Observer, Participant
@@ -268,6 +269,52 @@ def test_thresholds_of_several_labs_are_told_by_lab(results: Path, tmp_path: Pat
     assert (tmp_path / "out" / "runs_sub-north-p01_ses-1.svg").is_file()
     assert "<p>Groups are labs: north, south.</p>" in report and '<td class="word">south</td>' in report
     assert f"<code>modaltouch analyse {labs[0]} {labs[1]} --out FOLDER --mode simulated</code>" in report
+
+
+def runs_of(threshold: dict[tuple[str, str, str], float | None], groups: dict[str, str] | None = None) -> list[Run]:
+    """Return runs by participant, finger condition and kind of session, with thresholds in mm/s or without one."""
+    nothing = Psychometric(40, 20, 0, 0, None, None, 0.0, 0.0, "all alike")
+    runs = []
+    for (who, fingers, kind), value in threshold.items():
+        told = None if value is None else Interval.point(20 * math.log10(value), 40)
+        fitted, none = replace(nothing, threshold=told), np.array([])
+        own = Run(who, 1, fingers, "A-C", "", none, none.astype(bool), fitted, session_kind=kind)
+        runs.append(replace(own, group=(groups or {}).get(who, "")))
+    return runs
+
+
+def test_thresholds_are_compared_within_participants() -> None:
+    """Two hands need twice the level in six of six, and in one of six alike: p 2/64 and 2/32 by sign flips.
+
+    A seventh has a threshold with one hand alone and does not count; conditions that differ in two factors are not
+    compared.
+    """
+    alone = {(f"p{k}", "one_hand", ""): 20.0 + k for k in range(7)}
+    both = {(f"p{k}", "two_hands", ""): 2 * (20.0 + k) for k in range(6)}
+    (row,) = compare_runs(runs_of({**alone, **both, ("p6", "two_hands", ""): None}))
+    assert (row.scope, row.role, row.n) == ("one_hand - two_hands A-C", "exploratory", 6)
+    assert (row.estimate, row.p) == (pytest.approx(0.5), 2 / 64)
+    assert row.quantity == "ratio of threshold"
+    (row,) = compare_runs(runs_of({**alone, **both, ("p5", "two_hands", ""): 25.0}))
+    assert row.p == 2 / 32
+    kinds = {(who, fingers, "pre" if fingers == "one_hand" else "post"): v for (who, fingers, _), v in alone.items()}
+    assert compare_runs(runs_of({**kinds, **{(f"p{k}", "two_hands", "post"): 9.0 for k in range(6)}})) == []
+
+
+def test_thresholds_before_and_after_are_compared() -> None:
+    """Kinds of session are a factor like another: the training halves every threshold."""
+    pre = {(f"p{k}", "one_hand", "pre"): 30.0 + k for k in range(8)}
+    (row,) = compare_runs(runs_of({**pre, **{(who, c, "post"): v / 2 for (who, c, _), v in pre.items()}}))
+    assert (row.scope, row.estimate, row.p) == ("one_hand A-C pre - A-C post", pytest.approx(2), 2 / 2**8)
+
+
+def test_thresholds_of_groups_are_compared_by_shuffling_participants() -> None:
+    """Four against four without overlap: 2 of 70 orders differ as much; in cells that both groups met."""
+    values = {(f"p{k}", "one_hand", ""): (10.0 if k < 4 else 40.0) + k for k in range(8)}
+    groups = {f"p{k}": "young" if k < 4 else "old" for k in range(8)}
+    (row,) = compare_runs(runs_of(values, groups))
+    assert (row.question, row.scope, row.p) == ("group", "young - old", pytest.approx(2 / 70))
+    assert row.low < row.estimate < row.high < 1
 
 
 @pytest.mark.parametrize(("late", "n_told"), [({"A"}, 2), ({"A", "C"}, 0)])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -158,3 +159,20 @@ def to_frame(findings: Iterable[Finding]) -> pd.DataFrame:
     """Return findings as a tidy table, one row each, in the columns of `COLUMNS`."""
     rows = [{column: getattr(finding, column) for column in COLUMNS} for finding in findings]
     return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def plain_row(row: dict[Any, Any]) -> dict[str, Any]:
+    """Return a row of a table as plain values, as JSON knows no others.
+
+    Infinity is told in words; not a number is ``undefined`` where something was to be estimated, else null: there is no
+    such number.
+    """
+    values: dict[str, Any] = {}
+    for key, value in row.items():
+        plain = value.item() if hasattr(value, "item") else value
+        if isinstance(plain, float) and math.isinf(plain):
+            plain = "infinity" if plain > 0 else "-infinity"
+        elif isinstance(plain, float) and math.isnan(plain):
+            plain = "undefined" if key in ("estimate", "low", "high") and row.get("quantity", key) else None
+        values[str(key)] = plain
+    return values

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self
 import pandas as pd
 
 from modaltouch.analysis.counts import AnswerCounts
-from modaltouch.analysis.findings import Finding, to_frame
+from modaltouch.analysis.findings import Finding, plain_row, to_frame
 from modaltouch.analysis.registration import Registration, terms_of
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.tables import tabulate
@@ -120,20 +119,3 @@ class Analysis:
             **self.registration.as_dict(),
             "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
         }
-
-
-def plain_row(row: dict[Any, Any]) -> dict[str, Any]:
-    """Return a row of a table as plain values, as JSON knows no others.
-
-    Infinity is told in words; not a number is ``undefined`` where something was to be estimated, else null: there is no
-    such number.
-    """
-    values: dict[str, Any] = {}
-    for key, value in row.items():
-        plain = value.item() if hasattr(value, "item") else value
-        if isinstance(plain, float) and math.isinf(plain):
-            plain = "infinity" if plain > 0 else "-infinity"
-        elif isinstance(plain, float) and math.isnan(plain):
-            plain = "undefined" if key in ("estimate", "low", "high") and row.get("quantity", key) else None
-        values[str(key)] = plain
-    return values

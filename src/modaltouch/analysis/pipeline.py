@@ -169,8 +169,8 @@ def _figures(asked: Collection[str]) -> Collection[str]:
 
 def render_files(analysis: Analysis, figures: Collection[str] = ()) -> dict[str, Any]:
     """Return the contents of every file of an analysis, by name, as `write_files` takes them."""
+    from modaltouch.analysis.findings import plain_row
     from modaltouch.analysis.models import model_files, tidy_files
-    from modaltouch.analysis.outcome import plain_row
     from modaltouch.analysis.report import report_files
     from modaltouch.analysis.tables import figure_names, zone_table
 

@@ -12,9 +12,8 @@ import pandas as pd
 
 from modaltouch.analysis.certificates import certificates_of, say_certificates
 from modaltouch.analysis.counts import AnswerCounts
-from modaltouch.analysis.findings import ALPHA, Finding, correct, to_frame
+from modaltouch.analysis.findings import ALPHA, Finding, correct, plain_row, to_frame
 from modaltouch.analysis.models import model_table, tidy_files, zone_files
-from modaltouch.analysis.outcome import plain_row
 from modaltouch.analysis.ratings import questions_of
 from modaltouch.analysis.registration import ALL_PARTS, Registration, terms_of_tests
 from modaltouch.analysis.responses import Responses, cell_of

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from modaltouch.analysis.certificates import say_certificates
 from modaltouch.analysis.counts import AnswerCounts
-from modaltouch.analysis.findings import Finding
+from modaltouch.analysis.findings import Finding, plain_row, to_frame
 from modaltouch.analysis.registration import Registration
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
-from modaltouch.analysis.thresholds.runs import Run, find_runs, in_words, is_forced, over_participants
+from modaltouch.analysis.thresholds.runs import Run, compare_runs, find_runs, in_words, is_forced, over_participants
+from modaltouch.analysis.words import say_interval
 from modaltouch.report import ReportFigure, page_files
 
 MOST_FIGURES = 60
@@ -63,6 +65,18 @@ class ThresholdAnalysis:
         """Mean thresholds over participants, one row for each kind of run."""
         return over_participants(self.runs)
 
+    @cached_property
+    def comparisons(self) -> list[Finding]:
+        """Thresholds in one kind of run against another."""
+        return compare_runs(self.runs)
+
+    @property
+    def tests(self) -> list[dict[str, Any]]:
+        """The same, one row for each."""
+        return [
+            {str(key): value for key, value in row.items()} for row in to_frame(self.comparisons).to_dict("records")
+        ]
+
     @property
     def bounds(self) -> tuple[float, float]:
         """Lowest and highest level that a run may reach [mm/s]."""
@@ -74,6 +88,7 @@ class ThresholdAnalysis:
         return {
             "thresholds": [run.as_dict() for run in self.runs],
             "over_participants": self.thresholds,
+            "tests": [plain_row(row) for row in self.tests],
             "files": {name: str(path) for name, path in self.files.items()},
             "n_participants": len({run.participant for run in self.runs}),
             "n_responses": int(self.responses.frame["response"].count()),
@@ -123,6 +138,7 @@ def render_runs(analysis: ThresholdAnalysis) -> dict[str, Any]:
     return {
         "thresholds.csv": rows,
         "over_participants.csv": together,
+        **({"tests.csv": analysis.tests} if analysis.tests else {}),
         "thresholds.json": {"thresholds": rows, "over_participants": together},
         **_report_files(analysis, together, pictures, len(sessions)),
     }
@@ -148,6 +164,8 @@ def _report_files(
         runs=[{"run": run, "words": in_words(run.fitted.threshold) if run.fitted.threshold else None}
               for run in analysis.runs],
         together=together,
+        tests=[(row.scope.replace("_", " "), say_interval(row), row.p, row.n, row.note)
+               for row in analysis.comparisons],
         registration=analysis.registration,
         bounds=analysis.bounds,
         adaptive=design["adaptive"],

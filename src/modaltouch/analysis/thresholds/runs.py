@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from modaltouch.analysis.findings import Finding
 from modaltouch.analysis.intervals import Interval, student_interval
+from modaltouch.analysis.measures import Measure, Own, contrast_findings, group_findings
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.thresholds.psychometric import Psychometric, fit_psychometric
@@ -19,6 +22,7 @@ from modaltouch.analysis.zones import label_zones, zones_of
 from modaltouch.report import say_number
 
 KEYS = ("participant", "session", "finger_condition")
+THRESHOLD = Measure("threshold", "threshold", "threshold", is_ratio=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,6 +201,31 @@ def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def compare_runs(runs: Sequence[Run]) -> list[Finding]:
+    """Return the ratios of thresholds between kinds of run that differ in one factor, with their tests.
+
+    Within participants by sign flips of the logarithms, between groups by shuffling participants, in kinds of run that
+    both groups had. A participant's sessions of a kind are averaged first; who has no threshold in one of two kinds
+    does not count in their comparison. No hypothesis is fixed in advance: the tests are exploratory, not corrected.
+    """
+    told: dict[tuple[str, str, str], list[float]] = {}
+    for run in runs:
+        if run.fitted.threshold is not None:
+            place = " ".join(part for part in (run.pair, run.stimulus, run.session_kind) if part)
+            told.setdefault((run.participant, run.finger_condition, place), []).append(run.fitted.threshold.estimate)
+    own = [
+        Own(THRESHOLD, *key, math.nan, Interval.point(10 ** (float(np.mean(values)) / 20), 1), len(values))
+        for key, values in told.items()
+    ]
+    groups = {run.participant: run.group for run in runs if run.group}
+    found = list(contrast_findings(own))
+    for names in combinations(dict.fromkeys(groups.values()), 2):
+        met = [{each[1:] for each in told if groups.get(each[0]) == name} for name in names]
+        shared = [each for each in own if (each.finger_condition, each.pair) in met[0] & met[1]]
+        found += group_findings(own, shared, groups, names)
+    return [replace(each, family="") for each in found]
 
 
 def in_words(estimate: Interval, unit: str = "") -> str:
