@@ -1,14 +1,14 @@
 """Plays bursts and measures the beam: in go a `Burst` and a level, out come a `Firing` or a `Recording`.
 
-A session opens the driver at an address; the simulator is one more address::
+A session opens the driver at a VISA address; the simulator has one too::
 
     with Simulator(apparatus) as simulator, Generator(simulator.address, apparatus, log=log) as rig:
         rig.load(burst)
         rig.fire(velocity)
         speeds = simulator.felt_velocity(["A", "C"])
 
-What a generator is and can play is a value, `instrument_of` an apparatus. What measures the beam is an instrument of
-its own: ``simulator.scope()``, or ``Scope.open(apparatus)``.
+`instrument_of` an apparatus describes its generator and what that can play. The beam is measured by a separate
+instrument: ``simulator.scope()``, or ``Scope.open(apparatus)``.
 """
 
 from __future__ import annotations

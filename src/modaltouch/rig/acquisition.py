@@ -1,15 +1,16 @@
-"""What a measurement asks and gives: the velocity of a point of the beam and the drive that it belongs to.
+"""Settings and results of a measurement: the velocity of a point of the beam, and the drive that caused it.
 
-The same three verbs stand for the simulated vibrometer and scope and for real ones::
+The simulated vibrometer and scope are used like real ones::
 
     with simulator.scope() as scope:
         scope.configure(Acquisition(sampling_rate=500e3, n_samples=131_072, n_records=10, drives=(1,)))
         for position in np.linspace(-0.05, 0.05, 41):
             recording = scope.measure(position)
 
-The generator plays meanwhile, by `modaltouch.rig.interface.Rig`; its trigger starts every record. Its held samples
-have images around multiples of their rate: sampled no faster than they are held, the drive folds them onto itself, and
-a transfer function lacks their droop and half a sample of delay. Sample a few times faster than the record is played.
+Meanwhile the generator plays (`modaltouch.rig.interface.Rig`); its trigger starts every record. The zero-order hold of
+its samples produces images around multiples of the sample rate. If the scope samples no faster than the generator, they
+alias onto the drive, and a transfer function lacks the hold's droop and its delay of half a sample: sample a few times
+faster than the record is played.
 """
 
 from __future__ import annotations
@@ -33,24 +34,24 @@ OUTPUTS = (1, 2)
 
 @dataclass(frozen=True)
 class Acquisition:
-    """What a measurement asks of vibrometer and scope.
+    """Settings of vibrometer and scope for a measurement.
 
     Attributes
     ----------
     sampling_rate : float
-        Samples per second [Hz]; the scope takes the nearest that it has, and the recording says which.
+        Samples per second [Hz]; the scope takes the nearest rate that it has, which the recording states.
     n_samples : int
-        Samples of a record, those before the trigger included.
+        Samples per record, including those before the trigger.
     n_records : int
-        Records, one after the other, each started by the generator's trigger; kept apart, so that a coherence can
-        be told from them.
+        Number of consecutive records, each started by the generator's trigger; they are not averaged, so that a
+        coherence can be computed from them.
     drives : tuple of int
-        Generator outputs whose voltage at the beam is measured beside the velocity.
+        Generator outputs whose voltage at the beam is measured along with the velocity.
     start : float
-        First sample, from the trigger at the start of a burst [s]; negative for what comes before it.
+        Time of the first sample, from the trigger at the start of a burst [s]; negative for samples before it.
     velocity_range, drive_range : float, optional
-        Highest velocity [m/s] and voltage at the beam [V] to be expected; the smallest input range that holds it
-        is taken. None for the whole range of the vibrometer, or of the scope's input.
+        Highest expected velocity [m/s] and voltage at the beam [V]; the smallest sufficient input range is used.
+        None for the whole range of the vibrometer, or of the scope's input.
     """
 
     sampling_rate: float = 500e3
@@ -62,7 +63,7 @@ class Acquisition:
     drive_range: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what no scope can do."""
+        """Refuse settings that no scope can have."""
         for name, value, unit in (
             ("sampling_rate", self.sampling_rate, "Hz"),
             ("velocity_range", self.velocity_range, "m/s"),
@@ -86,22 +87,22 @@ class Acquisition:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What was measured at one position, in SI units.
+    """A measurement at one position, in SI units.
 
     Attributes
     ----------
     position : float
-        Where, origin at mid-beam [m].
+        Position along the beam, origin at mid-beam [m].
     time : (n_samples,) array
-        From the trigger, by the scope's clock [s].
+        Time since the trigger, by the scope's clock [s].
     velocity : (n_records, n_samples) array
-        Of the point [m/s].
+        Velocity of the point [m/s].
     drive : (n_records, n_drives, n_samples) array
-        Voltage at the beam of each drive that was asked for [V].
+        Voltage at the beam of each measured drive [V].
     sampling_rate : float
-        By the scope's clock [Hz].
+        Sampling rate by the scope's clock [Hz].
     overloaded : tuple of str
-        What reached the end of its range in any record: ``velocity``, ``drive 1``, ``drive 2``.
+        Signals that reached the end of their range in any record: ``velocity``, ``drive 1``, ``drive 2``.
     """
 
     position: float
@@ -114,14 +115,14 @@ class Recording:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a volt at a scope's inputs stands for, and how many of them each channel takes.
+    """Scale factors of a scope's inputs, and the choice of their ranges.
 
     Attributes
     ----------
     sensitivity, highest_velocity : float
-        Of the vibrometer [m/s per V]; end of its range [m/s].
+        Sensitivity of the vibrometer [m/s per V]; end of its range [m/s].
     attenuation : float
-        Of the drive's probes [V at the beam per V].
+        Attenuation of the probes that measure the drive [V at the beam per V].
     """
 
     sensitivity: float

@@ -1,4 +1,4 @@
-"""The Tektronix AFG3022B: its figures and its commands, by Tektronix' data sheet and programmer manual."""
+"""The Tektronix AFG3022B: its specifications and commands, from Tektronix' data sheet and programmer manual."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ N_SPOTS = 64
 class EditMemory:
     """Records in memories common to all channels, stored through an edit memory and read back whole.
 
-    Where whole blocks cannot be read, count and single points are compared.
+    Where whole blocks cannot be read back, the number of points and a sample of them are compared.
 
     Attributes
     ----------
     n_memories : int
-        Memories, numbered from 1.
+        Number of memories, which count from 1.
     """
 
     n_memories: int
 
     def store(self, desk: Desk, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
-        """Have records in memories, read back, and return the memories' numbers."""
+        """Store records that are not stored yet, verify them, and return the numbers of their memories."""
         used: list[str] = []
         for channel, codes in records:
             used.append(self._store(desk, codes, str(channel), used))
         return used
 
     def locks(self, memories: Sequence[str]) -> list[Setting]:
-        """Return what keeps memories from being overwritten at the front panel."""
+        """Return the settings that keep memories from being overwritten at the front panel."""
         return [LOCKED.filled(memory=memory) for memory in dict.fromkeys(memories)]
 
     def _store(self, desk: Desk, codes: NDArray[np.uint16], wanted: str, in_use: Sequence[str]) -> str:
-        """Have a record in a memory: in the one wanted, if it is nowhere and that one is free."""
+        """Return the memory of a record, stored if need be: in the memory wanted, or another if that is in use."""
         digest = hashlib.sha256(codes.astype(">u2").tobytes()).hexdigest()
         known = [memory for memory, held in desk.stored.items() if held == digest]
         if known:
@@ -59,7 +59,7 @@ class EditMemory:
         return wanted
 
     def _holds(self, desk: Desk, memory: str, codes: NDArray[np.uint16]) -> bool:
-        """Return whether a memory holds a record already."""
+        """Return whether a memory already holds a record."""
         if f"USER{memory}" not in desk.ask("DATA:CAT?"):
             return False
         try:
@@ -85,7 +85,7 @@ class EditMemory:
             raise Unconfirmed(f"USER{memory} does not hold the record that was sent, after two uploads")
 
     def _verified(self, desk: Desk, memory: str, codes: NDArray[np.uint16]) -> bool:
-        """Return whether a memory reads back right; by samples of it where whole blocks cannot be read."""
+        """Return whether a memory reads back as stored, checked by a sample of points if blocks cannot be read."""
         for _ in range(2):
             try:
                 return bool(np.array_equal(self._read_back(desk, memory), codes))
@@ -98,7 +98,7 @@ class EditMemory:
         return desk.read_codes("DATA:DATA? EMEM")
 
     def _spots_agree(self, desk: Desk, codes: NDArray[np.uint16]) -> bool:
-        """Return whether count and a spread of single points agree with a record in the edit memory."""
+        """Return whether the edit memory agrees with a record in length, strongest points and evenly spread ones."""
         desk.log("record_spot_check", n_spots=N_SPOTS, why="its blocks cannot be read back")
         if desk.ask("DATA:POIN? EMEM") != str(codes.size):
             return False
@@ -112,7 +112,7 @@ def _complete(desk: Desk, command: str) -> None:
 
 
 LOCKED = Setting("DATA:LOCK:STAT", "ON", of="USER{memory}")
-"""No memory can be overwritten, nor at the front panel."""
+"""Keeps a memory from being overwritten, even at the front panel."""
 
 AFG3022B = Instrument(
     # The successor takes the same commands within the same limits.
@@ -120,7 +120,7 @@ AFG3022B = Instrument(
     converter=Converter(mid_code=8191, max_points=131_072, clock_rate=250e6, amplitude_digits=4, amplitude_decimals=4),
     channels=(1, 2),
     lowest_amplitude=20e-3,
-    # Above every minimum that is told of these instruments.
+    # Above every minimum amplitude stated for these instruments.
     quiet_amplitude=0.1,
     highest_output=10.0,
     commands=Commands(
@@ -155,7 +155,7 @@ AFG3022B = Instrument(
         wired=Setting("TRIG:SOUR", "EXT", replies=("EXT", "EXTERNAL")),
         triggers=("TRIG:SEQ:IMM", "*TRG"),
         align="SOUR1:PHAS:INIT",
-        # Of the timer the instrument may keep as few as four digits.
+        # The instrument may keep as few as four digits of the period.
         timer=Setting("TRIG:TIM", "period", "S", tolerance=5e-4),
         armed=Setting("TRIG:SOUR", "TIM", replies=("TIM", "TIMER")),
     ),

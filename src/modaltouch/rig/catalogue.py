@@ -1,4 +1,4 @@
-"""The generators that the driver knows; another one is a file such as `afg3022b`, and a name here."""
+"""The generators that the driver supports; to add one, write a file such as `afg3022b` and list it here."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from modaltouch.rig.instrument import Instrument
 
 
 def instruments() -> tuple[Instrument, ...]:
-    """Return all, the usual one first; any other model is taken for that one, if the apparatus file names it."""
+    """Return all supported generators; the first stands in for any other model that an apparatus file names."""
     from modaltouch.rig.keysight33500b import KEYSIGHT_33500B
 
     return (AFG3022B, KEYSIGHT_33500B)
 
 
 def instrument_of(apparatus: Apparatus) -> Instrument:
-    """Return the generator that an apparatus names."""
+    """Return the generator of an apparatus."""
     model = apparatus.generator.model
     if model in AFG3022B.models:
         return AFG3022B

@@ -1,6 +1,6 @@
-"""What no manual says of a generator: found out where software can, told to a person where it cannot.
+"""What the manuals leave open about a generator: tested by software where possible, else left to a person to measure.
 
-Nothing is played: the outputs are off whenever a burst starts, and the amplitude is the lowest there is.
+Nothing is played: the outputs are off whenever a burst starts, and the amplitude is low whenever they are on.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ State = Literal["found", "person", "unanswered"]
 
 
 Finding = tuple[State, str, str]
-"""State, answer and advice."""
+"""State of a question, its answer, and advice."""
 
 
 def _settings(connection: Connection) -> Finding:
@@ -116,7 +116,7 @@ def _ranges(connection: Connection) -> Finding:
 
 
 def _time_of_change(connection: Connection, amplitude: float) -> float:
-    """Return how long going from the lowest level to another takes [s]."""
+    """Return how long a change from the lowest amplitude to another takes [s]."""
     connection.controls.apply([connection.instrument.level(1, STEPS[0])])
     started = time.perf_counter()
     connection.controls.apply([connection.instrument.level(1, amplitude)])
@@ -178,7 +178,7 @@ def _trigger(connection: Connection, scope: Scope | None = None) -> Finding:
             "wire the generator's trigger output to the EXT input of a PicoScope and check again with --scope, which "
             "measures generator.trigger_latency_ms; without it, no instant is claimed to better than a millisecond",
         )
-    # The driver counts the least from when it sent, the greatest from when the instrument had taken it.
+    # The driver counts the lower bound from sending the trigger, the upper one from the instrument's acceptance.
     low, high = (began[:, 0] - sent).min() * 1e3, (began[:, 1] - taken).max() * 1e3
     apart = np.median(np.diff(began, axis=1)) * 1e3
     low, high = max(0.0, math.floor(low * 10) / 10), max(0.1, math.ceil(high * 10) / 10)
@@ -196,7 +196,7 @@ def _after_link_loss(connection: Connection) -> Finding:
     controls.apply(connection.instrument.on_all(connection.instrument.commands.stopped))
     for channel in connection.instrument.channels:
         controls.apply_each(connection.limits.quiet_settings(channel))
-        # In burst, with a trigger that never comes, the output rests.
+        # In burst mode, with a trigger that never comes, the output is at rest.
         controls.apply_each([Setting(f"SOUR{channel}:FREQ", 20.0, "HZ"), Setting(f"SOUR{channel}:BURS:STAT", "ON")])
     controls.outputs_on()
     controls.close(broken=True)
@@ -250,25 +250,25 @@ def check_rig(
     patience: Patience | None = None,
     scope: Scope | None = None,
 ) -> list[dict[str, Any]]:
-    """Return the answers to every open question about the generator at an address that its value names.
+    """Return the answers to the open questions about a generator, those listed in its `Instrument`.
 
     Parameters
     ----------
     address : str
-        VISA address, of an instrument or of a simulator.
+        VISA address of an instrument or a simulator.
     apparatus : Apparatus
-        What is on the table.
+        The apparatus to which the generator belongs.
     patience : Patience, optional
         How long to wait.
     scope : Scope, optional
-        At the generator's trigger output; without one the latency of a trigger is left to a person.
+        Scope at the generator's trigger output; without one, the trigger latency is left to a person to measure.
 
     Returns
     -------
     list of dict
-        In the order of the questions, each with its ``number`` (0 asks whether the instrument takes the driver's
-        settings at all), the ``question``, its ``state`` (``found`` by software, for a ``person`` to see, or
-        ``unanswered``), the ``answer``, and as ``advice`` what to do, or what it means for a session.
+        In the order of the questions, each with its ``number`` (0 asks whether the instrument accepts the driver's
+        settings at all), the ``question``, its ``state`` (``found`` by software, left to a ``person``, or
+        ``unanswered``), the ``answer``, and ``advice``: what to do, or what the answer means for a session.
 
     Raises
     ------
@@ -298,7 +298,7 @@ def check_rig(
 
 
 def _ask(connection: Connection, number: int, question: str, find: Callable[[Connection], Finding]) -> dict[str, Any]:
-    """Answer one question; whatever it breaks is mended before the next."""
+    """Answer one question; a connection or setting that it spoils is restored before the next."""
     try:
         state, answer, advice = find(connection)
     except (LinkError, Unconfirmed) as error:
@@ -309,17 +309,17 @@ def _ask(connection: Connection, number: int, question: str, find: Callable[[Con
 
 
 _AMPLITUDES = (0.02, 0.03)
-"""Amplitudes between which the level goes to and fro, the lowest there are [V peak to peak]."""
+"""Low amplitudes that are set in turn [V peak to peak]."""
 _PROMPT_MS = 10.0
-"""A level is set, read back and found without error sooner than this on a healthy connection [ms]."""
+"""On a healthy connection a level is set, read back and confirmed without error within this time [ms]."""
 _SLOW_MS = 50.0
-"""What the program itself may take between an answer and the next burst; an instrument slower than that shows [ms]."""
+"""The program's own share of the time from an answer to the next burst; a slower instrument is noticeable [ms]."""
 
 
 def measure_latency(
     rig: Rig, set_levels: Callable[[tuple[float, ...]], object], opened: float, *, n: int
 ) -> tuple[dict[str, Any], str]:
-    """Return how soon a generator does as it is told, and what that means.
+    """Return how fast a generator responds to commands, and what that means for an experiment.
 
     Parameters
     ----------
@@ -330,16 +330,17 @@ def measure_latency(
     opened : float
         How long opening it took [s].
     n : int
-        Commands of each kind.
+        Number of commands of each kind.
 
     Returns
     -------
     figures : dict
-        ``address``, ``identity`` and ``n``; ``open_ms``, from nothing to a known state, watchdog and all; median, 95 %
-        and maximum of ``level``, both amplitudes set and read back and the error queue read, and of ``off``, both
-        outputs switched off and every setting compared (``level_median_ms``, ``off_p95_ms``, ...).
+        ``address``, ``identity`` and ``n``; ``open_ms``, the time from nothing to a known state, including the start of
+        the watchdog; median, 95th percentile and maximum (``level_median_ms``, ``off_p95_ms``, ...) of the times for
+        ``level``, both amplitudes set and read back and the error queue read, and ``off``, both outputs switched off
+        and confirmed.
     verdict : str
-        What they mean for an experiment, and what to do.
+        What the figures mean for an experiment, and what to do.
     """
     amplitudes = itertools.cycle(_AMPLITUDES)
     commands: dict[str, Callable[[], object]] = {"level": lambda: set_levels((next(amplitudes),) * 2), "off": rig.stop}
@@ -357,7 +358,7 @@ def measure_latency(
 
 
 def judge_latency(figures: Mapping[str, Any]) -> str:
-    """Return what the figures of a generator mean for an experiment, and what to do."""
+    """Return what the latencies of a generator mean for an experiment, and what to do."""
     level, off = figures["level_p95_ms"], figures["off_p95_ms"]
     advice = "good"
     if level > _SLOW_MS:

@@ -1,4 +1,4 @@
-"""A generator that is reached, known, and kept safe: identity, outputs off, a lost connection found again."""
+"""The connection to one generator: checks its identity, switches its outputs off, and restores a lost connection."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from modaltouch.system import SYSTEM_CLOCK, Clock
 
 
 def start_watchdog(address: str, off: str) -> BurstPlayer:
-    """Start the process that watches over an instrument; none is loaded for a twin that does without."""
+    """Start the watchdog process of an instrument; its module is imported only here, since a twin may do without."""
     from modaltouch.rig.watchdog_client import WatchdogClient
 
     return WatchdogClient(address, off)
@@ -25,22 +25,22 @@ def start_watchdog(address: str, off: str) -> BurstPlayer:
 
 @dataclass(frozen=True)
 class Patience:
-    """How long the driver waits, and how often it tries.
+    """Timeouts and retries of the driver.
 
     Attributes
     ----------
     reply : float
         Longest wait for a reply [s].
     trigger : float
-        Longest wait for the instrument to take a trigger [s]; PyVISA-py grants one second more.
+        Longest wait for the instrument to accept a trigger [s]; PyVISA-py waits one second more.
     copy : float
         Longest wait for an upload or a copy into a memory [s].
     tries : int
-        How often a lost connection is opened again.
+        Number of attempts to reopen a lost connection.
     pause : float
-        Before the second try; doubled before each further one [s].
+        Pause before the second attempt, doubled before each further one [s].
     quarantine : float
-        From a connection made anew to the next stimulus [s]: longer than any burst, relay or trigger under way.
+        Time from reopening a connection to the next stimulus [s]: longer than any burst, relay or pending trigger.
     """
 
     reply: float = 1.0
@@ -53,18 +53,18 @@ class Patience:
 
 @dataclass(frozen=True)
 class OutputState:
-    """How the outputs and settings were found when the outputs were switched off.
+    """State of outputs and settings just before the outputs were switched off.
 
     Attributes
     ----------
     outputs : tuple of bool
-        Which were on.
+        Which outputs were on.
     differences : tuple of str
-        Settings that were no longer as made.
+        Settings that had changed.
     errors : tuple of str
-        What the error queue held.
+        Contents of the error queue.
     renewed : bool
-        Whether a new connection had to be made, and every setting with it.
+        Whether the connection had to be reopened, and every setting made again.
     """
 
     outputs: tuple[bool, ...]
@@ -74,29 +74,29 @@ class OutputState:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Why what was played until then cannot be vouched for; empty if it can."""
+        """Reasons why the stimulus played until then is not confirmed; empty if there are none."""
         silent = [f"output {n} was off" for n, on in enumerate(self.outputs, start=1) if not on]
         reported = [f"the generator reports {error}" for error in self.errors]
         return (*silent, *self.differences, *reported)
 
 
 class Connection:
-    """The way to one generator.
+    """The connection to one generator.
 
     Parameters
     ----------
     address : str
         VISA address.
     apparatus : Apparatus
-        Expected model, and limits.
+        States the expected model and the limits.
     guard : BurstPlayer
         The watchdog, which holds the VISA session.
     log : callable
-        Takes every exchange and event.
+        Called with every exchange and event.
     patience : Patience
-        How long to wait.
+        Timeouts and retries.
     clock : Clock
-        By which it waits.
+        Clock of its waits.
     """
 
     def __init__(
@@ -122,12 +122,12 @@ class Connection:
         self.controls = Controls(guard, self.instrument, revive=self._revive, log=log, **times)
 
     def open(self) -> None:
-        """Reach the instrument, see that it is the right one, and bring it to a known state, outputs off.
+        """Open the connection, check the instrument's model, and bring it to a known state, outputs off.
 
         Raises
         ------
         RigError
-            If no such instrument answers, or it does not take its settings.
+            If no such instrument answers, or it does not accept its settings.
         """
         try:
             self.controls.open()
@@ -153,16 +153,16 @@ class Connection:
             ) from error
 
     def switch_off(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> OutputState:
-        """Switch the outputs off, over a new connection if need be.
+        """Switch the outputs off, over a new connection if need be, and return the state in which they were found.
 
         Parameters
         ----------
         doing : str
-            What is going on, for the message.
+            Current operation, named in messages.
         expected : sequence of Setting
-            Settings to compare with what is found.
+            Settings to compare with those found.
         replay : callable
-            Makes the settings again that a new connection may have to do with.
+            Makes all settings again, for a new connection.
 
         Raises
         ------
@@ -178,7 +178,7 @@ class Connection:
         return self.restore(doing, expected, replay)
 
     def restore(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> OutputState:
-        """Reopen the connection, outputs off, and make every setting again; outputs stay off.
+        """Reopen the connection, switch the outputs off, and make every setting again.
 
         Parameters and errors are those of `switch_off`.
         """
@@ -193,7 +193,7 @@ class Connection:
                 self.controls.clear_errors()
                 self._prepare()
                 replay()
-                # A trigger that the old connection had on its way is played now if ever, with the outputs off.
+                # A trigger still in flight on the old connection is played now if at all, with the outputs off.
                 self._clock.sleep(self.patience.quarantine)
             except (LinkError, Unconfirmed) as error:
                 last = error
@@ -214,7 +214,7 @@ class Connection:
         ) from last
 
     def _reported(self) -> str:
-        """Return what the error queue says over a new connection: a refused query stays silent."""
+        """Return the error queue, read over a new connection: a query that is refused gets no reply."""
         errors = []
         with contextlib.suppress(LinkError):
             self.controls.open()
@@ -222,7 +222,7 @@ class Connection:
         return f" (it reports {', '.join(errors)})" if errors else ""
 
     def _last_resort(self) -> str:
-        """Try once more to switch off, and return what is known of the outputs."""
+        """Try once more to switch the outputs off, and return their known state in words."""
         with contextlib.suppress(LinkError, Unconfirmed):
             self.controls.outputs_off()
             self.guard.disarm()
@@ -230,7 +230,7 @@ class Connection:
         return "the outputs could not be confirmed off: SWITCH THE AMPLIFIER OFF (a watchdog process keeps trying)"
 
     def _revive(self) -> tuple[tuple[bool, ...], tuple[str, ...]]:
-        """Open the connection anew, to the same instrument, outputs off; return what `outputs_off` does."""
+        """Reopen the connection to the same instrument and switch its outputs off; returns as `outputs_off` does."""
         self.controls.open()
         identity = self.controls.ask("*IDN?")
         if identity != self.identity:
@@ -243,7 +243,7 @@ class Connection:
         return found
 
     def _prepare(self) -> None:
-        """Bring the instrument from any state to the one that is common to all bursts, outputs off."""
+        """Bring the instrument from any state to the settings common to all bursts, outputs off."""
         self.controls.reset()
         for channel in self.instrument.channels:
             self.controls.apply_each(self.limits.quiet_settings(channel))

@@ -1,4 +1,4 @@
-"""The generator's controls, each used and at once read back; knows commands, not sessions or safety."""
+"""The generator's settings, each read back as soon as it is made; sessions and safety are handled elsewhere."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ MOST_ERRORS = 64
 
 
 class Controls(Link):
-    """A link that sets, reads back and uploads; raises LinkError or Unconfirmed where that is not confirmed.
+    """A link that makes settings, reads them back and uploads records; raises LinkError or Unconfirmed on failure.
 
-    It is the `modaltouch.rig.instrument.Desk` of the way in which the instrument keeps its records.
+    It is the `modaltouch.rig.instrument.Desk` for the instrument's `Records`.
 
     Parameters
     ----------
     transport : Transport
-        The way to the instrument, not open yet.
+        Transport to the instrument, not open yet.
     instrument : Instrument
-        At its other end.
+        The instrument at its other end.
     revive : callable
-        Opens the session anew after a failed exchange, to the same instrument, outputs off.
+        Reopens the connection after a failed exchange, to the same instrument, outputs off.
     **options
-        Log and times of the link.
+        Log and timeouts of the link.
 
     Attributes
     ----------
     stored : dict of str
-        Hash of the record that a memory is known to hold, by the memory's name.
+        Hash of the record that each memory is known to hold, by the memory's name.
     """
 
     def __init__(
@@ -49,17 +49,17 @@ class Controls(Link):
         self.stored: dict[str, str] = {}
 
     def clear_errors(self) -> None:
-        """Empty the error queue, whatever was left in it; the log keeps it."""
+        """Clear the error queue and the status registers, without reading them."""
         self.ask("*CLS;*OPC?")
 
     def reset(self) -> None:
-        """Restore the defaults, outputs off; memories stay, but are to be read before they are trusted."""
+        """Restore the defaults, outputs off; memories keep their records, but are read back before they are used."""
         self.stored.clear()
         self.ask("*RST;*OPC?", timeout=self._copy_timeout)
         self._refuse_errors("*RST", self.pending_errors())
 
     def outputs_off(self) -> tuple[tuple[bool, ...], tuple[str, ...]]:
-        """Switch both outputs off, confirm it, and return which were on and which errors were reported."""
+        """Switch both outputs off, confirm it, and return which were on and which errors the instrument reported."""
         outputs = [self._table.output.filled(channel=channel) for channel in self._instrument.channels]
         asked = ";".join(f":{output.query}" for output in outputs)
         off = ";".join(f":{output.off.command}" for output in outputs)
@@ -73,9 +73,9 @@ class Controls(Link):
         return tuple(reply != "0" for reply in replies[:n]), tuple(errors)
 
     def trigger_command(self) -> str:
-        """Return what triggers a burst here: the first of the table's commands that is not undefined.
+        """Return the trigger command: the first in the table that the instrument does not report as undefined.
 
-        To be called with the outputs off: what it tries is a trigger.
+        Call it with the outputs off: it tries the commands, which trigger bursts.
         """
         *first, last = self._table.triggers
         for command in first:
@@ -92,7 +92,7 @@ class Controls(Link):
         self.apply([self._table.output.filled(channel=channel) for channel in self._instrument.channels])
 
     def apply(self, settings: Sequence[Setting]) -> tuple[str, ...]:
-        """Make settings in one message, read each back, read the error queue, and return what was read back."""
+        """Make settings in one message, read back each of them and the error queue, and return the values read back."""
         commands = ";:".join(setting.command for setting in settings)
         queries = ";:".join(setting.query for setting in settings)
         replies = split_reply(self.ask(f":{commands};:{queries};:SYST:ERR?"))
@@ -111,7 +111,7 @@ class Controls(Link):
             self.apply([setting])
 
     def differences(self, settings: Sequence[Setting]) -> list[str]:
-        """Return which settings no longer read as they were made."""
+        """Return the settings that no longer read back as made, in words."""
         wrong = []
         for start in range(0, len(settings), QUERIES_PER_MESSAGE):
             part = settings[start : start + QUERIES_PER_MESSAGE]
@@ -122,21 +122,21 @@ class Controls(Link):
         return wrong
 
     def command(self, command: str) -> None:
-        """Send a command that has nothing to read back, and read the error queue."""
+        """Send a command without a setting to read back, and read the error queue."""
         self._refuse_errors(command, [self.ask(f":{command};:SYST:ERR?")])
 
     def store(self, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
-        """Have records in memories, each verified for its channel, and return what names them in the table.
+        """Store records that are not stored yet, each verified for its channel, and return the names of their memories.
 
         Parameters
         ----------
         records : sequence of (int, (n_samples,) array of uint16)
-            Channels and codes.
+            Channel and codes of each record.
 
         Raises
         ------
         Unconfirmed
-            If a record is longer than the instrument's memories, or is not there after two uploads.
+            If a record is too short or too long for the instrument, or cannot be verified after two uploads.
         """
         most = self._instrument.converter.max_points
         for _, codes in records:
@@ -145,7 +145,7 @@ class Controls(Link):
         return self._instrument.records.store(self, records)
 
     def complete(self, what: str, message: str, *queries: str) -> list[str]:
-        """Wait in one message until all is done, read the error queue, and return the replies to further queries."""
+        """Send a message that waits for completion, read the error queue, and return the replies to further queries."""
         whole = ";:".join([message, "SYST:ERR?", *queries])
         replies = split_reply(self.ask(whole, timeout=self._copy_timeout))
         if len(replies) != len(queries) + 2:
@@ -156,7 +156,7 @@ class Controls(Link):
         return replies[2:]
 
     def pending_errors(self) -> list[str]:
-        """Empty the error queue and return what was in it."""
+        """Read the error queue until it is empty, and return its entries."""
         errors = []
         for _ in range(MOST_ERRORS):
             reply = self.ask("SYST:ERR?")
@@ -184,7 +184,7 @@ def _differences(settings: Sequence[Setting], replies: Sequence[str]) -> list[st
 
 
 def _error_number(reply: str) -> int:
-    """Return the number of an error-queue entry; what is no entry counts as a device error."""
+    """Return the number of an error-queue entry; a malformed entry counts as a device error."""
     try:
         return int(reply.partition(",")[0])
     except ValueError:

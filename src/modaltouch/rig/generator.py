@@ -1,9 +1,9 @@
-"""The arbitrary function generator over PyVISA: any that is in the catalogue.
+"""The driver for an arbitrary function generator over PyVISA, for every model in the catalogue.
 
-The outputs are off whenever no stimulus is wanted, whatever happens: after every failure they are switched off
-and asked whether they are, and the watchdog process, which holds the VISA session, does it where this one cannot.
-After a failed exchange an answer may belong to an earlier question, so the session is opened anew, the instrument
-identified, its outputs switched off and every setting made again.
+Whatever happens, the outputs are off when no stimulus is wanted: after every failure they are switched off and read
+back, and if this process cannot do so, the watchdog process does, which holds the VISA session. After a failed exchange
+a reply may belong to an earlier query, so the session is reopened, the instrument identified, its outputs switched off
+and every setting made again.
 """
 
 from __future__ import annotations
@@ -26,41 +26,41 @@ from modaltouch.stimulus import Burst
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
 LONGEST_LEAD = 0.3
-"""How long before its stimulus `fire` asks to be called at most [s]: the session stands still meanwhile."""
+"""Upper bound of `Generator.lead` [s]: the session stands still for that long."""
 
 FORGETTING = 0.9
-"""What is kept of that from stimulus to stimulus, where the preparation gets faster [1]."""
+"""Factor by which `Generator.lead` shrinks at most from one stimulus to the next [1]."""
 
 UNMEASURED = 1e-3
-"""Taken as the longest time from trigger to first sample, where that has not been measured [s]."""
+"""Assumed upper bound of the trigger latency, where that has not been measured [s]."""
 
 MOST_AWAITED = 5
-"""Bursts of which the first that is played begins a stimulus; if none of them is, it has not begun."""
+"""A stimulus begins with the first of these bursts that is played; if none of them is, it has not started."""
 
 MOST_DROPPED = 0.1
-"""Where their number is not fixed, a stimulus of which two bursts or more, and a larger part, were left out is offered
-again [1]; a single one that is missing is recorded."""
+"""If the number of bursts is not fixed, a stimulus is presented again when at least two of its bursts, and more than
+this fraction, were dropped [1]; a single dropped burst is only recorded."""
 
 
 class Generator:
-    """A generator with its two outputs, as a `modaltouch.rig.interface.Rig`.
+    """A generator with two outputs, as a `modaltouch.rig.interface.Rig`.
 
     Parameters
     ----------
     address : str
-        VISA address; ``@ivi`` after it takes the vendor's VISA library.
+        VISA address; the suffix ``@ivi`` selects the vendor's VISA library.
     apparatus : Apparatus
-        Model, load, amplifier and limits.
+        States model, load, amplifier and limits.
     log : callable
-        ``log(event, **facts)`` takes every exchange and event.
+        ``log(event, **facts)`` is called with every exchange and event.
     patience : Patience
-        How long to wait.
+        Timeouts and retries.
     repetition : str, optional
-        ``single``, ``timer``, ``continuous`` or ``wired``, instead of what the apparatus says.
+        ``single``, ``timer``, ``continuous`` or ``wired``, instead of the apparatus' own.
     start_guard : callable
-        Starts the watchdog for an address and the message that switches the outputs off.
+        Starts the watchdog, given the address and the message that switches the outputs off.
     clock : Clock
-        Of the session.
+        Clock of the session.
 
     Raises
     ------
@@ -86,7 +86,7 @@ class Generator:
         self._latency = apparatus.generator.trigger_latency
         self._last_beat = self._longest_silence = 0.0
         self.lead = RELAYS_SETTLE
-        """How long before a stimulus `fire` is to be called [s]: twice as long as its preparation takes."""
+        """How long before a stimulus `fire` should be called [s]: RELAYS_SETTLE and twice the time it prepares."""
         self._silent = self._is_counted = False
         self.firing: Firing | None = None
         """The latest firing; unconfirmed if `stop` found settings or outputs no longer as set."""
@@ -105,35 +105,36 @@ class Generator:
         try:
             self._connection.open()
         except BaseException:
-            # No output was ever on, so the watchdog has nothing to do.
+            # No output was ever on, so the watchdog has nothing to switch off.
             self._connection.guard.release(clean=True)
             raise
         self.identity, self.address = self._connection.identity, address
         self._opened_in = time.perf_counter() - began
 
     def command_latency(self, n: int = 50) -> tuple[dict[str, Any], str]:
-        """Return how soon the instrument does as it is told, from `n` commands of each kind, and what that means.
+        """Return the latencies of the instrument, from `n` commands of each kind, and what they mean.
 
-        Nothing is played.
+        The values are those of `modaltouch.rig.checklist.measure_latency`. Nothing is played.
 
         Raises
         ------
         RigError
-            If the instrument is lost.
+            If the connection to the instrument is lost.
         """
         from modaltouch.rig.checklist import measure_latency
 
         return measure_latency(self, self._player.set_levels, self._opened_in, n=n)
 
     def load(self, burst: Burst, *further: Burst, repetition: Repetition | None = None) -> None:
-        """Have both channels' records in the instrument, verified, and set everything but the level.
+        """Upload and verify both channels' records, and make every setting but the amplitudes.
 
         Parameters
         ----------
         burst, *further : Burst
-            One record for each of the two outputs; of several, one whose records find no memory is loaded when fired.
+            Bursts with one record for each of the two outputs. If the memories cannot hold the records of all of them,
+            each burst is uploaded when it is fired.
         repetition : str, optional
-            How these repeat, until others are loaded, instead of as usual.
+            Repetition of these bursts, until others are loaded, instead of the usual one.
 
         Raises
         ------
@@ -162,7 +163,7 @@ class Generator:
         which: int = 0,
         due: float = -math.inf,
     ) -> Firing:
-        """Set the level, switch the outputs on and let bursts go until `end` or `stop`.
+        """Set the level, switch the outputs on and play bursts until `end` or `stop`.
 
         Its parameters are those of `Rig.fire`.
 
@@ -170,18 +171,19 @@ class Generator:
         -------
         Firing
             Not started, and the outputs off, if the instrument did not confirm a setting, or the connection was lost
-            and found again: the trial is to be offered again.
+            and restored: the trial is to be presented again.
 
         Raises
         ------
         RigError
-            If nothing is loaded, the level is beyond a limit, or the instrument is lost; the outputs are off.
+            If nothing is loaded, the level exceeds a limit, or the connection to the instrument is lost; the outputs
+            are off.
         """
         commanded = self._player.amplitudes(velocity, which)
         if self._on:
             self.stop()
         if not self._player.holds(which):
-            # Lasts longer than the watchdog waits within a stimulus.
+            # An upload takes longer than the watchdog waits within a stimulus, so it comes before `arm`.
             self._bring(lambda: self._player.choose(which))
         self._is_counted = exactly
         self.firing = Firing(
@@ -206,7 +208,7 @@ class Generator:
         return self.firing
 
     def _bring(self, records: Callable[[], None]) -> None:
-        """Have records in the instrument, over a new connection if the first is lost."""
+        """Upload records, over a new connection if the first is lost."""
         with self._off_after_a_failure("loading the stimulus"):
             try:
                 records()
@@ -214,26 +216,26 @@ class Generator:
                 self._connection.restore("loading the stimulus", (), self._player.replay)
 
     def _give_up(self, firing: Firing, error: Unconfirmed | LinkError) -> None:
-        """Switch off a stimulus that did not begin as it should, and keep why."""
+        """Switch the outputs off after a stimulus that did not start properly, and record the reason."""
         read_back, reason = error.read_back if isinstance(error, Unconfirmed) else (), str(error)
         self.firing = replace(firing, confirmed_amplitude=numbers(read_back), reason=reason)
         self._log("unconfirmed", reason=reason)
         if isinstance(error, LinkError):
-            # A trigger of its own may still be on its way over it.
+            # One of its triggers may still be in flight on this connection.
             self._connection.controls.close(broken=True)
         self._switch_off("starting the stimulus")
-        # While this computer stands still, nothing is held against the instrument.
+        # While this computer is stalled, no fault is blamed on the instrument.
         if self._connection.guard.held_up() > HELD_UP:
             self.firing = replace(self.firing, stalled=True)
         if isinstance(error, Unconfirmed):
-            # Whoever changed a setting is to find it as it was for the next try.
+            # A setting that somebody changed is made again before the next attempt.
             self._connection.restore("starting the stimulus", (), self._player.replay)
 
     def _begin(self, firing: Firing, n_bursts: int, due: float, *, silent: bool) -> None:
-        """Switch the outputs on and let the first burst go when it is due, and keep when that was."""
+        """Switch the outputs on, play the first burst when it is due, and record its onset."""
         clock, self._silent = self._clock, silent
         set_after = clock.now() - firing.onset
-        # Outputs that are on wait without a sign of life.
+        # No heartbeat is sent during this wait, so the outputs are switched on only at its end.
         clock.sleep(due - clock.now() - (0.0 if self._player.plays_by_itself else 2 * RELAYS_SETTLE))
         started = clock.now()
         self._player.switch_on()
@@ -248,7 +250,7 @@ class Generator:
             order = self._player.order(n_bursts, due, self._patience.trigger)
             report = self._connection.guard.play(order)
             while report.first is None and not report.ended and report.due < MOST_AWAITED:
-                # The first was late and left out: the stimulus begins with the next.
+                # The first burst was late and dropped: the stimulus begins with the next.
                 clock.sleep(self._player.period / 4)
                 report = self._connection.guard.look()
             if report.first is None:
@@ -260,43 +262,44 @@ class Generator:
             span = (started, on + (self._player.period if self._player.repetition != "continuous" else 0.0))
             bursts = Bursts()
         middle, half = sum(span) / 2, (span[1] - span[0]) / 2
-        # Of pulses that come by a wire nobody here knows the rate, nor whether they come.
+        # The rate of pulses at the trigger input is unknown here, and even whether there are any.
         if not silent and self._player.repetition != "wired":
             bursts = replace(bursts, first_s=middle, uncertainty_s=half)
         self.firing = replace(firing, onset=middle, onset_uncertainty=half, started=True, bursts=bursts)
         self._last_beat = clock.now()
 
     def _sample_left(self, trigger: tuple[float, float]) -> tuple[float, float]:
-        """Return between which instants the first sample left, for a trigger that was sent and taken at two [s]."""
+        """Return earliest and latest instant of the first sample, from those of the trigger, (sent, accepted) [s]."""
         if self._latency is not None:
             return trigger[0] + self._latency[0], trigger[1] + self._latency[1]
-        # No claim below a millisecond: a link that acknowledges at once says nothing of the instrument.
+        # No claim below a millisecond: a link that acknowledges at once says nothing about the instrument.
         return trigger[0], max(trigger[1], trigger[0] + UNMEASURED) + UNMEASURED
 
     def end(self) -> None:
-        """Let no further burst go; the one that plays comes to its end."""
+        """Trigger no further burst; one that is playing plays to its end."""
         if self._on and not self._player.plays_by_itself:
             self._connection.guard.end()
 
     def stop(self, *, at_once: bool = False) -> None:
-        """Switch both outputs off, confirm it, and see what was played and whether everything still was as set.
+        """Switch both outputs off, confirm it, and update `firing`: what was played, and whether all was still as set.
 
         Parameters
         ----------
         at_once : bool
-            Whether the burst that plays is cut; else it comes to its end first, where bursts are triggered one by one.
+            Whether to cut a burst that is playing; otherwise it plays to its end first, if bursts are triggered one by
+            one.
 
         Raises
         ------
         RigError
-            If the instrument cannot be brought to confirm it.
+            If the instrument does not confirm it.
         """
         was_on, firing = self._on, self.firing
         if not was_on or firing is None or not firing.started:
             self._switch_off("switching the outputs off")
             return
         self._longest_silence = max(self._longest_silence, self._clock.now() - self._last_beat)
-        # Until the end is confirmed nothing is.
+        # Nothing counts as confirmed before the end of the stimulus is.
         unknown = replace(firing.bursts, played=None, whole=None)
         self.firing = replace(firing, reason="the end of the stimulus was not confirmed", bursts=unknown)
         try:
@@ -304,7 +307,7 @@ class Generator:
             if at_once:
                 self.end()
             if fault:
-                # Its trigger may still be on its way: the connection that carries it is given up, and it with it.
+                # A trigger may still be in flight: closing the connection discards it.
                 self._connection.controls.close(broken=True)
             off = self._clock.now()
             found = self._switch_off("switching the outputs off")
@@ -320,7 +323,7 @@ class Generator:
             self._connection.restore("making the settings again", (), self._player.replay)
 
     def _ask_report(self, *, wait: bool) -> tuple[Report | None, tuple[str, ...]]:
-        """Return what the pacer played, and why it does not count."""
+        """Return what the pacer played, and the reasons why it does not count."""
         if self._player.plays_by_itself or self._silent:
             return None, ()
         try:
@@ -330,7 +333,7 @@ class Generator:
         return report, (report.reason,) if report.ended == "failed" else ()
 
     def _judged(self, firing: Firing, report: Report | None, faults: tuple[str, ...], off: float) -> Firing:
-        """Return a stimulus as it is known at its end."""
+        """Return a firing with what is known of it at its end."""
         held_up = self._longest_silence
         stalled = held_up > PATIENCE
         reasons = [f"{'; '.join(faults)} when the stimulus ended"] if faults else []
@@ -344,7 +347,7 @@ class Generator:
                 reasons.append(f"{report.dropped} of {report.due} bursts would have been too late and were left out")
         if faults:
             bursts = replace(bursts, played=None, whole=None)
-            # Outputs that are off are the watchdog's doing in a stall.
+            # After a stall, it was the watchdog that switched the outputs off.
             if not (stalled and all(fault.startswith("output ") for fault in faults)):
                 held_up = self._connection.guard.held_up()
                 stalled = held_up > HELD_UP
@@ -353,17 +356,19 @@ class Generator:
         return replace(firing, confirmed=not reasons, reason="; ".join(reasons), stalled=stalled, bursts=bursts)
 
     def _count(self, report: Report, off: float = math.inf) -> Bursts:
-        """Return the bursts of a report; the last one is cut if the outputs went off before its end [s]."""
+        """Return the bursts of a report; the last one was cut if the outputs went `off` before its end [s]."""
         was_cut = report.last is not None and off < report.last[1] + self._player.duration
         return Bursts(report.due, report.played, report.played - was_cut, report.dropped)
 
     def heartbeat(self) -> None:
-        """Tell the watchdog that the session is alive; costs well under a microsecond between two beats.
+        """Note that the session is alive, for the watchdog; takes well under a microsecond.
 
         Raises
         ------
+        StimulusLost
+            If the bursts ended before `end` or `stop` was called.
         RigError
-            If the watchdog is gone while outputs may be on; they have been switched off.
+            If the watchdog process is gone while outputs may be on; they have been switched off.
         """
         now = self._clock.now()
         if self._on:
@@ -393,7 +398,7 @@ class Generator:
             off = True
             with contextlib.suppress(LinkError, Unconfirmed):
                 self._player.unlock()
-        # Whatever fails, a full disk under the log included: the watchdog is left to do it.
+        # Whatever fails, even a full disk under the log: the watchdog is left to switch the outputs off.
         except Exception as error:
             with contextlib.suppress(Exception):
                 self._log("close_failed", reason=str(error))
@@ -407,12 +412,12 @@ class Generator:
         self.close()
 
     def _switch_off(self, doing: str) -> OutputState:
-        """Switch the outputs off and stop the trigger; return how they were found."""
+        """Switch the outputs off and stop the trigger; return the state in which they were found."""
         was_on, self._on = self._on, False
         expected = self._player.expected if was_on else ()
         found = self._connection.switch_off(doing, expected, self._player.replay)
         if was_on:
-            # With the outputs off a trigger moves nothing, and the next start sees whether it is stopped.
+            # A failure is harmless: with the outputs off no trigger moves the beam, and the next start checks this.
             with contextlib.suppress(LinkError, Unconfirmed):
                 self._player.stop_trigger()
         return found

@@ -1,8 +1,8 @@
-"""A generator as a value: its figures, its table of commands, and what an apparatus lets it play.
+"""A generator as a value: its specifications, its table of commands, and the limits that an apparatus sets it.
 
-The promises (outputs off on every way out, settings read back, watchdog, replay) are kept by `generator` and what it
-uses, for every instrument alike; what differs between instruments stands in one file each, such as `afg3022b`: figures,
-a table of commands, and a way of keeping records.
+`generator` and the modules that it uses treat all instruments alike (outputs off however a session ends, settings read
+back, watchdog, settings restored). Each instrument has a module of its own, such as `afg3022b`, with all that is
+specific to it: specifications, a table of commands, and how it stores records.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from modaltouch.stimulus import Burst, Converter
 
 @dataclass(frozen=True)
 class Setting:
-    """One setting of an instrument: what sets it, what asks for it, and which replies confirm it.
+    """One setting of an instrument: its command, its query, and the replies that confirm it.
 
     In a table of commands, braces stand for a channel or a memory, and a value in lower case names a quantity.
 
@@ -34,13 +34,13 @@ class Setting:
     value : float or str
         A number, or a keyword in its short form.
     unit : str
-        Sent with a number.
+        Unit sent with a number.
     tolerance : float
-        Relative difference that a number may have when it is read back [1].
+        Relative tolerance of a number when it is read back [1].
     of : str
-        What it is a setting of, where the header does not say.
+        What the setting belongs to, such as a memory, if the header does not say.
     replies : tuple of str
-        How a keyword may read when it is asked for; as it was sent, or a truth value as 0 or 1, where nothing is said.
+        Replies that confirm a keyword; if empty, the keyword as sent, or 0 or 1 for a truth value.
     """
 
     header: str
@@ -52,25 +52,25 @@ class Setting:
 
     @property
     def off(self) -> Setting:
-        """The same, switched off."""
+        """The same setting with the value ``OFF``."""
         return replace(self, value="OFF")
 
     @property
     def command(self) -> str:
-        """What sets it."""
+        """Command that makes the setting."""
         if isinstance(self.value, str):
             return f"{self.header} {self.of},{self.value}" if self.of else f"{self.header} {self.value}"
         return f"{self.header} {self.value:.12g}{self.unit}"
 
     @property
     def query(self) -> str:
-        """What asks for it."""
+        """Query that reads the setting back."""
         return f"{self.header}? {self.of}" if self.of else f"{self.header}?"
 
     def confirmed_by(self, reply: str) -> bool:
-        """Return whether a reply says what was set."""
+        """Return whether a reply to the query confirms the setting."""
         if isinstance(self.value, str) and self.value != "INF":
-            # A suffix of 1 may be left out (SCPI-99, volume 1, 6.2.5.2).
+            # A suffix of 1 may be omitted (SCPI-99, volume 1, 6.2.5.2).
             shown = {"ON": "1", "OFF": "0"}.get(self.value, self.value.removesuffix("1"))
             return reply.upper() in (self.replies or (self.value, shown))
         try:
@@ -82,7 +82,7 @@ class Setting:
         return math.isclose(number, self.value, rel_tol=self.tolerance, abs_tol=0.0 if self.value else 1e-4)
 
     def filled(self, **quantities: float | str) -> Setting:
-        """Return an entry of a table with its channel, its memory and its value filled in."""
+        """Return an entry of a table of commands with channel, memory and value filled in."""
         value = quantities.get(self.value, self.value.format(**quantities)) if isinstance(self.value, str) else None
         return replace(
             self,
@@ -94,25 +94,25 @@ class Setting:
 
 
 class Desk(typing.Protocol):
-    """What the driver lends to the way in which an instrument keeps records; all may raise LinkError or Unconfirmed."""
+    """The driver as `Records` use it; every method may raise LinkError or Unconfirmed."""
 
     stored: dict[str, str]
-    """Hash of the record that a memory is known to hold, by the memory's name."""
+    """Hash of the record that each memory is known to hold, by the memory's name."""
 
     def ask(self, query: str) -> str:
         """Return the reply to a query."""
 
     def ask_raw(self, query: str) -> bytes:
-        """Return the reply to a query as it comes; it may take its time."""
+        """Return the reply to a query as received, with the long timeout of a copy."""
 
     def read_codes(self, query: str) -> NDArray[np.uint16]:
-        """Return the codes of a block, two bytes each, big-endian."""
+        """Return the codes of the block that a query returns, two bytes each, big-endian."""
 
     def complete(self, what: str, message: str, *queries: str) -> list[str]:
-        """Wait in one message until all is done, and return the replies to further queries."""
+        """Send a message that waits for completion, and return the replies to further queries."""
 
     def apply(self, settings: Sequence[Setting]) -> tuple[str, ...]:
-        """Make settings, and return what was read back."""
+        """Make settings, and return the values read back."""
 
     def send_block(self, command: str, block: bytes) -> None:
         """Send a command whose last argument is a block."""
@@ -121,11 +121,11 @@ class Desk(typing.Protocol):
         """Reopen the connection after a failed exchange, outputs off."""
 
     def log(self, event: str, **facts: Any) -> object:
-        """Take an event."""
+        """Log an event."""
 
 
 def upload_twice(desk: Desk, memory: str, upload: Callable[[], None]) -> None:
-    """Send what goes into a memory, and once again where it is not confirmed."""
+    """Call `upload`, and once more if it is not confirmed."""
     try:
         upload()
     except Unconfirmed as error:
@@ -134,51 +134,51 @@ def upload_twice(desk: Desk, memory: str, upload: Callable[[], None]) -> None:
 
 
 class Records(typing.Protocol):
-    """How an instrument keeps records, and what shows that it has the right ones."""
+    """How an instrument stores waveform records and verifies them."""
 
     @property
     def n_memories(self) -> int:
-        """How many different records it holds at a time."""
+        """Number of different records that it can hold at a time."""
 
     def store(self, desk: Desk, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
-        """Have records in memories, each verified for its channel, and return what fills ``{memory}`` for each.
+        """Store records, each verified for its channel, and return what fills ``{memory}`` for each.
 
-        One that is there already, remembered from this session or read back, is not sent again.
+        A record that is already stored, known from this session or read back, is not sent again.
 
         Raises
         ------
         LinkError
             If the connection breaks.
         Unconfirmed
-            If a record is not there after two uploads.
+            If a record cannot be verified after two uploads.
         """
 
     def locks(self, memories: Sequence[str]) -> list[Setting]:
-        """Return what keeps memories from being overwritten at the front panel; nothing where it cannot be kept."""
+        """Return the settings that protect memories from the front panel; none if the instrument has no such lock."""
 
 
 @dataclass(frozen=True)
 class Commands:
-    """What a generator is told: entries of settings, in which braces stand for channel and memory.
+    """The table of commands of a generator: settings in which braces stand for channel and memory.
 
     Attributes
     ----------
     output, level : Setting
-        Of a ``{channel}``: on; its ``amplitude``.
+        Output of a ``{channel}`` on; its ``amplitude``.
     quiet : tuple of Setting
-        Of a ``{channel}``, before anything is loaded: scale of the numbers, lowest level (``quiet_amplitude``), limits
-        (``highest``, ``lowest``).
+        Settings of a ``{channel}`` before anything is loaded: load and units, standby amplitude (``quiet_amplitude``),
+        voltage limits (``highest``, ``lowest``).
     burst, continuous : tuple of Setting
-        What makes a ``{channel}`` play a ``{memory}`` once at each trigger, or repeat it without trigger: at a
+        Settings with which a ``{channel}`` plays a ``{memory}`` once per trigger, or repeats it without a trigger, at a
         ``burst_rate`` or ``repetition_rate`` of records, or a ``sampling_rate``.
     stopped, wired : Setting
-        Triggers from nowhere but a command; from the trigger input. Of a ``{channel}`` where each has its own.
+        Trigger source: commands alone, or the trigger input; of a ``{channel}`` if each has its own.
     triggers : tuple of str
-        What triggers a burst, on all channels: the first that the instrument knows.
+        Commands that trigger a burst on all channels; the first that the instrument knows is used.
     align : str
-        Begins what repeats without trigger with its first sample, on all channels.
+        Command that restarts repeating records at their first sample, on all channels.
     timer, armed : Setting or None
-        Time between triggers (``period``), and triggers from this timer; None where channels have no timer in common.
+        Time between triggers (``period``), and this timer as the trigger source; None if the channels share no timer.
     """
 
     output: Setting
@@ -196,26 +196,26 @@ class Commands:
 
 @dataclass(frozen=True)
 class Instrument:
-    """A generator of two channels.
+    """A two-channel generator.
 
     Attributes
     ----------
     models : tuple of str
-        As ``*IDN?`` names them; the figures are the first one's.
+        Models as ``*IDN?`` names them; the specifications are those of the first.
     converter : Converter
         Codes, points, clock and grid of amplitudes.
     channels : tuple of int
         Numbers of its outputs.
     lowest_amplitude, quiet_amplitude : float
-        Smallest amplitude, and that at which a level waits, into an open circuit [V peak to peak].
+        Smallest amplitude, and standby amplitude, into an open circuit [V peak to peak].
     highest_output : float
         Highest output, either sign, into an open circuit [V].
     commands : Commands
-        What it is told.
+        Table of commands.
     records : Records
-        How it keeps records.
+        How it stores waveform records.
     questions : tuple of int
-        What `modaltouch rig check` asks of it.
+        Numbers of the questions that `modaltouch rig check` answers for it.
     """
 
     models: tuple[str, ...]
@@ -230,34 +230,34 @@ class Instrument:
 
     @property
     def off(self) -> str:
-        """The message that switches all outputs off and asks whether they are."""
+        """Message that switches all outputs off and queries their states."""
         outputs = [self.commands.output.filled(channel=channel) for channel in self.channels]
         return ";".join(f":{part}" for part in [*(each.off.command for each in outputs), *(o.query for o in outputs)])
 
     def on_all(self, entry: Setting, **quantities: float) -> tuple[Setting, ...]:
-        """Return an entry for every channel; once where it is one for all."""
+        """Return an entry filled in for every channel, or once if it applies to all channels."""
         return tuple(dict.fromkeys(entry.filled(channel=channel, **quantities) for channel in self.channels))
 
     def is_simulated(self, identity: str) -> bool:
-        """Return whether a reply to ``*IDN?`` is the simulator's: it bears the word where others have their number."""
+        """Return whether a reply to ``*IDN?`` is the simulator's, which has SIMULATED for a serial number."""
         return "SIMULATED" in identity.split(",")
 
     def limits(self, apparatus: Apparatus) -> Limits:
-        """Return what an apparatus lets leave it."""
+        """Return the limits of its outputs in an apparatus."""
         gain, velocity = _gain(apparatus), apparatus.safety.velocity_limit_mm_s * 1e-3
         return Limits(self, self.highest_level(apparatus), apparatus.amplifier.limit_V, gain, velocity)
 
     def highest_level(self, apparatus: Apparatus) -> float:
-        """Return the highest output, either sign, that amplifier and generator allow, open circuit [V]."""
+        """Return the highest output, either sign, that amplifier and generator allow, into an open circuit [V]."""
         # Rounded down to 10 mV, so that the instrument's own rounding cannot lift it.
         return min(math.floor(apparatus.amplifier.limit_V / _gain(apparatus) * 100 + 1e-6) / 100, self.highest_output)
 
     def level(self, channel: int, amplitude: float) -> Setting:
-        """Return the setting of an amplitude, open circuit [V peak to peak]."""
+        """Return the setting of an amplitude, into an open circuit [V peak to peak]."""
         return self.commands.level.filled(channel=channel, amplitude=amplitude)
 
     def burst_settings(self, channel: int, memory: str, burst: Burst, *, continuous: bool) -> tuple[Setting, ...]:
-        """Return what makes a channel play a memory once at each trigger, or repeat it without."""
+        """Return the settings with which a channel plays a memory once per trigger, or repeats it without triggers."""
         table = self.commands.continuous if continuous else self.commands.burst
         whole = self.converter.max_points * burst.repetition_rate
         rates = {
@@ -268,16 +268,16 @@ class Instrument:
         return tuple(entry.filled(channel=channel, memory=memory, **rates) for entry in table)
 
     def timer(self, burst: Burst) -> tuple[Setting, ...]:
-        """Return the time between triggers; nothing where the channels have no timer in common."""
+        """Return the setting of the time between triggers; none if the channels share no timer."""
         entry = self.commands.timer
         return () if entry is None else self.on_all(entry, period=1 / burst.repetition_rate)
 
     def continuous_codes(self, burst: Burst) -> NDArray[np.uint16]:
-        """Return one record that holds a whole repetition, burst and silence, for a generator without burst mode.
+        """Return one record that holds a whole period, burst and silence, to be repeated without burst mode.
 
-        The burst's steps fall on the nearest point of the longest record, so that it cannot be exact: at 7 Hz on
-        131,072 points a step is late or early by up to 0.55 us, and of the shipped stimulus a mode is missed by
-        0.014 mm/s in 200, where the burst itself misses 1e-5 mm/s (`modaltouch.preflight.exploration` computes it).
+        It is not exact, since the burst's steps are shifted to the nearest point of the longest record: at 7 Hz and
+        131,072 points by up to 0.55 us. With the shipped stimulus of 200 mm/s, a modal velocity is then off by up to
+        0.014 mm/s, against 1e-5 mm/s with the burst itself (computed by `modaltouch.preflight.exploration`).
 
         Returns
         -------
@@ -296,20 +296,20 @@ class Instrument:
 
 @dataclass(frozen=True)
 class Limits:
-    """What may leave the generator.
+    """The limits of a generator's outputs in an apparatus.
 
     Attributes
     ----------
     instrument : Instrument
         The generator.
     level : float
-        Highest output voltage, either sign, open circuit [V].
+        Highest output voltage, either sign, into an open circuit [V].
     beam : float
         Highest voltage at the beam [V].
     gain : float
         Volts at the beam per open-circuit volt of the generator [1].
     velocity : float
-        Highest peak velocity [m/s].
+        Highest peak velocity at the focus [m/s].
     """
 
     instrument: Instrument
@@ -320,40 +320,40 @@ class Limits:
 
     @property
     def quiet_amplitude(self) -> float:
-        """Amplitude of a channel that plays nothing [V peak to peak]."""
+        """Standby amplitude, of a channel that plays nothing [V peak to peak]."""
         return min(self.instrument.quiet_amplitude, 2 * self.level)
 
     def quiet_settings(self, channel: int) -> tuple[Setting, ...]:
-        """Return what is set once, before anything is loaded: scale of the numbers, lowest level, limits."""
+        """Return the settings made once, before anything is loaded: load, units, standby amplitude, limits."""
         bounds = {"highest": self.level, "lowest": -self.level, "quiet_amplitude": self.quiet_amplitude}
         return tuple(entry.filled(channel=channel, **bounds) for entry in self.instrument.commands.quiet)
 
     def guarded_settings(self) -> tuple[Setting, ...]:
-        """Return the quiet settings of all channels that still hold at every firing: all but the level."""
+        """Return the quiet settings of all channels that still hold in every stimulus: all but the amplitude."""
         level = self.instrument.commands.level
         levels = [level.filled(channel=channel).header for channel in self.instrument.channels]
         quiet = [setting for channel in self.instrument.channels for setting in self.quiet_settings(channel)]
         return tuple(setting for setting in quiet if setting.header not in levels)
 
     def amplitudes(self, burst: Burst, velocity: float) -> tuple[float, ...]:
-        """Return the amplitude of each channel at a level, or refuse it.
+        """Return the amplitude of each channel at a level.
 
         Parameters
         ----------
         burst : Burst
-            The records.
+            The burst to be played.
         velocity : float
             Peak velocity at the focus [m/s].
 
         Returns
         -------
         tuple of float
-            Amplitude of each channel, open circuit [V peak to peak].
+            Amplitude of each channel, into an open circuit [V peak to peak].
 
         Raises
         ------
         RigError
-            If the level cannot be played, or must not.
+            If the level exceeds a limit, or cannot be played.
         """
         if not (math.isfinite(velocity) and 0 < velocity <= self.velocity):
             raise RigError(
@@ -372,7 +372,7 @@ class Limits:
         beam = amplitude / share / 2 * peak * self.gain
         if not beam <= self.beam * (1 + 1e-9):
             raise RigError(f"{where}, {beam:.1f} V at the beam: allowed at most {self.beam:g} V; {remedy}")
-        # Codes that are not used leave their part of the range unused.
+        # A record that uses only a share of the codes reaches only that share of the output range.
         lowest, highest = self.instrument.lowest_amplitude, 2 * self.level * share
         if not lowest <= amplitude <= highest:
             raise RigError(f"{where}: allowed {lowest:g} to {highest:g} V; {remedy}")

@@ -1,4 +1,4 @@
-"""What the session asks of a rig: load, fire, stop, close."""
+"""The interface of a rig as a session uses it: load, fire, end, stop, heartbeat, close."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ if TYPE_CHECKING:
 
 
 Repetition = typing.Literal["single", "timer", "continuous", "wired"]
-"""``single``: each burst is triggered by itself; ``timer``: by the free timer of the generator; ``wired``: by pulses at
-its trigger input; ``continuous``: one record of a whole period plays on and on."""
+"""What repeats the bursts. ``single``: a trigger command for each burst; ``timer``: the generator's free-running timer;
+``wired``: pulses at its trigger input; ``continuous``: one record of a whole period is repeated."""
 
 
 class RigError(Exception):
-    """The rig failed; its outputs are off, or everything possible was done to switch them off."""
+    """The rig failed; its outputs are off, or everything possible has been done to switch them off."""
 
 
 class LinkError(Exception):
-    """An exchange failed; what the instrument has done is unknown, and so is what it will answer next."""
+    """An exchange failed; what the instrument has done, and what it will reply next, is unknown."""
 
 
 class Unconfirmed(Exception):  # noqa: N818
-    """The instrument answered, but not that it does what was asked.
+    """The instrument replied, but its reply does not confirm the command.
 
     Attributes
     ----------
     read_back : tuple of str
-        What the settings read instead, where they were read.
+        Values read back for the settings, if any were.
     """
 
     def __init__(self, reason: str, read_back: tuple[str, ...] = ()) -> None:
@@ -39,31 +39,31 @@ class Unconfirmed(Exception):  # noqa: N818
 
 
 class StimulusLost(RigError):  # noqa: N818
-    """The stimulus ended before anybody ended it: stop, and offer it again."""
+    """The stimulus ended before `Rig.end` or `Rig.stop` was called: stop, and present it again."""
 
 
 MANY = 1_000_000
-"""Bursts without a number: until `Rig.end` or `Rig.stop`."""
+"""Number of bursts for an unlimited stimulus, which lasts until `Rig.end` or `Rig.stop`."""
 
 
 @dataclass(frozen=True)
 class Bursts:
-    """The bursts of one stimulus, counted; None for what cannot be known.
+    """Counts of the bursts of one stimulus; None for what is unknown.
 
     Attributes
     ----------
     asked : int or None
         Bursts that were due by the end of the stimulus.
     played : int or None
-        Bursts whose trigger the instrument took.
+        Bursts whose trigger the instrument accepted.
     whole : int or None
-        Those of them that played to their end.
+        Bursts that played to their end.
     dropped : int or None
-        Bursts left out because they would have come too late.
+        Bursts dropped because they would have come too late.
     first_s : float or None
-        When the first sample of the first burst left the generator, by the record's clock [s].
+        When the first sample of the first burst left the generator, by the clock of the session log [s].
     uncertainty_s : float or None
-        How far from `first_s` it can have been, either way [s].
+        Uncertainty of `first_s`, either way [s].
     """
 
     asked: int | None = None
@@ -74,35 +74,35 @@ class Bursts:
     uncertainty_s: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the counts as plain values for the record."""
+        """Return the counts as plain values for the log."""
         return {name: round(value, 6) if isinstance(value, float) else value for name, value in asdict(self).items()}
 
 
 @dataclass(frozen=True)
 class Firing:
-    """One stimulus: what was commanded of the instrument, what it confirmed, what was played.
+    """One stimulus: what was commanded, what the instrument confirmed, and what was played.
 
     Attributes
     ----------
     commanded_amplitude, confirmed_amplitude : tuple of float
         Generator amplitude of each channel, sent and read back [V peak to peak].
     onset : float
-        When the first burst began, by the clock of the record [s]; in the middle of what is possible.
+        When the first burst began, by the clock of the session log [s]; the middle of the possible interval.
     onset_uncertainty : float
-        How far from `onset` the first burst can have been, either way [s].
+        Half the width of that interval [s].
     started : bool
         Whether every setting was read back within tolerance with an empty error queue, and the first burst played.
     confirmed : bool
-        Whether, at the end of the stimulus, settings and outputs still were as set and each trigger had been taken;
-        never before that end.
+        Whether, at the end of the stimulus, settings and outputs were still as set and every trigger had been accepted;
+        False until then.
     reason : str
         Why it did not start, or is not confirmed.
     stalled : bool
-        Whether the reason is a stall of this computer, and no fault of the instrument.
+        Whether the reason is a stall of this computer, not a fault of the instrument.
     repetition : str
         ``single``, ``timer``, ``continuous`` or ``wired``.
     trigger_latency : str
-        ``measured``, or ``unknown``: then nothing is claimed of `onset` to less than a millisecond.
+        ``measured``, or ``unknown``: `onset_uncertainty` is then at least a millisecond.
     bursts : Bursts
         What was played, as far as it is known.
     """
@@ -120,11 +120,11 @@ class Firing:
     bursts: Bursts = Bursts()
 
     def pending(self, reason: str) -> Firing:
-        """Return the firing as it is recorded before its end, without counts; `reason` says so."""
+        """Return the firing as it is logged before its end: without counts, not confirmed for this `reason`."""
         return replace(self, reason=reason, bursts=Bursts())
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the firing as plain values for the record, the bursts left out."""
+        """Return the firing as plain values for the log, without the bursts."""
         values = asdict(self)
         del values["bursts"], values["started"]
         for name in ("onset", "onset_uncertainty"):
@@ -145,14 +145,14 @@ class Rig(typing.Protocol):
 
     @property
     def firing(self) -> Firing | None:
-        """The latest stimulus; `stop` confirms it, or says why not."""
+        """The latest stimulus; `stop` confirms it, or states why it is not confirmed."""
 
     @property
     def lead(self) -> float:
-        """How long before a stimulus `fire` is to be called, so that it begins in time [s]."""
+        """How long before a stimulus `fire` should be called, so that it begins on time [s]."""
 
     def load(self, burst: Burst, *further: Burst, repetition: Repetition | None = None) -> None:
-        """Upload both channels' records of each burst and verify them, outputs off; repeated otherwise than usual."""
+        """Upload and verify both channels' records of each burst, outputs off; `repetition` replaces the usual one."""
 
     def fire(
         self,
@@ -164,37 +164,38 @@ class Rig(typing.Protocol):
         which: int = 0,
         due: float = -math.inf,
     ) -> Firing:
-        """Set the level, switch the outputs on and let bursts go; return after the first.
+        """Set the level, switch the outputs on and play bursts; return after the first.
 
         Parameters
         ----------
         velocity : float
             Peak velocity at the focus [m/s].
         n_bursts : int
-            How many bursts at most, where they are triggered one by one.
+            Highest number of bursts, if they are triggered one by one.
         exactly : bool
-            Whether a single burst that is left out spoils the stimulus.
+            Whether a single dropped burst spoils the stimulus.
         silent : bool
-            Whether no burst is let go, in a catch trial: the outputs are on, at the level's amplitude, and rest.
+            Whether to play nothing, in a catch trial: the outputs are on, with the amplitudes of the level, but at
+            rest.
         which : int
-            Which of the bursts that were loaded, from 0.
+            Index of the burst among those loaded, from 0.
         due : float
-            When the first burst goes at the earliest, by the record's clock [s].
+            Earliest instant of the first burst, by the clock of the session log [s].
         """
 
     def end(self) -> None:
-        """Let no further burst go; the one that plays comes to its end. Never raises."""
+        """Trigger no further burst; one that is playing plays to its end. Never raises."""
 
     def stop(self, *, at_once: bool = False) -> None:
-        """Switch both outputs off, after the burst that plays unless `at_once`, and confirm what was played."""
+        """Switch both outputs off, after the end of a playing burst unless `at_once`, and confirm what was played."""
 
     def heartbeat(self) -> None:
-        """Tell the watchdog that the session is alive; called about every millisecond, cheap.
+        """Note that the session is alive, for the watchdog; cheap, to be called about every millisecond.
 
         Raises
         ------
         StimulusLost
-            If the bursts ended that nobody ended.
+            If the bursts ended before `end` or `stop` was called.
         """
 
     def close(self) -> None:

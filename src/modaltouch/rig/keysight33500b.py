@@ -1,12 +1,13 @@
 """The Keysight 33500B series: 33522B and 33512B, the models with two channels.
 
-Figures and commands are those of Keysight's data sheet and operating and service guide. What stands in neither, or was
-not to be had, is marked *unverified*; no real one has been met.
+Specifications and commands are from Keysight's data sheet and operating and service guide. What neither states is
+marked *unverified*; the driver has not been tested on a real instrument.
 
-A record is verified by reading it back as the file that the instrument writes of it, code by code. Where no such file
-can be read, what is left are the four figures that the instrument computes of a record (points, average, peak to peak,
-crest factor), to the digits it tells. They notice a lost part, another byte order, scale or record; a single wrong code
-passes as long as it moves no figure, and so does another order of the same codes. The log then says `record_figures`.
+To verify a record, the instrument writes it to a file, which is read back and compared code by code. If no such file
+can be read, the record is verified only by four statistics that the instrument computes (points, average, peak to peak,
+crest factor), to the digits that it returns. These reveal a lost part, a wrong byte order, a wrong scale or a wrong
+record, but neither a single wrong code that changes none of them nor a reordering of the codes. The log then contains
+the event `record_figures`.
 """
 
 from __future__ import annotations
@@ -25,31 +26,31 @@ from modaltouch.rig.link import block_bounds
 from modaltouch.stimulus import Converter
 
 ZERO = 32767
-"""Of the driver's codes, which count from 0; those of the instrument run from -32767 to 32767."""
+"""The driver's code for 0 V: its codes count from 0, the instrument's run from -32767 to 32767."""
 
 FILE = r'"INT:\MODALTOUCH.ARB"'
-"""Where the instrument writes a record to be read back; taken away afterwards."""
+"""File to which the instrument writes a record that is to be read back; deleted afterwards."""
 
 FIGURES = ("POIN", "AVER", "PTP", "CFAC")
 
 
 @dataclass(frozen=True)
 class ChannelMemories:
-    """Records in a memory to each channel, under names made of their content.
+    """Records in one memory per channel, under names derived from their content.
 
-    A name is never used again for other codes: to write over one is an error, and single ones cannot be taken away.
+    A name is never reused for other codes: overwriting a record is an error, and single records cannot be deleted.
 
     Attributes
     ----------
     n_memories : int
-        Records that fit into a channel's memory, at their longest.
+        Number of records of the greatest length that fit into a channel's memory.
     """
 
     n_memories: int
 
     def store(self, desk: Desk, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
-        """Have records in the memories of their channels, verified, and return their names."""
-        # A letter first, twelve at most.
+        """Store records in the memories of their channels, verify them, and return their names."""
+        # Names begin with a letter and have at most twelve characters.
         names = ["MT" + hashlib.sha256(codes.tobytes()).hexdigest()[:10].upper() for _, codes in records]
         for channel in dict.fromkeys(channel for channel, _ in records):
             wanted = {name: codes for name, (each, codes) in zip(names, records, strict=True) if each == channel}
@@ -66,11 +67,11 @@ class ChannelMemories:
         return names
 
     def locks(self, memories: Sequence[str]) -> list[Setting]:
-        """Return nothing: names cannot be locked; what is selected at the front panel shows in its name."""
+        """Return no settings: records cannot be locked; one selected at the front panel is revealed by its name."""
         return []
 
     def _holds(self, desk: Desk, channel: int, wanted: dict[str, NDArray[np.uint16]]) -> bool:
-        """Return whether a channel's memory holds all records already."""
+        """Return whether a channel's memory already holds all records."""
         held = desk.ask(f"SOUR{channel}:DATA:VOL:CAT?").upper()
         try:
             return all(f'"{name}"' in held and _verified(desk, channel, name, wanted[name]) for name in wanted)
@@ -80,7 +81,7 @@ class ChannelMemories:
     def _upload(self, desk: Desk, channel: int, wanted: dict[str, NDArray[np.uint16]]) -> None:
         for known in [memory for memory in desk.stored if memory.startswith(f"{channel}:")]:
             del desk.stored[known]
-        # Names in use are refused (error 786), and a record that a fault has spoiled bears its name.
+        # Names in use are refused (error 786), even if a fault has spoiled the record stored under one.
         clear = f"SOUR{channel}:DATA:VOL:CLE"
         desk.complete(clear, f":{clear};*OPC?")
         desk.apply([Setting("FORM:BORD", "NORM", replies=("NORM", "NORMAL"))])
@@ -95,7 +96,7 @@ class ChannelMemories:
 
 
 def _verified(desk: Desk, channel: int, name: str, codes: NDArray[np.uint16]) -> bool:
-    """Return whether a record is there as it should be, by its figures and, where it can be read, by every code."""
+    """Return whether a record is stored correctly, by its statistics and, if it can be read back, by every code."""
     told = [desk.ask(f"SOUR{channel}:DATA:ATTR:{figure}? {name}") for figure in FIGURES]
     if not all(_agrees(*each) for each in zip(told, figures(codes), strict=True)):
         return False
@@ -112,14 +113,14 @@ def _verified(desk: Desk, channel: int, name: str, codes: NDArray[np.uint16]) ->
 
 
 def figures(codes: NDArray[np.uint16]) -> tuple[float, ...]:
-    """Return points, average, peak to peak and crest factor of a record, as parts of the converter's range."""
+    """Return points, average, peak to peak and crest factor of a record, with the converter's range as unit."""
     values = (codes.astype(float) - ZERO) / ZERO
     rms = float(np.sqrt(np.mean(values**2)))
     return float(values.size), float(values.mean()), float(np.ptp(values)), float(np.abs(values).max() / (rms or 1.0))
 
 
 def _agrees(reply: str, figure: float) -> bool:
-    """Return whether a reply is a figure, to one of the last digit that it tells."""
+    """Return whether a reply agrees with a statistic to one unit of its last digit."""
     mantissa, _, exponent = reply.upper().partition("E")
     decimals = len(mantissa.partition(".")[2])
     try:
@@ -129,8 +130,8 @@ def _agrees(reply: str, figure: float) -> bool:
 
 
 def _read_back(desk: Desk, channel: int, name: str) -> NDArray[np.uint16] | None:
-    """Return the codes of a record from the file that the instrument writes of it; None if there is none to read."""
-    # Unverified: that the file is of the record which is selected, and its head as read below.
+    """Return the codes of a record from the file that the instrument writes of it; None if it writes no such file."""
+    # Unverified: that the file contains the record selected, and the format of its header.
     desk.apply([Setting(f"SOUR{channel}:FUNC:ARB", f'"{name}"', replies=(f'"{name}"', name))])
     store = f"MMEM:STOR:DATA{channel} {FILE}"
     try:
@@ -142,7 +143,7 @@ def _read_back(desk: Desk, channel: int, name: str) -> NDArray[np.uint16] | None
     try:
         start, end = block_bounds(content)
         head, _, body = content[start:end].decode("ascii").partition("Data:")
-        # Of another data type than codes it is of no use here.
+        # A file of any other data type than codes is of no use here.
         points = np.array(body.split(), dtype=int) if '"short"' in head.lower() else None
     except ValueError as error:
         raise LinkError(f"the file of {name} cannot be read ({error})") from error
@@ -157,16 +158,16 @@ _SELECTED = (
     Setting("SOUR{channel}:FUNC:ARB", '"{memory}"', replies=('"{memory}"', "{memory}")),
     Setting("SOUR{channel}:FUNC", "ARB"),
     Setting("SOUR{channel}:FUNC:ARB:ADV", "SRAT", replies=("SRAT", "SRATE")),
-    # Each sample is held until the next, as the stimulus is computed for.
+    # Each sample is held until the next, as assumed when the stimulus is computed.
     Setting("SOUR{channel}:FUNC:ARB:FILT", "OFF"),
     Setting("SOUR{channel}:FUNC:ARB:SRAT", "sampling_rate", tolerance=1e-6),
 )
-"""What makes a channel play a record sample by sample; what of it a file of the record may bring along is set again."""
+"""Settings to play a record sample by sample; the record is selected first, since its file may bring settings along."""
 
 _BURST = (
     Setting("SOUR{channel}:BURS:MODE", "TRIG", replies=("TRIG", "TRIGGERED")),
     Setting("SOUR{channel}:BURS:NCYC", 1.0),
-    # Of a record, 0 degrees is its first point; there the output rests between bursts.
+    # 0 degrees is the first point of a record, where the output rests between bursts.
     Setting("SOUR{channel}:BURS:PHAS", 0.0),
     Setting("TRIG{channel}:DEL", 0.0),
     Setting("SOUR{channel}:BURS:STAT", "ON"),
@@ -178,12 +179,12 @@ KEYSIGHT_33500B = Instrument(
         mid_code=ZERO,
         # Four records fit into the 1,048,576 points that a channel has without the option MEM.
         max_points=262_144,
-        # Without a filter; the rate of samples is free below (Trueform). Unverified: how finely.
+        # The limit without a filter; below it the sample rate is free (Trueform). Unverified: its resolution.
         clock_rate=62.5e6,
         amplitude_digits=4,
         amplitude_decimals=4,
-        # Of "Sinc", which goes from -0.217 to 1, the guide allows 6.087 V of 10; a user's 33522B played values from 0
-        # to 1 at 0.9 Vpp as 0 to 0.9 V. `modaltouch rig check` asks the instrument itself (question 14).
+        # For "Sinc", which ranges from -0.217 to 1, the guide allows 6.087 V of 10; a user's 33522B played values from
+        # 0 to 1 at 0.9 Vpp as 0 to 0.9 V. `modaltouch rig check` tests the instrument itself (question 14).
         of_record=True,
         any_rate=True,
     ),
@@ -208,12 +209,12 @@ KEYSIGHT_33500B = Instrument(
         continuous=(*_SELECTED, Setting("SOUR{channel}:BURS:STAT", "OFF")),
         stopped=Setting("TRIG{channel}:SOUR", "BUS"),
         wired=Setting("TRIG{channel}:SOUR", "EXT", replies=("EXT", "EXTERNAL")),
-        # One for both channels; unverified: how far apart they then begin (`modaltouch rig check`, question 10).
+        # One command for both channels; unverified: the skew between them (`modaltouch rig check`, question 10).
         triggers=("*TRG",),
         align="FUNC:ARB:SYNC",
-        # Each channel has a timer of its own, and nothing is known to start them together.
+        # No timer: each channel has its own, and no command is known to start them together.
     ),
     records=ChannelMemories(n_memories=4),
-    # Those about the trigger timer and the copy from the edit memory are an AFG3022B's.
+    # The questions on the trigger timer and on copying from the edit memory concern the AFG3022B alone.
     questions=(0, 1, 6, 7, 8, 10, 12, 13, 14),
 )

@@ -1,4 +1,4 @@
-"""Exchanges with one instrument, all logged, and one error for all that breaks; knows no VISA and no process."""
+"""Logged exchanges with one instrument, with one error for every failure; independent of VISA and of processes."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ if typing.TYPE_CHECKING:
 
 
 class InUse(LinkError):  # noqa: N818
-    """The instrument belongs to another program for now."""
+    """The instrument is in use by another program."""
 
 
 class TransportError(Exception):
-    """What failed at the other end of a transport, already in words."""
+    """A failure at the other end of a transport, already described in words."""
 
 
 class Transport(typing.Protocol):
-    """The way to one instrument. Whatever fails raises; the transport must then be closed and reopened."""
+    """A transport to one instrument. Every failure raises; the transport must then be closed and reopened."""
 
     def open(self) -> str:
-        """Reopen it and return a sentence on how others are kept out.
+        """Reopen it, and return a sentence on how other programs are kept out.
 
         Raises
         ------
@@ -36,19 +36,19 @@ class Transport(typing.Protocol):
         """
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
-        """Send a message, and return the reply if one is expected, within a time for each [s]."""
+        """Send a message, and return the reply if one is expected; each may take as long as `timeout` [s]."""
 
     def close(self, *, broken: bool) -> None:
-        """End it, without a word to the other end if it is broken."""
+        """Close it; if it is broken, without notifying the other end."""
 
 
 def block_bounds(reply: bytes) -> tuple[int, int]:
-    """Return where the content of a definite block (IEEE 488.2, 8.7.9) begins and ends.
+    """Return start and end of the content of a definite-length block (IEEE 488.2, 8.7.9).
 
     Raises
     ------
     ValueError
-        If the reply does not begin as one.
+        If the reply does not begin like a block.
     """
     n_digits = reply[1:2]
     length = reply[2 : 2 + int(n_digits)] if n_digits.isdigit() else b""
@@ -59,7 +59,7 @@ def block_bounds(reply: bytes) -> tuple[int, int]:
 
 
 def describe_error(error: BaseException) -> str:
-    """Return kind and text of an error in one line; what comes from a transport is in words already."""
+    """Return type and text of an error in one line; of a TransportError, the text alone."""
     text = " ".join(str(error).split())[:200]
     if isinstance(error, TransportError):
         return text
@@ -67,7 +67,7 @@ def describe_error(error: BaseException) -> str:
 
 
 Log = Callable[..., None]
-"""``log(event, **facts)`` takes one event."""
+"""``log(event, **facts)`` logs one event."""
 
 T = typing.TypeVar("T")
 
@@ -78,11 +78,11 @@ class Link:
     Parameters
     ----------
     transport : Transport
-        The way there, not open yet.
+        Transport to the instrument, not open yet.
     log : callable
-        Takes ``scpi`` events: sent, reply, seconds.
+        Called with ``link`` events and, for each exchange, an ``scpi`` event: sent, reply, seconds.
     timeout, copy_timeout : float
-        Longest wait for a reply; for an upload, a copy between memories or ``*OPC?`` [s].
+        Longest wait for a reply, and for an upload, a copy between memories or ``*OPC?`` [s].
     """
 
     def __init__(self, transport: Transport, *, log: Log, timeout: float, copy_timeout: float) -> None:
@@ -116,10 +116,10 @@ class Link:
         self.log("link", did="open", others=shut, seconds=_since(started))
 
     def close(self, *, broken: bool = False) -> None:
-        """End the session, whatever state it is in; without a word to the other end if it is broken."""
+        """Close the session, whatever its state; if it is broken, without notifying the other end."""
         was_open, self._open = self._open, False
         if was_open:
-            # The other end may be long gone, and there is nothing left to be done about it.
+            # The other end may be long gone; nothing can be done about it.
             with contextlib.suppress(Exception):
                 self._transport.close(broken=broken)
 
@@ -136,17 +136,17 @@ class Link:
         return self._exchange(query, query.encode("ascii"), timeout, read)
 
     def send(self, message: str) -> None:
-        """Send a message that asks nothing; return once the instrument has taken it."""
+        """Send a message without a query; return once the instrument has accepted it."""
         self._exchange(message, message.encode("ascii"), None, None)
 
     def send_block(self, command: str, block: bytes) -> None:
-        """Send a command whose last argument is a definite block."""
+        """Send a command whose last argument is a definite-length block."""
         length = str(len(block))
         message = f"{command},#{len(length)}{length}".encode("ascii") + block
         self._exchange(f"{command},{describe_block(block)}", message, self._copy_timeout, None)
 
     def ask_raw(self, query: str) -> bytes:
-        """Ask for a reply and return it as it comes, terminator and all; it may take as long as a copy."""
+        """Send a query and return the reply as received, including its terminator; it may take as long as a copy."""
 
         def read(reply: bytes, facts: dict[str, str]) -> bytes:
             facts["reply"] = describe_block(reply)
@@ -155,7 +155,7 @@ class Link:
         return self._exchange(query, query.encode("ascii"), self._copy_timeout, read)
 
     def read_codes(self, query: str) -> NDArray[np.uint16]:
-        """Ask for a block of codes of two bytes, big-endian, and return them."""
+        """Query a block of codes, two bytes each, big-endian, and return them."""
         import numpy as np  # the watchdog process does without it
 
         def read(reply: bytes, facts: dict[str, str]) -> NDArray[np.uint16]:
@@ -175,7 +175,7 @@ class Link:
         timeout: float | None,
         read: Callable[[bytes, dict[str, str]], T] | None,
     ) -> T:
-        """Log an exchange, bound its time, and give the session up if it fails."""
+        """Carry out and log an exchange within its timeout; a failure closes the session."""
         if not self._open:
             raise LinkError("the connection is closed")
         started = time.perf_counter()
@@ -191,7 +191,7 @@ class Link:
             self.log("scpi", sent=shown, **facts, failed=describe_error(error), seconds=_since(started))
             raise LinkError(f"'{shown[:60]}' failed ({describe_error(error)})") from error
         except BaseException:
-            # Cut by a signal: a reply may still be on its way, so the session is of no more use.
+            # Interrupted by a signal: a reply may still arrive, so the session cannot be used any longer.
             self.close(broken=True)
             raise
         self.log("scpi", sent=shown, **facts, seconds=_since(started))
@@ -199,12 +199,12 @@ class Link:
 
 
 def describe_block(block: bytes) -> str:
-    """Return length and a short hash of a block, for the log; BLAKE2 takes a fifth of the time of SHA-256."""
+    """Return length and a short hash of a block, for the log; BLAKE2 is five times as fast as SHA-256."""
     return f"<{len(block)} bytes, blake2b {hashlib.blake2b(block, digest_size=8).hexdigest()}>"
 
 
 def split_reply(reply: str) -> list[str]:
-    """Return the replies of a compound query; semicolons within quotes do not divide."""
+    """Return the replies to a compound query; semicolons within quotes do not separate them."""
     parts, quoted = [""], False
     for letter in reply:
         quoted ^= letter == '"'

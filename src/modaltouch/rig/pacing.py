@@ -1,4 +1,4 @@
-"""Single bursts, each asked for at its instant: what is ordered, of whom, the pacer that counts them, its report.
+"""Bursts that are triggered one by one: the order for them, the pacer that triggers and counts them, and its report.
 
 `LocalClient` plays them in virtual time, without a process of its own.
 """
@@ -16,19 +16,19 @@ from modaltouch.rig.visa import VisaSession
 from modaltouch.system import Clock, VirtualClock
 
 LATEST = 0.05
-"""A burst that would come later than this part of the period is left out [1]."""
+"""A burst that would come later than this fraction of the period is dropped [1]."""
 
 LEASE = 0.18
-"""A burst is left out if whoever ordered it has given no sign of life for this long [s]."""
+"""A burst is dropped if the client has sent no heartbeat for this long [s]."""
 
 PATIENCE = 1.0
-"""After this long without a sign of life no further burst is played at all [s]."""
+"""After this long without a heartbeat no further burst is played at all [s]."""
 
 ALERT = 0.02
-"""From so long before a burst on, its instant is waited for and nothing else [s]."""
+"""For this long before a burst the pacer waits for its instant alone, and is not woken by a call of `end` [s]."""
 
 HELD_UP = 0.05
-"""What fails while a process comes round later than by this is not held against the instrument [s]."""
+"""A failure is not blamed on the instrument if a process was stalled for longer than this [s]."""
 
 Ending = Literal["", "count", "asked", "stalled", "failed"]
 
@@ -40,17 +40,17 @@ class Order:
     Attributes
     ----------
     command : str
-        What triggers one burst.
+        Command that triggers one burst.
     n_bursts : int
-        How many at most.
+        Highest number of bursts.
     first : float
-        When the first is due, by the machine's monotonic clock [s].
+        When the first burst is due, by the machine's monotonic clock [s].
     period : float
-        From one to the next [s].
+        Time from one burst to the next [s].
     duration : float
-        Of one burst [s].
+        Duration of one burst [s].
     timeout : float
-        Longest wait for the instrument to take a trigger [s].
+        Longest wait for the instrument to accept a trigger [s].
     """
 
     command: str
@@ -62,7 +62,7 @@ class Order:
 
     @property
     def tolerance(self) -> float:
-        """How late a burst may begin, so that rhythm and burst are whole [s]."""
+        """How late a burst may begin without disturbing the rhythm or running into the next burst [s]."""
         return min(LATEST * self.period, self.period - self.duration)
 
 
@@ -73,14 +73,15 @@ class Report:
     Attributes
     ----------
     due, played, dropped : int
-        Bursts that were due, whose trigger was taken, and that were left out because they would have come too late, or
-        nobody was known to want them.
-    first, last : (sent, taken) of float or None
-        When the trigger of the first and of the last burst was sent, and taken by the instrument [s].
+        Numbers of bursts that were due, whose trigger was accepted, and that were dropped because they would have come
+        too late, or because the client had sent no heartbeat.
+    first, last : (sent, accepted) of float or None
+        When the triggers of the first and the last burst were sent, and accepted by the instrument [s].
     latest : float
-        Worst delay of a trigger that was sent [s].
+        Longest delay of a trigger that was sent [s].
     ended : str
-        ``count`` (all were due), ``asked``, ``stalled`` (whoever ordered them fell silent), ``failed``; empty before.
+        Why it ended: ``count`` (all bursts were due), ``asked``, ``stalled`` (the client sent no heartbeat) or
+        ``failed``; empty until then.
     reason : str
         How it failed.
     """
@@ -96,54 +97,54 @@ class Report:
 
     @property
     def lost(self) -> str:
-        """Why the bursts ended that nobody ended; empty while all is well."""
+        """Why the bursts ended without a request; empty while all is well."""
         return f"{self.ended}: {self.reason}" if self.ended in ("stalled", "failed") else ""
 
 
 class BurstPlayer(Transport, typing.Protocol):
-    """What the driver asks of a watchdog: the way to the instrument, bursts, and outputs off without the driver."""
+    """The watchdog as the driver uses it: holds the transport, plays bursts, and switches off if the driver cannot."""
 
     def arm(self, *, plays_by_itself: bool) -> None:
-        """Outputs may go on from now; `plays_by_itself`: and what they play does not end without a command."""
+        """Note that outputs may be on from now on; `plays_by_itself`: what they play does not end without a command."""
 
     def beat(self) -> str:
-        """The session is alive; return why the bursts ended that nobody ended, or nothing."""
+        """Note that the session is alive; return why the bursts ended without a request, empty while all is well."""
 
     def play(self, order: Order) -> Report:
-        """Begin to play bursts; return once it is known whether the first was played."""
+        """Begin to play bursts; return the report once it is known whether the first was played."""
 
     def look(self) -> Report:
-        """Return what was played so far."""
+        """Return the report so far."""
 
     def end(self) -> None:
-        """Let no further burst go."""
+        """Trigger no further burst."""
 
     def report(self, *, wait: bool) -> Report:
-        """Let no further burst go, and return what was played; with `wait`, once the last burst is over."""
+        """Trigger no further burst, and return the report; with `wait`, once the last burst is over."""
 
     def held_up(self) -> float:
-        """Return for how long this process, or the one that paces, was held up at most since `arm` [s]."""
+        """Return the longest stall of this process, or of the one that paces the bursts, since `arm` [s]."""
 
     def disarm(self) -> None:
-        """Outputs are off."""
+        """Note that the outputs are off."""
 
     def release(self, *, clean: bool) -> None:
-        """End it; unless clean, it switches the outputs off first."""
+        """Release the watchdog; unless `clean`, it switches the outputs off first."""
 
 
 class Pacer:
-    """Triggers bursts one by one; what is late is dropped, never repeated and never caught up.
+    """Triggers bursts one by one; a late burst is dropped, and none is repeated or made up for later.
 
     Parameters
     ----------
     order : Order
-        What is to be played.
+        Bursts to be played.
     trigger : callable
-        Sends the command and returns once the instrument has taken it; whatever it raises ends the order.
+        Sends the command and returns once the instrument has accepted it; whatever it raises ends the order.
     silence : callable
-        For how long whoever ordered the bursts has given no sign of life [s].
+        Returns the time since the client's last heartbeat [s].
     clock : Clock
-        Tells the time.
+        Clock of the pacer.
     """
 
     def __init__(self, order: Order, trigger: Callable[[], object], silence: Callable[[], float], clock: Clock) -> None:
@@ -156,30 +157,30 @@ class Pacer:
 
     @property
     def due(self) -> float | None:
-        """When the next burst is due [s]; None if none will come."""
+        """When the next burst is due [s]; None once the order has ended."""
         if self.report.ended:
             return None
         return self.order.first + self.report.due * self.order.period
 
     @property
     def silent_from(self) -> float:
-        """When the last burst that was triggered is over [s]."""
+        """When the last burst that was triggered ends [s]."""
         return self.report.last[1] + self.order.duration if self.report.last else self.order.first
 
     def end(self) -> None:
-        """Let no further burst go."""
+        """Trigger no further burst."""
         self._asked_to_end.set()
 
     def close(self) -> None:
-        """Let no further burst go, where no thread `run`s it."""
+        """Trigger no further burst, if no thread `run`s the pacer."""
         self.end()
         self._end_if_over()
 
     def step(self) -> None:
-        """Trigger the burst that is due now, or leave out what is overdue."""
+        """Trigger the burst that is due now, and drop those that are overdue."""
         report, order = self.report, self.order
         due = self.due
-        # All of it, whoever asks for the end meanwhile: it was not played while it was wanted.
+        # Every overdue burst is dropped, even if the end was requested meanwhile: it was due before that.
         while due is not None and report.due < order.n_bursts and self._clock.now() > due + order.tolerance:
             report.due += 1
             report.dropped += 1
@@ -204,7 +205,7 @@ class Pacer:
         report.first, report.last = report.first or (sent, taken), (sent, taken)
         report.latest = max(report.latest, sent - due)
         if taken - due > order.period / 2:
-            # Within that time it may have been played at any instant: no count holds for a rhythm that is not kept.
+            # The burst may have begun at any instant in this time: the rhythm was not kept, so no count is claimed.
             report.ended = "failed"
             report.reason = f"trigger {report.due} was accepted {(taken - due) * 1e3:.0f} ms after it was due"
         self._end_if_over()
@@ -221,12 +222,12 @@ class Pacer:
             report.ended = "stalled"
 
     def run(self, on_first: Callable[[], None]) -> None:
-        """Play to the end; `on_first` is called as soon as it is known whether the first burst was played."""
+        """Play all bursts; `on_first` is called as soon as it is known whether the first was played."""
         told = False
         while (due := self.due) is not None:
             left = due - self._clock.now()
             if left > ALERT:
-                # Somebody may end it meanwhile, or fall silent. Windows ends such a wait up to 16 ms late.
+                # The end may be requested meanwhile, or heartbeats may stop. Windows ends such a wait up to 16 ms late.
                 self._asked_to_end.wait(min(left - ALERT, 0.05))
             else:
                 self._clock.sleep(left)
@@ -237,20 +238,20 @@ class Pacer:
 
 
 ROUNDING = 1e-9
-"""What a sum of virtual times may lack [s]."""
+"""Rounding error of a sum of virtual times [s]."""
 
 
 class LocalClient:
-    """The watchdog's client in virtual time: no process of its own, and bursts whose instants are virtual.
+    """A watchdog client in virtual time, which plays bursts without a process of its own.
 
-    Nothing of it survives its process, so that it is for a twin in that process alone.
+    It cannot outlive its process, and is therefore only for a twin in that same process.
 
     Parameters
     ----------
-    transport : Transport
-        The way to the instrument.
+    transport : VisaSession
+        Transport to the instrument.
     clock : VirtualClock
-        That of the session.
+        Clock of the session.
     """
 
     def __init__(self, transport: VisaSession, clock: VirtualClock) -> None:
@@ -260,21 +261,21 @@ class LocalClient:
         self.open, self.exchange, self.close = transport.open, transport.exchange, transport.close
 
     def arm(self, *, plays_by_itself: bool) -> None:
-        """Take notice of nothing: this process watches itself."""
+        """Do nothing: no other process watches this one."""
 
     def held_up(self) -> float:
-        """Return 0: virtual time waits for everybody."""
+        """Return 0: in virtual time nothing stalls."""
         return 0.0
 
     def disarm(self) -> None:
-        """Take notice of nothing."""
+        """Do nothing."""
 
     def beat(self) -> str:
-        """Return why the bursts ended that nobody ended; empty while all is well."""
+        """Return why the bursts ended without a request; empty while all is well."""
         return self.look().lost
 
     def play(self, order: Order) -> Report:
-        """Have bursts played, and let time pass until the first is; return the report as it stands then."""
+        """Schedule bursts, and let time pass until the first is played; return the report at that time."""
         message = order.command.encode() + b"\n"
         pacer = self._pacer = Pacer(
             order,
@@ -293,16 +294,16 @@ class LocalClient:
         return pacer.report
 
     def look(self) -> Report:
-        """Return what was played so far."""
+        """Return the report so far."""
         return self._pacer.report if self._pacer is not None else Report()
 
     def end(self) -> None:
-        """Let no further burst go."""
+        """Trigger no further burst."""
         if self._pacer is not None:
             self._pacer.end()
 
     def report(self, *, wait: bool) -> Report:
-        """Let no further burst go, and return what was played; with `wait`, once the last burst is over."""
+        """Trigger no further burst, and return the report; with `wait`, once the last burst is over."""
         if self._pacer is None:
             return Report()
         self._pacer.close()

@@ -1,4 +1,4 @@
-"""The burst in the instrument: its records, its settings, and what has it played; no failures here."""
+"""Plays the bursts stored in the instrument: their records, settings and triggers; failures are handled elsewhere."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from modaltouch.stimulus import Burst
 from modaltouch.system import Clock
 
 LARGEST_STEP = 0.01
-"""How far from zero a record may begin and end, as a part of its full scale [1]."""
+"""Largest value with which a record may begin or end, as a fraction of its full scale [1]."""
 
 RELAYS_SETTLE = 0.05
-"""From switching the outputs on to the first burst [s]: relays close and bounce in a few milliseconds."""
+"""Time from switching the outputs on to the first burst [s]: relays close and bounce within a few milliseconds."""
 
 
 class Player:
-    """Plays one burst at a time, of those whose records lie in the instrument.
+    """Plays one at a time of the bursts whose records are stored in the instrument.
 
-    What talks to the instrument raises LinkError or Unconfirmed if it does not confirm a step.
+    Methods that send commands raise LinkError or Unconfirmed if the instrument does not confirm a step.
 
     Parameters
     ----------
     controls : Controls
-        Of an open instrument.
+        Controls of an open instrument.
     limits : Limits
-        What may leave it.
+        Limits of its outputs.
     repetition : str
-        How the burst repeats.
+        Usual repetition of the bursts.
     clock : Clock
-        By which it waits.
+        Clock of its waits.
     """
 
     def __init__(self, controls: Controls, limits: Limits, repetition: Repetition, clock: Clock) -> None:
@@ -56,7 +56,7 @@ class Player:
 
     @property
     def expected(self) -> tuple[Setting, ...]:
-        """Every setting that must read back while the burst plays."""
+        """Every setting that must read back as made while the burst plays."""
         return (*self._settings, *self._levels, *(() if self._continuous else self._let_go))
 
     @property
@@ -65,29 +65,29 @@ class Player:
 
     @property
     def plays_by_itself(self) -> bool:
-        """Whether what is played does not end unless it is told to."""
+        """Whether bursts repeat without commands, until the outputs or the trigger are switched off."""
         return self.repetition != "single"
 
     @property
     def period(self) -> float:
-        """From one burst to the next [s]."""
+        """Time from one burst to the next [s]."""
         return 1 / self._bursts[self._chosen].repetition_rate
 
     @property
     def duration(self) -> float:
-        """Of one burst [s]."""
+        """Duration of one burst [s]."""
         return self._bursts[self._chosen].duration
 
     def take(self, bursts: Sequence[Burst], repetition: Repetition | None = None) -> None:
-        """Make bursts those that can be played, the first of them chosen; `replay` brings them into the instrument.
+        """Take the bursts to be played, and choose the first; `replay` uploads them.
 
-        They repeat as the instrument's usually do if no other repetition is given.
+        Without `repetition`, they repeat as usual.
 
         Raises
         ------
         RigError
-            If one does not begin and end at rest or has more records than the instrument has memories, or the
-            repetition asks for a timer that it has not.
+            If a burst does not begin and end at rest or has more records than the instrument has memories, or the
+            repetition needs a timer that the instrument lacks.
         """
         self._bursts, self._settings, self._levels = (), (), ()
         self.repetition = repetition or self._usual
@@ -107,17 +107,17 @@ class Player:
         self._bursts, self._chosen = tuple(bursts), 0
 
     def _n_records(self, *bursts: Burst) -> int:
-        """Return how many different records bursts have."""
+        """Return the number of different records of bursts."""
         return len({codes.tobytes() for burst in bursts for codes in self._records(burst)})
 
     def holds(self, which: int) -> bool:
-        """Return whether a burst's records are in the instrument, so that settings alone choose it."""
+        """Return whether a burst's records are stored in the instrument, so that it can be chosen by settings alone."""
         return which in self._by_burst
 
     def replay(self) -> None:
-        """Have the records in the instrument and make every setting but the level.
+        """Upload the records and make every setting but the amplitudes.
 
-        Of more records than it has memories, those of the chosen burst.
+        If there are more records than memories, only those of the chosen burst are uploaded.
         """
         self._settings = self._levels = ()
         self._by_burst = {}
@@ -138,20 +138,20 @@ class Player:
         self._controls.apply_each([*by_burst[self._chosen], *locks])
         if self.repetition == "single" and not self._trigger_command:
             self._trigger_command = self._controls.trigger_command()
-            # What that has triggered, behind outputs that are off, is over before the first burst is due.
+            # Finding the command may have triggered a burst, behind outputs that are off: it must end first.
             self._clock.sleep(2 * max(burst.duration for burst in self._bursts))
         guarded = self._limits.guarded_settings()
         self._by_burst = {number: (*guarded, *settings, *locks) for number, settings in by_burst.items()}
         self._settings = self._by_burst[self._chosen]
 
     def choose(self, which: int) -> None:
-        """Play one of the bursts from now on; where its records are there, settings alone change."""
+        """Choose the burst to be played from now on; if its records are stored, only settings change."""
         was, before = self._chosen, set(self._settings)
         self._chosen = which
         if which == was or not before:
             return
         if self.holds(which):
-            # First the settings that will be: what fails on the way is found to differ, and made again.
+            # The new settings are expected from here on: if one of them fails, it is found to differ and made again.
             self._settings = self._by_burst[which]
             self._controls.apply_each([setting for setting in self._settings if setting not in before])
         else:
@@ -161,14 +161,14 @@ class Player:
         return self._instrument.continuous_codes(burst) if self._continuous else burst.codes
 
     def amplitudes(self, velocity: float, which: int = 0) -> tuple[float, ...]:
-        """Return the amplitude of each channel at a level [m/s] of a burst, open circuit [V peak to peak].
+        """Return the amplitude of each channel for a burst at a level [m/s], into an open circuit [V peak to peak].
 
         Raises
         ------
         RigError
-            If nothing is loaded, or the level is beyond a limit.
+            If nothing is loaded, or the level exceeds a limit.
         """
-        # Settings are there only once every record was verified and every setting read back.
+        # There are settings only once every record has been verified and every setting read back.
         if not self._bursts or not self._settings:
             raise RigError(
                 "fire was called before a burst was loaded and verified; the outputs are off; load a burst first"
@@ -181,14 +181,15 @@ class Player:
         return self._limits.amplitudes(self._bursts[which], velocity)
 
     def prepare(self, commanded: tuple[float, ...], *, silent: bool = False) -> tuple[str, ...]:
-        """Set both levels with the trigger stopped, see that nothing else changed, and return what was read back.
+        """Set both amplitudes with the trigger stopped, check all other settings, and return the values read back.
 
-        `silent` goes through the same steps, so that relays and time betray nothing, but no burst will be let go.
+        With `silent` the steps are the same, so that neither relays nor timing betray a catch trial, but no burst will
+        be triggered.
 
         Raises
         ------
         RigError
-            If it shall be silent and the repetition would play as soon as the outputs are on.
+            If `silent` is asked for, but with this repetition bursts play as soon as the outputs are on.
         LinkError, Unconfirmed
             If the instrument does not confirm a step.
         """
@@ -207,7 +208,7 @@ class Player:
         return read_back
 
     def switch_on(self) -> None:
-        """Switch the outputs on; timer or input are let go, and a continuous record begins with its first sample."""
+        """Switch the outputs on; enable the timer or trigger input, or restart a continuous record at its beginning."""
         if self._continuous:
             self._controls.command(self._table.align)
         self._controls.outputs_on()
@@ -215,38 +216,38 @@ class Player:
             self._controls.apply(self._let_go)
 
     def order(self, n_bursts: int, first: float, timeout: float) -> Order:
-        """Return what is asked of a pacer.
+        """Return the order for a pacer.
 
         Parameters
         ----------
         n_bursts : int
-            How many bursts at most.
+            Highest number of bursts.
         first : float
-            When the first is due [s].
+            When the first burst is due [s].
         timeout : float
-            Longest wait for the instrument to take a trigger [s].
+            Longest wait for the instrument to accept a trigger [s].
         """
         return Order(self._trigger_command, n_bursts, first, self.period, self.duration, timeout)
 
     def set_levels(self, commanded: tuple[float, ...]) -> tuple[str, ...]:
-        """Set both amplitudes in one message, and return what was read back."""
+        """Set both amplitudes in one message, and return the values read back."""
         channels = zip(self._instrument.channels, commanded, strict=True)
         self._levels = tuple(self._instrument.level(channel, amplitude) for channel, amplitude in channels)
         return self._controls.apply(self._levels)
 
     def stop_trigger(self) -> None:
-        """Let no trigger come by itself."""
+        """Disable the timer or the trigger input."""
         if self._let_go != self._stopped:
             self._controls.apply(self._stopped)
 
     def unlock(self) -> None:
-        """Leave the memories to whoever comes next."""
+        """Unlock the memories for other users."""
         locks = [setting for setting in self._settings if setting.of]
         self._controls.apply_each([setting.off for setting in locks])
 
 
 def _refuse_steps(burst: Burst) -> None:
-    """Refuse a burst that does not rise from zero and fall back to it."""
+    """Refuse a burst that does not begin and end at rest."""
     for number, end in enumerate(burst.ends, start=1):
         if end > LARGEST_STEP:
             raise RigError(
@@ -257,7 +258,7 @@ def _refuse_steps(burst: Burst) -> None:
 
 
 def numbers(replies: tuple[str, ...]) -> tuple[float, ...]:
-    """Return what was read back as numbers; empty if it was not numbers."""
+    """Return values read back as numbers; empty if one of them is none."""
     try:
         return tuple(float(reply) for reply in replies)
     except ValueError:

@@ -1,4 +1,4 @@
-"""The scope behind the vibrometer: what a simulated and a real one have in common, and a PicoScope 3000."""
+"""The scope that records the vibrometer: the interface of simulated and real ones, and a PicoScope 3000."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from modaltouch.system import SYSTEM_CLOCK
 
 
 class Scope(abc.ABC):
-    """A vibrometer with a scope behind it, simulated or real.
+    """A vibrometer and the scope that records it, simulated or real.
 
     Attributes
     ----------
     slowest : float
-        What taking and fetching a record may last beyond the record itself before it counts as stalled [s].
+        Time that taking and fetching a record may last beyond the record itself before it counts as stalled [s].
     """
 
     slowest = 120.0
@@ -51,17 +51,17 @@ class Scope(abc.ABC):
 
     @abc.abstractmethod
     def configure(self, acquisition: Acquisition) -> Acquisition:
-        """Make the settings, and return them as the scope has them.
+        """Make the settings, and return them.
 
         Raises
         ------
         RigError
-            If the scope cannot do what is asked.
+            If the scope cannot have these settings.
         """
 
     @abc.abstractmethod
     def measure(self, position: float, across: float = 0.0) -> Recording:
-        """Return velocity and drive at a place: along the beam from its middle, across it from its mid-line [m].
+        """Return velocity and drive at a point of the beam: along it from its middle, across it from its mid-line [m].
 
         Raises
         ------
@@ -70,17 +70,22 @@ class Scope(abc.ABC):
         """
 
     def arm(self) -> None:
-        """Have the next burst recorded, without waiting for it.
+        """Arm the scope to record the next burst, without waiting for it.
 
         Raises
         ------
         RigError
-            If the scope fails, or cannot do that.
+            If the scope fails, or cannot do so.
         """
         raise RigError(f"{self.identity}: it cannot wait for a single burst; use a PicoScope")
 
     def fetch(self, position: float) -> Recording:
-        """Return the record of the burst for which the scope was armed, of the point at which the vibrometer aims [m].
+        """Return the record of the burst for which the scope was armed.
+
+        Parameters
+        ----------
+        position : float
+            Point at which the vibrometer aims, origin at mid-beam [m].
 
         Raises
         ------
@@ -90,12 +95,12 @@ class Scope(abc.ABC):
         raise RigError(f"{self.identity}: no burst was awaited")
 
     def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
-        """Call `send`, which triggers one burst, and return between which instants it began [s].
+        """Call `send`, which triggers one burst, and return the earliest and latest instant of its onset [s].
 
         Raises
         ------
         RigError
-            If no trigger comes, or the scope cannot tell.
+            If no trigger comes, or the scope cannot time it.
         """
         raise RigError(f"{self.identity}: cannot tell when a burst began; use a PicoScope")
 
@@ -112,41 +117,41 @@ class Scope(abc.ABC):
 
 OK, NOT_FOUND = 0, 3
 POWER_NOT_CONNECTED, NOT_A_USB3_PORT = 282, 286
-"""Statuses of Pico's library; with the last two a scope goes on, fed by USB."""
+"""Statuses of Pico's library; after the last two a scope works on power from USB."""
 
 VARIANT, SERIAL = 3, 4
-"""What is asked of a unit."""
+"""Items of information about a unit, by Pico's numbers."""
 
 DC, RISING, EXTERNAL = 1, 2, 4
 EXTERNAL_THRESHOLD = 6553
-"""1 V of the external trigger's 5 V, in counts of 32767."""
+"""1 V, in counts: the external trigger's 5 V are 32767."""
 
 FIRST_RANGE = 2
-"""Pico's number of the range of 50 mV, the first of INPUT_RANGES."""
+"""Pico's number of the 50 mV range, the first of INPUT_RANGES."""
 
 CLOCK = 125e6
-"""Sampling rates are whole fractions of it, by time bases from 3 on [Hz]."""
+"""Sampling rates are this rate divided by integers, by time bases from 3 on [Hz]."""
 
 ALL_INPUTS = (0, 1, 2, 3)
 
 SHORT = Acquisition(sampling_rate=1e6, n_samples=100, drives=())
-"""Record whose end tells when its trigger came."""
+"""A short record, whose end shows when its trigger came."""
 
 ARMED = 0.02
-"""A scope waits for its trigger this long after it was told to [s]."""
+"""Time after which an armed scope is ready for its trigger [s]."""
 
 
 class PicoScope(Scope):
-    """Velocity and drive through a PicoScope 3000 of series A, B or D.
+    """Measures velocity and drive with a PicoScope 3000 of series A, B or D.
 
     Parameters
     ----------
     apparatus : Apparatus
-        Its section ``acquisition`` says what a volt stands for.
+        Its section ``acquisition`` states the sensitivities.
     trigger_wait : float
         Longest wait for the generator's trigger [s].
     driver : object, optional
-        What has the functions of Pico's library; looked for where it is left out.
+        Object with the functions of Pico's library; by default the installed library.
 
     Raises
     ------
@@ -212,7 +217,7 @@ class PicoScope(Scope):
         return acquisition
 
     def measure(self, position: float, across: float = 0.0) -> Recording:
-        """Return velocity and drive where the vibrometer's spot is."""
+        """Return velocity and drive at the vibrometer's spot, which must be at `position` [m] already."""
         counts = []
         for _ in range(self._asked.n_records):
             self.arm()
@@ -220,7 +225,7 @@ class PicoScope(Scope):
         return self._recording(position, counts)
 
     def arm(self) -> None:
-        """Have the next burst recorded, without waiting for it."""
+        """Arm the scope to record the next burst, without waiting for it."""
         n_samples = self._asked.n_samples
         n_before = min(n_samples, max(0, -round(self._asked.start * self._rate)))
         self._disarm()
@@ -232,7 +237,7 @@ class PicoScope(Scope):
         return self._recording(position, [self._counts()])
 
     def _recording(self, position: float, records: Sequence[tuple[NDArray[np.int16], int]]) -> Recording:
-        """Return records of counts, each with the inputs that were overloaded, in SI units."""
+        """Return records, given as counts and bits of the overloaded inputs, in SI units."""
         asked, counts = self._asked, np.array([each for each, _ in records])
         over = functools.reduce(operator.or_, (each for _, each in records))
         first = round(asked.start * self._rate)
@@ -255,7 +260,7 @@ class PicoScope(Scope):
         )
 
     def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
-        """Call `send`, and return between which instants the burst began: of two questions whether a record is full."""
+        """Call `send`, and bound the onset of its burst: by the last poll before its record was full, and the next."""
         self.configure(SHORT)
         self.arm()
         SYSTEM_CLOCK.sleep(ARMED)
@@ -278,7 +283,7 @@ class PicoScope(Scope):
 
     @property
     def _used(self) -> tuple[int, ...]:
-        """Inputs in use: that of the vibrometer, then one to each drive."""
+        """Inputs in use: that of the vibrometer, then one for each drive."""
         return (0, *self._asked.drives)
 
     def _start(self) -> None:
@@ -298,7 +303,7 @@ class PicoScope(Scope):
         return text.value.decode("ascii", "replace")
 
     def _counts(self) -> tuple[NDArray[np.int16], int]:
-        """Return one record, (n_channels, n_samples) array of counts, and which inputs were overloaded."""
+        """Return one record, (n_channels, n_samples) array of counts, and the bits of the overloaded inputs."""
         asked = self._asked
         self._wait(self._trigger_wait + abs(asked.start) + asked.n_samples / self._rate)
         counts = np.zeros((asked.n_channels, asked.n_samples), dtype=np.int16)
@@ -333,13 +338,13 @@ class PicoScope(Scope):
             time.sleep(pause)
 
     def _disarm(self) -> None:
-        """Give up a burst that never came: a unit that waits for its trigger takes no settings."""
+        """Stop waiting for a burst that never came: while waiting for its trigger, a unit accepts no settings."""
         if self._waits:
             self._waits = False
             self._call("Stop")
 
     def _call(self, name: str, *arguments: Any, failing: str = "") -> None:
-        """Call a function of Pico's library for this scope, and refuse every status but success."""
+        """Call a function of Pico's library for this scope; raise RigError on any status but success."""
         status = getattr(self._driver, f"ps3000a{name}")(self._handle, *arguments)
         if status != OK:
             why = failing or "reconnect it, and look up the status in Pico's list"
@@ -347,10 +352,10 @@ class PicoScope(Scope):
 
 
 def load_driver() -> Any:
-    """Return what has the functions of Pico's library."""
+    """Return the object that has the functions of Pico's library."""
     try:
         return importlib.import_module("picosdk.ps3000a").ps3000a
-    # The package raises errors of its own where the native library is missing, already at import.
+    # If the native library is missing, the package raises errors of its own, even at import.
     except Exception as error:
         raise RigError(
             f"a PicoScope cannot be used here ({error}): install the package picosdk and Pico's PicoSDK, or measure "

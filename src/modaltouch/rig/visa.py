@@ -1,4 +1,4 @@
-"""The one door to PyVISA: an instrument's session, one at a time on this machine, and what can be found."""
+"""All use of PyVISA: the session with an instrument, one at a time on this machine, and the search for instruments."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from modaltouch.rig.link import InUse, block_bounds
 from modaltouch.system import lock
 
 KNOCKED = 2.0
-"""How long a TCP connection to the instrument may take [s]: a lost packet is sent again after one."""
+"""How long a TCP connection to the instrument may take [s]: a lost packet is resent after one second."""
 
 
 def knock(address: str) -> None:
-    """See whether anybody listens, where a VISA address names a port: a refused socket would be leaked."""
+    """Check that the port named in a VISA address accepts connections: the backend would leak a socket if not."""
     host, _, port = (address.split("::") + [""])[1].partition(",")
     if address.upper().startswith("TCPIP") and port.isdigit():
         socket.create_connection((host, int(port)), timeout=KNOCKED).close()
 
 
 def abandon(resource: Any) -> None:
-    """Cut a session, so that closing it fails at once.
+    """Reset the TCP connection of a session, so that closing the session fails at once.
 
-    Closing says goodbye, and waits five busy seconds for the reply of a peer that has gone politely; and what was
-    sent into a dead cable would arrive when the cable lives again, a trigger among it. A reset forgets it. Sessions of
-    other backends and interfaces are left to close as they do.
+    An ordinary close sends a request, and waits in a busy loop for five seconds for the reply of a peer that has closed
+    its end. Moreover, data sent into an unplugged cable, perhaps a trigger, would arrive once the cable is plugged in
+    again; a reset discards them. Sessions of other backends and interfaces raise an error here, and close as usual.
     """
     connection = resource.visalib.sessions[resource.session].interface.sock
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -42,7 +42,7 @@ def abandon(resource: Any) -> None:
 
 
 class _Received(bytes):
-    """Bytes that are not spelt out where they are shown."""
+    """Bytes whose ``repr`` is only their number."""
 
     __slots__ = ()
 
@@ -58,10 +58,10 @@ class _HushedSocket(socket.socket):
 
 
 def hush(resource: Any) -> None:
-    """Keep pyvisa-py from spelling out every byte that it receives over a socket.
+    """Keep pyvisa-py from formatting every byte that it receives over a socket.
 
-    It does so for a log that is not kept, and takes longer over a record than the record over the wire. Sessions of
-    other backends and interfaces are left as they are.
+    It does so for a log that is not kept, which for a record takes longer than the transfer. Sessions of other backends
+    and interfaces are left as they are.
     """
     with contextlib.suppress(AttributeError, KeyError, TypeError):
         received_by = resource.visalib.sessions[resource.session].interface.sock
@@ -70,7 +70,7 @@ def hush(resource: Any) -> None:
 
 
 def close_leftovers(error: BaseException) -> None:
-    """Close the socket of a session that could not be opened: it would count at an instrument of few sessions."""
+    """Close the socket of a session that could not be opened: it would use up one of an instrument's few sessions."""
     for frame, _ in traceback.walk_tb(error.__traceback__):
         interface = getattr(frame.f_locals.get("self"), "interface", None)
         leftover = getattr(interface, "sock", None)
@@ -79,34 +79,34 @@ def close_leftovers(error: BaseException) -> None:
 
 
 CHUNK = 1 << 20
-"""Bytes asked for in one read: a whole record."""
+"""Bytes requested in one read: a whole record."""
 
 PURE_PYTHON, VENDOR = "py", "ivi"
-"""PyVISA's names of its two backends."""
+"""PyVISA's names for its two backends."""
 
 LOCK_TIMEOUT = 3.0
-"""How long another program of this machine is waited for: one that ends just now is gone by then [s]."""
+"""Longest wait for the lock of another program on this machine, enough for one that is just ending [s]."""
 
 FORGOTTEN = 1.0
-"""How long an instrument may count a session of ours that was cut [s]: it learns of the reset when it next looks."""
+"""How long an instrument may still count one of our sessions after its reset, until it notices the reset [s]."""
 
 NO_MORE_SESSIONS = "error creating link: 9"
-"""How pyvisa-py says "out of resources" (VXI-11, B.5.2): all the sessions that the instrument admits are taken."""
+"""pyvisa-py's message for "out of resources" (VXI-11, B.5.2): all sessions that the instrument admits are in use."""
 
 
 class VisaSession:
     """A VISA session with one instrument, as a `modaltouch.rig.link.Transport`.
 
-    One program of a machine at a time has an instrument, by a lock of the machine. The instrument's own lock (VXI-11)
-    is left alone: one that a dead link holds would keep out whoever comes to switch the outputs off. A program on
-    another computer is noticed by its changes, in what the driver reads back.
+    A lock file on this machine lets only one program at a time use an instrument. The instrument's own lock (VXI-11) is
+    not used: held by a dead link, it would keep everybody from switching the outputs off. A program on another
+    computer is noticed when the driver reads back settings that it has changed.
 
     Parameters
     ----------
     address : str
-        VISA address; ``@ivi`` after it takes the vendor's VISA library (NI-VISA, R&S VISA) instead of pyvisa-py.
+        VISA address; the suffix ``@ivi`` selects the vendor's VISA library (NI-VISA, R&S VISA) instead of pyvisa-py.
     shares : bool
-        Whether other programs of this machine may have the instrument at the same time.
+        Whether other programs on this machine may use the instrument at the same time.
     """
 
     def __init__(self, address: str, *, shares: bool = False) -> None:
@@ -120,12 +120,12 @@ class VisaSession:
         self._counted_until = 0.0
 
     def open(self) -> str:
-        """Reopen it and return a sentence on how others are kept out.
+        """Reopen it, and return a sentence on how other programs are kept out.
 
         Raises
         ------
         InUse
-            If another program of this machine has the instrument, or it admits no further session.
+            If another program on this machine uses the instrument, or it admits no further session.
         Exception
             Whatever the backend raises: VisaIOError, OSError, ValueError and plain Exception.
         """
@@ -155,7 +155,7 @@ class VisaSession:
         return "other programs on this machine are kept out"
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
-        """Send a message, and return the reply if one is expected, within a time for each [s]."""
+        """Send a message, and return the reply if one is expected; each may take as long as `timeout` [s]."""
         resource = self._resource
         if resource is None:
             raise ConnectionError("the VISA session is closed")
@@ -164,13 +164,13 @@ class VisaSession:
         resource.write_raw(message)
         data: bytes = resource.read_raw() if reply else b""
         if data[:1] == b"#":
-            # On a raw socket a block's line feeds end reads, and what ends the reply still comes after its last byte.
+            # On a raw socket reads end at line feeds within a block, and a line feed follows its last byte.
             while len(data) < block_bounds(data)[1] + self._is_socket:
                 data += resource.read_raw()
         return data
 
     def close(self, *, broken: bool) -> None:
-        """End it, without a word to the other end if it is broken; never raises."""
+        """Close it; if it is broken, without notifying the other end. Never raises."""
         resource, self._resource = self._resource, None
         if resource is None:
             return
@@ -182,7 +182,7 @@ class VisaSession:
             resource.close()
 
     def release(self) -> None:
-        """End it and let other programs have the instrument; never raises."""
+        """Close it and release the instrument to other programs; never raises."""
         self.close(broken=False)
         descriptor, self._lock = self._lock, None
         if descriptor is not None:
@@ -190,10 +190,10 @@ class VisaSession:
 
 
 def _take_instrument(address: str) -> int:
-    """Return a descriptor that keeps other programs of this machine from an instrument until this process ends."""
+    """Return a lock file's descriptor, which keeps other programs on this machine from an instrument until closed."""
     name = hashlib.sha256(address.upper().encode()).hexdigest()[:16]
     path = Path(tempfile.gettempdir()) / f"modaltouch-{name}.lock"
-    # A file of another user's in a shared folder may be opened, but not with the flag that makes it.
+    # Another user's file in a shared folder may be opened, but not with the flag that creates it.
     flags = os.O_RDONLY if path.exists() else os.O_RDWR | os.O_CREAT
     descriptor = os.open(path, flags, 0o644)
     try:
@@ -205,12 +205,12 @@ def _take_instrument(address: str) -> int:
 
 
 def find_instruments() -> tuple[str, ...]:
-    """Return the addresses of what pyvisa-py finds, and of what a vendor's VISA library finds where there is one.
+    """Return the addresses of the instruments found by pyvisa-py, and by a vendor's VISA library if there is one.
 
     Raises
     ------
     RigError
-        If a library cannot list them.
+        If a library cannot list its instruments.
     """
     from pyvisa.ctwrapper.highlevel import IVIVisaLibrary
 
@@ -225,7 +225,7 @@ def find_by(visa_library: str) -> tuple[str, ...]:
     import pyvisa
 
     try:
-        # What cannot be searched (USB, HiSLIP without their packages) is warned about, and no fault of the user's.
+        # PyVISA warns of interfaces that it cannot search (USB, HiSLIP without their packages): not the user's fault.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = pyvisa.ResourceManager(visa_library).list_resources("?*::INSTR")
@@ -235,5 +235,5 @@ def find_by(visa_library: str) -> tuple[str, ...]:
             f"the VISA backend '{visa_library}' cannot list instruments ({error}); repair or remove that library; a "
             "known address works without it"
         ) from error
-    # The series has USB, LAN and GPIB; a serial port is something else's.
+    # These generators have USB, LAN and GPIB; a serial port belongs to some other device.
     return tuple(address for address in found if not address.upper().startswith("ASRL"))

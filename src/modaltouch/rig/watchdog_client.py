@@ -1,4 +1,4 @@
-"""The session's end of the watchdog: starts its process, reaches the instrument through it, keeps it informed."""
+"""The session's side of the watchdog: starts its process, talks to the instrument through it, sends it heartbeats."""
 
 from __future__ import annotations
 
@@ -41,33 +41,33 @@ from modaltouch.rig.watchdog_process import (
 )
 
 BEAT_PERIOD = LEASE / 4
-"""Time between two signs of life [s]."""
+"""Time between two heartbeats [s]."""
 
 ROUND = 0.05
-"""Time between two looks at whether the process is stuck, or this one was held up [s]."""
+"""Time between two checks whether the process is stuck, or this one was stalled [s]."""
 
 OPEN_LIMIT = 20.0
 """Longest time that starting the process and opening the instrument may take [s]."""
 
 OVERHEAD = 3.0
-"""What a backend may need beyond the times it is given, before its process counts as stuck [s]."""
+"""Time that a backend may take beyond its timeouts before its process counts as stuck [s]."""
 
 PIPE_SIZE = 1 << 20
-"""What Linux grants to everybody [bytes]."""
+"""Pipe size that Linux grants to every user [bytes]."""
 
 
 class WatchdogClient:
-    """A process that holds the VISA session, and switches the outputs off when this one dies or stalls.
+    """Client of a process that holds the VISA session, and switches the outputs off if this process dies or stalls.
 
-    One that dies or gets stuck itself is replaced by the next `open`. A request raises TransportError if it fails, and
-    LinkError if the process is gone.
+    If the watchdog process itself dies or gets stuck, the next `open` replaces it. A request raises TransportError if
+    it fails, and LinkError if the process is gone.
 
     Parameters
     ----------
     address : str
         VISA address.
     off : str
-        The message that switches the outputs off and asks whether they are.
+        Message that switches the outputs off and queries their states.
     """
 
     def __init__(self, address: str, off: str) -> None:
@@ -92,7 +92,7 @@ class WatchdogClient:
             threading.Thread(target=work, daemon=True, name=f"watchdog{work.__name__}").start()
 
     def open(self) -> str:
-        """Reopen the instrument and return a sentence on how others are kept out.
+        """Reopen the VISA session, and return a sentence on how other programs are kept out.
 
         Raises
         ------
@@ -108,24 +108,24 @@ class WatchdogClient:
         return self._request(OPEN, b"", OPEN_LIMIT).decode()
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
-        """Send a message, and return the reply if one is expected, within a time for each [s]."""
+        """Send a message, and return the reply if one is expected; each may take as long as `timeout` [s]."""
         return self._request(EXCHANGE, TERMS.pack(timeout, reply, False) + message, 2 * timeout + OVERHEAD)
 
     def close(self, *, broken: bool) -> None:
-        """End the VISA session; the process stays."""
+        """Close the VISA session; the process stays."""
         self._request(CLOSE, TERMS.pack(0.0, False, broken), 2 * OVERHEAD)
 
     def arm(self, *, plays_by_itself: bool) -> None:
-        """Tell it that outputs may go on, and whether what they play does not end without a command."""
+        """Tell the process that outputs may be on, and whether what they play does not end without a command."""
         self._send(frame(ARM, 0, FLAG.pack(plays_by_itself)))
         self._lost, self._broken, self._held_up = "", None, 0.0
         self._came_round = time.monotonic()
         self._armed.set()
 
     def beat(self) -> str:
-        """Say that the session comes round, and return why the bursts ended that nobody ended; empty while all is well.
+        """Note that the session is alive, and return why the bursts ended without a request; empty while all is well.
 
-        As long as it comes round, a thread tells the watchdog so.
+        As long as this is called often enough, a thread sends heartbeats to the process.
         """
         self._came_round = time.monotonic()
         if self._armed.is_set() and self._broken is not None:
@@ -133,7 +133,7 @@ class WatchdogClient:
         return self._lost if self._armed.is_set() else ""
 
     def _keep_beating(self) -> None:
-        """Give signs of life while outputs may be on, as long as the session comes round."""
+        """Send heartbeats while outputs may be on, as long as the session calls `beat`."""
         while not self._released.wait(BEAT_PERIOD):
             self._armed.wait(BEAT_PERIOD)
             if not self._armed.is_set() or time.monotonic() - self._came_round > LIMIT / 2:
@@ -141,45 +141,45 @@ class WatchdogClient:
             try:
                 lost = self._request(BEAT, b"", OVERHEAD).decode()
             except (LinkError, TransportError) as error:
-                # A request that was cut short in the meantime told the session itself.
+                # A request that failed in the meantime has already raised in the session.
                 self._broken = self._broken or LinkError(str(error))
             else:
                 self._lost = self._lost or lost
 
     def play(self, order: Order) -> Report:
-        """Have bursts played; return the report as it stands after the first."""
+        """Begin to play bursts; return the report once it is known whether the first was played."""
         limit = max(order.first - time.perf_counter(), 0.0) + order.timeout + OVERHEAD
         return _report(self._request(PLAY, json.dumps(asdict(order)).encode(), limit))
 
     def look(self) -> Report:
-        """Return what was played so far."""
+        """Return the report so far."""
         return _report(self._request(LOOK, b"", OVERHEAD))
 
     def end(self) -> None:
-        """Let no further burst go; never raises, for what follows finds out."""
+        """Trigger no further burst; never raises, since the next request notices a lost process."""
         with contextlib.suppress(LinkError):
             self._send(frame(END, 0))
 
     def report(self, *, wait: bool) -> Report:
-        """Let no further burst go, and return what was played; with `wait`, once the last burst is over."""
+        """Trigger no further burst, and return the report; with `wait`, once the last burst is over."""
         return _report(self._request(REPORT, FLAG.pack(wait), 2 * OVERHEAD))
 
     def held_up(self) -> float:
-        """Return for how long this process or the watchdog was held up at most since `arm` [s]."""
+        """Return the longest stall of this process or of the watchdog since `arm` [s]."""
         other = 0.0
         with contextlib.suppress(LinkError, TransportError):
             other = float(self._request(LATE, b"", OVERHEAD))
         return max(self._held_up, other)
 
     def disarm(self) -> None:
-        """Tell it that the outputs are off."""
+        """Tell the process that the outputs are off."""
         if self._armed.is_set():
             self._armed.clear()
             with contextlib.suppress(LinkError):
                 self._send(frame(DISARM, 0))
 
     def release(self, *, clean: bool) -> None:
-        """Let it go, without waiting for what it still has to do unless that is nothing."""
+        """Let the process end; unless `clean`, it switches the outputs off first, which is not waited for."""
         self._released.set()
         with contextlib.suppress(LinkError):
             if clean:
@@ -198,10 +198,11 @@ class WatchdogClient:
             self._command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            # A person at a terminal is told what cannot be switched off; a pipe would wait for this process to end.
+            # At a terminal, the user is warned of outputs that cannot be switched off; whoever reads a pipe would wait
+            # for this process to end.
             stderr=None if sys.__stderr__ is not None and sys.__stderr__.isatty() else subprocess.DEVNULL,
             bufsize=0,
-            # This process's module path too, in case the package is not installed.
+            # Pass on this process's module path, in case the package is not installed.
             env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
             **_out_of_reach(),
         )
@@ -210,14 +211,14 @@ class WatchdogClient:
         return process
 
     def _request(self, letter: bytes, content: bytes, limit: float) -> bytes:
-        """Return what comes of a request."""
+        """Send a request and return its answer."""
         with self._asking:
             self._number = (self._number + 1) % (1 << 32)
             self._due = time.monotonic() + limit
             try:
                 self._send(frame(letter, self._number, content))
                 went, number, answer = self._answer()
-                # An answer that a signal kept from being read is not the next one's.
+                # Skip an answer to an earlier request that a signal kept from being read.
                 while number != self._number:
                     went, number, answer = self._answer()
             finally:
@@ -239,7 +240,7 @@ class WatchdogClient:
         except OSError as error:
             raise self._gone() from error
         except BaseException:
-            # Cut by a signal: half a request would be taken for the beginning of the next.
+            # Interrupted by a signal: the rest of the request will never follow, so the process cannot go on.
             if len(rest) < len(data):
                 self._process.kill()
             raise
@@ -271,12 +272,12 @@ class WatchdogClient:
         )
 
     def _end_if_stuck(self) -> None:
-        """End a process whose answer is overdue; `open` starts another."""
+        """Kill a process whose answer is overdue; `open` starts another."""
         was_overdue, asleep = False, time.monotonic()
         while not self._released.wait(ROUND):
             now = time.monotonic()
             self._held_up = max(self._held_up, now - asleep - ROUND)
-            # As this process comes to itself again, an answer that has come is not read yet.
+            # Just after a stall of this process, an answer may have come without being read yet.
             if was_overdue and now > self._due:
                 self._process.kill()
             was_overdue, asleep = now > self._due, time.monotonic()
@@ -291,7 +292,7 @@ def _report(answer: bytes) -> Report:
 
 
 def _reap(process: subprocess.Popen[bytes]) -> None:
-    """Wait for a process, so that no zombie and no open pipe is left."""
+    """Wait for a process to end, so that no zombie and no open pipe is left."""
     process.wait()
     _close_pipes(process)
 
@@ -304,7 +305,7 @@ def _close_pipes(process: subprocess.Popen[bytes]) -> None:
 
 
 def _widen(pipe: typing.IO[bytes] | None) -> None:
-    """Let a pipe hold a whole record, where the system can: two wake-ups instead of ten."""
+    """Let a pipe hold a whole record, if the system can: two wake-ups instead of ten."""
     if sys.platform == "linux" and pipe is not None:
         import fcntl
 
@@ -313,9 +314,9 @@ def _widen(pipe: typing.IO[bytes] | None) -> None:
 
 
 def _out_of_reach() -> dict[str, Any]:
-    """Return what keeps a process out of reach of a closed terminal and of Ctrl-C, as options of `Popen`."""
+    """Return options of `Popen` that protect a process from a closed terminal and from Ctrl-C."""
     if sys.platform == "win32":
-        # Closing a console ends whatever is attached to it, so this one has a console of its own, without a window.
-        # With none (DETACHED_PROCESS) the interpreter behind a venv's launcher would open one, to be closed by hand.
+        # Closing a console ends the processes attached to it, so this one has a console of its own, without a window.
+        # Without a console (DETACHED_PROCESS), the interpreter behind a venv's launcher would open one that stays.
         return {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP}
     return {"start_new_session": True}

@@ -1,13 +1,15 @@
-"""Holds the one session with the instrument, paces its bursts, and switches the outputs off when its master cannot.
+"""The watchdog: holds the only session with the instrument, triggers bursts, and switches the outputs off if it must.
 
-``python -m modaltouch.rig.watchdog_process ADDRESS OFF`` is a process of its own, given the message that switches the
-outputs off. The driver asks it for every exchange through a pipe, so that it can go in at any time: over any interface,
-those that admit one session (USB) among them. While armed it expects a sign of life at least every `LIMIT` seconds; an
-exchange is one. If none comes, no further burst is triggered and the outputs are switched off; so too when the pipe
-ends without `CLEAN` (the master was killed, or its display server took it along).
+``python -m modaltouch.rig.watchdog_process ADDRESS OFF`` runs it as a process of its own; OFF is the message that
+switches the outputs off. The driver, its client, makes every exchange through this process, over a pipe. So the process
+can switch the outputs off at any time, even over an interface that admits a single session (USB). While armed it
+expects a heartbeat at least every `LIMIT` seconds; every request counts as one. If none comes, no further burst is
+triggered and the outputs are switched off. The same happens when the pipe ends without `CLEAN` (the client was killed,
+or its display server took it down).
 
-A request is a letter, a number that its answer bears, and a length, followed by as many bytes; `OPEN`, `EXCHANGE`,
-`CLOSE`, `PLAY`, `LOOK`, `REPORT`, `BEAT` and `LATE` are answered, with a letter for how it went and what came of it.
+A request consists of a mark, a letter, a number, a length and as many bytes. `OPEN`, `EXCHANGE`, `CLOSE`, `PLAY`,
+`LOOK`, `REPORT`, `BEAT` and `LATE` are answered in the same format, with the number of the request and a letter for the
+outcome.
 """
 
 from __future__ import annotations
@@ -37,50 +39,50 @@ PLAY, LOOK, END, REPORT, LATE = b"P", b"?", b"E", b"R", b"L"
 DONE, FAILED, TAKEN = b"+", b"-", b"!"
 
 HEAD = struct.Struct(">4scII")
-"""What a request or an answer begins with: mark, letter, number, length."""
+"""Header of a request or an answer: mark, letter, number, length."""
 
 MARK = b"mtwd"
-"""Tells a beginning from bytes that belong elsewhere."""
+"""Identifies the beginning of a request or an answer."""
 
 TERMS = struct.Struct(">d??")
-"""Before what an exchange sends, and all that a close sends: time [s], whether a reply is due, whether it is broken."""
+"""Parameters of `EXCHANGE` (before its message) and of `CLOSE`: timeout [s], reply expected, session broken."""
 
 FLAG = struct.Struct(">?")
-"""Of an `ARM`: whether the output plays on by itself; of a `REPORT`: whether the last burst is waited for."""
+"""Parameter of `ARM`: whether the outputs play on without commands; of `REPORT`: whether to wait for the last burst."""
 
 LIMIT = PATIENCE
-"""Longest silence of an armed session [s]."""
+"""Longest silence of an armed client [s]."""
 
 PERSISTENCE = 30.0
-"""How long it keeps trying to reach an instrument that plays nothing unless it is triggered [s]."""
+"""How long it keeps trying to reach an instrument that plays nothing unless triggered [s]."""
 
 LONG_PERSISTENCE = 3600.0
-"""The same for one that plays on by itself [s]."""
+"""The same for an instrument that plays on by itself [s]."""
 
 WORD_PERIOD = 10.0
-"""Time between two words to the terminal that outputs may be on [s]."""
+"""Time between two warnings at the terminal that outputs may be on [s]."""
 
 REPLY_TIMEOUT = 1.0
 
 
 class WatchdogProcess:
-    """Carries out the requests of one master over one transport, and watches over it.
+    """Carries out the requests of one client over one transport, and watches that client.
 
     Parameters
     ----------
     transport : Transport
-        The way to the instrument.
+        Transport to the instrument.
     off : str
-        The message that switches the outputs off and asks of each whether it is.
+        Message that switches the outputs off and queries the state of each.
     limit : float
-        Longest silence of an armed master [s].
+        Longest silence of an armed client [s].
     persistence : float
-        How long it keeps trying to switch off what plays only when triggered; what plays by itself, LONG_PERSISTENCE
-        [s].
+        How long it keeps trying to switch off outputs that play only when triggered [s]; for outputs that play on by
+        themselves it is LONG_PERSISTENCE.
     say : callable
-        Takes a sentence for the terminal.
+        Called with each sentence for the terminal.
     clock : Clock
-        By which it waits.
+        Clock of its waits.
     """
 
     def __init__(
@@ -109,10 +111,10 @@ class WatchdogProcess:
         self._pacing = threading.Thread()
 
     def serve(self, requests: typing.BinaryIO, answer: Callable[[bytes], object]) -> None:
-        """Carry out requests until the pipe ends; the outputs are off then."""
+        """Carry out requests until `CLEAN`, or until the pipe ends: then switch the outputs off."""
 
         def reply(letter: bytes, number: int, content: bytes) -> None:
-            # If nobody takes it, the requests end as well.
+            # If nobody reads it, the requests end as well.
             with self._answering, contextlib.suppress(OSError):
                 answer(frame(letter, number, content))
 
@@ -129,7 +131,7 @@ class WatchdogProcess:
             self._served = self._clock.now()
             if answered is not None:
                 reply(answered[0], number, answered[1])
-        # Those too that were asked for in the master's last moment.
+        # End even bursts that were ordered in the client's last moment.
         self._end_bursts()
         with self._busy:
             if self._reached:
@@ -141,7 +143,7 @@ class WatchdogProcess:
         waiting: queue.SimpleQueue[tuple[bytes, int, bytes] | None],
         reply: Callable[[bytes, int, bytes], None],
     ) -> None:
-        """Take what comes when it comes: a sign of life counts from then, also behind an exchange that lasts."""
+        """Receive requests as they come: a heartbeat counts at once, even if an earlier exchange is still going on."""
         try:
             for letter, number, content in read_frames(requests):
                 self._heard = self._clock.now()
@@ -193,7 +195,7 @@ class WatchdogProcess:
         return self._transport.exchange(content[TERMS.size :], timeout=timeout, reply=reply)
 
     def _play(self, order: Order, answer: Callable[[bytes], None]) -> None:
-        """Begin to trigger bursts; the answer is the report as it stands after the first."""
+        """Begin to trigger bursts; the answer is the report once it is known whether the first was played."""
         self._end_bursts()
         if self._pacing.is_alive():
             self._pacing.join()
@@ -217,7 +219,7 @@ class WatchdogProcess:
             self._pacer.end()
 
     def _report(self, wait: bool) -> bytes:
-        """Return what became of the bursts once the pacer has ended, and the last burst too where it is waited for."""
+        """End the bursts and return the report; with `wait`, once the last burst is over."""
         if self._pacer is None:
             return self._told()
         self._pacer.end()
@@ -231,7 +233,7 @@ class WatchdogProcess:
         return b"{}" if self._pacer is None else json.dumps(asdict(self._pacer.report)).encode()
 
     def _patrol(self) -> None:
-        """Switch the outputs off when an armed master falls silent, as often as it does."""
+        """Switch the outputs off whenever an armed client falls silent."""
         while self._armed.wait():
             asleep = self._clock.now()
             self._clock.sleep(self._limit / 20)
@@ -245,11 +247,11 @@ class WatchdogProcess:
                     self.switch_off()
 
     def _silence(self) -> float:
-        """Return how long nothing was heard of a master that is not waiting for an answer either [s]."""
+        """Return the time since the last request came, or was carried out [s]."""
         return self._clock.now() - max(self._heard, self._served)
 
     def switch_off(self) -> bool:
-        """Switch the outputs off, over new sessions if need be, and return whether the instrument confirms it."""
+        """Switch the outputs off, over new sessions if need be, and return whether the instrument confirmed it."""
         started, pause = self._clock.now(), 0.02
         next_word, said = started + REPLY_TIMEOUT, False
         while True:
@@ -269,7 +271,7 @@ class WatchdogProcess:
                 )
             if gives_up:
                 return False
-            # The session that failed is of no use; a new one may be.
+            # The session that failed cannot be used any longer; a new one may work.
             with contextlib.suppress(Exception):
                 self._transport.close(broken=True)
             self._clock.sleep(pause)
@@ -279,12 +281,12 @@ class WatchdogProcess:
 
 
 def frame(letter: bytes, number: int, content: bytes = b"") -> bytes:
-    """Return a request or an answer as it goes through the pipe."""
+    """Return a request or an answer as the bytes sent through the pipe."""
     return HEAD.pack(MARK, letter, number, len(content)) + content
 
 
 def read_frames(stream: typing.BinaryIO) -> Iterator[tuple[bytes, int, bytes]]:
-    """Yield letter, number and content until the stream ends, or holds what is none of these."""
+    """Yield letter, number and content of each request until the stream ends or is malformed."""
     while True:
         head = stream.read(HEAD.size)
         if len(head) < HEAD.size:
@@ -297,7 +299,7 @@ def read_frames(stream: typing.BinaryIO) -> Iterator[tuple[bytes, int, bytes]]:
 
 
 def _import_visa() -> None:
-    """Import PyVISA without what only arrays and discovery need: half of its time."""
+    """Import PyVISA without the packages that only arrays and discovery need: that halves its time."""
     for name in ("numpy", "psutil"):
         sys.modules.setdefault(name, None)  # type: ignore[arg-type]
     with contextlib.suppress(ImportError):
@@ -306,17 +308,17 @@ def _import_visa() -> None:
 
 
 def _take_precedence() -> None:
-    """Run before others where the system lets one: a burst that waits for its turn is late."""
+    """Give this process priority, if the system permits: otherwise bursts may be late."""
     gc.disable()
     with contextlib.suppress(AttributeError, OSError):
         os.setpriority(os.PRIO_PROCESS, 0, -10)
-    # A session of its own is a group of its own to Linux, within which alone niceness counts.
+    # With autogrouping, Linux compares niceness only within a session, and this process has a session of its own.
     with contextlib.suppress(AttributeError, OSError):
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
 
 
 def main(address: str, off: str) -> int:
-    """Run the watchdog for the session at the other end of standard input."""
+    """Run the watchdog for the client at the other end of standard input and output."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK"):
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), signal.SIG_IGN)

@@ -1,8 +1,7 @@
-"""A whole rig on the loopback interface: generator behind a VXI-11 server, amplifier, beam, fingers.
+"""The twin, a simulated rig on the loopback interface: generator behind a VXI-11 server, amplifier, beam, fingers.
 
-``modaltouch rig simulate`` runs one in a process of its own. Beside the
-instrument, ``inst0`` of its address, others reach its front panel, ``panel0``: past the lock of whoever uses the
-instrument, as a person who stands before it.
+``modaltouch rig simulate`` runs one in a process of its own. At its address, ``inst0`` is the instrument and ``panel0``
+its front panel: like a person standing at the instrument, other programs can use it while the instrument is in use.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
 
 
 def twin_of(model: str) -> Callable[..., tuple[Any, CommandTable]]:
-    """Return what makes the state of a model of generator and its table; the AFG3022B stands for those not known."""
+    """Return the function that makes state and command table of a generator model; unknown models get an AFG3022B."""
     if model.startswith("AFG"):
         return afg_twin
     from modaltouch.rig.simulator.keysight33500b import keysight_twin
@@ -45,40 +44,40 @@ def twin_of(model: str) -> Callable[..., tuple[Any, CommandTable]]:
 
 
 class Simulator:
-    """The digital twin of a rig, reached like a real one through its VISA address.
+    """The twin of a rig, reached like a real one through its VISA address.
 
     Parameters
     ----------
     apparatus : Apparatus
-        What is on the table; its section ``twin`` says how the true beam differs from the identified one.
+        The simulated apparatus; its section ``twin`` states how the true beam differs from the identified one.
     seed : int, optional
-        Instead of the seed in ``twin``.
+        Seed used instead of that in ``twin``.
     port : int
         TCP port on 127.0.0.1; 0 takes a free one.
     behaviour : Behaviour, optional
-        What is not publicly known of the real generator.
+        Behaviour of the real generator that is not publicly known.
     clock : Clock
-        By which it plays; its transport waits in real time.
+        Clock by which it plays; its transport waits in real time.
     played : Path, optional
-        File that gets a line for each burst when it ends; times are those of `clock`.
+        File to which a line is added when a burst ends; times are those of `clock`.
     follow : Path, optional
-        Log of the session that plays, in whatever process: its placements say there where fingers lie.
+        Log of the session that uses the twin, in whatever process; its placements tell where the fingers are.
     sends : tuple of Playback or None, optional
-        What the outputs send, instead of what the generator is told.
+        What the outputs send, instead of what the generator is set to.
 
     Raises
     ------
     InputError
-        If the file cannot be written.
+        If the file `played` cannot be written.
 
     Attributes
     ----------
     afg : Afg or Trueform
-        State of the generator: that of the model which the apparatus names, an AFG3022B for one that is not known.
+        State of the generator, of the model that the apparatus names; an AFG3022B if that is unknown.
     twin : Twin
-        Amplifier, whose protection cuts its output while it is ``tripped``, and true beam.
+        True beam and amplifier, whose protection cuts its output while it is ``tripped``.
     faults : Faults
-        What goes wrong, switchable at any time.
+        Injected faults, which can be changed at any time.
     """
 
     def __init__(
@@ -120,7 +119,7 @@ class Simulator:
 
     @cached_property
     def server(self) -> Vxi11Server:
-        """What serves it from when it is first asked for: drops connections, refuses new ones, listens again."""
+        """VXI-11 server, started on first use; it can drop connections, refuse new ones and listen again."""
         return Vxi11Server(self._instrument, self._port)
 
     @property
@@ -135,14 +134,14 @@ class Simulator:
 
     @property
     def driver_options(self) -> dict[str, Any]:
-        """What `Generator` is to be given for this twin: its clock, and in virtual time no watchdog process."""
+        """Options of `Generator` for this twin: its clock, and in virtual time no watchdog process."""
         clock = self.afg.clock
         if not isinstance(clock, VirtualClock):
             return {"clock": clock}
         from modaltouch.rig.pacing import LocalClient
         from modaltouch.rig.visa import VisaSession
 
-        # No other program knows of this twin; one that had the same port before may still hold the address's lock.
+        # No other program knows this twin, but one that used the same port before may still hold the address's lock.
         return {
             "clock": clock,
             "start_guard": lambda address, off: LocalClient(VisaSession(address, shares=True), clock),
@@ -154,13 +153,13 @@ class Simulator:
         return tuple(channel.output for channel in self.afg.channels.values())
 
     def felt_velocity(self, places: Sequence[str | float]) -> NDArray[np.float64]:
-        """Return the peak speed that fingers feel now.
+        """Return the peak speed under the fingers, of what plays now.
 
         Parameters
         ----------
         places : sequence of str or float
-            Names of zones (their centres are taken, unless a finger lies elsewhere in them in the session that is
-            followed) or positions, origin at mid-beam [m].
+            Zones, by their names, or positions, origin at mid-beam [m]. For a zone the position of its finger in the
+            followed session is taken, or else its centre.
 
         Returns
         -------
@@ -179,19 +178,19 @@ class Simulator:
         return self.twin.felt(self.playbacks, positions, touched=tuple(laid.values()))
 
     def true_state(self, instant: float, *, first: bool = False) -> TrueState:
-        """Return what the beam really does at an instant of the burst that plays now, to judge measurements by.
+        """Return the true state of the beam at an instant of the present burst, as a reference for measurements.
 
         Parameters
         ----------
         instant : float
-            From a trigger, when the first sample leaves the generator unless it is set to wait [s].
+            Time since a trigger [s]; the first sample leaves the generator at 0, or after its trigger delay.
         first : bool
-            Whether the burst starts from rest; else it is one after many.
+            Whether the burst starts from rest; otherwise many bursts came before it.
         """
         return self.twin.true_state(self.playbacks, instant, first=first, touched=tuple(self.touched.values()))
 
     def scope(self) -> SimulatedScope:
-        """Return the vibrometer and the scope that stand at this beam; equal seeds give equal noise."""
+        """Return the vibrometer and scope at this beam; equal seeds give equal noise."""
         from modaltouch.rig.simulator.scope import SimulatedScope
 
         playing, touched = (lambda: self.playbacks), (lambda: tuple(self.touched.values()))
@@ -205,11 +204,11 @@ class Simulator:
         return tuple(self.afg.playback(number) for number in self.afg.channels)
 
     def on_beam(self, apparatus: Apparatus, seed: int | None = None) -> Simulator:
-        """Return another beam under what this generator sends now; equal seeds give equal beams."""
+        """Return a twin with another beam, driven by what this generator sends now; equal seeds give equal beams."""
         return Simulator(apparatus, seed, sends=self.playbacks)
 
     def touch(self, places: Sequence[str | float]) -> None:
-        """Lay fingers on the beam for whatever is measured from now on; nowhere for an empty sequence."""
+        """Place fingers on the beam for all further measurements, instead of those there; none if `places` is empty."""
         from modaltouch.stimulus import Finger
 
         at = {str(place): self.position(place) for place in places}
@@ -218,11 +217,11 @@ class Simulator:
 
     @property
     def touched(self) -> dict[str, Finger]:
-        """Fingers on the beam, by zone or position: those of the session that is followed, else as they were laid."""
+        """Fingers on the beam, by zone or position: those of the followed session, or else those of `touch`."""
         return self._touched if self._followed is None else self._followed.fingers()
 
     def position(self, place: str | float) -> float:
-        """Return the centre of a zone, or the position that is given [m]."""
+        """Return the centre of a zone, or the position given [m]."""
         if not isinstance(place, str):
             return float(place)
         zone = self.apparatus.zones.get(place)
@@ -232,11 +231,11 @@ class Simulator:
         return zone.centre_mm * 1e-3
 
     def front_panel(self, command: str) -> str:
-        """Do at the instrument what a command says, and return the reply of a query."""
+        """Carry out a command as if entered at the front panel, and return the reply to a query."""
         return self._instrument.perform(command.encode()).data.decode("latin1").removesuffix("\n")
 
     def power_cycle(self) -> None:
-        """Cut the generator's power: connections gone, settings lost, outputs off, USER memories kept."""
+        """Switch the generator's power off and on: connections and settings lost, outputs off, USER memories kept."""
         self.afg.power_on()
         self.server.drop_connections()
 
@@ -250,14 +249,14 @@ class Simulator:
             self._played = None
 
     def serve(self) -> None:
-        """Serve until SIGINT or SIGTERM, and close; its addresses are the first lines on standard output."""
+        """Serve until SIGINT or SIGTERM, then close; the first lines on standard output are its addresses."""
         ended = threading.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: ended.set())
         with self:
             sys.stdout.write(f"{self.address}\n{self.socket_address}\n")
             sys.stdout.flush()
-            while not ended.wait(0.5):  # Windows hears of Ctrl-C between two waits alone
+            while not ended.wait(0.5):  # Windows notices Ctrl-C only between two waits
                 pass
 
     def __enter__(self) -> Self:

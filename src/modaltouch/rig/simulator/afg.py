@@ -1,4 +1,4 @@
-"""The state of a simulated AFG3022B: channels, memories, levels; no text and no transport."""
+"""The state of a simulated AFG3022B: channels, memories, amplitudes; neither SCPI nor transport."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from modaltouch.rig.simulator.timeline import MID_CODE, Playback
 
 @dataclass
 class Channel(OutputChannel):
-    """Settings of one output."""
+    """Settings of one output of an AFG3022B."""
 
     function: str = "SIN"
     frequency: float = 1e6
@@ -43,7 +43,7 @@ class Afg(GeneratorState[Channel]):
     Attributes
     ----------
     clip_amplitude : float
-        Fault: amplitude beyond which the output stage silently stays behind [V peak to peak, open circuit].
+        Fault: the output stage silently clips amplitudes to this value [V peak to peak, open circuit].
     """
 
     identity: str = "TEKTRONIX,AFG3022B,SIMULATED,SCPI:99.0 FV:3.2.2"
@@ -57,18 +57,18 @@ class Afg(GeneratorState[Channel]):
         super().__post_init__()
 
     def forget(self) -> None:
-        """Lose the edit memory; USER memories last."""
+        """Lose the edit memory; USER memories are kept."""
         self.edit = blank_record(1000)
 
     def reset(self) -> None:
-        """Do what ``*RST`` does; USER memories, status and errors stay."""
+        """Reset as ``*RST`` does; USER memories, status and errors are kept."""
         self.channels = {number: Channel() for number in range(1, self.n_channels + 1)}
         self.trigger_source, self.timer = "TIM", 1e-3
         self.level_concurrent = self.frequency_concurrent = False
         self.trigger_output = "TRIG"
         self.clock_source = "INT"
 
-    # memories; whoever changes one holds the lock
+    # memories; methods that change one are called with `lock` held
 
     def write_edit(self, block: bytes) -> None:
         """Replace the edit memory."""
@@ -83,18 +83,18 @@ class Afg(GeneratorState[Channel]):
         self.edit = bytes(block)
 
     def define_edit(self, n_points: int) -> None:
-        """Reset the edit memory to a number of points at zero volts."""
+        """Fill the edit memory with a number of points at 0 V."""
         self.edit = blank_record(n_points)
 
     def copy_to_user(self, number: int) -> None:
-        """Store the edit memory; a playing channel that selects the memory plays the new record."""
+        """Copy the edit memory to a USER memory; a channel that is playing that memory plays the new record."""
         if self.locked[number]:
             raise ScpiError(-221, f"USER{number} is locked")
         self.clock.sleep(self.behaviour.copy_time)
         self.user[number] = self.edit
 
     def copy_from_user(self, number: int) -> None:
-        """Load the edit memory from a USER memory."""
+        """Copy a USER memory to the edit memory."""
         record = self.user[number]
         if record is None:
             raise ScpiError(-224, f"USER{number} is empty")
@@ -115,7 +115,7 @@ class Afg(GeneratorState[Channel]):
     # levels
 
     def set_levels(self, number: int, *, amplitude: float | None = None, offset: float | None = None) -> None:
-        """Set amplitude [V peak to peak] or offset [V], open circuit, within VOLTage:LIMit."""
+        """Set amplitude [V peak to peak] or offset [V], into an open circuit, within VOLTage:LIMit."""
         channel = self.channels[number]
         amplitude = channel.amplitude if amplitude is None else amplitude
         offset = channel.offset if offset is None else offset
@@ -127,7 +127,7 @@ class Afg(GeneratorState[Channel]):
         channel.amplitude, channel.offset = min(amplitude, self.clip_amplitude), offset
 
     def set_limit(self, number: int, *, high: float | None = None, low: float | None = None) -> None:
-        """Set an output limit, open circuit [V]; refused where the present level exceeds it."""
+        """Set an output limit, into an open circuit [V]; refused if the present output exceeds it."""
         channel = self.channels[number]
         limit_high = channel.limit_high if high is None else high
         limit_low = channel.limit_low if low is None else low
@@ -139,17 +139,17 @@ class Afg(GeneratorState[Channel]):
     # what comes out
 
     def tick(self) -> float | None:
-        """Return the time between triggers of its timer [s]; None where another source is selected."""
+        """Return the time between triggers of its timer [s]; None if another trigger source is selected."""
         return self.timer if self.trigger_source == "TIM" else None
 
     def sent(self, channel: Channel) -> Playback | None:
-        """Return a burst of a channel, alone, or what it repeats without trigger; None where it has no record."""
+        """Return a single burst of a channel, or what it repeats without a trigger; None if it plays no record."""
         if not channel.function.startswith(("USER", "EMEM")):
             return None
         record = self.edit if channel.function == "EMEM" else self.user[int(channel.function[4:])]
         if record is None:
             return None
-        # A phase is where in its record a channel begins.
+        # The phase selects the point of the record at which a channel begins.
         first = 2 * round(channel.phase / (2 * math.pi) * (len(record) // 2)) % len(record)
         record = record[first:] + record[:first]
         sign = -1.0 if channel.polarity == "INV" else 1.0
@@ -163,5 +163,5 @@ class Afg(GeneratorState[Channel]):
 
 
 def blank_record(n_points: int) -> bytes:
-    """Return a record at zero volts."""
+    """Return a record at 0 V."""
     return MID_CODE.to_bytes(2, "big") * n_points

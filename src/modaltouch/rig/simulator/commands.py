@@ -43,16 +43,16 @@ from modaltouch.rig.simulator.scpi import (
 from modaltouch.rig.simulator.state import SOURCE_IMPEDANCE, Behaviour
 
 LOWEST, HIGHEST, DEFAULT = 20e-3, 20.0, 2.0
-"""Amplitude into an open circuit [V peak to peak]."""
+"""Range and default of the amplitude into an open circuit [V peak to peak]."""
 
 PEAK_TO_PEAK_PER_RMS = {"SIN": 2 * math.sqrt(2.0), "SQU": 2.0, "RAMP": 2 * math.sqrt(3.0)}
-"""Of the waveforms whose rms does not depend on a record [1]."""
+"""Ratio for the waveforms whose rms value does not depend on a record [1]."""
 
 MILLIWATT = 1e-3
 
 
 def amplitude_in_vpp(argument: Argument, channel: Channel) -> float:
-    """Return an amplitude that was sent, at the configured load [V peak to peak]."""
+    """Return the amplitude given by an argument, at the configured load [V peak to peak]."""
     factor = channel.load_factor
     low, high = LOWEST * factor, HIGHEST * factor
     named = re.search(r"(VPP|VRMS|DBM)\s*$", argument, re.IGNORECASE) if isinstance(argument, str) else None
@@ -70,9 +70,9 @@ def amplitude_in_vpp(argument: Argument, channel: Channel) -> float:
 
 
 def amplitude_in_unit(vpp: float, channel: Channel, unit: str | None = None) -> float:
-    """Return an amplitude [V peak to peak at the load] in a unit, the channel's if none is named.
+    """Return an amplitude [V peak to peak at the load] in a unit, by default the channel's.
 
-    An arbitrary record has no rms of its own here: it is told in volts peak to peak.
+    The rms value of an arbitrary record is not computed: its amplitude is always given in volts peak to peak.
     """
     unit = unit or channel.unit
     if unit == "VPP" or channel.function not in PEAK_TO_PEAK_PER_RMS:
@@ -93,11 +93,11 @@ SHAPES = ("SINusoid", "SQUare", "PULSe", "RAMP", "PRNoise", "DC", "SINC", "GAUSs
 HIGHEST_BURST_FREQUENCY = 6.25e6
 
 FORCED = ("*TRG", "TRIGger[:SEQuence][:IMMediate]")
-"""Triggers, which change no setting; nothing is to delay them."""
+"""Trigger commands, which change no setting and must not be delayed."""
 
 
 def afg_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> tuple[Afg, CommandTable]:
-    """Return the state of a simulated AFG3022B, whatever the model, and what it understands."""
+    """Return the state of a simulated AFG3022B, whatever the model, and its command table."""
     afg = Afg(behaviour or Behaviour(), **hardware)
     groups = (
         common_commands,
@@ -240,7 +240,7 @@ def _trigger(afg: Afg) -> dict[str, Command]:
 
 
 def _get_level(afg: Afg, name: str, low: float, high: float) -> Callable[[int, Arguments], str]:
-    """Answer in volts at the configured load."""
+    """Return the handler of a query for a voltage, in volts at the configured load."""
 
     def get(number: int, arguments: Arguments) -> str:
         channel = afg.channels[number]
@@ -250,7 +250,7 @@ def _get_level(afg: Afg, name: str, low: float, high: float) -> Callable[[int, A
 
 
 def _get_amplitude(afg: Afg) -> Callable[[int, Arguments], str]:
-    """Answer in the channel's unit, at the configured load."""
+    """Return the handler of the query for the amplitude, in the channel's unit at the configured load."""
     vpp = _get_level(afg, "amplitude", LOWEST, HIGHEST)
     return lambda number, arguments: f"{amplitude_in_unit(float(vpp(number, arguments)), afg.channels[number]):.4E}"
 
@@ -341,7 +341,7 @@ def _user_commands(afg: Afg) -> dict[str, Command]:
 
 
 def _of_edit(arguments: Arguments, n: int) -> Arguments:
-    """Return what follows the name of the edit memory, the first of n arguments."""
+    """Return the arguments after the first of n, which must name the edit memory."""
     name, *rest = exactly(arguments, n)
     read_choice(name, ("EMEMory", "EMEMory1"))
     return tuple(rest)

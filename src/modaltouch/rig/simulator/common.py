@@ -1,4 +1,4 @@
-"""SCPI commands that all simulated generators have, and the parts that their tables are made of."""
+"""SCPI commands that all simulated generators have, and the parts of which their tables are made."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from modaltouch.rig.simulator.state import GeneratorState
 State = GeneratorState[Any]
 
 PERCENT, SECONDS, HERTZ = {"PCT": 1.0}, {"S": 1.0}, {"HZ": 1.0}
-"""Units that settings have."""
+"""Units of settings."""
 
 
 def noticed(state: State, commands: Mapping[str, Command], forced: tuple[str, ...]) -> dict[str, Command]:
-    """Return commands whose settings end what they change of a running burst; triggers, which set nothing, are not."""
+    """Return commands that cut a running burst if they change what it depends on; those in `forced` are unchanged."""
     return {header: command if header in forced else _changing(state, command) for header, command in commands.items()}
 
 
 def _changing(state: State, command: Command) -> Command:
-    """Return a command whose setting ends what it changes of a running burst."""
+    """Return a command that cuts a running burst if it changes what that depends on."""
     carry_out = command.set
     if carry_out is None:
         return command
@@ -48,7 +48,7 @@ def _changing(state: State, command: Command) -> Command:
 
 
 def common_commands(state: State) -> dict[str, Command]:
-    """Return the common commands of IEEE 488.2, and what of SCPI all of them have."""
+    """Return the common commands of IEEE 488.2, and the SCPI commands of all simulated generators."""
 
     def clear(_: int) -> None:
         state.errors.clear()
@@ -89,7 +89,7 @@ def _register(state: State, name: str) -> Command:
 
 
 def bare(carry_out: Callable[[int], str | None]) -> Handler:
-    """Return what takes no parameter, only the number of a channel."""
+    """Return a handler that takes no parameters, only the number of a channel."""
 
     def handle(number: int, arguments: Arguments) -> str | None:
         exactly(arguments, 0)
@@ -99,16 +99,16 @@ def bare(carry_out: Callable[[int], str | None]) -> Handler:
 
 
 def get_of(state: State, read: Callable[[Any], str]) -> Handler:
-    """Return what answers a query with what is read of a channel."""
+    """Return a handler that answers a query with the result of `read` for the channel."""
     return bare(lambda number: read(state.channels[number]))
 
 
 def get_number(state: State, name: str, low: float, high: float, form: str) -> Callable[[int, Arguments], str]:
-    """Return what answers a query with a number of a channel, or with its limits."""
+    """Return a handler that answers a query with a number of a channel, or with its limits."""
 
     def get(number: int, arguments: Arguments) -> str:
         value = asked(arguments, getattr(state.channels[number], name), low, high)
-        # As instruments print what SCPI has for infinity; 9.9E37 itself is no binary number.
+        # SCPI's infinity as instruments print it; 9.9E37 has no exact binary form.
         return form.format(9.9).replace("E+00", "E+37") if math.isinf(value) else form.format(value)
 
     return get
@@ -125,7 +125,7 @@ def number(
     *,
     endless: bool = False,
 ) -> Command:
-    """Return the command of a number of a channel, a whole one without units, which may be `endless`: ``INFinity``."""
+    """Return the command for a number of a channel, an integer if it has no units; `endless` permits ``INFinity``."""
 
     def change(number: int, arguments: Arguments) -> None:
         word = one(arguments)
@@ -137,7 +137,7 @@ def number(
 
 
 def on(state: State, name: str) -> Command:
-    """Return the command of a switch of a channel."""
+    """Return the command for a switch of a channel."""
     return Command(
         set=lambda n, a: setattr(state.channels[n], name, read_boolean(one(a))),
         get=get_of(state, lambda channel: flag(getattr(channel, name))),
@@ -145,7 +145,7 @@ def on(state: State, name: str) -> Command:
 
 
 def keyword(state: State, name: str, choices: tuple[str, ...]) -> Command:
-    """Return the command of a keyword of a channel."""
+    """Return the command for a keyword of a channel."""
     return Command(
         set=lambda n, a: setattr(state.channels[n], name, read_choice(one(a), choices)),
         get=get_of(state, lambda channel: str(getattr(channel, name))),
@@ -153,14 +153,14 @@ def keyword(state: State, name: str, choices: tuple[str, ...]) -> Command:
 
 
 def choice(state: State, name: str, choices: tuple[str, ...]) -> Command:
-    """Return the command of a keyword of the whole instrument."""
+    """Return the command for a keyword of the whole instrument."""
     return Command(
         set=lambda n, a: setattr(state, name, read_choice(one(a), choices)), get=bare(lambda _: getattr(state, name))
     )
 
 
 def switch(state: State, name: str) -> Command:
-    """Return the command of a switch of the whole instrument."""
+    """Return the command for a switch of the whole instrument."""
     return Command(
         set=lambda n, a: setattr(state, name, read_boolean(one(a))), get=bare(lambda _: flag(getattr(state, name)))
     )

@@ -1,4 +1,4 @@
-"""Settings that the simulated generators lack, which strangers' drivers read: loaded when one of them is asked for."""
+"""Settings not simulated, but read by other authors' drivers; this module is imported when one of them is used."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from modaltouch.rig.simulator.scpi import (
 )
 
 Default = tuple[float | str, dict[str, float]]
-"""Default of a setting, a truth value where it is a bool, and its units."""
+"""Default of a setting (a bool for a truth value), and its units."""
 
 _MODULATION: dict[str, Default] = {
     "INTernal:FREQuency": (10e3, HERTZ),
@@ -59,7 +59,7 @@ AFG3000: dict[str, Default] = {
     "SOURce3|SOURce4:POWer[:LEVel][:IMMediate][:AMPLitude]": (10.0, PERCENT),
     "TRIGger[:SEQuence]:SLOPe": ("POSitive", {}),
 }
-"""What an AFG3022B has and its twin has not, as ``*RST`` leaves it (its user manual, default settings)."""
+"""Settings of an AFG3022B that its twin lacks, with their values after ``*RST`` (user manual, default settings)."""
 
 KEYSIGHT_33500B: dict[str, Default] = {
     "[SOURce#]:FREQuency:MODE": ("CW", {}),
@@ -77,13 +77,13 @@ KEYSIGHT_33500B: dict[str, Default] = {
     "OUTPut:SYNC": (True, {}),
     "OUTPut:SYNC:SOURce": ("CH1", {}),
 }
-"""What the instrument has and its twin has not, as ``*RST`` leaves it (the guide's factory settings)."""
+"""Settings of a 33500B that its twin lacks, with their values after ``*RST`` (the guide's factory settings)."""
 
 
 def not_simulated(defaults: Mapping[str, Default], form: str) -> dict[str, Command]:
-    """Return the commands of settings that the twin lacks: each reads as its default, and takes no other value.
+    """Return the commands of settings that the twin lacks: each reads as its default, and refuses any other value.
 
-    A driver that reads or restores everything finds an instrument so; what would change the output is refused.
+    So a driver can read and restore all settings, but change none that is not simulated.
     """
     return {header: _fixed(default, units, form) for header, (default, units) in defaults.items()}
 

@@ -1,4 +1,4 @@
-"""The fingers on the beam in a session of any process: read in its log, since no instrument tells."""
+"""The fingers on the beam in a session run by any process: read from its log, since no instrument reports them."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ if TYPE_CHECKING:
     import numpy as np
 
 KINDS = (b'"event":"start"', b'"event":"placement"', b'"event":"hands_off"', b'"event":"trial"')
-"""Lines that say who sits there, and where fingers lie; with each trial that is over they are drawn anew."""
+"""Lines that state the participant and the placements of fingers; after each trial the fingers are drawn anew."""
 
 
 class FollowedSession:
-    """The fingers of the latest placement in a session's log, which grows, and may not be there yet.
+    """The fingers of the latest placement in a session's log, which may still grow, or not exist yet.
 
     Parameters
     ----------
     path : Path
         The log, ``session.jsonl``.
     apparatus : Apparatus
-        Its section ``twin`` has the fingers, and how much they differ between placements and between trials.
+        Its section ``twin`` states the fingers, and how much they vary between placements and between trials.
     """
 
     def __init__(self, path: Path, apparatus: Apparatus) -> None:
@@ -39,13 +39,13 @@ class FollowedSession:
 
     def fingers(self) -> dict[str, Finger]:
         """Return the fingers on the beam by zone; none before the first placement, and while hands are off."""
-        # Bursts that end are told of by a thread of their own: a line that both read would be counted twice.
+        # This is also called from the thread that reports bursts: a line read by both would count twice.
         with self._lock, contextlib.suppress(FileNotFoundError):
             if self._path.stat().st_size > self._read:
                 with self._path.open("rb") as log:
                     log.seek(self._read)
                     lines = log.read().splitlines(keepends=True)
-                # The last may still be being written.
+                # The last line may be incomplete.
                 for line in (each for each in lines if each.endswith(b"\n")):
                     self._read += len(line)
                     if any(kind in line for kind in KINDS):

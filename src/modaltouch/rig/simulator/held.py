@@ -1,4 +1,4 @@
-"""Samples that a generator holds, burst after burst: the states they bring a beam to, and the peaks of its outputs."""
+"""Samples that a generator holds, burst after burst: the resulting states of a beam, and the peaks of its outputs."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 FINEST_TURN = 0.3
-"""Phase of the fastest mode from one computed instant to the next [rad]: cubics between them err by 2e-5."""
+"""Phase of the fastest mode from one computed instant to the next [rad]: cubic interpolation then errs by 2e-5."""
 
 LONGEST_SILENCE = 10
-"""Durations of a burst for which a decay is followed."""
+"""How long a burst and its decay are followed, in durations of the burst [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """Samples that a generator holds, once or again and again, as volts before the amplifier's pole.
+    """The samples of single or repeated bursts, each held until the next, as volts before the amplifier's pole.
 
     Attributes
     ----------
     voltage : (n_channels, n_samples) array
-        As a change from the level of rest [V].
+        Deviation from the voltage at rest [V].
     rest : (n_channels,) array
-        Level between bursts [V].
+        Voltage at rest, between bursts [V].
     duration : float
-        Of one burst [s].
+        Duration of one burst [s].
     period : float
-        From one burst to the next [s]; infinite for a single burst.
+        Time from one burst to the next [s]; infinite for a single burst.
     delay : float
-        From a trigger, where time begins, to its burst [s].
+        Time from a trigger, at 0, to its burst [s].
     converter : Converter
-        Of the generator that holds them.
+        Converter of the generator.
     """
 
     voltage: FloatArray
@@ -81,7 +81,7 @@ class Held:
 
 
 def start_state(system: DiagonalSystem, held: Held) -> ComplexArray:
-    """Return the state in which each burst finds the beam, after many, (n_states,) array."""
+    """Return the state at the beginning of a burst that follows many others, (n_states,) array."""
     if math.isinf(held.period):
         return np.zeros(system.exponent.size, dtype=complex)
     at_end = system.held_states(held.voltage, held.hold).sum(axis=0)
@@ -97,11 +97,11 @@ def state_at(system: DiagonalSystem, held: Held, instant: float, *, first: bool)
     system : DiagonalSystem
         The beam behind its amplifier.
     held : Held
-        What is played.
+        The bursts.
     instant : float
-        From a trigger, at most a period [s].
+        Time since a trigger, at most a period [s].
     first : bool
-        Whether it is the first burst, from rest, or one after many.
+        Whether the burst starts from rest; otherwise many bursts came before it.
     """
     instant -= held.delay
     if instant < 0:
@@ -118,16 +118,16 @@ def state_at(system: DiagonalSystem, held: Held, instant: float, *, first: bool)
 
 
 def peak(system: DiagonalSystem, output: ComplexArray, held: Held) -> FloatArray:
-    """Return the largest magnitudes of outputs from rest until the next burst, (n_outputs,) array.
+    """Return the largest magnitudes of outputs during one burst from rest and the pause after it, (n_outputs,) array.
 
     Parameters
     ----------
     system : DiagonalSystem
         The beam behind its amplifier.
     output : (n_outputs, n_states) complex array
-        What is read off the states, as its real part.
+        Output matrix; the outputs are the real part of its product with the states.
     held : Held
-        What is played.
+        The bursts.
     """
     voltage, _ = refined(system, held)
     n_samples = voltage.shape[1]
@@ -137,6 +137,6 @@ def peak(system: DiagonalSystem, output: ComplexArray, held: Held) -> FloatArray
 
 
 def refined(system: DiagonalSystem, held: Held) -> tuple[FloatArray, float]:
-    """Return the same voltages on a grid on which no mode turns by more than FINEST_TURN, and its step."""
+    """Return the same voltages on a grid in whose step no mode turns by more than FINEST_TURN, and that step [s]."""
     times = max(1, math.ceil(float(np.abs(system.exponent.imag).max()) * held.hold / FINEST_TURN))
     return held.voltage if times == 1 else np.repeat(held.voltage, times, axis=1), held.hold / times

@@ -1,4 +1,4 @@
-"""A simulated generator as its transport sees it: messages in, replies out, faults on the way."""
+"""A simulated generator as its transport sees it: takes messages, returns replies, and injects faults."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from modaltouch.rig.simulator.state import GeneratorState
 
 @dataclass(frozen=True)
 class Reply:
-    """What an instrument makes of a message.
+    """The response of an instrument to a message.
 
     Attributes
     ----------
     data : bytes
-        Response message; empty if nothing was asked.
+        Response message; empty if the message contained no query.
     delay : float
         Time until it can be read [s]; infinite for a reply that never comes.
     hang_up : bool
@@ -48,25 +48,25 @@ Kind = Literal[
     "power_cycle",
     "front_panel",
 ]
-"""Kinds of fault, each met by the messages that match its pattern:
+"""Kinds of fault; each affects the messages that match its pattern:
 
 - ``delayed_reply``: the reply comes `value` seconds late; ``lost_reply``: it never comes
-- ``garbled_reply``: its bytes are not ASCII, or its block is no block
-- ``truncated_reply``: half of it comes; ``wrong_reply``: the text `value` comes instead
+- ``garbled_reply``: its bytes are not ASCII, or its block is malformed
+- ``truncated_reply``: only half of it comes; ``wrong_reply``: the text `value` comes instead
 - ``dropped_connection``: the connection is reset before the message is carried out; ``dropped_reply``: after
-- ``ignored_message``: nothing is done and nothing is said
-- ``truncated_upload``: the tail of a message is lost on the way
+- ``ignored_message``: the message is not carried out, and no reply comes
+- ``truncated_upload``: the second half of the message is lost
 - ``garbled_upload``: one code of an uploaded record is wrong
-- ``scpi_error``: error number `value` is queued besides
-- ``slow_command``: takes `value` seconds
-- ``power_cycle``: the instrument restarts before it
-- ``front_panel``: somebody at the instrument does `value` after it
+- ``scpi_error``: error number `value` is queued in addition
+- ``slow_command``: the message takes `value` seconds
+- ``power_cycle``: the instrument restarts instead of carrying out the message
+- ``front_panel``: after the message, the command `value` is entered at the front panel
 """
 
 
 @dataclass
 class Fault:
-    """One fault: its kind, the messages it meets, how often, and its parameter."""
+    """One fault: its kind, the pattern of the messages that it affects, how many of them, and its parameter."""
 
     kind: Kind
     when: re.Pattern[bytes]
@@ -75,45 +75,45 @@ class Fault:
 
 
 class Faults:
-    """The faults that are switched on, taken by the messages that meet them."""
+    """The injected faults, used up by the messages that they affect."""
 
     def __init__(self) -> None:
         self._active: list[Fault] = []
         self._lock = threading.Lock()
 
     def inject(self, kind: Kind, *, when: str = "", times: int = 1, value: float | str = 0.0) -> None:
-        """Switch a fault on.
+        """Inject a fault.
 
         Parameters
         ----------
         kind : str
-            What goes wrong.
+            Kind of fault.
         when : str
-            Regular expression searched in each message, letter case ignored; empty meets every message.
+            Regular expression searched for in each message, ignoring case; an empty one matches every message.
         times : int
-            How many messages it spoils.
+            Number of messages that it affects.
         value : float or str
-            Seconds, error number or text, as the kind needs.
+            Seconds, error number or text, depending on the kind.
         """
         with self._lock:
             self._active.append(Fault(kind, re.compile(when.encode(), re.IGNORECASE), times, value))
 
     def clear(self) -> None:
-        """Switch every fault off."""
+        """Remove all faults."""
         with self._lock:
             self._active.clear()
 
     @property
     def any(self) -> bool:
-        """Whether a fault is still to come."""
+        """Whether a fault is pending."""
         return bool(self._active)
 
     def take(self, message: bytes) -> dict[Kind, Fault]:
-        """Return the faults that a message meets, one of a kind, and count them down."""
+        """Return the faults that affect a message, at most one of each kind, and count them down."""
         if not self._active:
             return {}
         met: dict[Kind, Fault] = {}
-        # A block says nothing about what the message asks.
+        # Only the head of a message is searched: the content of a block is of no interest.
         head = message[:4096]
         with self._lock:
             for fault in self._active:
@@ -125,16 +125,16 @@ class Faults:
 
 
 class SimulatedInstrument:
-    """Carries out program messages, one at a time whichever link they come from.
+    """Carries out program messages, one at a time, whichever link they come from.
 
     Parameters
     ----------
     afg : GeneratorState
         State of the generator.
     table : CommandTable
-        What it understands.
+        Its commands.
     faults : Faults
-        What goes wrong.
+        Faults to be injected.
     """
 
     def __init__(self, afg: GeneratorState[Any], table: CommandTable, faults: Faults) -> None:
@@ -144,12 +144,12 @@ class SimulatedInstrument:
         self._busy = threading.RLock()
 
     def trigger(self, link: int) -> None:
-        """Take a group execute trigger, as ``*TRG``."""
+        """Carry out a group execute trigger, like ``*TRG``."""
         with self._busy:
             self._run(b"*TRG", link)
 
     def perform(self, message: bytes) -> Reply:
-        """Carry out a message as the front panel would, past every fault."""
+        """Carry out a message as if entered at the front panel, without faults."""
         with self._busy:
             return Reply(_joined(self._run(message, 0)))
 
@@ -158,7 +158,7 @@ class SimulatedInstrument:
         return self._table.run(message, fail=self.afg.fail)
 
     def execute(self, message: bytes, link: int = 1) -> Reply:
-        """Carry out a message that came over a link."""
+        """Carry out a message received over a link."""
         met = self.faults.take(message)
         with self._busy:
             if "power_cycle" in met:
@@ -178,7 +178,7 @@ class SimulatedInstrument:
 
 
 def _joined(replies: list[bytes]) -> bytes:
-    """Return a response message."""
+    """Join replies into a response message."""
     return b";".join(replies) + b"\n" if replies else b""
 
 

@@ -1,8 +1,9 @@
-"""A simulated Keysight 33522B (or 33512B), by its operating and service guide: state, and the SCPI that changes it.
+"""A simulated Keysight 33522B (or 33512B), after its operating and service guide: its state and SCPI commands.
 
-Its amplitude is that of the record, from its lowest code to its highest, as the guide's figure for "Sinc" says and
-users of the series have measured. Not modelled: the filters (what is not played with FILTer OFF moves nothing),
-modulation, sweeps, sequences, pulses and ramps, amplitudes in VRMS and DBM, triggers of one of two channels in burst.
+An amplitude is that of the record, from its lowest code to its highest, as follows from the guide's figure for "Sinc"
+and as users of the series have measured. Not modelled: filters (a record not played with FILTer OFF moves nothing),
+modulation, sweeps, sequences, pulses and ramps, amplitudes in VRMS and DBM, triggering one of two channels in burst
+mode.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ from modaltouch.stimulus import Converter
 
 HIGHEST_CODE = 32767
 CONVERTER = Converter(HIGHEST_CODE, 1 << 22, 62.5e6, 4, 6, of_record=True, any_rate=True)
-"""That of the twin, apart from what the driver knows of it; many cycles of a record may be one burst."""
+"""Converter of the twin, independent of the driver's; its limit on points allows for bursts of many cycles."""
 
 MEMORY, FEWEST = 1 << 20, 8
-"""Points of a channel's memory without option, and of a record at least."""
+"""Points of a channel's memory without options, and of the shortest record."""
 
 BUILT_IN = r"INT:\BUILTIN\EXP_RISE.ARB"
 LOWEST, HIGHEST = 2e-3, 20.0
-"""Amplitude into an open circuit [V peak to peak]."""
+"""Range of the amplitude into an open circuit [V peak to peak]."""
 
 NUMBER = "{:+.15E}"
 SHAPES = ("SINusoid", "SQUare", "TRIangle", "RAMP", "PULSe", "PRBS", "NOISe", "ARB", "DC")
@@ -40,7 +41,7 @@ Codes = NDArray[np.int16]
 
 @dataclass
 class TrueformChannel(OutputChannel):
-    """Settings of one output; it has a trigger source of its own."""
+    """Settings of one output, which has its own trigger source."""
 
     amplitude: float = 0.2
     limited: bool = False
@@ -58,14 +59,14 @@ class TrueformChannel(OutputChannel):
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Lowest and highest value of what it plays, as parts of the converter's range [1]."""
+        """Lowest and highest value of its waveform, as fractions of the converter's range [1]."""
         if self.function != "ARB" or self.record is None:
             return -1.0, 1.0
         return float(self.record.min()) / HIGHEST_CODE, float(self.record.max()) / HIGHEST_CODE
 
     @property
     def span(self) -> float:
-        """What part of the converter's range it uses [1]."""
+        """Fraction of the converter's range that its waveform uses [1]."""
         return (self.ends[1] - self.ends[0]) / 2 or 1.0
 
     @property
@@ -77,7 +78,7 @@ class TrueformChannel(OutputChannel):
 
     @property
     def allowed(self) -> bool:
-        """Whether what it sends stays within what an output gives, and within the limits that are set and on."""
+        """Whether its output stays within the voltage limits that are on, or else within the range of an output."""
         low, high = (end * self.amplitude / self.span / 2 + self.offset for end in self.ends)
         lowest, highest = (self.limit_low, self.limit_high) if self.limited else (-HIGHEST / 2, HIGHEST / 2)
         return lowest - 1e-9 <= low and high <= highest + 1e-9
@@ -85,34 +86,34 @@ class TrueformChannel(OutputChannel):
 
 @dataclass
 class Trueform(GeneratorState[TrueformChannel]):
-    """A generator whose channels have a memory of their own each."""
+    """A generator with a memory for each channel."""
 
     def forget(self) -> None:
-        """Lose the records; files last."""
+        """Lose the records; files are kept."""
         self.files: dict[str, bytes] = getattr(self, "files", {})
         self.volatile: dict[int, dict[str, Codes]] = {n: {} for n in range(1, self.n_channels + 1)}
 
     def reset(self) -> None:
-        """Do what ``*RST`` does; records, status and errors stay."""
+        """Reset as ``*RST`` does; records, status and errors are kept."""
         self.channels = {number: TrueformChannel() for number in range(1, self.n_channels + 1)}
         self.byte_order, self.trigger_output = "NORM", False
 
     @property
     def waiting(self) -> TrueformChannel:
-        """The first channel in burst; another one in burst plays if it has the same trigger source."""
+        """The first channel in burst mode; the other plays only if it has the same trigger source."""
         return next((each for each in self.channels.values() if each.burst), self.channels[1])
 
     def tick(self) -> float | None:
-        """Return the time between triggers of timer or burst period [s]; None where it waits for them."""
+        """Return the time between triggers from timer or burst period [s]; None if bursts wait for triggers."""
         return {"TIM": self.waiting.timer, "IMM": self.waiting.burst_period}.get(self.waiting.source)
 
     @property
     def hears_pulses(self) -> bool:
-        """Whether pulses at the trigger input begin bursts."""
+        """Whether pulses at the trigger input start bursts."""
         return self.waiting.source == "EXT"
 
     def trigger(self, number: int = 0) -> None:
-        """Take ``*TRG`` on the channels that wait for it, or a trigger of one channel, whatever that waits for."""
+        """Trigger the channels that wait for ``*TRG``, or a single channel, whatever its trigger source."""
         if not number and self.waiting.source != "BUS":
             raise ScpiError(-211, "no channel in burst waits for the bus")
         if number and any(channel.burst for each, channel in self.channels.items() if each != number):
@@ -120,7 +121,7 @@ class Trueform(GeneratorState[TrueformChannel]):
         super().trigger()
 
     def sent(self, channel: TrueformChannel) -> Playback | None:
-        """Return a burst of a channel, alone, or what it repeats without trigger; None where it has no record."""
+        """Return a single burst of a channel, or what it repeats without a trigger; None if it plays no record."""
         is_plain = (channel.function, channel.filter, channel.advance) == ("ARB", "OFF", "SRAT")
         if not is_plain or channel.record is None or (channel.burst and channel.source != self.waiting.source):
             return None
@@ -135,7 +136,7 @@ class Trueform(GeneratorState[TrueformChannel]):
         return replace(played, period=math.inf, n_cycles=int(channel.n_cycles), delay=channel.delay)
 
     def change(self, number: int, **settings: Any) -> None:
-        """Change levels or their limits, open circuit [V], unless the level would lie beyond the limits."""
+        """Change amplitude, offset or limits, into an open circuit [V], unless the output would exceed the limits."""
         changed = replace(self.channels[number], **settings)
         if changed.allowed:
             self.channels[number] = changed
@@ -143,7 +144,7 @@ class Trueform(GeneratorState[TrueformChannel]):
             raise ScpiError(-221, f"level and limits of output {number}")
 
     def write(self, number: int, arguments: Arguments, scale: float) -> None:
-        """Keep a record, given as a block or as numbers, under a name that no other has."""
+        """Store a record, given as a block or as numbers, under a new name."""
         scpi.exactly(arguments[:2], 2)
         memory, name, points = self.volatile[number], str(arguments[0]).upper(), arguments[1:]
         if len(points) == 1 and isinstance(points[0], bytes):
@@ -162,30 +163,30 @@ class Trueform(GeneratorState[TrueformChannel]):
         memory[name] = np.round(values * scale).astype(np.int16)
 
     def free(self, number: int) -> int:
-        """Return how many points more a channel's memory holds."""
+        """Return the number of free points in a channel's memory."""
         return MEMORY - sum(codes.size for codes in self.volatile[number].values())
 
     def find(self, number: int, arguments: Arguments) -> Codes:
-        """Return a record by its name; that which is selected without one."""
+        """Return a record by its name; without one, the selected record."""
         codes = self.volatile[number].get(str(one(arguments)).upper() if arguments else self.channels[number].name)
         if codes is None:
             raise ScpiError(785, "Specified arb waveform does not exist")
         return codes
 
     def select(self, number: int, name: Argument) -> None:
-        """Choose a record; its amplitude stays as far as it can."""
+        """Select a record; the amplitude is kept, or reduced to the highest that this record can have."""
         channel = self.channels[number]
         channel.record = None if str(name).upper() == BUILT_IN else self.find(number, (name,))
         channel.name, channel.amplitude = str(name).upper(), min(channel.amplitude, HIGHEST * channel.span)
 
     def clear(self, number: int) -> None:
-        """Empty a channel's memory, and load the default record."""
+        """Empty a channel's memory, and select the built-in record."""
         self.volatile[number] = {}
         self.select(number, BUILT_IN)
 
 
 def keysight_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> tuple[Trueform, CommandTable]:
-    """Return the state of a simulated instrument, and what it understands."""
+    """Return the state of a simulated instrument, and its command table."""
     state = Trueform(behaviour or Behaviour(queue_depth=20), **hardware)
     state.identity = f"Agilent Technologies,{model},SIMULATED,4.00-1.19-2.00-58-00"
     groups = ChainMap(*(group(state) for group in (common.common_commands, _waveform, _data, _levels, _triggers)))
@@ -259,7 +260,7 @@ def _levels(state: Trueform) -> dict[str, Command]:
             value = scpi.quantity(arguments, {"V": 1.0, "VPP": 1.0}, -1e38, 1e38, None) / state.channels[n].load_factor
             state.change(n, **{name: float(f"{min(max(value, low), most):.4g}")})
             if not low - 1e-9 <= value <= most + 1e-9 and abs(value) < 1e38:
-                # What is out of range is not left out: it is cut, and reported; MIN and MAX mean just that.
+                # A value out of range is clipped and reported, unless it stands for MIN or MAX.
                 raise ScpiError(-222, "value clipped to limit")
 
         def get(n: int, arguments: Arguments) -> str:

@@ -1,8 +1,9 @@
-"""Fingers that let go: where the beam pulls harder than a finger presses, skin and beam part.
+"""Fingers that lift off: where the beam pulls harder than a finger presses, skin and beam separate.
 
-A contact is a few points along two lines of the beam, each with its share of the finger and of the pressing force. One
-that has let go leaves the beam to itself, goes on as its own masses, dampers and springs under that force, and lands
-without a rebound. Between such events all is linear, and goes on by matrix exponentials from instant to instant.
+A contact consists of a few points along two lines of the beam, each with its share of the finger and of the pressing
+force. A point that has lifted off no longer loads the beam; its masses, dampers and springs move freely under its share
+of the force until it lands, without a rebound. Between such events everything is linear, and is integrated from instant
+to instant with matrix exponentials.
 """
 
 from __future__ import annotations
@@ -20,30 +21,30 @@ FloatArray = NDArray[np.float64]
 Touching = tuple[bool, ...]
 
 NODES = 5
-"""Points of a contact along each of two lines: a mode of 88 kHz is right to 1e-5."""
+"""Points of a contact along each of two lines: the error in a mode of 88 kHz is then below 1e-5."""
 
 LEAST_MASS = 1e-7
-"""Mass of a point at least: once it has let go, it then follows its damper and spring within microseconds [kg]."""
+"""Smallest mass of a point [kg]: after lift-off it follows its damper and spring within microseconds."""
 
 
 @dataclass(frozen=True, eq=False)
 class PressedBeam:
-    """A beam, the amplifier before it, and points of fingers that press on it from above.
+    """A beam, its amplifier, and points of fingers that press on it from above.
 
     Attributes
     ----------
     omega, damping : (n_modes,) array
-        Angular frequencies, and twice damping ratio times them [rad/s].
+        Natural angular frequencies, and twice the damping ratios times these [rad/s].
     gain : (n_modes, n_channels) array
-        Modal accelerations per volt [m/s^2 per V].
+        Modal accelerations per volt at the beam [m/s^2 per V].
     pole : float or None
-        Of the amplifier [rad/s].
+        Pole of the amplifier [rad/s]; None for an amplifier without one.
     mass : float
         Moving mass of the beam [kg].
     shape : (n_modes, n_points) array
         Mode shapes at the points [1].
     points : sequence of (Finger, float)
-        Share of a finger, and the force with which it presses [N].
+        Each point's share of a finger, and of the force with which that presses [N].
     """
 
     omega: FloatArray
@@ -58,7 +59,7 @@ class PressedBeam:
     def of(
         cls, beam: TrueBeam, amplifier: Amplifier, fingers: Sequence[Finger], press: float, stretch: float = 1.0
     ) -> PressedBeam:
-        """Return a beam whose frequencies are stretched, under fingers that each press with a force [N]."""
+        """Return a beam under fingers that each `press` [N]; `stretch` scales its natural frequencies [1]."""
         nodes, weights = np.polynomial.legendre.leggauss(NODES)
         along = np.array([np.tile(each.position + each.width / 2 * nodes, 2) for each in fingers])
         across = beam.width / np.sqrt(12.0) * np.repeat([-1.0, 1.0], NODES)
@@ -87,7 +88,7 @@ class PressedBeam:
         n, touching = self.omega.size, (True,) * len(self.points)
         steps = {touching: self._step(touching, hold)}
         step, signals = steps[touching]
-        # What moves, then what drives it: voltages, and 1 for the pressing force.
+        # The states, then the inputs: voltages, and 1 for the pressing force.
         values = np.zeros(step.shape[1])
         values[-1], n_states = 1.0, len(step)
         velocity = np.empty((voltage.shape[1], n))
@@ -104,7 +105,7 @@ class PressedBeam:
         return velocity.T
 
     def _places(self) -> tuple[list[slice], int, slice]:
-        """Return where each point's states lie, how many states there are, and where the volts at the beam are."""
+        """Return the slice of each point's states, the number of states, and the slice of the voltages at the beam."""
         n, n_channels = self.gain.shape
         start = 2 * n + (0 if self.pole is None else n_channels)
         places = []
@@ -115,7 +116,7 @@ class PressedBeam:
         return places, start, slice(volts, volts + n_channels)
 
     def _step(self, touching: Touching, hold: float) -> tuple[FloatArray, FloatArray]:
-        """Return what steps all states on, and what falls below 0 where a point lets go or lands."""
+        """Return the matrix that advances all states, and that of signals negative where a point lifts off or lands."""
         from scipy.linalg import expm
 
         n, n_channels = self.gain.shape
@@ -155,7 +156,7 @@ class PressedBeam:
         return np.asarray(np.eye(self.omega.size) + (self.shape * loads / self.mass) @ self.shape.T)
 
     def _turned(self, touching: Touching, turned: NDArray[np.bool_], values: FloatArray) -> Touching:
-        """Return which points touch after some have let go or landed; those that land share their momentum."""
+        """Return which points touch after some have lifted off or landed; on landing, momentum is conserved."""
         n, (places, *_) = self.omega.size, self._places()
         after = tuple(bool(was ^ turns) for was, turns in zip(touching, turned, strict=True))
         stays = tuple(was and is_on for was, is_on in zip(touching, after, strict=True))
@@ -187,9 +188,10 @@ def _share(finger: Finger, share: float) -> Finger:
 
 
 def _own(finger: Finger) -> tuple[FloatArray, FloatArray]:
-    """Return the equations of a finger's own states but for its acceleration, and the force that holds its mass back.
+    """Return the rate matrix of a finger's own states, its acceleration aside, and the row of the force against it.
 
-    The states are place, speed, the forces of the Maxwell terms, stretch of the spring to a second mass, its speed.
+    The states are displacement, velocity, the forces of the Maxwell terms, the extension of the spring to a second
+    mass, and the velocity of that mass.
     """
     n = 2 + len(finger.maxwell) + (0 if finger.second_mass is None else 2)
     rate, holding = np.zeros((n, n)), np.zeros(n)

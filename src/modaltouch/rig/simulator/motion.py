@@ -1,4 +1,4 @@
-"""Velocity and voltage over time, at whatever instants an instrument samples them, while bursts repeat."""
+"""Velocity and voltage at any instants at which an instrument samples them, while bursts repeat."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ SAME_POLE = 1e-6
 """Relative distance below which two poles count as one [1]."""
 
 AT_ONCE = 8192
-"""Instants computed together: bounds the memory, and keeps what is computed in the cache."""
+"""Instants evaluated together: limits the memory used, and keeps intermediate results in the cache."""
 
 SPARE = 64
-"""Computed instants beyond the last that is asked for: records of another jitter find theirs [1]."""
+"""Instants computed beyond the last one requested, for records with another jitter [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class StateHistory:
-    """States of a beam while bursts repeat, from which the motion of every point is read.
+    """States of a beam while bursts repeat, from which the motion of every point follows.
 
     Attributes
     ----------
     system : DiagonalSystem
         The beam behind its amplifier.
     held : Held
-        What is played.
+        The bursts.
     hold : float
         Time between computed instants [s].
     voltage : (n_channels, n_instants) array
-        As played, at the computed instants [V].
+        Voltages as played, at the computed instants [V].
     begin : (n_states, n_blocks) complex array
         States before each block of instants.
     last : (n_states,) complex array
         State at the end of a burst.
     end : float
-        Up to when it is computed, from the first sample of a burst at the beam [s]; infinite for a whole burst.
+        End of the computed instants, from the first sample of a burst at the beam [s]; infinite for a whole burst.
     """
 
     system: DiagonalSystem
@@ -55,27 +55,27 @@ class StateHistory:
 
     @classmethod
     def of(cls, system: DiagonalSystem, held: Held, span: tuple[float, float]) -> Self:
-        """Return the states among bursts that have repeated for long.
+        """Return the states once many bursts have been played.
 
         Parameters
         ----------
         system : DiagonalSystem
             The beam behind its amplifier.
         held : Held
-            What is played.
+            The bursts.
         span : (float, float)
-            First and last instant that will be asked for, from the first sample of a burst at the beam [s].
+            First and last instant that will be requested, from the first sample of a burst at the beam [s].
         """
         voltage, hold = refined(system, held)
         n_instants, end = voltage.shape[1], math.inf
-        # What lies before a burst, or after its period, is the end of another.
+        # Before a burst, or after its period, another burst decays: that needs a whole burst.
         if span[0] >= held.delay and span[1] < held.delay + held.period:
             n_needed = int((span[1] - held.delay) / hold) + 2 + SPARE
             if n_needed < n_instants:
                 n_instants, end = n_needed, held.delay + (n_needed - 2) * hold
         state = start_state(system, held)
         kernel = BlockKernel.of(system, np.empty((0, state.size), dtype=complex), hold)
-        # One sample more than is played, so that the last instant is the end of the burst.
+        # One sample is added, so that the last instant is the end of the burst.
         voltage = np.pad(voltage[:, :n_instants], ((0, 0), (0, 1)))
         begin, _ = kernel.states(BlockKernel.blocks(voltage), state)
         last = system.held_states(held.voltage, held.hold).sum(axis=0) + state * np.exp(system.exponent * held.duration)
@@ -86,13 +86,13 @@ class StateHistory:
         return math.isinf(self.end) or (span[0] >= self.held.delay and span[1] < self.end)
 
     def motion(self, output: ComplexArray) -> Motion:
-        """Return an output that is the real part of ``output @ state``; `output` is an (n_states,) complex array."""
+        """Return the output that is the real part of ``output @ state``; `output` is an (n_states,) complex array."""
         system = self.system
         kernel = BlockKernel.of(system, np.stack([output, output * system.exponent]), self.hold)
         course = np.empty((2, self.voltage.shape[1]))
         kernel.respond(BlockKernel.blocks(self.voltage), self.begin, course)
         value, slope = course[0], course[1] * self.hold
-        # The voltage adds its own part to the slope at once, from each instant until the next.
+        # The voltage held from each instant to the next adds to the slope in that interval.
         push = (output @ system.input_gain).real @ self.voltage[:, :-1] * self.hold
         step = np.diff(value)
         from_left, from_right = slope[:-1] + push - step, step - (slope[1:] + push)
@@ -107,13 +107,14 @@ class Motion:
     Attributes
     ----------
     held : Held
-        What is played.
+        The bursts.
     hold : float
         Time between computed instants [s].
     cubic : (4, n_instants) array
-        Coefficients, from the constant on, of the output from each computed instant (0) to the next (1).
+        Coefficients, in ascending order, of a cubic between each computed instant (0) and the next (1).
     exponent, decay : (n_states,) complex array
-        After the burst the output is the real part of the sum of ``decay * exp(exponent * time)``.
+        After the burst, the output is the real part of the sum of ``decay * exp(exponent * time)``, where time counts
+        from the end of the burst.
     """
 
     held: Held
@@ -123,26 +124,27 @@ class Motion:
     decay: ComplexArray
 
     def at(self, time: FloatArray) -> FloatArray:
-        """Return the output at instants, (n_times,) array, as `course` gives it."""
+        """Return the output at instants, (n_times,) array, as from `course`."""
         return np.asarray(self.course(time, 1)[0])
 
     def course(self, time: FloatArray, n_derivatives: int = 2) -> FloatArray:
-        """Return output and slope at instants since the first sample of a burst reached the beam.
+        """Return the output and its time derivative at instants.
 
-        Between computed instants it is a cubic, wrong by 2e-5 of the fastest mode's part; after the burst it is exact.
-        A clock that begins samples late, by less than its own 4 ns, is not followed.
+        Between computed instants the output is a cubic, with an error of 2e-5 of the fastest mode's share; after the
+        burst it is exact. The delay of a sample until the next edge of the generator's clock, below its period of 4 ns,
+        is neglected.
 
         Parameters
         ----------
         time : (n_times,) array
-            Instants [s].
+            Instants, since the first sample of a burst reached the beam [s].
         n_derivatives : int
-            1 for the output alone.
+            1 for the output alone, 2 for both.
 
         Returns
         -------
         (n_derivatives, n_times) array
-            The output, and its slope over time [1/s].
+            The output, and its derivative [1/s].
         """
         since = self.held.within_period(time)
         result = np.empty((n_derivatives, time.size))
@@ -173,18 +175,18 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class DriveVoltage:
-    """The voltage that an amplifier gives to one channel while bursts repeat, exact at every instant.
+    """An amplifier's output voltage on one channel while bursts repeat, exact at every instant.
 
     Attributes
     ----------
     held : Held
-        What is played.
+        The bursts.
     channel : int
-        Row of its voltages.
+        Row of their voltages.
     pole : float or None
-        Of the amplifier [rad/s]; None for one that follows at once.
+        Pole of the amplifier [rad/s]; None for an amplifier without one.
     before : (n_samples + 1,) array
-        Output at the start of each sample, and at the end of the burst, as a change from its rest [V].
+        Output at the start of each sample, and at the end of the burst, as the deviation from its value at rest [V].
     """
 
     held: Held
@@ -194,7 +196,7 @@ class DriveVoltage:
 
     @classmethod
     def of(cls, held: Held, channel: int, bandwidth: float | None) -> Self:
-        """Return the output of an amplifier of a bandwidth [Hz] for one row of voltages."""
+        """Return the output of an amplifier with a bandwidth [Hz] for one row of voltages."""
         voltage = np.append(held.voltage[channel], 0.0)
         if bandwidth is None:
             return cls(held, channel, None, voltage)
@@ -203,24 +205,24 @@ class DriveVoltage:
         pole = 2 * np.pi * bandwidth
         faded = pole * held.hold
         before = lfilter([0.0, -math.expm1(-faded)], [1.0, -math.exp(-faded)], voltage)
-        # What the bursts before have left, after their pause.
+        # What remains of earlier bursts after their pause.
         left = before[-1] * math.exp(-pole * (held.period - held.duration)) / -math.expm1(-pole * held.period)
         return cls(held, channel, pole, before + left * np.exp(-faded * np.arange(voltage.size)))
 
     def at(self, time: FloatArray) -> FloatArray:
-        """Return the voltage at instants since the first sample of a burst reached the beam [V].
+        """Return the voltage at instants [V].
 
         Parameters
         ----------
         time : (n_times,) array
-            Instants [s].
+            Instants, since the first sample of a burst reached the beam [s].
         """
         since, index, left = self._places(time)
         target, change = self._parts(index, left)
         return np.asarray(np.where(since < 0, 0.0, target + change) + self.held.rest[self.channel])
 
     def sampled(self, time: FloatArray) -> SampledDrive:
-        """Return the voltage at instants since the first sample of a burst reached the beam, (n_times,) array [s]."""
+        """Return the voltage at a scope's instants, (n_times,) array, since the first sample reached the beam [s]."""
         since, index, left = self._places(time)
         target, change = self._parts(index, left)
         target += self.held.rest[self.channel]
@@ -230,13 +232,13 @@ class DriveVoltage:
         return SampledDrive(self, time, target, change, room)
 
     def _places(self, time: FloatArray) -> tuple[FloatArray, NDArray[np.intp], FloatArray]:
-        """Return times since the latest burst began, the sample held then, and for how long it is [s, 1, s]."""
+        """Return times since the latest burst began [s], the samples held then [1], and for how long already [s]."""
         since = self.held.within_period(time)
         index = np.clip((since / self.held.hold).astype(np.intp), 0, self.held.voltage.shape[1])
         return since, index, np.maximum(since - index * self.held.hold, 0.0)
 
     def _parts(self, index: NDArray[np.intp], left: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return what the amplifier tends to, as a change from rest, and what it still has to go [V]."""
+        """Return the voltage that the amplifier approaches, as deviation from rest, and its distance from that [V]."""
         target = np.append(self.held.voltage[self.channel], 0.0)[index]
         if self.pole is None:
             return target, np.zeros(target.size)
@@ -245,18 +247,18 @@ class DriveVoltage:
 
 @dataclass(frozen=True, eq=False)
 class SampledDrive:
-    """The voltage of one channel at the instants of a scope, which its trigger moves a little.
+    """The voltage of one channel at the instants of a scope, which the jitter of its trigger shifts slightly.
 
     Attributes
     ----------
     drive : DriveVoltage
-        At every instant.
+        The voltage at every instant.
     time : (n_times,) array
-        Instants since the first sample of a burst reached the beam [s].
+        Instants, since the first sample of a burst reached the beam [s].
     target, change : (n_times,) array
-        What the amplifier tends to there, and what it still has to go [V].
+        Voltage that the amplifier approaches at each instant, and its distance from that [V].
     room : (n_times,) array
-        How far each instant may move before it is in another sample, or another burst [s].
+        How far each instant may shift before it is in another sample, or another burst [s].
     """
 
     drive: DriveVoltage
@@ -266,7 +268,7 @@ class SampledDrive:
     room: FloatArray
 
     def moved(self, shifts: FloatArray) -> Iterator[FloatArray]:
-        """Yield the voltage moved by each shift [s] in turn [V], each in an array of its own."""
+        """Yield the voltage at the instants shifted by each of `shifts` [s], each in an array of its own [V]."""
         anew = np.flatnonzero(self.room <= np.abs(shifts).max())
         for shift in shifts:
             voltage = self.change * (1.0 if self.drive.pole is None else math.exp(-self.drive.pole * shift))
@@ -279,25 +281,25 @@ class SampledDrive:
 def low_passed(
     system: DiagonalSystem, output: ComplexArray, bandwidth: float | None
 ) -> tuple[DiagonalSystem, ComplexArray]:
-    """Return equations and output behind a first-order low-pass, which is a state more for each channel.
+    """Return equations and output with a first-order low-pass, which adds one state for each channel.
 
-    Beam and low-pass are linear, so that their order does not matter: the low-pass is put where an amplifier is. The
-    equations are so the same for every output.
+    Beam and low-pass are linear, so their order does not matter: the low-pass is placed before the beam, like an
+    amplifier, and the equations are then the same for every output.
 
     Parameters
     ----------
     system : DiagonalSystem
         The equations.
     output : (n_states,) complex array
-        What is read off their states, as its real part.
+        Row whose product with the states has the output as its real part.
     bandwidth : float or None
-        Corner of the low-pass [Hz]; None for none.
+        Corner frequency of the low-pass [Hz]; None for no low-pass.
     """
     if bandwidth is None:
         return system, output
     pole = 2 * np.pi * bandwidth
     if np.min(np.abs(pole + system.exponent)) < SAME_POLE * pole:
-        # Two equal poles have no uncoupled form; a millionth apart they differ from it by a millionth.
+        # Equations with two equal poles cannot be uncoupled; a pole moved by a millionth errs by a millionth.
         pole *= 1 + SAME_POLE
     sensor = Amplifier(gain=1.0, limit=1.0, bandwidth=pole / (2 * np.pi), delay=system.delay)
     behind = DiagonalSystem.behind(sensor, system.exponent, system.input_gain, output[None], output[None])

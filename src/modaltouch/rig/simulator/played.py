@@ -1,4 +1,4 @@
-"""What a twin really played, told to other processes: a line of JSON for each burst."""
+"""What a twin really played, for other processes to read: a line of JSON for each burst."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from modaltouch.stimulus import Finger
 
 TICK = 2e-3
-"""Time between two looks at what has ended [s]."""
+"""Time between two checks for bursts that have ended [s]."""
 
 
 class PlayedLog:
@@ -34,11 +34,11 @@ class PlayedLog:
     path : Path
         The file.
     twin : Twin
-        What the bursts move.
+        The beam that the bursts move.
     settle : callable
-        Has every burst that has ended by now given to `take`.
+        Passes every burst that has ended by now to `take`.
     touched : callable
-        Returns the fingers on the beam, by the names of their zones or their positions.
+        Returns the fingers on the beam, by zone or position.
 
     Raises
     ------
@@ -67,11 +67,11 @@ class PlayedLog:
         self._thread.start()
 
     def take(self, played: PlayedBurst) -> None:
-        """Have a burst written."""
+        """Queue a burst to be written."""
         self._ended.put((played, self._twin.tripped, self._touched()))
 
     def close(self) -> None:
-        """Write what has ended, and end."""
+        """Write the bursts that have ended, and close the file."""
         self._closing.set()
         self._thread.join()
         with contextlib.suppress(OSError):
@@ -112,11 +112,11 @@ class PlayedLog:
 
 
 def _passed(playback: Playback | None, span: tuple[float, float] | None) -> Playback | None:
-    """Return as one record what of a burst passed between two instants since its first sample [s]."""
+    """Return, as one record, the part of a burst between two instants since its first sample [s]."""
     if playback is None or span is None:
         return None
     n_samples = len(playback.record) // 2
-    # What went before was heard and is forgotten.
+    # Earlier cycles no longer affect the beam, and are left out.
     before = max(
         math.floor(span[0] / playback.duration), math.ceil(span[1] / playback.duration) - MOST_SAMPLES // n_samples
     )

@@ -1,4 +1,4 @@
-"""The simulated vibrometer and the scope behind it, as far from ideal as the apparatus file says."""
+"""The simulated vibrometer and the scope that records it, with the imperfections stated in the apparatus file."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ FORGOTTEN = 1e-9
 """Correlation below which noise counts as new [1]."""
 
 ASKED_EVERY = 0.5e-3
-"""Time between two questions to a scope by USB whether its record is full [s]."""
+"""Time between two polls of a scope over USB for a full record [s]."""
 
 DROPOUT = 0.2e-3
-"""For how long the vibrometer loses its light [s]."""
+"""Duration of a signal dropout of the vibrometer [s]."""
 
 SMALL_TURN = 0.01
-"""Phase of the fastest mode within the trigger's jitter up to which a record is moved along its slope [rad]."""
+"""Largest phase of the fastest mode within the trigger's jitter for which a record is shifted along its slope [rad]."""
 
 
 class SimulatedScope(Scope):
-    """Velocity and drive of a twin, sampled, with noise; computes only the position asked for.
+    """Velocity and drive of a twin, sampled and with noise; only the requested position is computed.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ class SimulatedScope(Scope):
     touched : callable
         Returns the fingers on the beam.
     timeline : Timeline
-        When the generator obeyed the latest trigger, and what it then sent.
+        States when the generator carried out the latest trigger, and what it then sent.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class SimulatedScope(Scope):
             highest_velocity=knobs.range_mm_s * 1e-3,
             attenuation=knobs.probe_attenuation,
         )
-        # A stream of its own: what is measured leaves the beam as it is.
+        # A random stream of its own: measurements do not change the beam.
         self._rng = np.random.Generator(np.random.SFC64([twin.seed, 1]))
         self._noise = np.empty(0)
         self._sampled: dict[int, tuple[tuple[object, ...], SampledDrive | None]] = {}
@@ -104,12 +104,12 @@ class SimulatedScope(Scope):
         Parameters
         ----------
         position, across : float
-            Where the vibrometer aims, from mid-beam and from the mid-line [m].
+            Point at which the vibrometer aims, from mid-beam and from the mid-line [m].
 
         Raises
         ------
         RigError
-            If no output of the generator plays, so that no trigger comes.
+            If no output of the generator is playing, so that no trigger comes.
         ValueError
             If the position is not on the beam.
         """
@@ -122,11 +122,11 @@ class SimulatedScope(Scope):
         return self._recorded(position, across, playbacks, self._asked.n_records)
 
     def arm(self) -> None:
-        """Have the next burst recorded, without waiting for it."""
+        """Arm the scope to record the next burst, without waiting for it."""
         self._timeline.caught = None
 
     def fetch(self, position: float) -> Recording:
-        """Return the record of the burst for which the scope was armed: from rest."""
+        """Return the record of the burst for which the scope was armed, computed from rest."""
         if self._timeline.caught is None:
             raise RigError(
                 "no trigger came from the generator since the scope was armed: no burst began; arm it before a burst "
@@ -138,11 +138,11 @@ class SimulatedScope(Scope):
     def _recorded(
         self, position: float, across: float, playbacks: Sequence[Playback | None], n_records: int
     ) -> Recording:
-        """Return velocity and drive at a place while outputs send what they send."""
+        """Return velocity and drive at a point while the outputs send the given playbacks."""
         asked, true = self._asked, self._twin.apparatus.twin
         self._twin.n_measured += 1
         nominal = asked.start + np.arange(asked.n_samples) / self._rate
-        # A fast clock takes its samples early; the beam hears of a sample after the amplifier's delay.
+        # A fast clock takes its samples early; a sample reaches the beam after the amplifier's delay.
         elapsed = nominal / (1 + true.scope.clock_offset_ppm * 1e-6) + true.scope.trigger_latency_us * 1e-6
         elapsed -= self._twin.amplifier.delay
         jitter = true.scope.trigger_jitter_ns * 1e-9 * self._rng.standard_normal(n_records)
@@ -176,7 +176,7 @@ class SimulatedScope(Scope):
     def _drive(
         self, number: int, playbacks: Sequence[Playback | None], elapsed: FloatArray, jitter: FloatArray
     ) -> Iterator[FloatArray]:
-        """Yield the voltage of a drive in each record [V]: from point to point of a scan the same but for jitter."""
+        """Yield the voltage of a drive in each record [V]; at the points of a scan it is the same except for jitter."""
         key = (*playbacks, self._twin.tripped, elapsed[0], elapsed[-1], elapsed.size)
         if number not in self._sampled or self._sampled[number][0] != key:
             drive = self._twin.drive(playbacks, number - 1)
@@ -185,7 +185,7 @@ class SimulatedScope(Scope):
         return (np.zeros(elapsed.size) for _ in jitter) if sampled is None else sampled.moved(jitter)
 
     def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
-        """Call `send`, and return between which instants the burst began, as a scope tells that is asked at times."""
+        """Call `send`, and return the earliest and latest onset of its burst, as a scope polled now and then would."""
         send()
         began = self._timeline.commanded
         if began is None:
@@ -194,10 +194,10 @@ class SimulatedScope(Scope):
         return empty, empty + ASKED_EVERY
 
     def close(self) -> None:
-        """Release the scope, which holds nothing."""
+        """Do nothing: there is nothing to release."""
 
     def _see_velocity(self, values: FloatArray) -> bool:
-        """Turn a velocity in place into what the scope has of it [m/s], and return whether its range was passed."""
+        """Convert a velocity in place into what the scope records [m/s], and return whether it exceeded a range."""
         limit = self._inputs.highest_velocity
         for start in self._dropouts(values.size):
             values[start : start + max(1, int(DROPOUT * self._rate))] = 0.0
@@ -208,17 +208,18 @@ class SimulatedScope(Scope):
         return self._convert(values, self._inputs.sensitivity, self._ranges[0]) or beyond
 
     def _dropouts(self, n_samples: int) -> list[int]:
-        """Return at which samples the vibrometer loses its light."""
+        """Return the samples at which signal dropouts of the vibrometer begin."""
         often = self._twin.apparatus.twin.vibrometer.dropouts_Hz * n_samples / self._rate
         return self._rng.integers(n_samples, size=self._rng.poisson(often)).tolist() if often else []
 
     def _velocity_noise(self, n_samples: int) -> FloatArray:
         r"""Return the noise of vibrometer and converter, as sampled [m/s].
 
-        The vibrometer's is white behind its low-pass, all its power, folded where it must: :math:`v_n = a v_{n-1} + s
-        e_n`. With the converter's, white of deviation c, it is one process of the same spectrum, and one draw a sample:
-        :math:`(1 - a z^{-1}) x = k (1 - b z^{-1}) e` with :math:`k^2 (1 + b^2) = s^2 + c^2 (1 + a^2)` and :math:`k^2 b
-        = c^2 a`. Without a low-pass the scope's own rate bounds the band.
+        The vibrometer's is white noise behind its low-pass, with all its power, aliased where necessary: :math:`v_n = a
+        v_{n-1} + s e_n`. Together with the converter's white noise of standard deviation c it has the spectrum of one
+        process with a single draw per sample, :math:`(1 - a z^{-1}) x = k (1 - b z^{-1}) e` with :math:`k^2 (1 + b^2) =
+        s^2 + c^2 (1 + a^2)` and :math:`k^2 b = c^2 a`. Without a low-pass, half the scope's sampling rate limits the
+        band.
         """
         true = self._twin.apparatus.twin.vibrometer
         density = true.noise_um_s_per_sqrt_Hz * 1e-6
@@ -233,18 +234,18 @@ class SimulatedScope(Scope):
         pole = math.exp(-decay)
         half = (spread**2 + added**2 * (1 + pole**2)) / 2
         gain = math.sqrt(half + math.sqrt(max(half**2 - (added**2 * pole) ** 2, 0.0)))
-        # What is older than the lead is forgotten.
+        # The lead lets the start-up transient of the filter die out.
         lead = int(-np.log(FORGOTTEN) / decay)
         taps = [1.0, -pole * (added / gain) ** 2 if gain else 0.0]
         return np.asarray(lfilter(taps, [1.0, -pole], self._white_noise(lead + n_samples, gain))[lead:])
 
     def _converter_noise(self, per_volt: float, input_range: float) -> float:
-        """Return the deviation of a converter's noise, in what is measured."""
+        """Return the standard deviation of a converter's noise, in units of the measured quantity."""
         scope = self._twin.apparatus.twin.scope
         return float(scope.noise_steps * input_range / (2 ** (scope.bits - 1) - 1) * per_volt)
 
     def _white_noise(self, n: int, deviation: float) -> FloatArray:
-        """Return normal noise, in the same memory every time."""
+        """Return normal white noise; the array is reused by the next call."""
         if self._noise.size < n:
             self._noise = np.empty(n)
         noise = self._rng.standard_normal(out=self._noise[:n])
@@ -252,14 +253,14 @@ class SimulatedScope(Scope):
         return noise
 
     def _convert(self, values: FloatArray, per_volt: float, input_range: float) -> bool:
-        """Turn values in place into what the converter makes of them, and return whether it reached its end.
+        """Convert values in place as the converter does, and return whether it reached the end of its range.
 
         Parameters
         ----------
         values : (n_samples,) array
-            What is measured.
+            Measured values.
         per_volt : float
-            What a volt at the input stands for.
+            Measured value per volt at the input.
         input_range : float
             Largest voltage at the input [V].
         """
@@ -276,7 +277,7 @@ class SimulatedScope(Scope):
 
 
 def _moved(motions: Sequence[Motion], time: FloatArray, shifts: FloatArray) -> Iterator[FloatArray]:
-    """Yield the velocity at instants moved by each shift in turn [m/s], each in an array of its own."""
+    """Yield the velocity at instants shifted by each of `shifts` [s], each in an array of its own [m/s]."""
     furthest = float(np.abs(shifts).max())
     fastest = max((float(np.abs(motion.exponent.imag).max()) for motion in motions), default=0.0)
     if fastest * furthest > SMALL_TURN:

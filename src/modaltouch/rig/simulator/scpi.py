@@ -1,4 +1,4 @@
-"""IEEE 488.2 program messages, and the errors of SCPI-99: from the bytes on the wire to units."""
+"""IEEE 488.2 program messages and SCPI-99 errors: from the bytes of a message to its commands and replies."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Argument = str | bytes
 
 
 class Quoted(str):
-    """A string between quotes: a name or a text, never a number or a keyword."""
+    """A quoted string: a name or a text, never a number or a keyword."""
 
     __slots__ = ()
 
@@ -46,7 +46,7 @@ TEXTS = {
     -420: "Query UNTERMINATED",
     -430: "Query DEADLOCKED",
 }
-"""Standard texts of SCPI-99, volume 2, chapter 21.8."""
+"""Standard error texts (SCPI-99, volume 2, chapter 21.8)."""
 
 _HEADER = re.compile(rb"[ \t\r]*([*:]?[A-Za-z][A-Za-z0-9_]*(?::[A-Za-z][A-Za-z0-9_]*)*)(\??)")
 _PLAIN = re.compile(rb"[^;,\n\"'#]*")
@@ -54,11 +54,11 @@ _BLANKS = b" \t\r"
 
 
 LONGEST_TEXT = 255
-"""Characters of an error's text (SCPI-99, 21.8.1), and of what else has to be looked at as a whole."""
+"""Longest text of an error (SCPI-99, 21.8.1), and longest header or number that is parsed [characters]."""
 
 
 class ScpiError(Exception):
-    """What an instrument puts in its error queue: a number of SCPI-99 and its text, printable whatever was sent."""
+    """An entry of an instrument's error queue: a SCPI-99 number and its text, printable whatever was sent."""
 
     def __init__(self, code: int, detail: str = "") -> None:
         self.code = code
@@ -71,7 +71,7 @@ class ScpiError(Exception):
 
 @dataclass(frozen=True)
 class MessageUnit:
-    """One command or query of a message: header without question mark, arguments as sent."""
+    """One command or query of a message: its header without the question mark, and its arguments as sent."""
 
     header: str
     query: bool
@@ -79,7 +79,7 @@ class MessageUnit:
 
 
 def read_message(message: bytes) -> Iterator[MessageUnit]:
-    """Yield the units of a complete message, semicolons, strings and definite blocks understood."""
+    """Yield the units of a complete message, with regard to semicolons, strings and definite-length blocks."""
     at = 0
     while at < len(message):
         if message[at] in b" \t\r\n;":
@@ -96,7 +96,7 @@ def read_message(message: bytes) -> Iterator[MessageUnit]:
 
 
 def _read_arguments(message: bytes, at: int) -> tuple[tuple[Argument, ...], int]:
-    """Return the arguments that start at a place, and the place after their unit's end."""
+    """Return the arguments that start at an index of a message, and the index after their unit's end."""
     arguments: list[Argument] = []
     if at < len(message) and message[at] not in b" \t\r\n;":
         raise ScpiError(-102, _show(message[at : at + 20]))
@@ -157,21 +157,21 @@ def read_number(
     maximum: float,
     default: float | None = None,
 ) -> float:
-    """Return a numeric argument in the first unit of `units`.
+    """Return a numeric argument in the unit whose factor in `units` is 1.
 
     Parameters
     ----------
     argument : str or bytes
         As sent: ``1.5``, ``15E-1``, ``1500 mVPP``, ``MIN``, ``MAXimum``, ``DEFault``.
     units : mapping of str to float
-        Upper-case unit -> factor; ``M`` is milli, save before HZ and OHM, where it is mega.
+        Upper-case unit -> factor; ``M`` is milli, except before HZ and OHM, where it is mega.
     minimum, maximum, default : float
-        Range, ends included, and what ``DEF`` means.
+        Allowed range, ends included, and the value of ``DEF``.
 
     Raises
     ------
     ScpiError
-        -104 for what is not a number, -131 for a foreign unit, -222 for a value out of range.
+        -104 for what is not a number, -124 for too many digits, -131 for another unit, -222 for a value out of range.
     """
     argument = _plain(argument)
     if len(argument) > LONGEST_TEXT:
@@ -208,14 +208,14 @@ def _factor(unit: str, units: Mapping[str, float]) -> float:
 
 
 def _plain(argument: Argument) -> str:
-    """Return a number or keyword as it was sent."""
+    """Return a number or keyword as sent; refuse blocks and strings."""
     if isinstance(argument, bytes | Quoted):
         raise ScpiError(-104, "a block or string where a number or keyword belongs")
     return argument
 
 
 def read_boolean(argument: Argument) -> bool:
-    """Return ON, OFF or a number as a truth value."""
+    """Return the truth value of ON, OFF or a number."""
     word = _plain(argument).upper()
     if word in ("ON", "OFF"):
         return word == "ON"
@@ -256,17 +256,17 @@ def one(arguments: Arguments) -> Argument:
 
 
 def whole(arguments: Arguments, low: int, high: int) -> int:
-    """Return the only argument as a whole number."""
+    """Return the only argument as an integer."""
     return round(read_number(one(arguments), units={}, minimum=low, maximum=high))
 
 
 def quantity(arguments: Arguments, units: dict[str, float], low: float, high: float, default: float | None) -> float:
-    """Return the only argument as a number in the first of its units."""
+    """Return the only argument as a number, as `read_number` does."""
     return read_number(one(arguments), units=units, minimum=low, maximum=high, default=default)
 
 
 def asked(arguments: Arguments, value: float, low: float, high: float) -> float:
-    """Return the value of a query, or the limit that ``MIN`` or ``MAX`` asks for."""
+    """Return the value for a query, or the limit that ``MIN`` or ``MAX`` asks for."""
     if not arguments:
         return value
     return low if read_choice(one(arguments), ("MINimum", "MAXimum")) == short_form("MINimum") else high
@@ -278,17 +278,17 @@ def flag(state: bool) -> str:
 
 
 LARGEST_REPLY = 1 << 20
-"""Bytes that an output queue holds: four records of an AFG3022B."""
+"""Capacity of an output queue [bytes]: four records of an AFG3022B."""
 
 QUERY_DEADLOCKED = -430
 
 Handler = Callable[[int, tuple[Argument, ...]], "str | bytes | None"]
-"""Called with the channel (header suffix, 1 without one) and the arguments; a query returns its reply."""
+"""Takes the channel (header suffix, 1 without one) and the arguments; for a query it returns the reply."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """What one header does: `set` for the command, `get` for the query; None where the form does not exist."""
+    """Handlers of one header: `set` for the command, `get` for the query; None if that form does not exist."""
 
     set: Handler | None = None
     get: Handler | None = None
@@ -296,10 +296,11 @@ class Command:
 
 @dataclass
 class CommandTable:
-    """SCPI headers and what they do.
+    """SCPI headers and their commands.
 
-    Headers are written as in manuals: ``[SOURce#]:VOLTage[:LEVel]``, brackets around what may be left out,
-    ``#`` for a channel suffix, ``|`` between synonyms of one node. `further` returns others, when one of them is sent.
+    Headers are written as in manuals, such as ``[SOURce#]:VOLTage[:LEVel]``: brackets enclose optional nodes, ``#`` is
+    a channel suffix, and ``|`` separates synonyms of one node. `further` returns more commands; it is called when a
+    header is sent that is not in `commands`.
     """
 
     commands: Mapping[str, Command]
@@ -322,7 +323,7 @@ class CommandTable:
             found = self._search(name)
         if found is None:
             raise ScpiError(-113, header)
-        # What does not exist is not remembered: there is no end to it.
+        # Unknown headers are not cached: there is no limit to their number.
         self._known[name] = found
         if not 1 <= found[1] <= self.n_channels:
             raise ScpiError(-114, header)
@@ -339,14 +340,14 @@ class CommandTable:
     def run(self, message: bytes, *, fail: Callable[[ScpiError], None]) -> list[bytes]:
         """Carry out a message and return the replies of its queries.
 
-        After a command error the rest of the message is dropped, after an execution error it goes on.
+        A command error ends the message; after an execution error the next unit is carried out.
 
         Parameters
         ----------
         message : bytes
             One complete program message.
         fail : callable
-            Takes each error, for the queue and the status registers.
+            Called with each error, for the queue and the status registers.
         """
         replies: list[bytes] = []
         path, size = "", 0
@@ -375,7 +376,7 @@ class CommandTable:
         return replies
 
     def _resolve(self, header: str, path: str) -> tuple[Command, int, str]:
-        """Return command, channel and the path that the next unit starts from."""
+        """Return command, channel and the header path from which the next unit starts."""
         if header.startswith("*"):
             return (*self.find(header), path)
         full = header if header.startswith(":") or not path else f"{path}:{header}"
@@ -388,8 +389,8 @@ def _patterns(commands: Mapping[str, Command]) -> list[tuple[re.Pattern[str], Co
 
 
 def _pattern(header: str) -> str:
-    """Return the regular expression of a header as manuals write it, for upper-case names."""
-    # A first node that may be left out takes its colon with it.
+    """Return the regular expression that matches a header written as in manuals, for upper-case names."""
+    # An optional first node includes its colon.
     header = re.sub(r"^\[([^\]]*)\]:", r"[\1:]", header)
     pattern = ""
     for token in re.findall(r"\[|\]|:|#|\||\*?[A-Za-z]+\d*", header):
@@ -403,6 +404,6 @@ def _pattern(header: str) -> str:
             pattern += token
         else:
             pattern += f"(?:{re.escape(short_form(token))}|{re.escape(token.upper())})"
-    # Brackets around `A|B`, so that each stands for one node.
+    # Put brackets around `A|B`, so that each stands for one node.
     node = r"\(\?:[^()]*\)"
     return re.sub(rf"{node}(?:\|{node})+", lambda found: f"(?:{found[0]})", pattern)

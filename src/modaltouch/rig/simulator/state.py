@@ -1,4 +1,4 @@
-"""The state that all simulated generators have: error queue, status, trigger, and what leaves the outputs."""
+"""The state that all simulated generators have: error queue, status, trigger and outputs."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from modaltouch.system import SYSTEM_CLOCK, Clock
 
 @dataclass(frozen=True)
 class Behaviour:
-    """What is not publicly known of the real instrument, or differs between units.
+    """Behaviour of the real instrument that is not publicly known, or differs between units.
 
     Attributes
     ----------
     idle_level : str
         Where the output rests between bursts: at the ``first`` or ``last`` point, or at the ``offset``.
     timer_digits : int
-        Significant digits that the trigger timer keeps.
+        Significant digits of the trigger timer.
     copy_time : float
-        How long storing a record in a USER memory takes [s].
+        Time that storing a record in a USER memory takes [s].
     limit_violation : str
-        Whether a level beyond VOLTage:LIMit is refused (``error``) or cut (``clip``).
+        Whether an amplitude beyond VOLTage:LIMit is refused (``error``) or reduced (``clip``).
     max_sessions : int
-        Links accepted at the same time.
+        Highest number of simultaneous links.
     queue_depth : int
-        Errors kept.
+        Capacity of the error queue.
     retrigger : str
-        Whether a trigger inside a running burst is ``ignored``, without an error, or ``restarts`` the burst.
+        Whether a trigger during a burst is ``ignored``, without an error, or ``restarts`` the burst.
     """
 
     idle_level: Literal["first", "last", "offset"] = "first"
@@ -53,7 +53,7 @@ SOURCE_IMPEDANCE = 50.0
 
 @dataclass
 class OutputChannel(ABC):
-    """What all generators know of one output; levels are kept as open-circuit volts, whatever load is configured."""
+    """Settings of one output that all generators have; voltages are into an open circuit, whatever the load setting."""
 
     amplitude: float = 2.0
     offset: float = 0.0
@@ -89,18 +89,20 @@ C = TypeVar("C", bound=OutputChannel)
 
 @dataclass
 class GeneratorState(ABC, Generic[C]):
-    """A generator of two channels, as far as all are alike.
+    """What all simulated two-channel generators have in common.
 
     Attributes
     ----------
     behaviour : Behaviour
-        What is not publicly known of the real one.
+        Behaviour of the real one that is not publicly known.
+    n_channels : int
+        Number of channels.
     delays : Delays
-        How long the hardware takes.
+        Delays of the hardware.
     seed : int
-        Of the phase of its timer, and of its latencies.
+        Seed of the timer's phase and of the latencies.
     clock : Clock
-        By which bursts begin and end.
+        Clock by which bursts begin and end.
     link : int
         Number of the link whose message is being carried out; 0 for the front panel.
     identity : str
@@ -124,28 +126,28 @@ class GeneratorState(ABC, Generic[C]):
 
     @abstractmethod
     def reset(self) -> None:
-        """Do what ``*RST`` does; status and errors stay."""
+        """Reset as ``*RST`` does; status and errors are kept."""
 
     @abstractmethod
     def forget(self) -> None:
-        """Lose what a power cut takes along besides the settings."""
+        """Lose the memories that a power cut erases."""
 
     @abstractmethod
     def tick(self) -> float | None:
-        """Return the time between triggers that the generator gives itself [s]; None where it waits for them."""
+        """Return the time between the generator's internal triggers [s]; None if it waits for external ones."""
 
     @abstractmethod
     def sent(self, channel: C) -> Playback | None:
-        """Return a burst of a channel, alone, or what it repeats without trigger; None where it has no record."""
+        """Return a single burst of a channel, or what it repeats without a trigger; None if it plays no record."""
 
     @property
     def hears_pulses(self) -> bool:
-        """Whether pulses at the trigger input begin bursts."""
+        """Whether pulses at the trigger input start bursts."""
         return self.tick() is None
 
     @contextlib.contextmanager
     def changing(self) -> Iterator[None]:
-        """Let what is sent be as set before until now, and as set within from now on."""
+        """Context in which settings may change: until now the outputs follow the old ones, from now on the new ones."""
         with self.lock:
             self.timeline.advance(self.clock.now())
             try:
@@ -154,7 +156,7 @@ class GeneratorState(ABC, Generic[C]):
                 self.timeline.change(self.clock.now(), self._situation())
 
     def settle(self) -> None:
-        """Have every burst told that has ended by now."""
+        """Report every burst that has ended by now."""
         with self.lock:
             self.timeline.advance(self.clock.now())
 
@@ -164,7 +166,7 @@ class GeneratorState(ABC, Generic[C]):
             self.timeline.power_cut(self.clock.now())
 
     def power_on(self) -> None:
-        """Start as after a power cut: everything that does not last is at its default, outputs off."""
+        """Start as after a power cut: outputs off, and defaults for everything that is not kept."""
         self.power_off()
         with self.lock:
             self.errors.clear()
@@ -186,7 +188,7 @@ class GeneratorState(ABC, Generic[C]):
                 self.errors[-1] = str(ScpiError(-350))
 
     def next_error(self) -> str:
-        """Return and forget the oldest error."""
+        """Remove the oldest error and return it."""
         return self.errors.popleft() if self.errors else '0,"No error"'
 
     @property
@@ -197,27 +199,27 @@ class GeneratorState(ABC, Generic[C]):
     # trigger
 
     def trigger(self) -> None:
-        """Force one trigger, for both channels."""
+        """Trigger both channels once."""
         with self.lock:
             if not any(channel.burst for channel in self.channels.values()):
                 raise ScpiError(-211, "no channel is in burst")
             self.timeline.trigger(self.clock.now(), self.link)
 
     def abort(self) -> None:
-        """Reset the trigger system; a burst that it began ends here."""
+        """Reset the trigger system; a triggered burst ends now."""
         self.timeline.abort(self.clock.now())
 
     def align(self) -> None:
-        """Restart what repeats without a trigger."""
+        """Restart the records that repeat without a trigger."""
         self.timeline.align(self.clock.now())
 
     # what comes out
 
     def playback(self, number: int) -> Playback | None:
-        """Return what a channel sends, None where its output is off or no arbitrary record is playing.
+        """Return what a channel sends; None if its output is off or it plays no arbitrary record.
 
-        Where bursts wait for a trigger this is the latest of them, if one came since the outputs were switched, and
-        their period is the latest interval, to the millisecond.
+        If bursts wait for triggers, this is the latest burst, provided one came since the outputs were last switched;
+        its period is the latest interval between triggers, to the millisecond.
         """
         with self.lock:
             self.timeline.advance(self.clock.now())
@@ -227,7 +229,7 @@ class GeneratorState(ABC, Generic[C]):
                 return sent
             endless = math.isinf(channel.burst_length)
             if tick is not None:
-                # A burst without end has one trigger, the first.
+                # An endless burst has a single trigger, the first.
                 return sent if endless else replace(sent, period=tick)
             triggers = self.timeline.triggers
             if not triggers or endless:

@@ -1,4 +1,4 @@
-"""What leaves a generator's outputs over time: bursts that begin, end or are cut, and what the relays let pass."""
+"""A generator's outputs over time: when bursts begin, end or are cut, and what of them passes the output relays."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from typing import Literal
 from modaltouch.stimulus import Converter
 
 CONVERTER = Converter(mid_code=8191, max_points=1 << 22, clock_rate=250e6, amplitude_digits=4, amplitude_decimals=4)
-"""That of a twin of the AFG3022B, apart from what the driver knows of it; many cycles of a record may be one burst."""
+"""Converter of a twin of the AFG3022B, independent of the driver's; its limit on points allows for many cycles."""
 
 MID_CODE = CONVERTER.mid_code
-"""Its code of zero volts."""
+"""Its code for 0 V."""
 
 FINEST = 1e-3
-"""Of bursts that come by themselves and follow each other faster, one in this time is counted [s]."""
+"""Bursts that repeat without commands at a shorter interval than this are counted once in about this time [s]."""
 
 ROUNDING = 1e-9
-"""By how much less a burst that follows at once may come before the end of the last [s]."""
+"""A burst that begins less than this before the end of the last follows it directly [s]."""
 
 Retrigger = Literal["ignored", "restarts"]
-"""What a trigger inside a running burst does."""
+"""Effect of a trigger during a burst."""
 
 
 @dataclass(frozen=True)
@@ -35,19 +35,19 @@ class Playback:
     record : bytes
         Codes of one cycle, two bytes each, big-endian.
     amplitude, offset : float
-        Of the record's full scale, open circuit [V peak to peak, V].
+        Amplitude of the full range of codes [V peak to peak] and offset [V], into an open circuit.
     duration : float
         Length of one cycle [s].
     period : float
-        Time from one trigger to the next [s], or one cycle without; infinite for a single trigger.
+        Time from one trigger to the next [s]; infinite for a single trigger, one cycle for a record repeated without.
     idle_code : int
         Code at which the output rests between bursts.
     n_cycles : int
-        Cycles of one burst.
+        Cycles per burst.
     delay : float
-        From a trigger to its burst [s].
+        Time from a trigger to its burst [s].
     converter : Converter
-        What makes voltages of the codes.
+        Converter of the codes to voltages.
     """
 
     record: bytes
@@ -63,16 +63,16 @@ class Playback:
 
 @dataclass(frozen=True)
 class Delays:
-    """How long the hardware takes.
+    """Delays of the hardware, and pulses at its trigger input.
 
     Attributes
     ----------
     latency : (float, float)
-        Bounds of the time from a trigger's command to the first sample [s].
+        Bounds of the time from a trigger command to the first sample [s].
     relay : float
-        From the command to the relay of an output, on or off [s].
+        Time from a command to the switching of an output's relay, on or off [s].
     pulses : float or None
-        Rate of the pulses at the trigger input [Hz]; None with nothing wired to it.
+        Rate of the pulses at the trigger input [Hz]; None if nothing is wired to it.
     """
 
     latency: tuple[float, float] = (1e-4, 3e-4)
@@ -82,20 +82,20 @@ class Delays:
 
 @dataclass(frozen=True)
 class Situation:
-    """All settings that bursts depend on, a value to each channel.
+    """All settings that bursts depend on, with one value for each channel.
 
     Attributes
     ----------
     sent : tuple of Playback or None
-        What a channel sends while its relay is closed, once for a burst.
+        What each channel sends while its relay is closed: a single burst, or what it repeats without a trigger.
     length : tuple of float
-        From first to last sample of its burst, or of a cycle of what repeats without trigger [s].
+        Duration of each channel's burst, or of a cycle if it repeats without a trigger [s].
     in_burst : tuple of bool
-        Whether it waits for triggers.
+        Whether each channel waits for triggers.
     outputs : tuple of bool
-        Whether its output is commanded on.
+        Whether each output is commanded on.
     tick : float or None
-        Time between triggers that come by themselves [s].
+        Time between triggers that come without commands [s]; None if there are none.
     """
 
     sent: tuple[Playback | None, ...] = ()
@@ -107,20 +107,20 @@ class Situation:
 
 @dataclass(frozen=True)
 class PlayedBurst:
-    """A burst, or what of it passed the relays.
+    """A burst, or the part of it that passed the relays.
 
     Attributes
     ----------
     start, end : float
-        First and last instant at which one of the outputs let it pass [s].
+        First and last instant at which any part of it passed a relay [s].
     whole : bool
         Whether all of it passed, at every output.
     sent : tuple of Playback or None
-        What each output let pass.
+        What each output sent; None if nothing of it passed.
     passed : tuple of (float, float) or None
-        From when to when, since the first sample of the channel [s].
+        Start and end of the part that passed at each output, since the first sample of the channel [s].
     link : int or None
-        Number of the link that triggered it, 0 for the front panel; None where it came by itself.
+        Number of the link that triggered it, 0 for the front panel; None if it came without a command.
     """
 
     start: float
@@ -133,7 +133,7 @@ class PlayedBurst:
 
 @dataclass
 class _Run:
-    """A burst in the making: first and last instant of each channel, and those between which its relay was closed."""
+    """A burst that is playing: start and end on each channel, and start and end of what passed each relay."""
 
     sent: tuple[Playback | None, ...]
     spans: dict[int, tuple[float, float]]
@@ -146,27 +146,27 @@ class _Run:
 
 
 class Timeline:
-    """Follows the outputs of a generator; between two calls the settings are constant.
+    """Follows the outputs of a generator, whose settings are constant between calls.
 
     Parameters
     ----------
     delays : Delays
-        How long the hardware takes.
+        Delays of the hardware.
     retrigger : str
-        What a trigger inside a running burst does.
+        Effect of a trigger during a burst.
     seed : int
-        Of the phases of timer and pulses, and of the latencies.
+        Seed of the phase of timer and pulses, and of the latencies.
 
     Attributes
     ----------
     told : callable or None
-        Takes each burst when it ends.
+        Called with each burst when it ends.
     triggers : tuple of float
-        When the latest two bursts began since outputs or trigger source were last switched [s].
+        Onsets of the latest two triggered bursts since outputs or internal triggers were last changed [s].
     caught : tuple of Playback or None
-        What the first burst sends that began since this was None.
+        What each output sends in the first burst that began after this was set to None.
     commanded : float or None
-        When the generator obeyed the latest trigger that was commanded, whatever it sends [s].
+        When the generator carried out the latest trigger command, whether or not a burst began [s].
     """
 
     def __init__(self, delays: Delays, retrigger: Retrigger = "ignored", seed: int = 0) -> None:
@@ -183,11 +183,11 @@ class Timeline:
         self._closed: dict[int, float] = {}
         self._switching: list[tuple[float, int, bool]] = []
         self._cycle_length = self._reach = self._aligned = 0.0
-        # By whether a trigger began it.
+        # The key is whether a trigger began the burst.
         self._running: dict[bool, _Run] = {}
 
     def change(self, now: float, situation: Situation) -> None:
-        """Take new settings; what they change of a running burst ends it here."""
+        """Take new settings; if they change a running burst, it ends now."""
         self.advance(now)
         before, self._situation = self._situation, situation
         if before == situation:
@@ -203,33 +203,33 @@ class Timeline:
                 self._switching.append((now + self._delays.relay, channel, on))
 
     def trigger(self, now: float, link: int) -> None:
-        """Take a trigger that was commanded over a link."""
+        """Take a trigger command sent over a link."""
         self.advance(now)
         self.commanded = now + self._random.uniform(*self._delays.latency)
         self._take(now, self.commanded, link)
 
     def abort(self, now: float) -> None:
-        """End the burst that a trigger began."""
+        """End a triggered burst."""
         self.advance(now)
         self._end(now, in_burst=True)
         self.triggers = ()
 
     def align(self, now: float) -> None:
-        """Restart what repeats without a trigger."""
+        """Restart the records that repeat without a trigger."""
         self.advance(now)
         self._end(now, in_burst=False)
         self._aligned = now
         self._begin(now, None, in_burst=False)
 
     def power_cut(self, now: float) -> None:
-        """End everything and open the relays at once."""
+        """End all bursts and open the relays at once."""
         self.advance(now)
         self._cut(now)
         self._closed, self._switching, self.triggers = {}, [], ()
         self._situation, self._cycle_length, self._reach = Situation(), 0.0, 0.0
 
     def advance(self, now: float) -> None:
-        """Let time pass up to an instant [s]; never back."""
+        """Let time pass up to an instant [s]; an earlier one is ignored."""
         if now <= self._now:
             return
         self._skip(now)
@@ -250,7 +250,7 @@ class Timeline:
         self._now = now
 
     def _skip(self, now: float) -> None:
-        """Leave out what nobody can tell: long spans in which nothing listens, or no relay is closed."""
+        """Skip most of a long span in which bursts are not reported, or no relay is closed."""
         if self.told is not None and (self._closed or self._switching):
             return
         target = now - self._reach
@@ -259,13 +259,13 @@ class Timeline:
             self._now = target
 
     def _settle(self, now: float) -> None:
-        """Let the relays move that are to, and end what is over."""
+        """Switch the relays that are due, and end the bursts that are over."""
         self._switch(now)
         for in_burst in [each for each, run in self._running.items() if run.end <= now]:
             self._end(None, in_burst=in_burst)
 
     def _next_tick(self) -> float:
-        """Return when the next trigger comes by itself [s]: of a clock that knows nothing of the settings."""
+        """Return when the next trigger comes without a command [s]; its clock runs independently of other settings."""
         situation = self._situation
         if situation.tick is None or not any(situation.in_burst):
             return math.inf
@@ -273,7 +273,7 @@ class Timeline:
         return _after(self._now, self._phase * period, period)
 
     def _begin(self, begin: float, link: int | None, *, in_burst: bool) -> None:
-        """Let begin at an instant what the channels that are in burst, or the others, have to send."""
+        """Begin what the channels in burst mode, or the others, have to send."""
         situation = self._situation
         spans = {}
         for channel, sent in enumerate(situation.sent):
@@ -297,7 +297,7 @@ class Timeline:
             self.triggers = (*self.triggers[-1:], begin)
 
     def _switch(self, now: float) -> None:
-        """Let the relays move that have been told to."""
+        """Switch the relays that are due."""
         while self._switching and self._switching[0][0] <= now:
             instant, channel, on = self._switching.pop(0)
             if on:
@@ -315,7 +315,7 @@ class Timeline:
             self._end(now, in_burst=in_burst)
 
     def _end(self, at: float | None, *, in_burst: bool) -> None:
-        """End what runs at an instant, or where it ends by itself."""
+        """End a running burst at an instant, or at its own end."""
         run = self._running.pop(in_burst, None)
         if run is not None:
             for channel in run.spans:
@@ -323,14 +323,14 @@ class Timeline:
             self._tell(run)
 
     def _pass(self, run: _Run, channel: int, until: float) -> None:
-        """Note what of a run went through a relay that has been closed until now."""
+        """Note the part of a burst that passed a relay which was closed until now."""
         if channel in run.spans and channel in self._closed:
             first, last = max(self._closed[channel], run.spans[channel][0]), min(until, run.spans[channel][1])
             if last > first:
                 run.passed[channel] = first, last
 
     def _tell(self, run: _Run) -> None:
-        """Report what of a run went through the relays, once."""
+        """Report the part of a burst that passed the relays, once."""
         passed, run.passed = run.passed, {}
         if not passed or self.told is None:
             return
@@ -353,14 +353,14 @@ class Timeline:
 
 
 def _cycle_length(situation: Situation) -> float:
-    """Return how long a cycle of what repeats without trigger is, of the slower channel [s]; 0 for none."""
+    """Return the length of a cycle of what repeats without a trigger, on the slower channel [s]; 0 for none."""
     rows = zip(situation.sent, situation.length, situation.in_burst, strict=True)
     length = max((length for sent, length, in_burst in rows if sent is not None and not in_burst), default=0.0)
     return length * math.ceil(FINEST / length) if length else 0.0
 
 
 def _reach(situation: Situation) -> float:
-    """Return how far back what matters now has begun, the interval between two triggers included [s]."""
+    """Return how long ago the events that still matter can have begun, including the interval between triggers [s]."""
     lengths = [length for length in situation.length if math.isfinite(length)]
     delays = [sent.delay for sent in situation.sent if sent is not None]
     return 3 * max([situation.tick or 0.0, *lengths]) + max(delays, default=0.0)

@@ -1,4 +1,4 @@
-"""The beam as it is: modes that the table lacks, values that the table misses, fingers that weigh on it."""
+"""The true beam of a twin: modes not in the table, deviations from the values in the table, and fingers on it."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class TrueBeam:
     table : ModalModel
         The modes of the table with their true values.
     apparatus : Apparatus
-        Its section ``twin`` has the modes that follow them.
+        Its section ``twin`` lists the modes not in the table, which follow.
     unlisted_gain : (n_unlisted, n_channels) array
-        Their modal accelerations per volt at the beam [m/s^2 per V].
+        Modal gains of the latter, accelerations per volt at the beam [m/s^2 per V].
     width : float
-        Of the beam, across which torsion turns [m].
+        Width of the beam, for its torsion modes [m].
     mass : float
         Moving mass of the beam [kg].
     """
@@ -99,11 +99,11 @@ class TrueBeam:
         Parameters
         ----------
         amplifier : Amplifier
-            Its pole and delay count; voltages are those it would give without them.
+            Amplifier with its pole and delay; input voltages are its outputs without these.
         touched : sequence of Finger
-            Fingers on it; none on a free beam.
+            Fingers on the beam; none on a free beam.
         stretch : float
-            Factor of every natural frequency [1].
+            Factor on every natural frequency [1].
         """
         loads = [(finger.contact(self._over_width, self.table.length) / self.mass, finger) for finger in touched]
         return DiagonalSystem.of_modes(
@@ -111,24 +111,24 @@ class TrueBeam:
         )
 
     def _over_width(self, along: FloatArray) -> FloatArray:
-        """Return the mode shapes on two lines across which torsion, which grows in proportion, has its mean square."""
+        """Return the mode shapes on two lines at +-width / sqrt(12), where the square of torsion has its mean."""
         across = self.width / math.sqrt(12.0) * np.repeat([-1.0, 1.0], along.size)
         return self.shapes(np.tile(along, 2), across)
 
 
 def true_beam(apparatus: Apparatus, seed: int) -> TrueBeam:
-    """Return the beam as it is, which its identification does not quite meet.
+    """Return the true beam, which deviates from the identified one.
 
-    Natural frequencies, damping ratios and gains are those of the table times a log-normal factor of the stated
-    relative spread, each actuator set also drives the modes that the table leaves to another, and the modes that
-    the table lacks are as stated.
+    Natural frequencies, damping ratios and modal gains are those of the table times a log-normal factor with the stated
+    relative spread. Each actuator set also drives the modes that the table assigns to another one, and there are modes
+    not in the table, as stated.
 
     Parameters
     ----------
     apparatus : Apparatus
-        The identified beam, and in its section ``twin`` how far the true one is from it.
+        The identified beam; its section ``twin`` states how the true one deviates.
     seed : int
-        Equal seeds give equal beams; changing one mismatch leaves the draws of the others alone.
+        Equal seeds give equal beams; changing one mismatch does not affect the draws of the others.
     """
     twin, model = apparatus.twin, apparatus.modal_model()
     streams = np.random.default_rng(seed).spawn(3)
@@ -157,7 +157,7 @@ def true_beam(apparatus: Apparatus, seed: int) -> TrueBeam:
 
 
 def generator_gains(apparatus: Apparatus, seed: int) -> FloatArray:
-    """Return the true output voltage per volt set, of each generator output, (n_channels,) array [V/V].
+    """Return the true output voltage per volt set on each generator output, (n_channels,) array [V/V].
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def generator_gains(apparatus: Apparatus, seed: int) -> FloatArray:
 
 
 def true_amplifier(apparatus: Apparatus) -> Amplifier:
-    """Return the amplifier as it is: what ``twin`` leaves open is as identified; SI units."""
+    """Return the true amplifier, in SI units; values that ``twin`` leaves open are those identified."""
     known, true = apparatus.amplifier_values(), apparatus.twin.amplifier
     return Amplifier(
         gain=known.gain if true.gain_V_per_V is None else true.gain_V_per_V,

@@ -1,4 +1,4 @@
-"""What lies behind the simulated generator: amplifier, the true beam, and what fingers on it feel."""
+"""What the simulated generator drives: amplifier, true beam, and the motion under the fingers."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ if TYPE_CHECKING:
     from modaltouch.stimulus import Finger
 
 MOST_SAMPLES = 1 << 22
-"""Of one burst, many cycles together: a third of a second at least, many times what any mode remembers."""
+"""Largest number of samples that is computed of one burst, over all its cycles."""
 
 PLAYS = (0.2, 0.4, 0.6, 0.8)
-"""Half widths of the play operators of an actuator, as parts of the amplifier's limit [1]."""
+"""Half widths of the play operators of an actuator, as fractions of the amplifier's limit [1]."""
 
 SETTINGS_KEPT = 64
-"""Settings of which the peaks are kept."""
+"""Number of settings whose peaks are cached."""
 
 Setting = tuple[Playback | None, ...]
 """What each channel sends."""
@@ -35,7 +35,7 @@ Setting = tuple[Playback | None, ...]
 
 @dataclass(frozen=True, eq=False)
 class TrueState:
-    """What the beam really does at an instant: known of a twin alone, to judge measurements by.
+    """The true state of the beam at an instant, known only for a twin: a reference for measurements.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class TrueState:
     displacement : (n_modes,) array
         Their modal displacements times natural angular frequency, w eta [m/s].
     unlisted_velocity, unlisted_displacement : (n_unlisted,) array
-        The same of the modes that the table lacks [m/s].
+        The same for the modes not in the table [m/s].
     """
 
     label: tuple[int, ...]
@@ -58,20 +58,21 @@ class TrueState:
 
 @dataclass
 class Twin:
-    """Amplifier and true beam behind a generator; computes only what it is asked for.
+    """Amplifier and true beam behind a generator; computes only what is requested.
 
     Attributes
     ----------
     apparatus : Apparatus
         Amplifier, load, and the identified beam.
     seed : int
-        Of the differences between true and identified beam.
+        Seed of the differences between true and identified beam.
     tripped : bool
         Whether the amplifier's protection has cut its output.
     n_computed : int
-        Peaks computed so far: another level of the same records needs none, as long as beam and amplifier are linear.
+        Number of computations of peaks so far; as long as beam and amplifier are linear, another level of the same
+        records needs none.
     n_measured : int
-        Measurements so far, with each of which the beam drifts.
+        Number of measurements so far; the beam drifts with each.
     """
 
     apparatus: Apparatus
@@ -90,13 +91,13 @@ class Twin:
         self._gains = generator_gains(self.apparatus, self.seed) * (
             self.amplifier.gain * self.apparatus.generator.load_factor
         )
-        # A beam that drifts has another one with each measurement.
+        # A limited cache, since a drifting beam has other equations with each measurement.
         self._system = functools.lru_cache(SETTINGS_KEPT)(
             lambda stretch, fingers: self.beam.equations(self.amplifier, fingers, stretch)
         )
 
     def fingers(self, *positions: float) -> list[Finger]:
-        """Return fingers at places of the beam [m], as the section ``twin`` has them; none that only feel."""
+        """Return the fingers of the section ``twin`` at positions on the beam [m]; none if it states no finger."""
         section = self.beam.apparatus.twin.fingers
         return [] if section is None else [section.at(position) for position in positions]
 
@@ -108,15 +109,15 @@ class Twin:
         touched : sequence of Finger
             Those on the beam.
         stretch : float
-            Factor of every natural frequency, as `stretch` gives it [1].
+            Factor on every natural frequency, from the method `stretch` [1].
         """
         return self._system(stretch, tuple(finger for finger in touched if finger.weighs))
 
     def stretch(self, playbacks: Sequence[Playback | None]) -> float:
-        """Return the factor of every natural frequency while something plays [1].
+        """Return the factor on every natural frequency while something plays [1].
 
-        Softening is that of a Duffing oscillator, in proportion to the amplitude squared (Nayfeh & Mook 1979, Nonlinear
-        Oscillations, sec. 4.1), linearised: the whole burst meets the frequencies of its highest voltage.
+        Softening is that of a Duffing oscillator, proportional to the amplitude squared (Nayfeh & Mook 1979, Nonlinear
+        Oscillations, sec. 4.1), linearised: throughout a burst the frequencies are those at its highest voltage.
         """
         twin = self.apparatus.twin
         highest = min(max(self._peak_voltages(playbacks), default=0.0) / self.amplifier.limit, 1.0)
@@ -129,16 +130,16 @@ class Twin:
         *,
         touched: Sequence[Finger] | None = None,
     ) -> FloatArray:
-        """Return the peak speed at points of the beam while the generator sends what it sends.
+        """Return the peak speed at points of the beam, for what the generator sends.
 
         Parameters
         ----------
         playbacks : sequence of Playback or None
             What each channel sends.
         positions : sequence of float
-            Where, origin at mid-beam [m].
+            Positions of the points, origin at mid-beam [m].
         touched : sequence of Finger, optional
-            Fingers on the beam; if not given, one at each of these points.
+            Fingers on the beam; by default one at each of these points.
 
         Returns
         -------
@@ -154,7 +155,7 @@ class Twin:
         felt = self._felt.setdefault((stretch, _once(setting)), {})
         for oldest in list(self._felt)[:-SETTINGS_KEPT]:
             self._felt.pop(oldest, None)
-        # Fingers that weigh change the beam for each other; others feel it as it is.
+        # Fingers that load the beam change its motion for each other; others feel it unloaded.
         laid = self.fingers(*positions) if touched is None else touched
         fingers = tuple(sorted((finger for finger in laid if finger.weighs), key=lambda finger: finger.position))
         missing = [x for x in dict.fromkeys(positions) if (x, *fingers) not in felt]
@@ -174,25 +175,25 @@ class Twin:
         touched: Sequence[Finger],
         span: tuple[float, float],
     ) -> list[Motion]:
-        """Return the velocity of a point behind a low-pass, in parts that add up.
+        """Return the velocity of a point behind a low-pass, as parts to be added.
 
         Parameters
         ----------
         playbacks : sequence of Playback or None
             What each channel sends.
         position, offset : float
-            Along the beam and across it, from its middle [m].
+            Position along the beam and across it, from its middle [m].
         bandwidth : float or None
-            Corner of the low-pass [Hz].
+            Corner frequency of the low-pass [Hz]; None for no low-pass.
         touched : sequence of Finger
-            Those on the beam.
+            Fingers on the beam.
         span : (float, float)
-            First and last instant that will be asked for, from the first sample of a burst at the beam [s].
+            First and last instant that will be requested, from the first sample of a burst at the beam [s].
 
         Returns
         -------
         list of Motion
-            One to each clock that drives a channel [m/s].
+            One part for each group of channels with equal timing [m/s].
         """
         if self.tripped:
             return []
@@ -203,7 +204,7 @@ class Twin:
 
         system, output = low_passed(system, output, bandwidth)
         key = tuple(playbacks), tuple(touched), bandwidth, stretch
-        # The states are those of the whole beam: the next point of a scan needs none of its own.
+        # The states describe the whole beam, so the next point of a scan can use the same.
         if self._histories is None or self._histories[0] != key or not all(h.covers(span) for h in self._histories[1]):
             self._histories = key, [StateHistory.of(system, held, span) for held in self.forces_of(playbacks)]
         return [history.motion(output) for history in self._histories[1]]
@@ -224,19 +225,19 @@ class Twin:
         first: bool = False,
         touched: Sequence[Finger] = (),
     ) -> TrueState:
-        """Return what the beam really does at an instant, which no instrument of the twin tells.
+        """Return the true state of the beam at an instant, which no instrument of the twin reveals.
 
         Parameters
         ----------
         playbacks : sequence of Playback or None
             What each channel sends.
         instant : float
-            From a trigger, when the first sample leaves the generator unless it is set to wait [s]; what is sent
-            then moves the beam only after the amplifier's delay.
+            Time since a trigger [s]; the first sample leaves the generator at 0, or after its trigger delay, and moves
+            the beam after the amplifier's delay.
         first : bool
-            Whether the burst starts from rest; else it is one after many.
+            Whether the burst starts from rest; otherwise many bursts came before it.
         touched : sequence of Finger
-            Those on the beam.
+            Fingers on the beam.
         """
         system = self.system(touched, self.stretch(playbacks))
         state = np.zeros(system.exponent.size, dtype=complex)
@@ -253,14 +254,14 @@ class Twin:
         )
 
     def held_of(self, playbacks: Sequence[Playback | None]) -> list[Held]:
-        """Return what the amplifier is to give, saturated at its limit: one entry to each clock."""
+        """Return the amplifier's output, saturated at its limit: one entry per group of channels with equal timing."""
         clocks = dict.fromkeys(_clock(playback) for playback in playbacks if playback is not None)
         return [
             self._held([p if p is not None and _clock(p) == clock else None for p in playbacks]) for clock in clocks
         ]
 
     def forces_of(self, playbacks: Sequence[Playback | None]) -> list[Held]:
-        """Return what moves the beam, as volts: what the amplifier gives, behind the actuators' hysteresis."""
+        """Return what moves the beam, as volts: the amplifier's output after the actuators' hysteresis."""
         share, limit = self.apparatus.twin.hysteresis, self.amplifier.limit
         if not share:
             return self.held_of(playbacks)
@@ -273,10 +274,10 @@ class Twin:
         for channel, playback in enumerate(together[: self.beam.n_channels]):
             if playback is not None:
                 voltage[channel], rest[channel] = self._amplify(playback, float(self._gains[channel]))
-        # More cycles than that are heard no longer when the last ones end.
+        # Earlier cycles no longer affect the beam when the last ones end.
         n_cycles = min(first.n_cycles, max(1, MOST_SAMPLES // n_samples))
         duration = first.duration * n_cycles
-        # A trigger that comes while a burst plays, or waits to, is lost: the next one counts.
+        # A trigger during a burst or its delay is lost: the next one counts.
         triggers = max(1.0, np.ceil((first.delay + first.duration * first.n_cycles) / first.period - 1e-9))
         period = first.period * triggers
         return Held(np.tile(voltage, n_cycles), rest, duration, period, first.delay, first.converter)
@@ -290,13 +291,13 @@ class Twin:
         return np.asarray(np.clip((codes - zero) * scale + shift, -limit, limit) - rest), rest
 
     def _is_linear(self, playbacks: Sequence[Playback | None]) -> bool:
-        """Return whether another level would move the beam in proportion."""
+        """Return whether the motion of the beam is proportional to the level."""
         twin = self.apparatus.twin
         saturates = any(peak > self.amplifier.limit for peak in self._peak_voltages(playbacks))
         return not (saturates or twin.softening or twin.hysteresis or twin.finger_press_N)
 
     def _peak_voltages(self, playbacks: Sequence[Playback | None]) -> list[float]:
-        """Return the highest voltage that each output commands at the beam [V]."""
+        """Return the highest voltage at the beam that each output asks for [V]."""
         return [
             (abs(each.amplitude) / 2 * record_peak(each.record, each.converter.mid_code) + abs(each.offset)) * gain
             for each, gain in zip(playbacks, self._gains.tolist(), strict=False)
@@ -317,20 +318,20 @@ class Twin:
         output = shapes.T @ system.velocity
         if len(parts) > 1 and len({part.period for part in parts}) == 1:
             return [_common_peak(system, row, parts) for row in output]
-        # Bursts of unequal rate slide past each other, so that sooner or later their peaks meet.
+        # Bursts with different periods drift past each other, so that sooner or later their peaks coincide.
         total = sum((peak(system, output, held) for held in parts), np.zeros(len(positions)))
         return [float(speed) for speed in total]
 
 
 def _at_unit_level(playbacks: Sequence[Playback | None], level: float) -> Setting:
-    """Return the same records with the larger amplitude at 1 V, where a constant offset moves nothing."""
+    """Return the same records scaled so that the larger amplitude is 1 V, without offsets, which move nothing."""
     return tuple(
         p if p is None else replace(p, amplitude=round(p.amplitude / level, 12), offset=0.0) for p in playbacks
     )
 
 
 def _once(setting: Setting) -> Setting:
-    """Return bursts with a pause after them as if they came once, which the peak of each, from rest, is that of."""
+    """Return bursts with a pause after them as single bursts, since peaks are computed from rest anyway."""
     playing = [playback for playback in setting if playback is not None]
     if len({_clock(playback) for playback in playing}) > 1:
         return setting
@@ -344,7 +345,7 @@ def _clock(playback: Playback) -> tuple[float, ...]:
 
 
 def _common_peak(system: DiagonalSystem, output: ComplexArray, parts: Sequence[Held]) -> float:
-    """Return the largest magnitude of an output while unlike bursts repeat together, to 3 parts in 1000."""
+    """Return the largest magnitude of an output while different bursts repeat with one period, to 3 parts in 1000."""
     step = min(refined(system, part)[1] for part in parts) / 2
     ends = max(part.delay + LONGEST_SILENCE * part.duration for part in parts)
     span = 0.0, min(parts[0].period, ends)
@@ -357,35 +358,35 @@ def _common_peak(system: DiagonalSystem, output: ComplexArray, parts: Sequence[H
 
 @functools.lru_cache(maxsize=8)
 def record_peak(record: bytes, zero: int) -> float:
-    """Return the highest value of a record, as a part of half its amplitude [1]; `zero` is its code of 0 V."""
+    """Return the highest magnitude of a record, as a fraction of half its amplitude [1]; `zero` is its code for 0 V."""
     return float(np.abs(np.frombuffer(record, ">u2").astype(int) - zero).max() / zero)
 
 
 def lagging(voltage: FloatArray, share: float, limit: float) -> FloatArray:
-    r"""Return the voltages that would have an actuator without hysteresis give the same force.
+    r"""Return the voltages with which an actuator without hysteresis would give the same force.
 
-    A share of it follows play operators of equal weight, :math:`y_k = \max(v_k - r, \min(v_k + r, y_{k-1}))` (Prandtl
-    and Ishlinskii; Visintin 1994, Differential Models of Hysteresis, sec. III.2). Their half widths are evenly spread:
-    loops then grow with the square of the voltage, as by Rayleigh's law for piezoelectric ceramics (Damjanovic 1997,
-    J. Appl. Phys. 82, 1788).
+    A share of the force follows play operators of equal weight, :math:`y_k = \max(v_k - r, \min(v_k + r, y_{k-1}))`
+    (Prandtl and Ishlinskii; Visintin 1994, Differential Models of Hysteresis, sec. III.2). Their half widths are evenly
+    spaced: hysteresis loops then grow with the square of the voltage, as in Rayleigh's law for piezoelectric ceramics
+    (Damjanovic 1997, J. Appl. Phys. 82, 1788).
 
     Parameters
     ----------
     voltage : (n_channels, n_samples) array
-        Of bursts that repeat, as a change from rest [V].
+        Voltages of bursts that repeat, as deviations from rest [V].
     share : float
-        Of the force that lags [1].
+        Share of the force that lags [1].
     limit : float
-        Of the amplifier [V].
+        Limit of the amplifier [V].
     """
     result = (1 - share) * voltage
     for row, volts in zip(result, voltage, strict=True):
         turns = np.append(np.flatnonzero(np.diff(np.sign(np.diff(volts)))) + 1, volts.size - 1)
-        # Between two turns the voltage is monotone: what was reached at the first of them tells the rest.
+        # Between two turning points the voltage is monotone: the value reached at the first determines the rest.
         part = np.searchsorted(turns, np.arange(volts.size))
         for width in np.array(PLAYS) * limit:
             reached = 0.0
-            for _ in range(2):  # the second burst begins where the first one, and so every other, ends
+            for _ in range(2):  # the second burst begins where the first, like every later one, ends
                 before = []
                 for volt in volts[turns].tolist():
                     before.append(reached)

@@ -1,8 +1,8 @@
-"""A VXI-11 server on the loopback interface, for one simulated instrument, which takes raw sockets too.
+"""A VXI-11 server on the loopback interface for one simulated instrument, which also accepts raw sockets.
 
-Serves the core channel (`links`) over ONC RPC (RFC 5531) without a portmapper: clients name
-the port in their address, ``TCPIP::127.0.0.1,<port>::inst0::INSTR``. A connection that begins with text sends SCPI line
-by line, ``TCPIP::127.0.0.1::<port>::SOCKET``: no record of a call that is accepted begins with such a byte.
+It serves the core channel (`Links`) over ONC RPC (RFC 5531) without a portmapper: clients name the port in their
+address, ``TCPIP::127.0.0.1,<port>::inst0::INSTR``. A connection that begins with text sends SCPI line by line,
+``TCPIP::127.0.0.1::<port>::SOCKET``: no RPC record that is accepted begins with such a byte.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from modaltouch.rig.simulator.instrument import Reply, SimulatedInstrument
 from modaltouch.rig.simulator.scpi import ScpiError
 
 SUCCESS, PROGRAM_UNAVAILABLE = 0, 1
-"""How an accepted call went."""
+"""Status of an accepted call."""
 
 _LAST_FRAGMENT = 0x80000000
 
@@ -33,7 +33,7 @@ class HangUp(Exception):  # noqa: N818
 
 
 def read_record(stream: io.BufferedIOBase, limit: int) -> bytes:
-    """Return one record, its fragments joined."""
+    """Return one RPC record, its fragments joined."""
     record = bytearray()
     while True:
         (word,) = struct.unpack(">I", _exactly(stream, 4))
@@ -56,7 +56,7 @@ _BLOCK = re.compile(rb"#(?:" + b"|".join(b"%d(\\d{%d})" % (n, n) for n in range(
 
 
 def read_message(stream: io.BufferedIOBase) -> bytes:
-    """Return one program message up to its line feed; those within a definite-length block (IEEE 488.2) are of it."""
+    """Return one program message up to its line feed; line feeds within a definite-length block do not end it."""
     message, searched = bytearray(stream.readline(LARGEST_MESSAGE)), 0
     while found := _BLOCK.search(message, searched):
         searched = found.end() + int(found[found.lastindex or 0])
@@ -68,7 +68,7 @@ def read_message(stream: io.BufferedIOBase) -> bytes:
 
 
 def read_call(call: bytes) -> tuple[int, int, int, bytes]:
-    """Return transaction, program, procedure and parameters of a call; credentials are not looked at."""
+    """Return transaction, program, procedure and parameters of a call; credentials are ignored."""
     transaction, _, _, program, _, procedure = struct.unpack_from(">6I", call)
     at = 24
     for _ in ("credentials", "verifier"):
@@ -92,16 +92,16 @@ def _padded(length: int) -> int:
 
 
 LARGEST_MESSAGE = 1 << 20
-"""Bytes accepted in one write, announced to the client, and in one program message."""
+"""Largest write, announced to the client, and largest program message [bytes]."""
 
 LONGEST_WAIT = 30.0
-"""How long a reply is waited for at most, whatever a client asks [s]."""
+"""Longest wait for a reply, whatever a client asks for [s]."""
 
 INSTRUMENT, PANEL = "inst0", "panel0"
-"""Names of devices: the instrument, and its front panel, which is past faults and the limit of sessions."""
+"""Device names of the instrument and of its front panel, which faults and the limit of sessions do not affect."""
 
 PEOPLE_AT_THE_PANEL = 16
-"""Links to the front panel at a time."""
+"""Highest number of links to the front panel."""
 
 _CREATE_LINK, _WRITE, _READ, _READ_STATUS, _TRIGGER, _CLEAR = 10, 11, 12, 13, 14, 15
 _REMOTE, _LOCAL, _ENABLE_SERVICE, _DESTROY_LINK = 16, 17, 20, 23
@@ -121,18 +121,18 @@ class _Link:
 
 
 class _Refused(Exception):  # noqa: N818
-    """A call is refused, with an error code (VXI-11, B.5.2)."""
+    """A call is refused with an error code (VXI-11, B.5.2)."""
 
 
 class Links:
-    """The links of all connections; none can be locked, since no driver locks one.
+    """The links of all connections; locks are not supported, since no driver uses them.
 
     Parameters
     ----------
     device : SimulatedInstrument
         The instrument.
     closing : threading.Event
-        Set when the server ends: nothing is waited for any longer.
+        Set when the server closes, which ends all waits.
     """
 
     def __init__(self, device: SimulatedInstrument, closing: threading.Event) -> None:
@@ -141,7 +141,7 @@ class Links:
         self._links: dict[int, _Link] = {}
         self._numbers = itertools.count(1)
         self._guard = threading.RLock()
-        # Each with the bytes that follow the error code, zeros where it is refused.
+        # Each procedure with the number of bytes after its error code, which are zeros if it is refused.
         self._procedures: dict[int, tuple[typing.Callable[[_Link, bytes], bytes | None], int]] = {
             _WRITE: (self._write, 4),
             _READ: (self._read, 8),
@@ -156,7 +156,7 @@ class Links:
         return len(self._links)
 
     def call(self, procedure: int, parameters: bytes, own: set[int]) -> bytes:
-        """Return the results of a procedure: an error code, and what it returns."""
+        """Return the results of a procedure: an error code and its return values."""
         if procedure != _CREATE_LINK and procedure not in self._procedures:
             return struct.pack(">i", _NOT_SUPPORTED)
         carry_out, size = self._procedures.get(procedure, (None, 12))
@@ -164,7 +164,7 @@ class Links:
             if carry_out is None:
                 return struct.pack(">i", _NO_ERROR) + self._create_link(parameters, own)
             (number,) = struct.unpack_from(">i", parameters)
-            # Those of other connections are not to be had.
+            # Links of other connections are not accessible.
             if number not in own or number not in self._links:
                 raise _Refused(_INVALID_LINK)
             return struct.pack(">i", _NO_ERROR) + (carry_out(self._links[number], parameters) or b"")
@@ -172,13 +172,13 @@ class Links:
             return struct.pack(">i", *refused.args) + bytes(size)
 
     def forget(self, numbers: typing.Iterable[int]) -> None:
-        """Take links away."""
+        """Remove links."""
         with self._guard:
             for number in numbers:
                 self._links.pop(number, None)
 
     def open(self, own: set[int], *, panel: bool = False) -> _Link:
-        """Return a new link of a connection."""
+        """Add a link to a connection's `own`, and return it."""
         with self._guard:
             n_links = sum(link.panel == panel for link in self._links.values())
             if n_links >= (PEOPLE_AT_THE_PANEL if panel else self._device.afg.behaviour.max_sessions):
@@ -333,7 +333,7 @@ class Vxi11Server:
                     self._serve_text(connection, stream, self.links.open(own).number)
                 while True:
                     call = read_record(stream, 4 * LARGEST_MESSAGE)
-                    # What still arrives over a connection that is being reset, from either side, is not heard.
+                    # A call that arrives over a connection being reset, from either side, is ignored.
                     was_reset = connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
                     if connection not in self._connections or was_reset:
                         return
@@ -350,7 +350,7 @@ class Vxi11Server:
         """Carry out lines of SCPI until the connection ends."""
         while True:
             message = read_message(stream)
-            # A web browser that strays onto the port would leave an error to others.
+            # A web browser that happens on this port would leave an error in the queue.
             reply = Reply(hang_up=True) if b" HTTP/1." in message else self.device.execute(message, link)
             if reply.hang_up:
                 raise HangUp
