@@ -1,7 +1,7 @@
-"""What is kept: the append-only session log, the only truth, and the BIDS view derived from it.
+"""The record of a session: the append-only session log, the only original, and the BIDS view derived from it.
 
-In go the place of a session and the events of its course; out come the session as its log tells it, whether it is what
-its own start record makes of it, and what a damaged log still proves.
+In go the place of a session and its events. Out come the session as read from its log, an audit of the log against its
+own start record, and what can be recovered from a damaged log.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A session checked against its own start record: what was presented, in which order, at which level, and when."""
+"""Audit of a session against its own start record: what was presented, in which order, at which level, and when."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from modaltouch.record.session import Session, check_shape
 from modaltouch.record.view import check_view
 
 Checked = Iterator[tuple[bool, str]]
-"""Whether something holds, and which words say so; empty words where there is nothing to say."""
+"""Results of checks: whether each holds, and a sentence that says so; empty if there is nothing to report."""
 
 
 @dataclass(frozen=True)
 class Audit:
-    """What came of the check of a session against itself.
+    """Result of the audit of a session.
 
     Attributes
     ----------
@@ -34,8 +34,7 @@ class Audit:
     problems : tuple of str
         What does not hold, each with its file and line; empty for a sound session.
     to_mend : tuple of str
-        Those of the problems that an interruption leaves behind and `resume` mends: a last line that was cut, a BIDS
-        view that was not written.
+        Problems left by an interruption that `resume` mends: an incomplete last line, a BIDS view not written.
     """
 
     path: Path
@@ -44,7 +43,7 @@ class Audit:
     to_mend: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the outcome as plain values."""
+        """Return the result as plain values."""
         return {
             "session": str(self.path),
             "sound": not self.problems,
@@ -53,24 +52,24 @@ class Audit:
         }
 
     def require(self) -> None:
-        """Raise unless nothing is wrong with the session but what going on mends.
+        """Raise if the session has problems other than those that `resume` mends.
 
         Raises
         ------
         RecordError
-            With what `modaltouch verify` says against it.
+            With these problems, as `modaltouch verify` reports them.
         """
         if faults := [each for each in self.problems if each not in self.to_mend]:
             raise RecordError("\n".join(faults))
 
 
 def audit_session(session: Session) -> Audit:
-    """Return whether a session is what its own start record makes of it.
+    """Check a session against what follows from its own start record.
 
     Parameters
     ----------
     session : Session
-        As it was read from its log.
+        The session, as read from its log.
     """
     path, chain, start = session.path, session.chain, session.start
     shape = check_shape(session.events, str(path), to_repeat=True)
@@ -118,7 +117,7 @@ def _completeness(session: Session, audit: Audit) -> str:
 
 
 def check_beginning(session: Session, restored: RestoredExperiment, protocol: Protocol, schedule: Schedule) -> Checked:
-    """Yield for each part of the start record whether it holds, and in which words."""
+    """Yield the result of the check of each part of the start record."""
     place = f"{session.path}:1:"
     yield _check_texts(session.start, protocol, place)
     yield _check_mode(session.start, restored, place)
@@ -157,11 +156,11 @@ def _check_texts(start: dict[str, Any], protocol: Protocol, place: str) -> tuple
 
 
 def _first_difference(recorded: dict[str, Any], given: dict[str, Any], schema: int) -> str:
-    """Return the name of the first section whose values differ; a key that either does not know tells nothing."""
+    """Return the name of the first section whose values differ; keys that only one of them has are not compared."""
     for name in recorded.keys() & given.keys():
         known, values = recorded[name], given[name]
         if isinstance(known, dict) and isinstance(values, dict):
-            # Format 1 wrote the usual length of a stimulus where none was given.
+            # If no length of the stimulus was given, format 1 wrote the usual one.
             skipped = {"presentation_s"} if schema == 1 else set()
             shared = (known.keys() & values.keys()) - skipped
             known, values = ({key: each[key] for key in shared} for each in (known, values))
@@ -194,7 +193,7 @@ def _check_drive(start: dict[str, Any], restored: RestoredExperiment, place: str
 
 
 def _check_shown(start: dict[str, Any], restored: RestoredExperiment, place: str) -> tuple[bool, str]:
-    """Return whether the fields and the speeds at the zones, which reports show as recorded, are predicted again."""
+    """Check that the recorded fields and speeds at the zones, which reports show, agree with those recomputed."""
     for row in start["stimulus"].get("stimuli", ()):
         design = " ".join(filter(None, (row.get("stimulus", ""), row.get("placement", ""))))
         peaks = restored.preflight.zone_peaks(design, row["velocity_mm_s"])
@@ -203,7 +202,7 @@ def _check_shown(start: dict[str, Any], restored: RestoredExperiment, place: str
                 False,
                 f"{place} its speeds at the zones at {row['velocity_mm_s']:g} mm/s are not those recomputed",
             )
-    recorded = start["stimulus"].get("fields")  # earlier versions kept none
+    recorded = start["stimulus"].get("fields")  # earlier versions recorded none
     own = start.get("sensation_levels")
     if recorded is not None and not _agree(recorded, restored.fields(tuple(own["levels_mm_s"]) if own else ())):
         return False, f"{place} its field is not the one recomputed"
@@ -211,7 +210,7 @@ def _check_shown(start: dict[str, Any], restored: RestoredExperiment, place: str
 
 
 def _agree(said: Any, found: Any) -> bool:
-    """Return whether values that were read are those computed, speeds to 0.002 mm/s."""
+    """Return whether recorded values are those computed, speeds to 0.002 mm/s."""
     if isinstance(found, dict):
         return isinstance(said, dict) and said.keys() >= found.keys() and all(_agree(said[k], found[k]) for k in found)
     if isinstance(found, list):
@@ -222,12 +221,12 @@ def _agree(said: Any, found: Any) -> bool:
 
 
 def _check_gap(session: Session, protocol: Protocol, place: str) -> tuple[bool, str]:
-    """Return whether a session began as long after the one before as its kind wants, where that one is here."""
+    """Check that a session began as long after the previous one as its kind requires, if that one is here."""
     kind, begun = protocol.schedule.kind_of(session.drawn_as), session.start["time"]
     logs = SessionFolder.logs_of(session.path.absolute().parents[2])
     before = [log for log in logs if SessionFolder.number_of(log) < int(session.start["session"])]
     times = [event["time"] for event in Session.find(before[-1]).events if event["time"] <= begun] if before else []
-    # A session begun anew takes the place of the one before, which had to keep the gap itself.
+    # A restarted session takes the place of the previous one, for which the gap was required.
     if kind is None or not kind.min_gap_days or not times or "begins_anew" in session.start:
         return True, ""
     days = (datetime.fromisoformat(begun) - datetime.fromisoformat(times[-1])) / timedelta(days=1)
@@ -239,7 +238,7 @@ def _check_gap(session: Session, protocol: Protocol, place: str) -> tuple[bool, 
 
 
 def _check_own_levels(session: Session, restored: RestoredExperiment, place: str) -> tuple[bool, str]:
-    """Return whether the levels follow from the participant's threshold, and that from the session that found it."""
+    """Check that the levels follow from the participant's threshold, and that from the session that measured it."""
     own, section = session.start["sensation_levels"], restored.protocol.conditions.sensation_levels
     threshold = f"threshold of {own['threshold_mm_s']:g} mm/s"
     follow = section is not None and list(section.levels(own["threshold_mm_s"])) == own["levels_mm_s"]

@@ -1,10 +1,9 @@
-"""Lines that check each other: every line carries the SHA-256 of itself and of the line before.
+"""The chain of lines in a log: every line carries a SHA-256 check of itself and of the line before.
 
-A session log is a file of JSON objects, one a line. The last member of each is ``check``, the SHA-256 of
-the previous line's check followed by the line's own bytes up to that member. A changed, removed, doubled or
-reordered line breaks the chain. A line cut while it was written (power failure, full disk) stays in the file:
-the next line written after it declares its length and hash under ``torn``, so that even the remains are
-checked.
+A session log is a file of JSON objects, one per line. The last member of each is ``check``, the SHA-256 of the previous
+line's check followed by the line's own bytes up to that member. A changed, removed, duplicated or reordered line breaks
+the chain. A line cut off while it was written (power failure, full disk) stays in the file: the next line declares its
+length and hash under ``torn``, so that even the remains are checked.
 """
 
 from __future__ import annotations
@@ -17,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 GENESIS = "0" * 64
-"""The check before the first line."""
+"""The check that precedes the first line."""
 
 TAIL = re.compile(rb',"check":"([0-9a-f]{64})"\}\Z')
-"""The end of a line, which holds its check."""
+"""The end of a line, which contains its check."""
 
 _TAIL_BYTES = len(',"check":""}') + 64
 
@@ -30,22 +29,22 @@ class RecordError(Exception):
 
 
 class RecordInputError(RecordError):
-    """What was named is no participant id, or no session; no record is at risk."""
+    """The input names no valid participant id or no session; no record is at risk."""
 
 
 class RecordExistsError(RecordError):
-    """A session has been recorded, or is being recorded, where another was to be."""
+    """A session has been recorded, or is being recorded, at the place of the new one."""
 
 
 class UnreadableLineError(Exception):
-    """A line whose check is right and that is no JSON object that can be read.
+    """A line that is no readable JSON object, although its check may be correct.
 
     Parameters
     ----------
     reason : str
-        Why.
+        Why it cannot be read.
     check : str
-        Its check.
+        Its check, if that is correct.
     """
 
     def __init__(self, reason: object, check: str = "") -> None:
@@ -55,7 +54,7 @@ class UnreadableLineError(Exception):
 
 @dataclass(frozen=True)
 class Chain:
-    """What a file of chained lines holds.
+    """The contents of a log.
 
     Attributes
     ----------
@@ -64,11 +63,11 @@ class Chain:
     checks : tuple of str
         The check of each of them.
     problems : tuple of str
-        What is wrong, in words; empty for an intact file.
+        All problems, in words; empty for an intact file.
     damage : tuple of str
-        Those of the problems that no cut at the end explains: a log with any is not continued.
+        Problems that an incomplete last line does not explain: a log with any of them is not continued.
     torn : bytes
-        A cut line at the very end that no later line declares; empty if the file ends well.
+        An incomplete line at the very end; empty if there is none.
     ends_in_newline : bool
         Whether the last line is terminated.
     """
@@ -82,7 +81,7 @@ class Chain:
 
     @property
     def last_check(self) -> str:
-        """The check that the next line continues."""
+        """The check from which that of the next line is computed."""
         return self.checks[-1] if self.checks else GENESIS
 
 
@@ -94,7 +93,7 @@ def encode_line(event: dict[str, Any], previous: str) -> tuple[bytes, str]:
     event : dict
         Plain values; NaN and infinity are refused.
     previous : str
-        Check of the line before.
+        Check of the previous line.
 
     Returns
     -------
@@ -106,7 +105,7 @@ def encode_line(event: dict[str, Any], previous: str) -> tuple[bytes, str]:
     Raises
     ------
     ValueError
-        If the event is empty or holds a value that JSON cannot.
+        If the event is empty or contains a value that JSON cannot represent.
     """
     if not event:
         raise ValueError("an event needs at least one member, given none")
@@ -116,7 +115,7 @@ def encode_line(event: dict[str, Any], previous: str) -> tuple[bytes, str]:
 
 
 def read_chain(path: Path) -> Chain:
-    """Return the sound lines of a log and everything that is wrong with it.
+    """Return the sound lines of a log, and all its problems.
 
     Parameters
     ----------
@@ -132,7 +131,7 @@ def read_chain(path: Path) -> Chain:
 
 
 def read_log(path: Path) -> bytes:
-    """Return the bytes of a log, whatever their state.
+    """Return the bytes of a log, sound or not.
 
     Raises
     ------
@@ -146,7 +145,7 @@ def read_log(path: Path) -> bytes:
 
 
 def parse_chain(data: bytes, name: str) -> Chain:
-    """Return what the bytes of a log hold; `name` stands before each problem."""
+    """Return the contents of a log from its bytes; each problem begins with `name`."""
     events: list[dict[str, Any]] = []
     checks: list[str] = []
     damage: list[str] = []
@@ -158,7 +157,7 @@ def parse_chain(data: bytes, name: str) -> Chain:
         try:
             event, check = _decode(line.removesuffix(b"\n"), previous)
         except UnreadableLineError as error:
-            # Its check is right, so that the lines after it still prove themselves.
+            # Its check is correct, so the lines after it can still be checked.
             damage.append(f"{name}:{number}: {error}, although its check is correct")
             previous = error.check
             continue
@@ -185,12 +184,12 @@ def parse_chain(data: bytes, name: str) -> Chain:
 
 
 def has_carriage_returns(data: bytes) -> bool:
-    """Return whether each line of a log ends in CR LF, as no line is written."""
+    """Return whether each line of a log ends in CR LF, which this program never writes."""
     return 0 < data.count(b"\n") == data.count(b"\r\n")
 
 
 def describe_torn(torn: bytes) -> dict[str, Any]:
-    """Return the declaration of a cut line that the next line carries."""
+    """Return the declaration of an incomplete line that the next line carries."""
     return {"bytes": len(torn), "sha256": hashlib.sha256(torn).hexdigest()}
 
 
@@ -201,7 +200,7 @@ def _lines(data: bytes) -> list[bytes]:
 
 
 def line_check(previous: str, body: bytes) -> str:
-    """Return the check of a line: SHA-256 of the check before it and its bytes up to its own."""
+    """Return the check of a line: SHA-256 of the previous check and of the line's bytes before its own check."""
     return hashlib.sha256(previous.encode() + body).hexdigest()
 
 
@@ -220,15 +219,15 @@ def _decode(line: bytes, previous: str) -> tuple[dict[str, Any] | None, str]:
 
 
 def read_object(line: bytes) -> dict[str, Any]:
-    """Return the JSON object that a line holds.
+    """Return the JSON object in a line.
 
     Raises
     ------
     UnreadableLineError
-        If it is no JSON, no object, nested beyond what can be read, or holds a number of thousands of digits.
+        If it is not JSON, not an object, too deeply nested, or contains a number with thousands of digits.
     """
     try:
-        # Decoded here: of bytes the encoding would be guessed, line by line of a whole results tree.
+        # Decoded here, since json would guess the encoding of bytes, for every line of a whole results tree.
         value = json.loads(line.decode("utf-8", "surrogatepass"))
     except json.JSONDecodeError as error:
         raise UnreadableLineError(f"it is not JSON from its character {error.pos + 1} on") from error

@@ -1,4 +1,4 @@
-"""Files that are whole or not there: written beside their place, synced, and renamed into it; and who holds them."""
+"""Files that are either complete or absent: written under a temporary name, synced, and renamed; and their locks."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from modaltouch.record.chain import RecordError
 from modaltouch.system import lock, sync_file
 
 OWNER_ALONE = 0o600
-"""Permissions of a file that holds what a participant did."""
+"""Permissions of a file with data of a participant."""
 
 PATIENCE = 1.0
-"""How long Windows is asked to rename a file that another program has open, such as a virus scanner [s]."""
+"""How long to retry renaming, on Windows, a file that another program, such as a virus scanner, has open [s]."""
 
 
 LOCK_NAME = ".lock"
-"""File of a folder that stands for the folder where it is locked; it stays, empty."""
+"""Empty file by which a folder is locked; it is never deleted."""
 
 LOCK_PATIENCE = 10.0
-"""How long to wait for a folder that another process holds [s]; each holds it for milliseconds."""
+"""How long to wait for a folder that another process has locked [s]; each does so for milliseconds."""
 
 
 def open_file(path: Path, flags: int) -> int:
-    """Return a descriptor that takes bytes as they are; Windows would otherwise write CR LF for LF."""
+    """Return a descriptor for binary writing; Windows would otherwise write CR LF for LF."""
     return os.open(path, flags | getattr(os, "O_BINARY", 0), OWNER_ALONE)
 
 
 def move(rename: Callable[[Path], object], target: Path) -> None:
-    """Call `Path.rename` or `Path.replace` of a file until it is done; Windows refuses while either file is open."""
+    """Call `Path.rename` or `Path.replace` of a file until it succeeds; Windows refuses while either file is open."""
     deadline = time.monotonic() + PATIENCE
     while True:
         try:
@@ -45,18 +45,18 @@ def move(rename: Callable[[Path], object], target: Path) -> None:
 
 
 def replace_file(path: Path, content: bytes, remedy: str, mode: int = 0o666) -> None:
-    """Put a file in place in one step: a reader sees the old one or the new one, never a part.
+    """Write a file in one step: a reader sees the old file or the new one, never a part of it.
 
     Parameters
     ----------
     path : Path
-        Where it goes; its folder exists.
+        The file, in an existing folder.
     content : bytes
-        What it holds.
+        Its content.
     remedy : str
-        What to do, or what is safe, where it cannot be written.
+        For the message if it cannot be written: what to do, or what is safe.
     mode : int
-        Its permissions, of which the user's mask takes some.
+        Its permissions, subject to the user's umask.
 
     Raises
     ------
@@ -77,19 +77,19 @@ def replace_file(path: Path, content: bytes, remedy: str, mode: int = 0o666) -> 
 
 
 def prepare_file(path: Path) -> None:
-    """Make the folder of a file that is to be written, and refuse one that is there: somebody may have used it.
+    """Create the folder of a file that is to be written, and refuse an existing file, which somebody may have used.
 
     Raises
     ------
     RecordError
-        If there is a file already, or none can be written there.
+        If the file exists, or cannot be written.
     """
     if path.exists():
         raise RecordError(f"{path}: exists already and is not overwritten; give another file with --out")
     trial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # No permission tells: root may write to /proc, where no file can be made.
+        # Permissions do not tell: root may write to /proc, where no file can be created.
         trial.touch()
         trial.unlink()
     except OSError as error:
@@ -98,7 +98,7 @@ def prepare_file(path: Path) -> None:
 
 def sync_folder(folder: Path) -> None:
     """Force a folder's entries to the disk, where the system can."""
-    if sys.platform == "win32":  # it keeps no descriptor of a folder; its file system logs the entries itself
+    if sys.platform == "win32":  # it has no descriptors of folders; its file system journals the entries itself
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
@@ -108,9 +108,9 @@ def sync_folder(folder: Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Create a folder and those above it that are missing, every one for its owner alone.
+    """Create a folder and its missing parents, each accessible to its owner alone.
 
-    `Path.mkdir` gives its mode to the last folder only.
+    `Path.mkdir` applies its mode to the last folder only.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def make_folder(folder: Path) -> None:
 
 
 def is_locked(path: Path) -> bool:
-    """Return whether a process keeps the lock of a file, as a session does for its log while it is run."""
+    """Return whether a process holds the lock of a file, as a running session does for its log."""
     try:
         descriptor = os.open(path, os.O_RDWR)
     except OSError:
@@ -139,12 +139,12 @@ def is_locked(path: Path) -> bool:
 
 @contextmanager
 def hold(folder: Path) -> Iterator[None]:
-    """Keep other processes from changing what a folder holds in common, such as a list of participants.
+    """Keep other processes from changing the shared files of a folder, such as a list of participants.
 
     Raises
     ------
     RecordError
-        If the lock cannot be made, or another process keeps it for longer than `LOCK_PATIENCE`.
+        If the lock cannot be created, or another process holds it for longer than `LOCK_PATIENCE`.
     """
     with ExitStack() as stack:
         try:

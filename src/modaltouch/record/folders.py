@@ -1,4 +1,4 @@
-"""Where a session lives: ``<results>/[simulated|pilot/]<protocol>/sub-<id>/ses-<n>/beh/``.
+"""The folder of a session: ``<results>/[simulated|pilot/]<protocol>/sub-<id>/ses-<n>/beh/``.
 
 References
 ----------
@@ -34,9 +34,9 @@ class SessionFolder:
     Attributes
     ----------
     results : Path
-        Root of all results.
+        Root folder of all results.
     mode : str
-        ``real``, ``pilot`` or ``simulated``; the last two have trees of their own.
+        ``real``, ``pilot`` or ``simulated``; the last two have separate trees.
     protocol : str
         Name of the protocol.
     participant : str
@@ -46,7 +46,7 @@ class SessionFolder:
     """
 
     LOG_NAME: ClassVar[str] = LOG_NAME
-    """Name of every session log."""
+    """File name of every session log."""
 
     results: Path
     mode: Mode
@@ -66,7 +66,7 @@ class SessionFolder:
         Raises
         ------
         RecordError
-            If the log does not lie where sessions lie.
+            If the log is not in the folder of its session.
         """
         folder = log.resolve().parent
         session, participant = folder.parent.name, folder.parent.parent.name
@@ -95,7 +95,7 @@ class SessionFolder:
         Raises
         ------
         RecordInputError
-            If it is empty, longer than 32 or holds anything but ASCII letters and digits.
+            If it is empty, longer than 32 characters, or contains anything but ASCII letters and digits.
         """
         if not _PARTICIPANT.match(participant):
             raise RecordInputError(
@@ -116,17 +116,17 @@ class SessionFolder:
 
     @property
     def log(self) -> Path:
-        """The session log, the only truth."""
+        """The session log, the only original."""
         return self.folder / LOG_NAME
 
     @property
     def table(self) -> Path:
-        """The BIDS table derived from the log; its side file has the suffix ``.json``."""
+        """The BIDS table derived from the log; its sidecar file has the suffix ``.json``."""
         return self._table_of("")
 
     @property
     def form_table(self) -> Path:
-        """The BIDS table of the form at the end, a task of its own beside the trials."""
+        """The BIDS table of the closing form, which is a separate task from the trials."""
         return self._table_of("form")
 
     def _table_of(self, part: str) -> Path:
@@ -134,12 +134,12 @@ class SessionFolder:
         return self.folder / f"sub-{self.participant}_ses-{self.session}_task-{task}{part}_beh.tsv"
 
     def refuse_existing(self) -> None:
-        """Raise if a session has been recorded here, or of a participant whose name differs in capitals alone.
+        """Raise if a session has been recorded here, or the dataset has a participant whose id differs only in case.
 
         Raises
         ------
         RecordExistsError
-            If the log exists, with the way to go on.
+            If the log exists; the message says how to go on.
         RecordInputError
             If there is such a participant, whose folder Windows and macOS take for this one.
         """
@@ -155,22 +155,22 @@ class SessionFolder:
 
     @staticmethod
     def number_of(log: Path) -> int:
-        """Return the number of the session of a log, from its folder; 0 where that has none."""
+        """Return the session number of a log, from its folder; 0 if that has none."""
         name = log.parent.parent.name.removeprefix("ses-")
         return int(name) if name.isdecimal() else 0
 
     @classmethod
     def logs_of(cls, participant: Path) -> list[Path]:
-        """Return the logs in the folder of a participant, in order of their sessions' numbers."""
+        """Return the logs in a participant's folder, in order of session number."""
         return sorted(participant.glob(f"ses-*/beh/{LOG_NAME}"), key=cls.number_of)
 
     @staticmethod
     def logs_under(place: Path) -> list[Path]:
-        """Return the logs that a path names: itself, or all in a folder, in order of their names."""
+        """Return the logs that a path names: the file itself, or all in a folder, in order of their paths."""
         return [place] if place.is_file() else sorted(place.rglob(LOG_NAME))
 
     def describe_dataset(self, title: str) -> None:
-        """Write the dataset's description and ignore file where they are missing.
+        """Write the dataset's description, README and ignore file if there is no description yet.
 
         Raises
         ------
@@ -198,13 +198,13 @@ class SessionFolder:
         replace_text(dataset / ".bidsignore", f"*.jsonl\n*.log\n{LOCK_NAME}\n")
 
     def hold_dataset(self) -> AbstractContextManager[None]:
-        """Keep other sessions from beginning in the dataset, for milliseconds; raises `RecordError` as `hold` does."""
+        """Keep other sessions from starting in the dataset for a moment; raises `RecordError` as `hold` does."""
         return hold(self.dataset)
 
     def list_participants(self, start: Mapping[str, Any] | None = None) -> None:
-        """Add the participants whose folders are not listed yet, and what this one said in answer to the protocol.
+        """Add participants not listed yet, and this one's answers to the protocol's questions about the participant.
 
-        What a lab wrote into the list, or into the file that describes its columns, stays as it is.
+        Entries that a lab has made in the list, or in the file that describes its columns, are kept.
 
         Parameters
         ----------
@@ -222,7 +222,7 @@ class SessionFolder:
             names = list((start or {})["design"]["groups"])
             fields = {"group": {"question": "Group of the participant", "kind": "choice", "choices": names}} | fields
             answers = {"group": group} | answers
-        with self.hold_dataset():  # two sessions may begin at once: none may write a list that lacks the other
+        with self.hold_dataset():  # two sessions may begin at once: neither may write a list without the other
             table, side = self.dataset / "participants.tsv", self.dataset / "participants.json"
             read, own = table, f"sub-{self.participant}"
             try:
@@ -252,7 +252,7 @@ def _cell(answer: object) -> str:
 
 
 def _describe(field: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the description of a column from what the protocol says of its field."""
+    """Return the description of a column, from its field in the protocol."""
     levels = {each: each for each in field.get("choices", ())} or {"yes": "yes", "no": "no"}
     return {
         "Description": field.get("question", ""),
@@ -262,12 +262,12 @@ def _describe(field: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Put a file of the view in place, for its owner alone."""
+    """Write a file of the view in one step, accessible to its owner alone."""
     replace_file(path, text.encode(), "the session log is intact", OWNER_ALONE)
 
 
 def find_log(session: Path) -> Path:
-    """Return the session log that a path names: the log itself, its folder, or a folder above with one log.
+    """Return the session log that a path names: the log itself, its folder, or any folder with a single log.
 
     Raises
     ------
@@ -293,7 +293,7 @@ def refuse_existing(path: Path) -> None:
     Raises
     ------
     RecordExistsError
-        If the log exists, with the way to go on.
+        If the log exists; the message says how to go on.
     """
     if path.exists() and is_locked(path):
         raise RecordExistsError(

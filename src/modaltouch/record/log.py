@@ -1,4 +1,4 @@
-"""The session log: one JSON line an event, on disk before anything else happens."""
+"""The session log: one JSON line per event, on the disk before anything else happens."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from modaltouch.record.view import check_view, write_view
 from modaltouch.system import SYSTEM_CLOCK, Clock, lock, sync_file
 
 _MOMENT = 0.1
-"""How long whoever only asks whether a log is locked may keep it so, at most [s]."""
+"""How long to wait for a lock that a process may hold only to test whether the log is locked [s]."""
 
 
 class SessionLog:
@@ -28,7 +28,7 @@ class SessionLog:
     """
 
     SCHEMA: ClassVar[int] = SCHEMA
-    """Version of the format that is written."""
+    """Version of the log format that is written."""
 
     def __init__(self, path: Path, descriptor: int, chain: Chain | None, clock: Clock = SYSTEM_CLOCK) -> None:
         self.path = path
@@ -46,30 +46,30 @@ class SessionLog:
             self._sort(event)
         self._unsettled: tuple[dict[str, Any], str, int, int] | None = None
         self.listener: Callable[[dict[str, Any]], None] = lambda line: None
-        """Hears of each event once it is on the disk."""
+        """Called with each event once it is on the disk."""
 
     @classmethod
     def create(cls, path: Path, event: str, *, timed_by: Clock = SYSTEM_CLOCK, **facts: Any) -> Self:
-        """Create a log that does not exist yet, with its first event, readable by its owner alone.
+        """Create a new log with its first event, readable by its owner alone.
 
-        The file appears under its name only with the first event in it: whatever cuts this short, there is
-        either no session yet or one that can be resumed.
+        The file gets its name only once the first event is in it: whatever interrupts this, there is either no session
+        yet or one that can be resumed.
 
         Parameters
         ----------
         path : Path
-            Where the log will be.
+            Path of the log.
         event : str
-            What happened first.
+            Kind of the first event.
         timed_by : Clock
             Clock of the session.
         **facts
-            Plain values that say how.
+            Members of the event, plain values.
 
         Raises
         ------
         RecordError
-            If it exists or the folder cannot be written.
+            If the log exists, or the folder cannot be written.
         """
         draft = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         try:
@@ -93,7 +93,7 @@ class SessionLog:
 
     @classmethod
     def reopen(cls, path: Path, *, timed_by: Clock = SYSTEM_CLOCK) -> Self:
-        """Open an interrupted log to append to it; a cut last line stays and is declared by the next one.
+        """Open an interrupted log to append to it; an incomplete last line stays, and the next line declares it.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class SessionLog:
             If the log is damaged, in use by another process, or cannot be written.
         """
         descriptor = _open_log(path)
-        for leftover in path.parent.glob(".*.tmp"):  # of a view that a kill cut short; the lock says nobody writes it
+        for leftover in path.parent.glob(".*.tmp"):  # of a view interrupted by a kill; with the lock, nobody writes it
             leftover.unlink()
         chain = read_chain(path)
         if chain.damage or not chain.events:
@@ -113,7 +113,7 @@ class SessionLog:
 
     @classmethod
     def mend(cls, place: SessionFolder, *, timed_by: Clock = SYSTEM_CLOCK) -> Session:
-        """Write what an interruption kept from a complete session: its last line, its BIDS view.
+        """Write what an interruption left unwritten in a complete session: its last line, its BIDS view.
 
         Raises
         ------
@@ -133,20 +133,20 @@ class SessionLog:
     def session(self) -> Session:
         """The session as it has been written so far."""
         session = Session(self.path, tuple(self.events))
-        vars(session)["trials"] = tuple(self._counting.values())  # what it would count anew after each answer
+        vars(session)["trials"] = tuple(self._counting.values())  # which it would otherwise collect after each answer
         return session
 
     def events_of(self, trial: dict[str, Any]) -> list[dict[str, Any]]:
-        """Return the events of one trial so far; it is told by ``practice`` and ``index``."""
+        """Return the events so far of one trial, identified by ``practice`` and ``index``."""
         return self._of_trials.get(_key(trial), [])
 
     def write_view(self, place: SessionFolder) -> None:
-        """Bring the session's BIDS table and its side file up to date.
+        """Bring the session's BIDS table and its sidecar file up to date.
 
         Raises
         ------
         RecordError
-            If a file cannot be written; the files before it stay valid.
+            If a file cannot be written; the existing files stay valid.
         """
         session = self.session
         self._table = session.trials, write_view(place, session, self.head, self._table)
@@ -157,14 +157,14 @@ class SessionLog:
         Parameters
         ----------
         event : str
-            What happened.
+            Kind of event.
         **facts
-            Plain values that say how.
+            Members of the event, plain values.
 
         Raises
         ------
         RecordError
-            If the disk refuses; nothing more can be appended to this log afterwards.
+            If writing fails; nothing more can be appended to this log afterwards.
         """
         if self._failure:
             raise RecordError(self._failure)
@@ -187,12 +187,12 @@ class SessionLog:
 
     @property
     def ends_well(self) -> bool:
-        """Whether nothing is left of a line that was cut; the next line declares it."""
+        """Whether the log does not end in an incomplete line, which the next line would declare."""
         return not (self._torn or self._needs_newline)
 
     @property
     def head(self) -> dict[str, Any]:
-        """How far the log has come: its number of lines and the check of the last."""
+        """Length of the log so far: its number of lines and the check of the last."""
         return {"lines": len(self.events), "check": self._check}
 
     def close(self) -> None:
@@ -210,10 +210,10 @@ class SessionLog:
         self.close()
 
     def _publish(self, draft: Path) -> None:
-        """Give the file its name, unless the name is taken."""
+        """Give the file its name, unless that is taken."""
         refuse_existing(self.path)
         if sys.platform == "win32":
-            # It renames no open file, and none onto another. Other sessions wait meanwhile: the dataset is held.
+            # It cannot rename an open file, or onto an existing one. Other sessions wait, since the dataset is locked.
             self.close()
             move(draft.rename, self.path)
             self._descriptor = _open_log(self.path)
@@ -228,9 +228,9 @@ class SessionLog:
             draft.unlink()
 
     def _settle(self) -> None:
-        """Count the line that was being written, or forget it.
+        """Take the pending line into account if it was written, or else discard it.
 
-        An exception out of a signal may come between the write and the count: the file alone knows what it holds.
+        A signal may raise an exception just after the write, so the size of the file decides.
         """
         if self._unsettled is None:
             return
@@ -246,17 +246,17 @@ class SessionLog:
         self._unsettled = None
 
     def _sort(self, event: dict[str, Any]) -> None:
-        """Note of which trial an event is, and which answers count with it."""
+        """Assign an event to its trial, and update which answers count."""
         count(self._counting, event)
         trial = event.get("trial")
         if isinstance(trial, dict):
             own = self._of_trials.setdefault(_key(trial), [])
-            if event not in own[-1:]:  # an exception out of a signal may have it noted twice
+            if event not in own[-1:]:  # after an exception from a signal it may come here twice
                 own.append(event)
 
     def _write(self, data: bytes) -> None:
         try:
-            # One write call: a full disk, a power cut, or SIGKILL between two pages tears it, and nothing else.
+            # A single write call: only a full disk, a power cut, or SIGKILL between two pages can leave it incomplete.
             written = os.write(self._descriptor, data)
             sync_file(self._descriptor)
         except OSError as error:
@@ -272,7 +272,7 @@ def _key(trial: dict[str, Any]) -> tuple[str, str]:
 
 
 def _open_log(path: Path) -> int:
-    """Return the locked descriptor of a log that there is, to append to."""
+    """Open an existing log for appending, lock it, and return its descriptor."""
     try:
         descriptor = open_file(path, os.O_WRONLY | os.O_APPEND)
     except OSError as error:

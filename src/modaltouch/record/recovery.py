@@ -1,8 +1,8 @@
-"""What can be saved of a damaged log, and a new log of it; the damaged one is never touched.
+"""Recovers what a damaged log still proves into a new log; the damaged one is never changed.
 
-A line proves itself by a check that its predecessor's check takes part in, so what was changed, moved or doubled can be
-told from what was not: a line counts as proved where some check in the file, or the beginning, makes its own come out
-right. A line whose predecessor is gone cannot be proved: it is left out and kept as it stands.
+The check of a line includes its predecessor's check, so lines that were changed, moved or duplicated can be told from
+sound ones: a line counts as proved if its check is correct after that of some line in the file, or after `GENESIS`. A
+line whose predecessor is missing cannot be proved: it is left out of the new log, and kept in a file of its own.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ class UnrecoveredLine:
     Attributes
     ----------
     number : int
-        Line of the damaged file, from 1.
+        Line number in the damaged file, from 1.
     reason : str
-        Why.
+        Why it is not recovered.
     content : bytes
-        The line as it stands.
+        The line as found.
     """
 
     number: int
@@ -58,19 +58,19 @@ class Recovery:
     path : Path
         The log.
     sha256 : str
-        Of the whole file.
+        SHA-256 of the whole file.
     events : tuple of dict
         Proved lines, in the order in which they were written.
     numbers : tuple of int
-        Where each stands in the file, from 1.
+        Line number of each in the file, from 1.
     left_out : tuple of UnrecoveredLine
         The other lines.
     missing : tuple of int
         Numbers of lines that were written and are gone.
     has_carriage_returns : bool
-        Whether every line ends in CR LF, as no line is written; the lines prove themselves without it.
+        Whether every line ends in CR LF, which this program never writes; lines are proved with LF alone.
     is_cut : bool
-        Whether the only fault of the file is a cut at its end, with which `modaltouch resume` goes on.
+        Whether the only fault of the file is an incomplete last line, which `modaltouch resume` can handle.
     """
 
     path: Path
@@ -84,13 +84,13 @@ class Recovery:
 
     @property
     def is_sound(self) -> bool:
-        """Whether nothing is lost; a cut line that the next one declares is none of the record."""
+        """Whether nothing is lost; an incomplete line that the next one declares does not count."""
         is_whole = not self.left_out and not self.missing and not self.has_carriage_returns
         return is_whole and self.numbers == tuple(sorted(self.numbers))
 
     @property
     def lines(self) -> list[str]:
-        """What can be recovered and what cannot, in words."""
+        """Sentences on what can be recovered and what cannot."""
         answers = sum(event.get("event") == "trial" for event in self.events)
         said = [f"{len(self.events)} lines are intact, {answers} answers among them"]
         if self.numbers != tuple(sorted(self.numbers)):
@@ -115,17 +115,17 @@ class Recovery:
         }
 
     def write(self, results: Path) -> Path:
-        """Write a new log of what is proved, with a last line that says so, and return its path.
+        """Write a new log of the proved lines, with a last line that describes the recovery, and return its path.
 
         Parameters
         ----------
         results : Path
-            Folder of results in which the session gets its place.
+            Root folder of results for the new log.
 
         Raises
         ------
         RecordError
-            If no start record is proved, or there is a session in that place.
+            If no start record is proved, or the session exists already.
         """
         if not self.events or self.events[0].get("event") != "start":
             raise RecordError(
@@ -198,7 +198,7 @@ def survey(path: Path) -> Recovery:
     left_out = [line for line in left_out if describe_torn(line.content) not in declared]
     events = tuple(proved[number] for number in order)
     written = {event["n"] for event in events}
-    # Lines that were removed from the end leave no gap in the log, but the view was made from them, too.
+    # Lines removed from the end leave no gap in the log, but the view states from how many lines it was made.
     in_view = lines_in_view(path.parent)
     missing = tuple(n for n in range(1, max(in_view, *written, 0) + 1) if n not in written)
     chain = parse_chain(data, str(path))
@@ -208,12 +208,12 @@ def survey(path: Path) -> Recovery:
 
 
 def _facts(event: dict[str, Any]) -> dict[str, Any]:
-    """Return what an event says and when; number, check and remains are the new log's."""
+    """Return the members of an event except for its number, kind and ``torn``, which the new log sets itself."""
     return {name: value for name, value in event.items() if name not in ("n", "event", "torn")}
 
 
 def _prove(lines: list[bytes], claimed: dict[int, str], number: int) -> dict[str, Any] | None:
-    """Return the event of a line if its check comes out right after some line of the file."""
+    """Return the event of a line if its check is correct after that of some line in the file, else None."""
     if number not in claimed:
         return None
     line, check = lines[number - 1], claimed[number]

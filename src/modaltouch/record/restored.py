@@ -1,4 +1,4 @@
-"""The experiment of a record, made again from the texts that its start record keeps."""
+"""The experiment of a session, restored from the texts of its files in the start record."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from modaltouch.protocol import Levels
 
 UNTOLD = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, RigError)
-"""What a line raises that does not say what is asked of it."""
+"""Errors raised by evaluating a line that lacks required members or has wrong ones."""
 
 
 class RestoredExperiment:
-    """What depends on the texts of a record alone: all sessions of a study share it.
+    """The part of an experiment that depends only on the texts of its files, and which all sessions of a study share.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class RestoredExperiment:
     Raises
     ------
     InputError
-        With every fault of them.
+        With every fault in the texts.
     """
 
     def __init__(self, sources: Sources, occasion: tuple[str, str]) -> None:
@@ -45,11 +45,11 @@ class RestoredExperiment:
 
     def _forget(self) -> None:
         self.agreed: set[tuple[str, float, tuple[float, ...], tuple[float, ...]]] = set()
-        """Stimulus, level, commanded and read back amplitudes that were found to agree."""
+        """Stimulus, level, and amplitudes commanded and read back, that were found to agree."""
         self._amplitudes: dict[tuple[str, float], tuple[float, ...]] = {}
 
     def measured(self, trial: Trial, found: dict[str, Any], levels_mm_s: tuple[float, ...]) -> Self:
-        """Return the same with a trial's placement designed for the fingers that were measured there.
+        """Return a copy in which the stimuli of a trial's placement are designed for the fingers measured there.
 
         Parameters
         ----------
@@ -67,13 +67,13 @@ class RestoredExperiment:
 
     @cached_property
     def levels(self) -> Levels:
-        """What decides the levels of an adaptive run."""
+        """Computation of the levels of an adaptive run."""
         from modaltouch.protocol import Levels
 
         return Levels(self.protocol)
 
     def fields(self, own_levels_mm_s: tuple[float, ...]) -> list[dict[str, Any]]:
-        """Return the predicted field of each stimulus at the highest level of the protocol, or of own levels [mm/s]."""
+        """Return the predicted field of each stimulus at the highest level, of the protocol or of own levels [mm/s]."""
         if own_levels_mm_s not in self._fields:
             own = self.preflight.with_levels(own_levels_mm_s) if own_levels_mm_s else self.preflight
             self._fields[own_levels_mm_s] = own.fields
@@ -85,14 +85,14 @@ class RestoredExperiment:
         Parameters
         ----------
         trial : Trial
-            In a catch trial, which has no stimulus, the first is set.
+            The trial; for a catch trial, which has no stimulus, the first one is taken.
         level_mm_s : float
             Peak velocity at the focus [mm/s].
 
         Raises
         ------
         RigError
-            If the level is beyond a limit.
+            If the level exceeds a limit.
         """
         name = self.preflight.design_of(trial.condition)
         key = name, level_mm_s
@@ -104,16 +104,16 @@ class RestoredExperiment:
 
 @dataclass(frozen=True)
 class TrialExpectation:
-    """What a trial is checked against.
+    """The values against which a trial is checked.
 
     Attributes
     ----------
     restored : RestoredExperiment
-        What the record's texts give.
+        The experiment restored from the start record.
     protocol : Protocol
-        The protocol at the participant's own levels, where there are such.
+        The protocol, with the participant's own levels if there are any.
     schema : int
-        Format of the log.
+        Version of the log format.
     """
 
     restored: RestoredExperiment
@@ -123,11 +123,11 @@ class TrialExpectation:
 
 @lru_cache(maxsize=4)
 def restore(sources: Sources, occasion: tuple[str, str] = ("", "")) -> RestoredExperiment:
-    """Return the experiment of a record; that of the latest few is kept.
+    """Return the experiment restored from its texts; the latest few are cached.
 
     Raises
     ------
     InputError
-        With every fault of the texts.
+        With every fault in the texts.
     """
     return RestoredExperiment(sources, occasion)

@@ -1,6 +1,6 @@
-"""The lines of a session: each against those before it, the order that its seed draws, and what its trial is to be.
+"""Checks each line of a session against the lines before it, the order drawn from the seed, and its trial.
 
-Level, amplitudes and speeds of a trial follow from its place in the order; its bursts and instants from each other.
+Level, amplitudes and speeds of a trial must follow from its place in the order; its bursts and instants must agree.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from modaltouch.record.timing import INSTANT, Event, check_bursts, check_instant
 
 
 def check_answers(event: Event, asked: AnswersSection) -> Iterator[str]:
-    """Yield where the answers of a line cannot have been given; further questions follow a confirmed stimulus alone."""
+    """Yield faults in the answers of a line; further questions are asked only after a confirmed stimulus."""
     response = event["response"]
     yield from _check_response(response, asked)
     is_asked = event["confirmed"]["confirmed"] and response["answer"] != TIME_OUT
@@ -30,7 +30,7 @@ def check_answers(event: Event, asked: AnswersSection) -> Iterator[str]:
         return
     before = 0.0
     if wanted:
-        # What was asked counts from the last interval; the line itself is about the comparison's.
+        # Questions are timed from the onset of the last interval; the line itself describes the comparison's.
         onset = (event.get("intervals") or [event])[-1]["confirmed"]["onset"]
         before = max(event["instants"]["answer"]["earliest_s"] - onset, before)
     for name, how in wanted.items():
@@ -42,16 +42,16 @@ def check_answers(event: Event, asked: AnswersSection) -> Iterator[str]:
 
 
 def check_form(event: Event, protocol: Protocol, done: set[str]) -> Iterator[str]:
-    """Yield where an answer to the form at the end cannot have been given.
+    """Yield faults in an answer to the closing form.
 
     Parameters
     ----------
     event : dict
-        Its line.
+        The line of the answer.
     protocol : Protocol
-        What is asked.
+        The protocol with the form.
     done : set of str
-        Questions that were answered before, to which this one is added.
+        Questions answered so far, to which this one is added.
     """
     name, asked = event["name"], protocol.closing
     if name not in asked or name in done:
@@ -70,22 +70,22 @@ def _check_response(response: Event, asked: AnswersSection) -> Iterator[str]:
 
 
 SPEED = 2e-3
-"""Speeds are written to 0.001 mm/s [mm/s]."""
+"""Tolerance of speeds, which are written to 0.001 mm/s [mm/s]."""
 
 Key = tuple[bool, int]
 """Whether a trial is practice, and its index."""
 
 _MOST = 20
-"""Faults that are told one by one."""
+"""Number of faults that are listed one by one."""
 
 _SAME = ("trial", "presentation", "fingers", "planned", "commanded", "response", "correct", "supersedes")
-"""What the line of an answer and that of its finished trial have alike."""
+"""Members that the line of an answer and that of its finished trial have in common."""
 
 
 def check_amplitudes(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield where the amplitudes of a line are not those of the trial's level."""
+    """Yield faults if the amplitudes of a line are not those of the trial's level."""
     silent, confirmed = trial.condition.is_catch, event["confirmed"]
-    # A catch trial does all that one at the lowest level does.
+    # A catch trial goes through the same steps as a trial at the lowest level.
     level = min(given.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
     level = given.restored.preflight.played(trial.condition, level)
     sent, back = tuple(confirmed["commanded_amplitude"]), tuple(confirmed["confirmed_amplitude"])
@@ -107,7 +107,7 @@ def check_amplitudes(event: Event, trial: Trial, given: TrialExpectation) -> Ite
 
 
 def check_answered(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield where an answer's line contradicts its trial: level, predicted speeds, fingers, what the answer can be."""
+    """Yield contradictions between an answer's line and its trial: level, predicted speeds, fingers, answers."""
     condition, response = trial.condition, event["response"]
     yield from _check_planned(event["planned"], trial, given)
     fingers = given.protocol.conditions.fingers_of(condition)
@@ -123,7 +123,7 @@ def check_answered(event: Event, trial: Trial, given: TrialExpectation) -> Itera
 
 
 def _check_planned(planned: dict[str, Any], trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield where the level or the predicted speeds of a stimulus are not those of its condition."""
+    """Yield faults if the level or the predicted speeds of a stimulus are not those of its condition."""
     condition = trial.condition
     level, said = condition.velocity_mm_s, tuple(planned[f"speed_{side}_mm_s"] for side in condition.sides)
     if planned["velocity_mm_s"] != level:
@@ -134,7 +134,7 @@ def _check_planned(planned: dict[str, Any], trial: Trial, given: TrialExpectatio
 
 
 def check_delivered(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield where the speeds delivered are not those of the fingers that were found while a trial was played."""
+    """Yield faults if the delivered speeds do not follow from the fingers that were measured in the trial."""
     said = event.get("delivered", {"refused": ""})
     if "refused" in said:
         return
@@ -148,7 +148,7 @@ def check_delivered(event: Event, trial: Trial, given: TrialExpectation) -> Iter
 
 
 def check_intervals(event: Event, trial: Trial, begun: list[Event], given: TrialExpectation) -> Iterator[str]:
-    """Yield where the intervals of an answer are not those of its trial, nor those that began."""
+    """Yield faults if the intervals of an answer are not those of its trial, or not those that were started."""
     parts, told, section = given.protocol.presented(trial), event.get("intervals", []), given.protocol.intervals
     if section is None:
         return
@@ -178,14 +178,14 @@ def check_intervals(event: Event, trial: Trial, begun: list[Event], given: Trial
 
 
 class EventSequence:
-    """Goes through the lines of a session and keeps what does not hold.
+    """Checks the lines of a session in sequence and collects the faults.
 
     Parameters
     ----------
     session : Session
-        As its log tells it.
+        The session, as read from its log.
     given : TrialExpectation
-        What its trials are checked against.
+        Values against which its trials are checked.
     schedule : Schedule
         The order drawn again.
     """
@@ -197,7 +197,7 @@ class EventSequence:
         self._order: dict[Key, Trial] = {(t.practice, t.index): t for t in (*schedule.practice, *schedule.trials)}
         self._n_practice, self._n_trials = len(schedule.practice), len(schedule.trials)
         recovered = [n for n, e in enumerate(session.events, 1) if e["event"] == "recovered" and e.get("missing")]
-        # What was lost before it leaves gaps that nobody can check.
+        # Lines lost before a recovery leave gaps, so that what depends on earlier lines is checked only after it.
         self._whole_from = max(recovered, default=0)
         self._counted: dict[int, Event] = {}
         self._done: Counter[Key] = Counter()
@@ -239,7 +239,7 @@ class EventSequence:
 
     @property
     def lines(self) -> list[str]:
-        """What holds, in words; nothing of a session in which anything does not."""
+        """What holds, in words; empty if there is any fault."""
         if self.problems:
             return []
         lines = [f"{self._n_finished} answers, each in its place, with its level and amplitudes"]
@@ -252,13 +252,13 @@ class EventSequence:
         return lines
 
     def _stamped(self, number: int, event: Event) -> Iterator[str]:
-        """Check number, time and clock of a line."""
+        """Yield faults in number, time and clock of a line."""
         if event["n"] != number:
             yield f"is numbered {event['n']}"
         if datetime.fromisoformat(event["time"]).tzinfo is None:
             yield f"its time {event['time']} names no zone"
         kind, clock = event["event"], float(event["clock"])
-        # These may have been written after a restart of the machine, and do not say so.
+        # These may have been written after a restart of the machine, without any sign of it.
         unknown = kind in ("closed", "recovered") or "torn" in event or (self._before == "stop" and kind != "resume")
         boot = str(event.get("boot", "")) if kind in ("start", "resume") else "" if unknown else self._boot
         if boot == self._boot and boot and not clock >= self._clock:
@@ -266,7 +266,7 @@ class EventSequence:
         self._boot, self._clock = boot, clock
 
     def _named(self, number: int, event: Event) -> Iterator[str]:
-        """Check that a line speaks of a trial of the order, and at its level; this is then the one at hand."""
+        """Check that a line refers to a trial of the order, at its level, and make this the current trial."""
         if event["trial"] == self._written and not self._faulty:
             return
         trial = self._trial = Trial.from_dict(event["trial"])
@@ -295,7 +295,7 @@ class EventSequence:
         yield f"{_name(trial)} has the {differing} {here[differing]}, but its order has {there.get(differing)}"
 
     def _settle(self, planned: Trial) -> Trial:
-        """Return a trial of an adaptive run at the level to which the answers that count so far lead."""
+        """Return a trial of an adaptive run at the level that follows from the answers that count so far."""
         if self._settled is None or self._settled[0] != planned:
             algorithm = self._session.start["adaptive"]["algorithm"]
             settled = self._expected.levels.settle(planned, self._counted.values(), algorithm)
@@ -314,7 +314,7 @@ class EventSequence:
             yield f"{_name(trial)}: {fault}"
 
     def _probed(self, number: int, event: Event) -> Iterator[str]:
-        """Design for the fingers that were measured; what comes until the next placement is checked against that."""
+        """Check the design for the fingers measured, against which all lines until the next placement are checked."""
         if event["hands"] == "off":
             return
         levels = self._given.protocol.conditions.peak_velocities_mm_s
@@ -333,7 +333,7 @@ class EventSequence:
                 )
 
     def _due(self) -> Key | None:
-        """Return which trial comes next: the first that is left of practice, then of those that count."""
+        """Return which trial comes next: the first one left of practice, then of the trials that count."""
         practice = next(((True, n) for n in range(1, self._n_practice + 1) if not self._done[True, n]), None)
         while self._done[False, self._next]:
             self._next += 1
@@ -341,7 +341,7 @@ class EventSequence:
         return counting if practice is None or self._passed else practice
 
     def _answered(self, number: int, event: Event) -> Iterator[str]:
-        """Check the line of an answer, or of a trial that is finished."""
+        """Check the line of an answer, or of a finished trial."""
         yield from self._named(number, event)
         trial, schema = self._trial, self._given.schema
         faults = [*check_amplitudes(event, trial, self._given), *check_answered(event, trial, self._given)]
@@ -371,20 +371,20 @@ class EventSequence:
             yield f"{_name(trial)}: {fault}"
 
     def _follows(self, event: Event, trial: Trial) -> Iterator[str]:
-        """Check that an answer follows its stimulus, and names the answer that it replaces."""
+        """Check that an answer follows its stimulus, and refers to the answer that it replaces."""
         if self._pending != trial:
             yield "was answered but not presented"
         n_fired = self._n_fired[_key(trial)]
         if event["presentation"] != n_fired:
             yield f"is called presentation {event['presentation']}, but its stimulus began {n_fired} times"
-        # An answer whose stimulus was never confirmed to have ended may be named as well.
+        # It may also refer to an answer whose stimulus was never confirmed at its end.
         unfinished = [n for n, each in self._unfinished.items() if each["trial"] == event["trial"]]
         before = self._last_line.get(_key(trial))
         if event["supersedes"] not in (before, *unfinished):
             yield f"replaces the answer on line {event['supersedes']}, but its last answer is on line {before}"
 
     def _finishes(self, event: Event) -> Iterator[str]:
-        """Check that a finished trial says what its answer said, and that no other does."""
+        """Check that a finished trial repeats its answer, and that no other trial has finished this one."""
         answer = self._unfinished.pop(event["answered"], None)
         self._counted.pop(event["answered"], None)
         if answer is None:
@@ -398,7 +398,7 @@ class EventSequence:
             yield f"differs from line {event['answered']}, where it was answered, in {differing[0]}"
 
     def _take_back(self, line: int) -> None:
-        """Count an answer no more."""
+        """Stop counting an answer."""
         gone = self._counted.pop(line, None)
         if gone is not None:
             trial = gone["trial"]
@@ -413,7 +413,7 @@ class EventSequence:
         self._settled, self._written = None, {}
 
     def _judged(self, number: int, event: Event) -> Iterator[str]:
-        """Check a verdict on a round of practice."""
+        """Check the verdict on a round of practice."""
         self._passed = self._passed or bool(event["passed"])
         protocol = self._given.protocol
         section = protocol.schedule
@@ -423,7 +423,7 @@ class EventSequence:
             yield f"in practice round {event['round']} {found[1]} of {found[0]} answers agreed, but it says otherwise"
 
     def _stopped(self, number: int, event: Event) -> Iterator[str]:
-        """Check how many trials a sitting says it left behind."""
+        """Check the number of answered trials stated at the end of a sitting."""
         n_done = sum(n > 0 for (practice, _), n in self._done.items() if not practice)
         is_complete = n_done >= self._n_trials and self._filled >= self._given.protocol.form.keys()
         if number > self._whole_from and (event["n_answered"], event["complete"]) != (n_done, is_complete):
@@ -431,7 +431,7 @@ class EventSequence:
 
 
 def _key(trial: Trial) -> tuple[bool, int, float]:
-    """Return what tells a trial from others, and an adaptive one from the same at another level."""
+    """Return what identifies a trial, and an adaptive one at its level."""
     return trial.practice, trial.index, trial.condition.velocity_mm_s
 
 

@@ -14,15 +14,15 @@ from modaltouch.record.files import is_locked
 from modaltouch.record.folders import find_log
 
 _TAIL = 4096
-"""Bytes at the end of a log that hold its last line, if that is a stop."""
+"""Bytes at the end of a log that contain its last line, if that is a stop."""
 
 
 SCHEMA = 2
-"""Version of the session log's format, carried by its first line: since 2 bursts are counted, and an answer has a line
-of its own before its trial is confirmed."""
+"""Version of the session log's format, stated in its first line. Since version 2 bursts are counted, and an answer has
+a line of its own before its trial is confirmed."""
 
 READABLE = (1, 2)
-"""Versions that are read."""
+"""Versions that can be read."""
 
 _NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] = {
     "start": (
@@ -64,7 +64,7 @@ _NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] 
         (("response", "reaction_time"), (int, float)),
     ),
 }
-"""Members of each kind of event that the rest of the program relies on, and their types."""
+"""Members of each kind of event on which the rest of the program relies, and their types."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Session:
     events : tuple of dict
         Its sound lines.
     chain : Chain
-        What its file holds, where it was read.
+        Contents of its file, if it was read from one.
     """
 
     path: Path
@@ -87,7 +87,7 @@ class Session:
 
     @classmethod
     def find(cls, path: Path) -> Session:
-        """Return the session that a path names: its log, its folder, or a folder above with one log.
+        """Return the session that a path names: its log, its folder, or any folder with a single log.
 
         Raises
         ------
@@ -98,7 +98,7 @@ class Session:
 
     @classmethod
     def peek(cls, log: Path) -> Self:
-        """Return a session with its first line alone; with none where that cannot be read."""
+        """Return a session with only its first line, or without any if that cannot be read."""
         try:
             with log.open("rb") as file:
                 return cls(log, (read_object(file.readline()),))
@@ -107,7 +107,7 @@ class Session:
 
     @staticmethod
     def is_complete_or_running(log: Path) -> bool:
-        """Return whether no answer is missing in a log, or one is being recorded; mostly its last line tells."""
+        """Return whether a log is complete or being recorded; usually its last line is enough to tell."""
         try:
             with log.open("rb") as file:
                 file.seek(max(file.seek(0, os.SEEK_END) - _TAIL, 0))
@@ -119,12 +119,12 @@ class Session:
 
     @cached_property
     def problems(self) -> tuple[str, ...]:
-        """What is wrong with the file; empty for an intact one."""
+        """All problems of the file; empty for an intact one."""
         return (*self.chain.problems, *check_shape(self.events, str(self.path)))
 
     @property
     def is_readable(self) -> bool:
-        """Whether there is a start record, and every line says all it must."""
+        """Whether there is a start record, and every line has all required members."""
         return bool(self.start) and not check_shape(self.events, "")
 
     @property
@@ -134,7 +134,7 @@ class Session:
 
     @cached_property
     def start(self) -> dict[str, Any]:
-        """The start record; empty if the session was cut before it."""
+        """The start record; empty if the log does not begin with one."""
         return self.events[0] if self.events and self.events[0].get("event") == "start" else {}
 
     @property
@@ -154,31 +154,31 @@ class Session:
 
     @property
     def drawn_as(self) -> int:
-        """Number of the session whose order this one has: its own, or that of the session it restarted."""
+        """Number of the session whose order this one uses: its own, or that of the session it restarted."""
         own = self.start.get("session", 1)
         return int(self.start.get("schedule", {}).get("seeds", {}).get("session", own))
 
     @property
     def begun_anew_as(self) -> int | None:
-        """Number of the session that restarted this one; None if this one may continue."""
+        """Number of the session that restarted this one; None if this one can be continued."""
         closed = [event["begun_anew_as"] for event in self.events if event.get("event") == "closed"]
         return int(closed[-1]) if closed else None
 
     @property
     def occasion(self) -> tuple[str, str]:
-        """The participant's group, and which of several kinds of session it is; empty without."""
+        """The participant's group and the kind of session; empty strings if the protocol has none."""
         schedule = self.start.get("schedule", {})
         return str(schedule.get("group", "")), str(schedule.get("session_kind", ""))
 
     @cached_property
     def multiples(self) -> dict[float, float]:
-        """What multiple of the participant's own threshold each level [mm/s] is; empty where levels are not so."""
+        """Multiple of the participant's threshold for each level [mm/s]; empty if levels are not set in this way."""
         own = self.start.get("sensation_levels") or {"levels_mm_s": (), "multiples": ()}
         return dict(zip(own["levels_mm_s"], own["multiples"], strict=True))
 
     @cached_property
     def trials(self) -> tuple[dict[str, Any], ...]:
-        """The trial events that count: answered, not superseded by a later one, and not to be asked again."""
+        """The trial events that count: answered, and neither superseded by a later one nor withdrawn."""
         counting: dict[int, dict[str, Any]] = {}
         for event in self.events:
             count(counting, event)
@@ -189,10 +189,10 @@ class Session:
         yield from map(self.row, self.trials)
 
     def row(self, event: dict[str, Any]) -> dict[str, Any]:
-        """Return an answer as a row of the table, values by column; None where something is not known.
+        """Return an answer as a row of the table, values by column; None for unknown values.
 
-        The columns are those of the BIDS table (`modaltouch.record.view`), which the analysis reads too, and those that
-        tell the sessions apart: ``participant``, ``session``, ``double`` and ``response_uncertainty`` [s].
+        The columns are those of the BIDS table (`modaltouch.record.view`) and further ones for the analysis:
+        ``participant``, ``session``, ``double`` and ``response_uncertainty`` [s].
         """
         trial, response, condition = event["trial"], event["response"], event["trial"]["condition"]
         kinds = "bursts", "planned", "confirmed", "delivered"
@@ -247,7 +247,7 @@ class Session:
         }
 
     def _further(self, response: dict[str, Any]) -> Iterator[Any]:
-        """Yield the number that was answered, and what was answered to further questions, in order of their columns."""
+        """Yield the number answered on the scale, and the answers to further questions, in order of their columns."""
         for name, asked in self.questions.items():
             if name == "value":
                 yield response.get("value")
@@ -258,7 +258,7 @@ class Session:
 
     @cached_property
     def answered(self) -> frozenset[tuple[bool, int]]:
-        """Which trials are done, as (practice, index): answered, and the stimulus confirmed by the instrument."""
+        """Trials that are done, as (practice, index): answered, with the stimulus confirmed by the instrument."""
         return frozenset(
             (event["trial"]["practice"], event["trial"]["index"])
             for event in self.trials
@@ -278,39 +278,39 @@ class Session:
 
     @cached_property
     def form(self) -> dict[str, dict[str, Any]]:
-        """What was answered to the form at the end, by question: each answer as a response."""
-        # Nothing is looked for after each trial where the protocol has no form.
+        """Responses to the questions of the closing form."""
+        # Without a form in the protocol, the events are not searched after each trial.
         events = self.events if self.start.get("design", {}).get("form") else ()
         return {event["name"]: event["response"] for event in events if event["event"] == "form"}
 
     @property
     def questions(self) -> dict[str, dict[str, Any]]:
-        """Questions that are asked beside the first one of a trial, by their columns, as the protocol has them."""
+        """Questions asked in addition to the first one of a trial, as in the protocol, by their columns."""
         answers = self.start.get("design", {}).get("answers", {})
         scale = {"value": {"scale": answers["scale"]}} if answers.get("scale") else {}
         return {**scale, **answers.get("then", {})}
 
     @cached_property
     def question_columns(self) -> tuple[str, ...]:
-        """Columns of these questions: a number, or an answer and its time."""
+        """Columns of these questions: one for a number, two for an answer and its time."""
         return tuple(
             each for name in self.questions for each in ([name] if name == "value" else [name, f"{name}_time"])
         )
 
     @property
     def lacks_trials(self) -> bool:
-        """Whether a scheduled trial is not answered, practice not counted."""
+        """Whether a scheduled trial is not answered, practice excluded."""
         return self.n_answered < int(self.start.get("schedule", {"n_trials": 1})["n_trials"])
 
     @property
     def complete(self) -> bool:
-        """Whether every scheduled trial is answered, practice not counted, and the form at the end filled in."""
+        """Whether every scheduled trial is answered, practice excluded, and the closing form filled in."""
         asked = self.start.get("design", {}).get("form", {})
         return bool(self.start) and not self.lacks_trials and asked.keys() <= self.form.keys()
 
     @property
     def unfit(self) -> str:
-        """Why an analysis leaves it out, sound as it is; empty where all its answers can be used."""
+        """Why the analysis leaves the session out, although it is sound; empty if all its answers can be used."""
         if not self.complete and self.begun_anew_as is not None:
             return f"closed: started over as session {self.begun_anew_as}"
         total = self.start.get("schedule", {}).get("n_trials", 0)
@@ -324,9 +324,9 @@ class Session:
 
 
 def count(counting: dict[int, dict[str, Any]], event: dict[str, Any]) -> None:
-    """Let the next event change which trial events count, by their lines.
+    """Update the trial events that count, by their line numbers, with the next event.
 
-    An answer is written down at once, and again once the end of its stimulus is confirmed.
+    An answer is recorded at once, and again when the end of its stimulus is confirmed.
     """
     kind = event.get("event")
     withdrawn = (event.get("lines") or ()) if kind == "withdrawn" else ()
@@ -338,7 +338,7 @@ def count(counting: dict[int, dict[str, Any]], event: dict[str, Any]) -> None:
 
 
 def _uncertainty(event: dict[str, Any]) -> float | None:
-    """Return how far off a reaction time can be: by the first burst, where it counts from that, and by the answer."""
+    """Return the uncertainty of a reaction time [s]: that of the onset it counts from plus that of the answer."""
     response, onset = event["response"], event.get("confirmed", {}).get("onset_uncertainty")
     if response.get("onset") != "first_burst":
         onset = response.get("question_uncertainty", 0.0)
@@ -351,7 +351,7 @@ def read_session(path: Path) -> Session:
     Parameters
     ----------
     path : Path
-        A ``session.jsonl``.
+        Its ``session.jsonl``.
 
     Raises
     ------
@@ -363,16 +363,16 @@ def read_session(path: Path) -> Session:
 
 
 def check_shape(events: Iterable[dict[str, Any]], name: str, *, to_repeat: bool = False) -> tuple[str, ...]:
-    """Return what the events of a log lack, in words; empty for a log that says all it must.
+    """Return the missing or wrong members of a log's events, in words; empty if all have the required ones.
 
     Parameters
     ----------
     events : iterable of dict
         Sound lines of a log.
     name : str
-        Stands before each problem.
+        First word of each problem.
     to_repeat : bool
-        Whether the first line must also hold all that its order and drive are computed from.
+        Whether the first line must also contain everything from which order and drive are computed.
     """
     problems = []
     for number, event in enumerate(events, 1):

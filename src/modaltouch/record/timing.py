@@ -1,4 +1,4 @@
-"""Bursts and instants of a line of the log, against each other and the protocol."""
+"""Checks the bursts and instants of a line of the log against each other and the protocol."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from modaltouch.record.restored import TrialExpectation
 Event = dict[str, Any]
 
 INSTANT = 5e-6
-"""Instants are written to the microsecond, and sums of them are compared [s]."""
+"""Tolerance of sums of instants, which are written to the microsecond [s]."""
 _LATE = 0.2
-"""How late a burst may be, as far as counts go; a burst that is later than a twentieth is dropped [periods]."""
+"""Tolerance in counts of due bursts [periods]; a burst later than a twentieth of a period is dropped."""
 _IN_ORDER = ("trigger", "first_burst", "question", "answer")
 _COUNTS = ("asked", "played", "whole", "dropped")
 
 
 def check_instants(event: Event, trial: Trial) -> Iterator[str]:
-    """Yield where the instants of an answer contradict each other, or its reaction time."""
+    """Yield contradictions between the instants of an answer, and with its reaction time."""
     instants, response, confirmed = event["instants"], event["response"], event["confirmed"]
     between = {name: (span["earliest_s"], span["latest_s"]) for name, span in instants.items() if span is not None}
     for name, (earliest, latest) in between.items():
@@ -42,7 +42,7 @@ def check_instants(event: Event, trial: Trial) -> Iterator[str]:
     asked = response["onset"] == "question"
     begun = between.get("question", first) if asked else first
     least, most = answered[0] - begun[1], answered[1] - begun[0]
-    # Without a screen nobody saw the question come: it was there after the first burst.
+    # Without a screen the instant of the question is unknown, except that it came after the first burst.
     least = 0.0 if asked and "question" not in between else least
     time = response["reaction_time"]
     if not least - INSTANT <= time <= most + INSTANT:
@@ -50,7 +50,7 @@ def check_instants(event: Event, trial: Trial) -> Iterator[str]:
 
 
 def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield where the counts of a finished stimulus contradict each other, the protocol, or its instants."""
+    """Yield contradictions between the counts of a finished stimulus, and with the protocol and its instants."""
     bursts, confirmed = event["bursts"], event["confirmed"]
     asked, played, whole, dropped = counts = [bursts[name] for name in _COUNTS]
     first, around = bursts["first_s"], bursts["uncertainty_s"]
@@ -81,7 +81,7 @@ def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterato
 
 
 def _check_number(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield where a confirmed stimulus of single bursts has not as many as its protocol and its time give."""
+    """Yield faults if a confirmed stimulus of single bursts has not the number that follows from protocol and time."""
     asked, rate = event["bursts"]["asked"], given.protocol.stimulus_of(trial.condition.stimulus).repetition_rate_Hz
     if trial.condition.is_catch:
         if asked:
@@ -104,7 +104,7 @@ def _check_number(event: Event, trial: Trial, given: TrialExpectation) -> Iterat
 
 
 def _rises(*counts: int | None) -> bool:
-    """Return whether counts do not fall, those that are unknown left out."""
+    """Return whether counts do not decrease, ignoring unknown ones."""
     known = [count for count in counts if count is not None]
     return known == sorted(known)
 
@@ -114,5 +114,5 @@ def _near(one: float, other: float) -> bool:
 
 
 def listed(values: tuple[Any, ...]) -> str:
-    """Return values in words, numbers to six digits."""
+    """Return values as a list in words, numbers to six digits."""
     return ", ".join(f"{each:.6g}" if isinstance(each, float) else str(each) for each in values)

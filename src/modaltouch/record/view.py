@@ -1,7 +1,7 @@
-"""The BIDS view: tables and side files derived from the session log, valid at every moment.
+"""The BIDS view: tables and sidecar files derived from the session log, valid at every moment.
 
-Every file is written beside its place and renamed into it, so a reader never meets half a file. The log is the
-only truth; the view may be rebuilt from it at any time, and is checked against it.
+Every file is written under a temporary name and then renamed, so a reader never finds half a file. The log is the only
+original; the view can be rebuilt from it at any time, and is checked against it.
 
 References
 ----------
@@ -162,24 +162,24 @@ STIMULUS: dict[str, Any] = {"Description": "Which of the protocol's stimuli; n/a
 def write_view(
     place: SessionFolder, session: Session, head: dict[str, Any], before: tuple[tuple[Any, ...], str] = ((), "")
 ) -> str:
-    """Write the session's table and its side file from the log, and return the table.
+    """Write the session's table and its sidecar file from the log, and return the table.
 
     Parameters
     ----------
     place : SessionFolder
-        Where the session lives.
+        Place of the session.
     session : Session
-        What its log holds.
+        The session, as read from its log.
     head : dict
-        How far the log has come (`SessionLog.head`); the side file carries it, so that a log that lost its last
-        lines is noticed.
+        Length of the log (`SessionLog.head`), stated in the sidecar file, so that a log that has lost its last lines is
+        noticed.
     before : tuple of (tuple of dict, str), optional
         As for `table_text`.
 
     Raises
     ------
     RecordError
-        If a file cannot be written; the files before it stay valid.
+        If a file cannot be written; the existing files stay valid.
     """
     side = {
         "TaskName": place.protocol,
@@ -205,10 +205,10 @@ def table_text(session: Session, before: tuple[tuple[Any, ...], str] = ((), ""))
     Parameters
     ----------
     session : Session
-        What its log holds.
+        The session, as read from its log.
     before : tuple of (tuple of dict, str), optional
-        The answers of an earlier table of this session, and that table. Where they still come first, rows are added to
-        it, so that the thousandth answer costs no more than the first.
+        The answers of an earlier table of this session, and that table. If these answers still come first, rows are
+        only appended, so that the thousandth answer takes no longer than the first.
     """
     columns, (done, text) = _columns(session), before
     if not text or session.trials[: len(done)] != done:
@@ -218,7 +218,7 @@ def table_text(session: Session, before: tuple[tuple[Any, ...], str] = ((), ""))
 
 
 def form_text(session: Session) -> str:
-    """Return the table of the form at the end, a row with a column for each question; empty before any answer."""
+    """Return the table of the closing form, one row with a column for each question; empty before any answer."""
     if not session.form:
         return ""
     given = {name: session.form.get(name, {"answer": None}) for name in session.start["design"]["form"]}
@@ -227,7 +227,7 @@ def form_text(session: Session) -> str:
 
 
 def _columns(session: Session) -> dict[str, dict[str, Any]]:
-    """Return the columns of a session's table: those for catch trials and the answer none only where it has them."""
+    """Return the columns of a session's table, which depend on its protocol, with their descriptions."""
     design = session.start.get("design", {})
     laid = COLUMNS["finger_condition"]
     for name, fingers in design.get("conditions", {}).get("fingers", {}).items():
@@ -252,7 +252,7 @@ def _columns(session: Session) -> dict[str, dict[str, Any]]:
 
 
 def describe_question(asked: dict[str, Any]) -> dict[str, Any]:
-    """Return the description of the column of a question, from the protocol's section of it."""
+    """Return the description of a question's column, from its section of the protocol."""
     scale, words = asked.get("scale"), asked.get("question") or ""
     if not scale:
         levels = {name: f"the answer {name}" for name in asked["keys"]} | {TIME_OUT: "no answer in time"}
@@ -262,7 +262,7 @@ def describe_question(asked: dict[str, Any]) -> dict[str, Any]:
 
 
 def _describe_answers(section: dict[str, Any]) -> dict[str, Any]:
-    """Return the description of the column of answers, from the section of the protocol."""
+    """Return the description of the column of answers, from the protocol's section ``answers``."""
     answers = AnswerList.of(section).ranked
     levels = {answer.name: _FINGERS.get(answer.fingers, f"the answer {answer.name}") for answer in answers}
     if section.get("after_longest") == "time_out" or section.get("time_out_s"):
@@ -272,7 +272,7 @@ def _describe_answers(section: dict[str, Any]) -> dict[str, Any]:
 
 
 def _text(name: str, value: Any) -> str:
-    """Return a value as it stands in the table."""
+    """Return a value as text for the table."""
     if value is None or value == "":
         return "n/a"
     usual = ".4f" if name.endswith("_time") else ".10g" if isinstance(value, float) else ""
@@ -282,18 +282,19 @@ def _text(name: str, value: Any) -> str:
 
 @dataclass(frozen=True)
 class ViewFound:
-    """How a view compares with its log.
+    """Result of the comparison of a view with its log.
 
     Attributes
     ----------
     line : str
-        What holds, in words; empty where nothing does.
+        What holds, in words; empty if the view does not hold.
     problem : str
         What does not hold; empty for a sound view.
     is_mendable : bool
-        Whether the problem is that there is none, or that it knows the very line that was cut: `resume` mends both.
+        Whether `resume` mends the problem: a table or sidecar file is missing, or the view includes the one line that
+        is incomplete in the log.
     is_current : bool
-        Whether it was made from the whole log, so that nothing is to be written.
+        Whether it was made from the whole log, so that nothing need be written.
     """
 
     line: str = ""
@@ -308,7 +309,7 @@ def check_view(session: Session) -> ViewFound:
     Parameters
     ----------
     session : Session
-        As it was read from its log.
+        The session, as read from its log.
     """
     checks = session.chain.checks
     found = {path.name: path for path in session.path.parent.glob("*_beh.tsv")}
@@ -318,7 +319,7 @@ def check_view(session: Session) -> ViewFound:
         said = f"{session.path.parent}: holds {len(tables)} BIDS tables (*_beh.tsv), but exactly one is needed"
         return ViewFound(problem=said, is_mendable=not tables)
     table, side = tables[0], tables[0].with_suffix(".json")
-    # The table is written before its side file: a session killed between the two for the first time has no side file.
+    # The table is written before its sidecar: a session killed between the two for the first time has no sidecar.
     is_described = side.exists()
     head: dict[str, Any] = {"lines": 0, "check": ""}
     try:
@@ -329,7 +330,7 @@ def check_view(session: Session) -> ViewFound:
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         return ViewFound(problem=f"{table}: the BIDS view cannot be read ({error}); move it away, and {_REMAKE}")
     if n_lines > len(checks):
-        if session.chain.damage:  # nothing was read beyond it: whether lines are gone is not known here
+        if session.chain.damage:  # nothing was read beyond it, so it is unknown whether lines are missing
             return ViewFound()
         return ViewFound(
             problem=f"{session.path}: the BIDS view was made from {n_lines} lines, but the log has {len(checks)}: "
@@ -338,9 +339,9 @@ def check_view(session: Session) -> ViewFound:
         )
     if n_lines > 0 and checks[n_lines - 1] != check:
         return ViewFound(problem=f"{side}: was made from another log")
-    # After a kill between the two, the table is of a later line than its side file.
+    # After a kill between the two, the table includes later lines than its sidecar file states.
     made_from = (Session(session.path, session.events[:n]) for n in range(max(n_lines, 0), len(checks) + 1))
-    # The form's own table is written first.
+    # The form's table is written first.
     shown = next((each for each in made_from if text == table_text(each)), None)
     if shown is not None and form not in {form_text(shown), form_text(session)}:
         named = next(iter(forms.values()), session.path.parent)
@@ -362,7 +363,7 @@ _REMAKE = "`modaltouch resume` writes it again"
 
 
 def lines_in_view(folder: Path) -> int:
-    """Return from how many lines of the log the BIDS view was made; 0 where no view says so.
+    """Return the number of lines of the log from which the BIDS view was made; 0 if no view states it.
 
     Parameters
     ----------
@@ -373,5 +374,5 @@ def lines_in_view(folder: Path) -> int:
         try:
             return int(json.loads(side.read_text(encoding="utf-8"))["SessionLog"]["lines"])
         except (OSError, ValueError, LookupError, TypeError, RecursionError):
-            continue  # the side file of the form has no such entry
+            continue  # the form's sidecar file has no such entry
     return 0
