@@ -32,7 +32,7 @@ class Patience:
     reply : float
         Longest wait for a reply [s].
     trigger : float
-        Longest wait for the instrument to accept a trigger [s]; PyVISA-py waits one second more.
+        Longest wait for the instrument to accept a trigger [s]; pyvisa-py waits one second more.
     copy : float
         Longest wait for an upload or a copy into a memory [s].
     tries : int

@@ -86,7 +86,7 @@ class Generator:
         self._latency = apparatus.generator.trigger_latency
         self._last_beat = self._longest_silence = 0.0
         self.lead = RELAYS_SETTLE
-        """How long before a stimulus `fire` should be called [s]: RELAYS_SETTLE and twice the time it prepares."""
+        """How long before a stimulus `fire` should be called [s]: RELAYS_SETTLE plus twice its preparation time."""
         self._silent = self._is_counted = False
         self.firing: Firing | None = None
         """The latest firing; unconfirmed if `stop` found settings or outputs no longer as set."""
@@ -221,7 +221,7 @@ class Generator:
         self.firing = replace(firing, confirmed_amplitude=numbers(read_back), reason=reason)
         self._log("unconfirmed", reason=reason)
         if isinstance(error, LinkError):
-            # One of its triggers may still be in flight on this connection.
+            # One of its triggers may still be in flight: closing the connection discards it.
             self._connection.controls.close(broken=True)
         self._switch_off("starting the stimulus")
         # While this computer is stalled, no fault is blamed on the instrument.

@@ -1,7 +1,7 @@
 """The Keysight 33500B series: 33522B and 33512B, the models with two channels.
 
-Specifications and commands are from Keysight's data sheet and operating and service guide. What neither states is
-marked *unverified*; the driver has not been tested on a real instrument.
+Specifications and commands are from Keysight's data sheet and operating and service guide. What neither states, or was
+not available, is marked *unverified*; the driver has not been tested on a real instrument.
 
 To verify a record, the instrument writes it to a file, which is read back and compared code by code. If no such file
 can be read, the record is verified only by four statistics that the instrument computes (points, average, peak to peak,
@@ -113,7 +113,7 @@ def _verified(desk: Desk, channel: int, name: str, codes: NDArray[np.uint16]) ->
 
 
 def figures(codes: NDArray[np.uint16]) -> tuple[float, ...]:
-    """Return points, average, peak to peak and crest factor of a record, with the converter's range as unit."""
+    """Return points, average, peak to peak and crest factor of a record, its values scaled to the range -1 to 1."""
     values = (codes.astype(float) - ZERO) / ZERO
     rms = float(np.sqrt(np.mean(values**2)))
     return float(values.size), float(values.mean()), float(np.ptp(values)), float(np.abs(values).max() / (rms or 1.0))

@@ -185,7 +185,7 @@ class SimulatedScope(Scope):
         return (np.zeros(elapsed.size) for _ in jitter) if sampled is None else sampled.moved(jitter)
 
     def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
-        """Call `send`, and return the earliest and latest onset of its burst, as a scope polled now and then would."""
+        """Call `send`, and return the earliest and latest onset of its burst, as a periodically polled scope would."""
         send()
         began = self._timeline.commanded
         if began is None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 Argument = str | bytes
-"""A text argument as it was sent, or the content of a definite block."""
+"""A text argument as it was sent, or the content of a definite-length block."""
 
 
 class Quoted(str):

@@ -107,7 +107,7 @@ class Twin:
         Parameters
         ----------
         touched : sequence of Finger
-            Those on the beam.
+            Fingers on the beam.
         stretch : float
             Factor on every natural frequency, from the method `stretch` [1].
         """
@@ -155,7 +155,7 @@ class Twin:
         felt = self._felt.setdefault((stretch, _once(setting)), {})
         for oldest in list(self._felt)[:-SETTINGS_KEPT]:
             self._felt.pop(oldest, None)
-        # Fingers that load the beam change its motion for each other; others feel it unloaded.
+        # Fingers that load the beam change its motion for all; the others only feel it.
         laid = self.fingers(*positions) if touched is None else touched
         fingers = tuple(sorted((finger for finger in laid if finger.weighs), key=lambda finger: finger.position))
         missing = [x for x in dict.fromkeys(positions) if (x, *fingers) not in felt]
