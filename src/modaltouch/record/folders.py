@@ -252,7 +252,6 @@ def _cell(answer: object) -> str:
 
 
 def _describe(field: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the description of a column, from its field in the protocol."""
     levels = {each: each for each in field.get("choices", ())} or {"yes": "yes", "no": "no"}
     return {
         "Description": field.get("question", ""),

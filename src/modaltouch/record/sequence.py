@@ -341,7 +341,6 @@ class EventSequence:
         return counting if practice is None or self._passed else practice
 
     def _answered(self, number: int, event: Event) -> Iterator[str]:
-        """Check the line of an answer, or of a finished trial."""
         yield from self._named(number, event)
         trial, schema = self._trial, self._given.schema
         faults = [*check_amplitudes(event, trial, self._given), *check_answered(event, trial, self._given)]
@@ -398,7 +397,6 @@ class EventSequence:
             yield f"differs from line {event['answered']}, where it was answered, in {differing[0]}"
 
     def _take_back(self, line: int) -> None:
-        """Stop counting an answer."""
         gone = self._counted.pop(line, None)
         if gone is not None:
             trial = gone["trial"]

@@ -262,7 +262,6 @@ def describe_question(asked: dict[str, Any]) -> dict[str, Any]:
 
 
 def _describe_answers(section: dict[str, Any]) -> dict[str, Any]:
-    """Return the description of the column of answers, from the protocol's section ``answers``."""
     answers = AnswerList.of(section).ranked
     levels = {answer.name: _FINGERS.get(answer.fingers, f"the answer {answer.name}") for answer in answers}
     if section.get("after_longest") == "time_out" or section.get("time_out_s"):
@@ -272,7 +271,6 @@ def _describe_answers(section: dict[str, Any]) -> dict[str, Any]:
 
 
 def _text(name: str, value: Any) -> str:
-    """Return a value as text for the table."""
     if value is None or value == "":
         return "n/a"
     usual = ".4f" if name.endswith("_time") else ".10g" if isinstance(value, float) else ""

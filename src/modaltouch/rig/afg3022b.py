@@ -59,7 +59,6 @@ class EditMemory:
         return wanted
 
     def _holds(self, desk: Desk, memory: str, codes: NDArray[np.uint16]) -> bool:
-        """Return whether a memory already holds a record."""
         if f"USER{memory}" not in desk.ask("DATA:CAT?"):
             return False
         try:

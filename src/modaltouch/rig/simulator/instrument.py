@@ -178,7 +178,6 @@ class SimulatedInstrument:
 
 
 def _joined(replies: list[bytes]) -> bytes:
-    """Join replies into a response message."""
     return b";".join(replies) + b"\n" if replies else b""
 
 

@@ -175,7 +175,6 @@ class PressedBeam:
 
 
 def _share(finger: Finger, share: float) -> Finger:
-    """Return a share of a finger."""
     second = finger.second_mass
     return replace(
         finger,

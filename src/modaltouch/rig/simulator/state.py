@@ -238,7 +238,6 @@ class GeneratorState(ABC, Generic[C]):
             return sent if len(triggers) == 1 else replace(sent, period=max(interval, channel.burst_length))
 
     def _situation(self) -> Situation:
-        """Return the settings that bursts depend on."""
         channels, pulses = tuple(self.channels.values()), self.delays.pulses
         heard = None if pulses is None or not self.hears_pulses else 1 / pulses
         return Situation(

@@ -347,7 +347,6 @@ class Vxi11Server:
             self.links.forget(own)
 
     def _serve_text(self, connection: socket.socket, stream: io.BufferedIOBase, link: int) -> None:
-        """Carry out lines of SCPI until the connection ends."""
         while True:
             message = read_message(stream)
             # A web browser that happens on this port would leave an error in the queue.
@@ -359,7 +358,6 @@ class Vxi11Server:
                 connection.sendall(reply.data)
 
     def _answer(self, call: bytes, own: set[int]) -> bytes:
-        """Return the RPC reply to an RPC call."""
         transaction, program, procedure, parameters = read_call(call)
         if program != CORE_PROGRAM:
             return accept(transaction, PROGRAM_UNAVAILABLE)
