@@ -1,8 +1,9 @@
-"""YAML -> frozen values, every fault in its place; protocol + participant + seed -> schedule.
+"""YAML -> frozen values, every fault with its place; protocol + participant + seed -> schedule.
 
-In go files: a protocol, the apparatus, texts, calibration and points of a field that it names, or what a record keeps
-of them. Out come `Findings`: each file as far as it is sound, and every `Problem` with its line; without problems, an
-`Experiment`. A `Schedule` is drawn from the protocol, and `Levels` settles the levels of an adaptive run.
+Input: a protocol and the files that it names (apparatus, texts, calibration, points of a target field), or the copies
+in a record. Output: `Findings`, with each file as far as it is valid and every `Problem` with its line, and an
+`Experiment` if there are no problems. A `Schedule` is drawn from the protocol; `Levels` sets the levels of an
+adaptive run.
 """
 
 from __future__ import annotations

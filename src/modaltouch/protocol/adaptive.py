@@ -1,4 +1,4 @@
-"""Levels that follow from answers: the keys of adaptive runs and of levels calibrated by participant."""
+"""Levels that depend on answers: the keys of adaptive runs, and of levels relative to a participant's threshold."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LapseRate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=0.
 
 
 class StaircaseSection(Section):
-    """Weighted and transformed up-down: down after a number of successes in a row, up after each failure."""
+    """Weighted, transformed up-down staircase: down after a number of successes in a row, up after each failure."""
 
     down_after: Annotated[Count, Field(le=6)] = described(
         "Number of successes in a row that lowers the level; each failure raises it.", default=1
@@ -38,9 +38,9 @@ class StaircaseSection(Section):
 
     @property
     def target(self) -> float:
-        """Probability of success at which the staircase settles [1].
+        """Probability of success to which the staircase converges [1].
 
-        Where going down is as likely per step as going up: p^n / (1 - p^n) = up / down (Kaernbach, Perception &
+        At this p the expected steps down and up balance: p^n / (1 - p^n) = up / down (Kaernbach, Perception &
         Psychophysics 49 (1991) 227-229, for n = 1; Levitt, J. Acoust. Soc. Am. 49 (1971) 467-477, for equal steps).
         """
         share = self.up_over_down / (1 + self.up_over_down)
@@ -76,7 +76,7 @@ class AdaptiveSection(Section):
 
     @property
     def algorithm(self) -> dict[str, Any]:
-        """What decides the levels, for the record."""
+        """Algorithm that sets the levels, for the record."""
         if self.method == "staircase":
             return {"algorithm": "modaltouch staircase 2", "target": round(self.staircase.target, 4)}
         return {"algorithm": "modaltouch quest_plus 2", "questplus": version("questplus")}
@@ -100,7 +100,7 @@ class SensationLevelsSection(Section):
     )
 
     def levels(self, threshold_mm_s: float) -> tuple[float, ...]:
-        """Return the levels of a participant [mm/s], to four digits as the generator's amplitude has them.
+        """Return the levels of a participant [mm/s], to four digits, the resolution of the generator's amplitude.
 
         Parameters
         ----------
@@ -110,7 +110,7 @@ class SensationLevelsSection(Section):
         return tuple(float(f"{multiple * threshold_mm_s:.4g}") for multiple in self.multiples)
 
     def thresholds(self, lowest_mm_s: float, highest_mm_s: float) -> tuple[float, float]:
-        """Return between which thresholds all levels lie within bounds [mm/s].
+        """Return the lowest and highest threshold for which all levels lie within bounds [mm/s].
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ def check_sensation_levels(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def _check_doubles(reading: Reading[Any], multiples: dict[int, float]) -> Iterator[Problem]:
-    """Yield multiples that no generator can tell apart: it has four digits."""
+    """Yield multiples too close for the generator's amplitude, which has four digits."""
     seen: dict[int, float] = {}
     for index, value in multiples.items():
         like = next((at for at, other in seen.items() if math.isclose(value, other, rel_tol=2e-3)), None)
@@ -161,7 +161,7 @@ def _check_doubles(reading: Reading[Any], multiples: dict[int, float]) -> Iterat
 
 
 def check_adaptive(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield the faults between the section ``adaptive`` and the others, as far as its sound parts show them."""
+    """Yield the faults between the section ``adaptive`` and the others, as far as its valid parts show them."""
     if not is_adaptive(reading):
         return
     yield from _check_levels(reading)
@@ -170,12 +170,12 @@ def check_adaptive(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def is_adaptive(reading: Reading[Any]) -> bool:
-    """Return whether a protocol has a section ``adaptive``, sound or not."""
+    """Return whether a protocol has a section ``adaptive``, valid or not."""
     return reading.keys("adaptive") is not None
 
 
 def check_bounds(reading: Reading[Any], when: str, reached: str) -> Iterator[Problem]:
-    """Yield why the peak velocities are no bounds, a lowest level and then a higher one."""
+    """Yield peak velocities that are not a pair of bounds, the lowest level and then the highest."""
     path = ("conditions", "peak_velocities_mm_s")
     levels = [level for _, level in reading.items(*path)]
     given = reading.length(*path)
@@ -219,7 +219,7 @@ def _check_order(reading: Reading[Any]) -> Iterator[Problem]:
 def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
     success = reading.sound("adaptive", "success") or "focus_named"
     focus = reading.sound("stimulus", "focus")
-    # Of several stimuli each is looked at by itself; what they share need not be one of them.
+    # Several stimuli are checked one by one; the section that they share need not be a stimulus itself.
     if success == "focus_named" and focus is not None and not reading.sound("stimuli"):
         for path, zones in contacts(reading):
             if focus not in zones:
@@ -250,7 +250,7 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def _check_correct(reading: Reading[Any], offered: AnswerList) -> Iterator[Problem]:
-    """Yield why runs cannot follow from which answers are right: guessing is right as often, or none ever is."""
+    """Yield why success cannot be `correct`: no answer names an interval, or the rate of guessing does not fit."""
     said = [answer.interval for answer in offered if answer.interval is not None]
     if reading.keys("intervals") is None or not said:
         given = "correct, but no answer refers to intervals"
@@ -269,13 +269,13 @@ def _check_correct(reading: Reading[Any], offered: AnswerList) -> Iterator[Probl
 
 
 def contacts(reading: Reading[Any]) -> list[tuple[tuple[str, str, int], tuple[str, ...]]]:
-    """Return path and value of the zones under the fingers, of the key that holds them."""
+    """Return the zones under the fingers with their paths, from whichever key holds them."""
     keys = ("zones", "zone_pairs")
     return [(("conditions", key, index), zones) for key in keys for index, zones in reading.items("conditions", key)]
 
 
 def offered_answers(reading: Reading[Any]) -> AnswerList:
-    """Return the answers that a protocol offers, as far as its sound parts tell."""
+    """Return the answers that a protocol offers, as far as its valid parts show them."""
     fingers, below = dict(reading.items("answers", "fingers")), [name for _, name in reading.items("answers", "below")]
     keys, scale = reading.keys("answers", "keys") or (), bool(reading.keys("answers", "scale"))
     section = {"keys": keys, "fingers": fingers, "below": below, "scale": scale}

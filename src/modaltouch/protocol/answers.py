@@ -1,4 +1,4 @@
-"""The answers of a protocol: what each is called, where it stands on the screen, and which fingers it names."""
+"""The answers of a protocol: their names, their places on the screen, and the fingers that they name."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from modaltouch.protocol.trial import SIDES
 
 Side = Literal["left", "between", "right"]
 Fingers = tuple[Side, ...]
-"""Fingers by the side on which they lie, as the participant sees the beam; `between`, the middle one of three."""
+"""Fingers by side, as the participant sees the beam; `between` is the middle one of three."""
 
 SHIPPED: dict[str, Fingers] = {"left": ("left",), "both": ("left", "right"), "right": ("right",), "none": ()}
-"""The paper's three answers, and the one for "felt nowhere", with the fingers that they name."""
+"""The paper's three answers, and `none` for "felt nowhere", with the fingers that they name."""
 
 _RANKS = {1: 0, 2: 1, 3: 1, 0: 2}
 
 
 CLEAR_RATIO = 1.25
-"""Speeds this far apart are told apart with ease: twice the difference threshold of vibration (Craig 1972)."""
+"""Ratio of speeds that is easily felt: twice the difference threshold of vibration (Craig 1972) [1]."""
 EQUAL_RATIO = 1.1
-"""Speeds this near are below the difference threshold [1]."""
+"""Ratio of speeds below the difference threshold [1]."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +35,13 @@ class Answer:
     name : str
         Name in the protocol, the record and every table.
     fingers : tuple of str or None
-        Fingers that it names, of ``left``, ``between`` and ``right``; empty where it says that nothing was felt; None
-        where it says nothing of the fingers.
+        Fingers that it names, of ``left``, ``between`` and ``right``; empty if it says that nothing was felt; None if
+        it says nothing about the fingers.
     is_below : bool
         Whether its button stands below the others.
     interval : int, str or None
-        Interval of the trial that it names, from 1; ``same`` or ``different`` where it says whether all were alike;
-        None where it says nothing of the intervals.
+        Interval of the trial that it names, from 1; ``same`` or ``different`` if it says whether all were alike;
+        None if it says nothing about the intervals.
     """
 
     name: str
@@ -51,13 +51,13 @@ class Answer:
 
     @property
     def side(self) -> int:
-        """Place of the fingers that it names: -1 on the left, 1 on the right, 0 for all else."""
+        """Side of the finger that it names alone: -1 left, 1 right; 0 for any other answer."""
         sides: dict[Fingers, int] = {("left",): -1, ("right",): 1}
         return sides.get(self.fingers or (), 0)
 
     @property
     def mirrored(self) -> Fingers | None:
-        """The fingers that it names where the beam is turned end to end."""
+        """The fingers that it names if the beam is turned end to end."""
         other: dict[Side, Side] = {"left": "right", "between": "between", "right": "left"}
         return None if self.fingers is None else tuple(sorted(other[finger] for finger in self.fingers))
 
@@ -68,24 +68,24 @@ class Answer:
 
 
 class AnswerList(tuple[Answer, ...]):
-    """The answers of a protocol, as they stand on the screen: those of the row from the left, then those below."""
+    """The answers of a protocol in the order of the screen: the row from the left, then those below."""
 
     __slots__ = ()
 
     @classmethod
     def of(cls, section: Mapping[str, Any]) -> AnswerList:
-        """Return the answers of a protocol's section ``answers``, also as a record keeps it.
+        """Return the answers of a protocol's section ``answers``, from the file or from a record.
 
         Parameters
         ----------
         section : mapping
-            ``keys`` by answer, and where they are given ``fingers``, ``below`` and ``intervals``; the paper's answers
-            without any; one alone, ``rated``, where there is a ``scale``.
+            ``keys`` by answer, with optional ``fingers``, ``below`` and ``intervals``; the paper's three answers if it
+            has no keys; the single answer ``rated`` if it has a ``scale``.
 
         Returns
         -------
         AnswerList
-            In the order of the file; where all of a row name fingers, each on the side of its finger.
+            In the order of the file; if all answers of the row name fingers, each on the side of its finger.
         """
         if section.get("scale"):
             return cls((Answer(RATED),))
@@ -101,25 +101,25 @@ class AnswerList(tuple[Answer, ...]):
         if all(answer.fingers for answer in row):
             row.sort(key=lambda answer: answer.side)
         if len(row) == len(below) == 1 and not placed:
-            # Of two answers neither stands back: that would lean on who is in doubt.
+            # Two answers stand side by side: a lower place would bias participants in doubt.
             below = [replace(below[0], is_below=False)]
         return cls((*row, *below))
 
     @classmethod
     def of_words(cls, words: tuple[str, ...]) -> AnswerList:
-        """Return the list that words from a table belong to: the paper's where all are of it, else they alone."""
+        """Return the list for answers found in a table: the paper's if it contains them all, else just these."""
         if not set(words) <= set(SHIPPED):
             return cls.of({"keys": words})
         return cls.of({"keys": [name for name, fingers in SHIPPED.items() if fingers or name in words]})
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the answers, as they stand on the screen."""
+        """Names of the answers, in the order of the screen."""
         return tuple(answer.name for answer in self)
 
     @property
     def ranked(self) -> AnswerList:
-        """The answers of one finger first, then those of several, then that of nothing felt."""
+        """The answers that name one finger first, then several, then none."""
         return AnswerList(sorted(self, key=lambda answer: 0 if answer.fingers is None else _RANKS[len(answer.fingers)]))
 
     @property
@@ -133,15 +133,15 @@ class AnswerList(tuple[Answer, ...]):
         return any("between" in (answer.fingers or ()) for answer in self)
 
     def naming(self, *fingers: Side) -> Answer | None:
-        """Return the answer that names these very fingers; without any, the one that nothing was felt."""
+        """Return the answer that names exactly these fingers; without arguments, the one for nothing felt."""
         return next((answer for answer in self if answer.fingers == fingers), None)
 
     def named(self, name: str) -> Answer:
-        """Return the answer of a name; one that says nothing if there is none, as for a time-out."""
+        """Return the answer with a name; if there is none, as for a time-out, an answer that says nothing."""
         return next((answer for answer in self if answer.name == name), Answer(name))
 
     def expected(self, *speeds: float) -> str | None:
-        """Name of the answer of somebody who feels well; None where it may be either, or no answer says it.
+        """Name of the answer expected from a sensitive participant; None if it is uncertain or not offered.
 
         Parameters
         ----------
@@ -167,9 +167,9 @@ class AnswerList(tuple[Answer, ...]):
     def is_success(self, name: str, rule: str, focus: str, zone_left: str) -> bool:
         """Whether an answer counts as success in an adaptive run.
 
-        ``focus_named``: the answer names the finger on the zone in focus, alone. Naming both fingers or none is a
-        failure like naming the other: what is asked is the level from which the focus is told apart, not from which
-        something is felt. ``felt``: any answer but that nothing was felt. The name of an answer: that one.
+        ``focus_named``: the answer names only the finger on the zone in focus. Naming both fingers or neither is a
+        failure, like naming the other one: the level sought is that at which the focus is identified, not merely
+        felt. ``felt``: any answer except that nothing was felt. The name of an answer: that answer.
 
         Parameters
         ----------

@@ -1,7 +1,6 @@
 """Apparatus: the beam, its zones and modes, the actuator sets, amplifier and generator, as the file gives them.
 
-Numbers keep the units of their keys (mm, Hz, mm/s, V); `modal_model` and `amplifier_values` make SI values of
-them, and nothing else does.
+Numbers keep the units of their keys (mm, Hz, mm/s, V); only `modal_model` and `amplifier_values` convert them to SI.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ if TYPE_CHECKING:
 
 
 _MEASURED = ("beam", "actuator_sets", "modes", "amplifier", "generator", "acquisition", "twin")
-"""Parts that a calibration holds for; names, zones and limits may change."""
+"""Sections that invalidate a calibration when they change; names, zones and limits do not."""
 
 
 class Beam(Section):
@@ -66,7 +65,7 @@ class Beam(Section):
 
     @property
     def mass(self) -> float:
-        """Moving mass [kg]; of aluminium 2.7 mg to a cubic millimetre."""
+        """Moving mass [kg]; if not given, that of plain aluminium, 2.7 mg/mm^3."""
         aluminium = 2.7e-6 * self.length_mm * self.width_mm * self.thickness_mm
         return aluminium if self.mass_g is None else self.mass_g * 1e-3
 
@@ -93,7 +92,7 @@ class ActuatorSet(Section):
 
 
 class Mode(Section):
-    """A modelled vibration mode: one line of Table I."""
+    """A modelled vibration mode: one row of the paper's Table I."""
 
     label: Label = described("Number of the mode: 1 rigid translation, 2 rigid rotation, k from 3 on bending k - 2.")
     natural_frequency_Hz: Positive = described("Natural frequency [Hz].")  # noqa: N815
@@ -146,13 +145,13 @@ class GeneratorSection(Section):
 
     @property
     def trigger_latency(self) -> tuple[float, float] | None:
-        """Shortest and longest time from a trigger to the first sample [s]; None where it is unknown."""
+        """Shortest and longest time from a trigger to the first sample [s]; None if unknown."""
         latency = self.trigger_latency_ms
         return None if latency is None else (latency.low * 1e-3, latency.high * 1e-3)
 
     @property
     def repeats(self) -> Literal["single", "timer", "continuous", "wired"]:
-        """How bursts are repeated, by the name of today."""
+        """How bursts are repeated, under the current name."""
         return "timer" if self.repetition == "burst" else self.repetition
 
     @property
@@ -231,7 +230,7 @@ class Apparatus(Section):
     twin: TwinSection = described("Properties of the simulated rig that are not in the tables.", default=TwinSection())
 
     def modal_model(self) -> ModalModel:
-        """Return the identified plant in SI units.
+        """Return the identified modal model in SI units.
 
         Returns
         -------
@@ -293,16 +292,16 @@ class Apparatus(Section):
         return tuple((mode.label, name) for mode in self.modes for name in mode.assumed)
 
     def offered_gains(self) -> tuple[tuple[int, str, float], ...]:
-        """Mode label, actuator set and gain [mm/s^2 per V] that patches suggest where the table knows none.
+        """Mode label, actuator set and gain [mm/s^2 per V] that patches suggest where the table has no measured gain.
 
-        Theory gives the ratios among the bending modes (`patch_gains`). The gains that the table has give their common
-        factor: the median of what each of them says. A set without any such gain, or without patches, offers nothing.
+        Theory gives the ratios among the bending modes (`patch_gains`). Their common factor is the median ratio of
+        measured to theoretical gain. A set without a measured gain, or without patches, offers nothing.
         """
         offered, model = [], self.modal_model()
         for name, actuators in self.actuator_sets.items():
             if not actuators.patches_mm:
                 continue
-            # Rigid modes feel no moments.
+            # Patches apply moments, which do not drive the rigid modes.
             unit = model.patch_gains([(left * 1e-3, right * 1e-3) for left, right in actuators.patches_mm]).tolist()
             least = _NOTHING * max(map(abs, unit))
             felt = [(mode, each) for mode, each in zip(self.modes, unit, strict=True) if abs(each) > least]
@@ -320,25 +319,25 @@ class Apparatus(Section):
 
     @property
     def zone_spans(self) -> dict[str, tuple[float, float]]:
-        """Where each zone begins and ends, from left to right, as shares of the beam's length from its middle [1]."""
+        """Ends of each zone from mid-beam, from left to right, as fractions of the beam's length [1]."""
         length = self.beam.length_mm
         return {name: (zone.edges[0] / length, zone.edges[1] / length) for name, zone in self.ordered_zones.items()}
 
     @property
     def measured_hash(self) -> str:
-        """SHA-256 of the values that a calibration depends on; keys at their default do not count."""
-        free = {"beam": {"mass_g"}}  # on which nothing depends that is measured on a beam that nobody touches
+        """SHA-256 of the values that a calibration depends on, without keys at their default."""
+        free = {"beam": {"mass_g"}}  # does not affect any measurement on the untouched beam
         values = self.model_dump(mode="json", include=set(_MEASURED), exclude=free, exclude_defaults=True)
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
     @classmethod
     def read(cls, given: Path | str | Source) -> Apparatus:
-        """Apparatus that a YAML file describes.
+        """Read an apparatus from YAML.
 
         Parameters
         ----------
         given : path or Source
-            The file, the name of a shipped apparatus, or a text.
+            The file, the name of a shipped apparatus, or a source already loaded.
 
         Raises
         ------
@@ -352,13 +351,13 @@ class Apparatus(Section):
 
 
 def examine_apparatus(source: Source) -> tuple[Reading[Apparatus], list[Problem]]:
-    """Text of an apparatus file as far as it is sound, and its faults."""
+    """Return an apparatus file as far as it is valid, and its faults."""
     reading = read(source, Apparatus)
     return reading, [*reading.problems, *check_apparatus(reading)]
 
 
 _NOTHING = 1e-6
-"""Gain, over the largest of its set, below which a patch does not drive a mode: it lies across a node [1]."""
+"""Gain relative to the largest of its set below which the patches are taken not to drive a mode [1]."""
 
 
 def check_patches(reading: Reading[Apparatus]) -> Iterator[Problem]:
@@ -376,7 +375,7 @@ def check_patches(reading: Reading[Apparatus]) -> Iterator[Problem]:
 
 
 def check_apparatus(reading: Reading[Apparatus]) -> list[Problem]:
-    """Return the faults between the keys of an apparatus, as far as its sound parts show them."""
+    """Return the faults between the keys of an apparatus, as far as its valid parts show them."""
     return [
         *_check_zones(reading),
         *_check_actuator_sets(reading),

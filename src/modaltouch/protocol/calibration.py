@@ -1,4 +1,4 @@
-"""Calibration file: what makes the stimuli of a protocol true on one rig, and whether it fits them."""
+"""Calibration file: corrections that make a rig produce a protocol's stimuli, and whether the file fits them."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class CalibratedAmplifier(Section):
 
 
 class MeasuringChain(Section):
-    """Effects of the measurement itself, removed from every figure."""
+    """Effects of the measuring chain itself, removed from every result."""
 
     vibrometer_delay_us: NotNegative = described("Pure delay of the vibrometer [us].")
     vibrometer_lag_us: NotNegative = described("Time constant of its low-pass [us].")
@@ -67,7 +67,7 @@ class MeasuringChain(Section):
 
 
 class CalibratedMode(Section):
-    """A modelled mode on this rig: refined values, corrected targets, and what was reached at the reference level."""
+    """A modelled mode on this rig: refined values, corrected targets, and the result at the reference level."""
 
     label: Label = described("Number of the mode.")
     natural_frequency_Hz: Positive = described("Natural frequency [Hz].")  # noqa: N815
@@ -102,7 +102,7 @@ class CalibratedLevel(Section):
 
 
 class MissedLimit(Section):
-    """A limit, of the protocol or of calibration itself, that was missed."""
+    """A limit, set by the protocol or by the calibration itself, that was missed."""
 
     limit: Word = described(
         "velocity_mm_s, displacement_mm_s, level_percent: as in the protocol's limits; frequencies_mm_s: effect of "
@@ -119,7 +119,7 @@ class MissedLimit(Section):
 
 
 class IterationFigures(Section):
-    """What one iteration measured, at the reference level."""
+    """Result of one iteration, at the reference level."""
 
     iteration: Annotated[int, Field(strict=True, ge=0)] = described(
         "Number of the iteration; 0 is before the calibration."
@@ -132,7 +132,7 @@ class IterationFigures(Section):
 
 
 class Calibration(Section):
-    """What every calibration file holds: who made it, with what, and what holds for the rig."""
+    """The part common to all calibration files: who made it, with what, and the results that concern the whole rig."""
 
     calibration: Literal[1] = described("Version of this format.")
     made: Text = described("Date and time, with the offset from UTC (ISO 8601).")
@@ -151,11 +151,11 @@ class Calibration(Section):
     @property
     @abstractmethod
     def by_stimulus(self) -> dict[str, CalibratedStimulus]:
-        """What holds for each stimulus, by its name; without a name where the protocol has one alone."""
+        """Results for each stimulus, by name; the name is empty if the protocol has only one."""
 
     @property
     def mark(self) -> str:
-        """Which limits it misses, and why; empty for one that has proved itself."""
+        """The limits that it misses, and why; empty if it misses none."""
         own = [
             (f"stimulus {name}: " if name else "") + f"{', '.join(map(str, each.missed))}: {'; '.join(each.causes)}"
             for name, each in self.by_stimulus.items()
@@ -164,12 +164,12 @@ class Calibration(Section):
         return "; ".join(own)
 
     def alone(self, name: str) -> CalibrationFile | None:
-        """Return the calibration of one stimulus alone; None where there is none of that name.
+        """Return the calibration of one stimulus alone; None if there is none of that name.
 
         Parameters
         ----------
         name : str
-            The stimulus; empty for that of a protocol with a single one.
+            The stimulus; empty if the protocol has only one.
         """
         own = self.by_stimulus.get(name)
         if own is None:
@@ -179,12 +179,12 @@ class Calibration(Section):
 
     @staticmethod
     def of(values: Mapping[str, Any]) -> Calibration:
-        """Calibration that plain values describe: of several stimuli where they have the key ``stimuli``.
+        """Return a calibration from plain values; one of several stimuli if they have the key ``stimuli``.
 
         Parameters
         ----------
         values : mapping
-            As the file holds them.
+            The keys and values of a calibration file.
         """
         return (CalibrationOfSeveral if "stimuli" in values else CalibrationFile).model_validate(values)
 
@@ -205,16 +205,16 @@ class CalibratedStimulus(Section):
 
     @property
     def worst_error_mm_s(self) -> float:
-        """Largest error, of a modal velocity or w eta, that was left at the reference level [mm/s]."""
+        """Largest remaining error of a modal velocity, or of w eta, at the reference level [mm/s]."""
         return max(abs(each) for mode in self.modes for each in mode.error_after_mm_s)
 
 
 OWN_KEYS = tuple(CalibratedStimulus.model_fields)
-"""Keys that each stimulus has for itself."""
+"""Keys that each stimulus has separately."""
 
 
 _REFINED = {"natural_frequency_Hz", "damping_ratio", "gain_mm_s2_per_V"}
-"""What a calibration refines of a mode."""
+"""Keys of a mode that a calibration refines."""
 
 
 class CalibrationFile(CalibratedStimulus, Calibration):
@@ -222,16 +222,16 @@ class CalibrationFile(CalibratedStimulus, Calibration):
 
     @property
     def by_stimulus(self) -> dict[str, CalibratedStimulus]:
-        """The file itself, without a name."""
+        """The file itself, under the empty name."""
         return {"": self}
 
     def applied(self, apparatus: Apparatus) -> Apparatus:
-        """Apparatus with modes and amplifier as the calibration found them.
+        """Return an apparatus with modes and amplifier as the calibration found them.
 
         Parameters
         ----------
         apparatus : Apparatus
-            The one it was made with, as its file gives it.
+            The apparatus, as in its file, with which the calibration was made.
         """
         found = {mode.label: mode.model_dump(include=_REFINED) for mode in self.modes}
         modes = tuple(mode.model_copy(update={**found[mode.label], "assumed": ()}) for mode in apparatus.modes)
@@ -248,7 +248,7 @@ class CalibrationOfSeveral(Calibration):
 
     @property
     def by_stimulus(self) -> dict[str, CalibratedStimulus]:
-        """What holds for each stimulus, by its name."""
+        """Results for each stimulus, by name."""
         return self.stimuli
 
 
@@ -260,7 +260,7 @@ AGAIN = "calibrate again with `modaltouch calibrate`"
 
 
 def examine_calibration(source: Source) -> Reading[Calibration]:
-    """Return what the text of a calibration file, of one stimulus or of several, holds, and its faults."""
+    """Read a calibration file of one stimulus or of several, with its faults."""
     of_several = re.search(r"""^["']?stimuli["']?\s*:""", source.text, re.MULTILINE) is not None
     model: type[Calibration] = CalibrationOfSeveral if of_several else CalibrationFile
     return read(source, model)
@@ -269,10 +269,10 @@ def examine_calibration(source: Source) -> Reading[Calibration]:
 def check_calibration(
     calibration: Reading[Calibration], protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None
 ) -> list[Problem]:
-    """Return why a calibration is not one of this stimulus on this apparatus, as far as its sound parts show it.
+    """Return why a calibration does not fit this protocol and apparatus, as far as their valid parts show it.
 
-    Where the protocol has several stimuli, whether it is of all of them and of this apparatus: what it holds of each
-    is checked with the protocol of that one alone.
+    If the protocol has several stimuli, only whether the calibration covers them all and is of this apparatus: its
+    part for each stimulus is checked with the protocol of that stimulus alone.
     """
     if calibration.value is None:
         return []
@@ -287,7 +287,7 @@ def check_calibration(
 
 
 def check_mark(calibration: Reading[Calibration]) -> list[Problem]:
-    """Return why a calibration is marked: which limits of its protocol each stimulus missed when it was made."""
+    """Return why a calibration is marked: the limits that each stimulus missed when it was made."""
     if calibration.value is None:
         return []
     remedy = "remove the cause and calibrate again, or accept it with --with-marked-calibration"
@@ -304,12 +304,12 @@ def check_mark(calibration: Reading[Calibration]) -> list[Problem]:
 
 
 def calibration_alone(reading: Reading[Calibration], name: str) -> Reading[Calibration]:
-    """Return the part of a calibration file that is of one stimulus, as if it were a file of that one alone.
+    """Return the part of a calibration file for one stimulus, as if it were a file of that stimulus alone.
 
     Parameters
     ----------
     reading : Reading
-        A sound file of several stimuli, that one among them.
+        A valid file of several stimuli that includes this one.
     name : str
         The stimulus.
     """
@@ -323,7 +323,7 @@ def calibration_alone(reading: Reading[Calibration], name: str) -> Reading[Calib
 def _check_names(
     reading: Reading[Calibration], calibration: Calibration, protocol: Reading[Protocol]
 ) -> Iterator[Problem]:
-    """Yield a calibration of other stimuli than the protocol's."""
+    """Yield that a calibration does not cover the protocol's stimuli."""
     wanted, made = tuple(protocol.sound("stimuli") or ("",)), tuple(calibration.by_stimulus)
     if set(wanted) <= set(made):
         return
@@ -362,7 +362,7 @@ def _check_stimulus(
     if section is None:
         return
     made, now = calibration.stimulus.model_dump(), section.model_dump()
-    # What follows the focusing instant does not act on it.
+    # What follows the focusing instant cannot affect it.
     different = [key for key in now if key != "release" and made[key] != now[key]]
     for key in different:
         given = f"{_words(made[key])}, from a calibration of another stimulus"
@@ -395,7 +395,7 @@ def check_age(
     calibration : Reading
         The calibration file.
     protocol : Reading
-        The protocol file, which may say ``calibration.max_age_days``.
+        The protocol file, which may give ``calibration.max_age_days``.
     now : datetime, optional
         The present, with its offset from UTC.
     """

@@ -1,4 +1,4 @@
-"""Where catch trials come among the trials of a block, drawn uniformly among the places that keep the limit on runs."""
+"""Places of the catch trials in a block, drawn uniformly from all that keep the limit on runs of a pair."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ Pair = tuple[str, ...]
 def place_catches(
     order: Sequence[Pair], n_catches: int, limit: int | None, stream: Stream, *, own_pair: bool = False
 ) -> list[tuple[int, Pair]]:
-    """Return after which trial each catch trial comes, counted from 0, and its pair of zones."""
+    """Return the trial, from 0, that each catch trial follows, and its pair of zones."""
     pairs = list(dict.fromkeys(order))
     if limit is None:
         places = sorted(stream.chosen(range(len(order)), n_catches))
         return [(place, order[place] if own_pair else pairs[stream.below(len(pairs))]) for place in places]
-    # Catch trials are no neighbours, so k like trials running become at most 2 k + 1; a limit beyond is none.
+    # Catch trials are never adjacent, so a run of k becomes at most 2 k + 1; a higher limit has no effect.
     limit = min(limit, 2 * max((len(list(run)) for _, run in groupby(order)), default=0) + 1)
     ways = _count_ways(order, pairs, n_catches, limit, own_pair=own_pair)
     if not ways[0][n_catches][1]:
@@ -41,10 +41,10 @@ def place_catches(
 def _moves(
     order: Sequence[Pair], pairs: Sequence[Pair], place: int, left: int, run: int, *, own_pair: bool
 ) -> Iterator[tuple[Pair | None, int, int, int]]:
-    """Yield what may come after the trial at a place, which ends a run: nothing, or a catch trial on a pair.
+    """Yield what may follow the trial at a place, at which a run has the length `run`: nothing, or a catch trial.
 
-    With it the catch trials then left, the longest run on the way, and the run that the next trial ends; after the
-    last trial that is 1.
+    Each is its pair (None for nothing), the number of catch trials then left, the length of the run so far, and that
+    at the next trial (1 after the last trial).
     """
     own = order[place]
     following = order[place + 1] if place + 1 < len(order) else None
@@ -59,7 +59,7 @@ def _moves(
 def _count_ways(
     order: Sequence[Pair], pairs: Sequence[Pair], n_catches: int, limit: int, *, own_pair: bool
 ) -> list[list[list[int]]]:
-    """Return the number of ways to go on from the trial at a place, by catch trials left and the run it ends."""
+    """Return the number of ways to continue, by place of a trial, catch trials left and the run that the trial ends."""
     # Beyond the last trial, one way if no catch trial is left; runs count from 1.
     table = [[[int(left == 0)] * (limit + 1) for left in range(n_catches + 1)]]
     for place in reversed(range(len(order))):

@@ -1,4 +1,4 @@
-"""Listed cells in the tree of a protocol, those of a table with their places in it; and their faults."""
+"""Listed cells in the tree of a protocol, including those of a table with their places there; and their faults."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ DERIVED = ("zone_pairs", "peak_velocities_mm_s", "finger_conditions", "zones")
 
 _REQUIRED = ("zone_left", "zone_right", "peak_velocity_mm_s")
 COLUMNS = (*_REQUIRED, "zone_between", "finger_condition", "stimulus", "weight")
-"""Columns of a table of cells; the last four may be left out, and their fields may be empty."""
+"""Columns of a table of cells; the last four may be left out, and their fields and `zone_right` may be empty."""
 
 
 def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, list[Problem]]:
-    """Return the tree of a protocol with the cells of its table in it, and the keys that follow from cells.
+    """Return the tree of a protocol with the cells of its table and the keys that follow from cells, and the faults.
 
-    What comes from the table keeps its place there, so that every later fault is told where it was written.
+    Values from the table keep their place there, so that every later fault is reported where it was written.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, 
 
 
 def at_own_levels(reading: Reading[Any]) -> Reading[Any]:
-    """Return a protocol with the levels of its value alone in its tree, each at its place."""
+    """Return a protocol whose tree contains only the levels of its value, each at its place."""
     root, levels = reading.root, reading.find(("conditions", "peak_velocities_mm_s"))
     conditions = None if root is None else root.child("conditions")
     if root is None or conditions is None or levels is None or reading.value is None:
@@ -77,14 +77,14 @@ def at_own_levels(reading: Reading[Any]) -> Reading[Any]:
 
 
 def without_derived(reading: Reading[Any]) -> tuple[Problem, ...]:
-    """Return the problems of a protocol without those that follow from its cells, which are told there."""
+    """Return the problems of a protocol without those of keys derived from its cells, which are reported there."""
     follows = (*DERIVED[:2], "zones", *(DERIVED[2:3] if reading.find(("conditions", "table")) else ()))
     derived = tuple(f"conditions.{key}" for key in follows)
     return tuple(each for each in reading.problems if not each.path.startswith(derived))
 
 
 def _read_table(source: Source) -> tuple[Node, list[Problem]]:
-    """Return the rows of a table of cells as the list that a protocol would hold, and what is wrong with it."""
+    """Return the rows of a table of cells as the list that a protocol would contain, and the table's faults."""
     path, rows, problems = str(source.path), list[Node](), list[Problem]()
     lines = source.text.splitlines()
     header = lines[0] if lines else ""
@@ -155,7 +155,7 @@ _NAME_IT = "add it there, or leave it out"
 
 
 def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield the faults of listed and of excluded cells: unknown names, cells that are not there, blocks left empty."""
+    """Yield the faults of listed and excluded cells: unknown names, repeated or missing cells, blocks left empty."""
     conditions = reading.sound("conditions")
     if conditions is None:
         return

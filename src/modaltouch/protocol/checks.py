@@ -27,7 +27,7 @@ TRIAL_LIMIT = 10_000
 
 
 def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
-    """Yield the faults between the keys of the sections conditions and schedule, as far as sound parts show them."""
+    """Yield the faults between the keys of the sections conditions and schedule, as far as valid parts show them."""
     if any(reading.find(("conditions", key)) for key in ("table", "cells", "exclude")):
         # Most designs are crossed.
         from modaltouch.protocol.cell_table import check_cells
@@ -86,7 +86,7 @@ def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def _check_stimuli(reading: Reading[Protocol]) -> Iterator[Problem]:
-    """Yield what one of several stimuli has of its own and the protocol has no use for."""
+    """Yield the keys of single stimuli that have no effect in this protocol."""
     until = reading.sound("answers", "stimulus_until")
     for name in reading.sound("stimuli") or ():
         path = ("stimuli", name, "presentation_bursts")
@@ -102,11 +102,11 @@ def _check_stimuli(reading: Reading[Protocol]) -> Iterator[Problem]:
 TAKEN_NAMES = frozenset(
     {"finger_condition", "pair", "zone_left", "zone_right", "velocity_mm_s", "multiple_of_threshold", "n"}
 )
-"""Columns of the table of counts, in which every answer has one of its own."""
+"""Columns of the table of counts, so no names for answers, each of which has a column there too."""
 
 
 def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
-    """Return the faults between the keys of a protocol, as far as its sound parts show them."""
+    """Return the faults between the keys of a protocol, as far as its valid parts show them."""
     return [
         *_check_stimulus(reading),
         *check_target_field(reading),
@@ -131,9 +131,9 @@ def _check_intervals(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def check_settling(reading: Reading[Protocol]) -> Iterator[Problem]:
-    """Return the fault of a written pause in which a hand that presses cannot come back to the beam.
+    """Yield the fault of a pause too short for a hand that answers to come back to the beam.
 
-    For fresh files alone: a record that was begun with such a pause goes on, with `AnswersSection.settling_s`.
+    Only for new files: a record begun with such a pause continues, with `AnswersSection.settling_s`.
     """
     answers = reading.sound("answers")
     if not isinstance(answers, AnswersSection) or reading.find(("answers", "pause_s")) is None:
@@ -178,7 +178,7 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
         given = f"{band[0]:g} to {band[1]:g} Hz"
         yield reading.problem((*section, "equalise_band_Hz"), given, "the lower end first", "swap its ends")
     elif band is not None and None not in (duration, rate, n_samples):
-        # A repeated burst has velocity at multiples of its rate alone, up to half its sampling rate.
+        # The velocity of a repeated burst has only multiples of the repetition rate, up to half the sampling rate.
         highest = min(band[1], n_samples / duration * 500)
         if math.floor(highest / rate) < math.ceil(band[0] / rate):
             given = f"{band[0]:g} to {band[1]:g} Hz, which contains no multiple of the repetition rate of {rate:g} Hz"
@@ -233,7 +233,7 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
         path = ("answers", "emergency_keys", index)
         yield from check_key(reading, path, name)
         if name in places and not is_written:
-            # The fault belongs where somebody wrote it, not at a key that is not in the file.
+            # Reported at the key that is in the file, not at the default that is not.
             given = f"'{name}', the emergency key that switches the outputs off unless `emergency_keys` names another"
             remedy = "choose another, or name another key under `answers.emergency_keys`"
             yield reading.problem(places[name], given, "a key with no other meaning", remedy)
@@ -243,7 +243,7 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
-    """Yield a finger that an answer names twice, and other fingers for an answer that is known by its name."""
+    """Yield a finger that an answer names twice, and fingers that contradict the name of a shipped answer."""
     path = ("answers", "fingers", name)
     fingers = [value for _, value in reading.items(*path)]
     if len(set(fingers)) < len(fingers):
@@ -305,11 +305,11 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
 
 
 LEAST_SAMPLES_PER_CYCLE = 2.5
-"""Fewest samples to a cycle of the highest modelled mode: the 2 of the sampling theorem and a quarter to spare [1]."""
+"""Fewest samples per cycle of the highest modelled mode: the 2 of the sampling theorem plus a quarter [1]."""
 
 
 def check_fit(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> list[Problem]:
-    """Return what a protocol asks for that its apparatus has not, as far as the sound parts of both show it."""
+    """Return what a protocol needs and its apparatus lacks, as far as the valid parts of both show it."""
     return [
         *_check_zones(protocol, apparatus),
         *_check_modes(protocol, apparatus),
@@ -366,7 +366,7 @@ def _check_sampling(protocol: Reading[Protocol], apparatus: Reading[Apparatus], 
     highest: Any = max((value for value in known if value is not None), default=None)
     if n_samples is None or duration is None or highest is None:
         return
-    # Records are even; what rounding adds to an even bound shall not ask for two samples more.
+    # n_samples is even; rounding error at an even bound must not demand two samples more.
     least = 2 * math.ceil(LEAST_SAMPLES_PER_CYCLE * highest * duration * 1e-3 / 2 * (1 - 1e-12))
     if n_samples < least:
         given = f"{n_samples} samples in {duration:g} ms, too few for the mode of {highest:g} Hz"

@@ -150,7 +150,7 @@ class ConditionsSection(Section):
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Those of `contacts` that are two zones."""
+        """Those of `contacts` with two zones."""
         return tuple((zones[0], zones[1]) for zones in self.contacts if len(zones) == 2)
 
     def fingers_of(self, condition: Condition) -> tuple[str, ...]:
@@ -159,6 +159,6 @@ class ConditionsSection(Section):
 
     @property
     def fingers_used(self) -> list[str]:
-        """Every finger that lies on the beam in some condition."""
+        """Every finger that rests on the beam in some condition."""
         laid = (Condition(name, "", "", 0.0, place) for name in self.finger_conditions for place in self.placements)
         return sorted({finger for each in laid for finger in self.fingers_of(each)})

@@ -1,4 +1,4 @@
-"""Faults between fingers, zones and answers: as many zones as fingers, and answers that these fingers can give."""
+"""Faults between fingers, zones and answers: as many zones as fingers, and answers that fit these fingers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FROM_LEFT: tuple[str, ...] = get_args(FingerName)
 
 
 def check_contacts(reading: Reading[Protocol]) -> Iterator[Problem]:
-    """Yield zones that are doubled or do not fit the fingers, and what is wrong with finger conditions and answers."""
+    """Yield zones that are repeated or do not fit the fingers, and faults of finger conditions and answers."""
     yield from _check_zones(reading)
     known = {name: FINGERS[name, "right"] for name in _SHIPPED} | dict(reading.items("conditions", "fingers"))
     named = [*_SHIPPED, *(reading.keys("conditions", "fingers") or ())]
@@ -61,7 +61,7 @@ def _check_zones(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
-    """Yield a name that is taken, a finger that comes twice, and fingers of a hand in another order than they lie."""
+    """Yield a name that is taken, a repeated finger, and fingers of a hand that are not in anatomical order."""
     path, fingers = ("conditions", "fingers", name), reading.sound("conditions", "fingers", name) or ()
     said = f"[{', '.join(fingers)}]"
     in_order = {hand: [each for each in _FROM_LEFT if each in fingers and each.startswith(hand)] for hand in ("l", "r")}
@@ -78,13 +78,13 @@ def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
 
 
 def _check_number(reading: Reading[Protocol], name: str, number: int) -> Iterator[Problem]:
-    """Yield zones of a finger condition that are not as many as its fingers."""
+    """Yield zones that differ in number from the fingers of a finger condition."""
     own = [
         (("conditions", "cells", index, "pair"), each.pair)
         for index, each in reading.items("conditions", "cells")
         if name in (each.finger_conditions or (name,))
     ]
-    # Of several stimuli each is looked at crossed, while the cells stay in the file.
+    # Each of several stimuli is checked as a crossed design, but the file still contains the cells.
     for path, zones in own if reading.find(("conditions", "cells")) else contacts(reading):
         if len(zones) != number:
             given = f"[{', '.join(zones)}], {_SAID[len(zones)]} for the {_SAID[number]} of {name}"
@@ -94,7 +94,7 @@ def _check_number(reading: Reading[Protocol], name: str, number: int) -> Iterato
 
 
 def _check_answers(reading: Reading[Protocol], name: str, number: int) -> Iterator[Problem]:
-    """Yield an answer that names a finger which is not there, or, of three fingers, some of them alone."""
+    """Yield an answer that names an absent finger, or answers that name only some of three fingers alone."""
     offered = offered_answers(reading)
     if number == 1:
         odd = next((answer.name for answer in offered if answer.fingers), None)
@@ -117,7 +117,7 @@ def _check_answers(reading: Reading[Protocol], name: str, number: int) -> Iterat
 
 
 def _check_way(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
-    """Yield that no free hand can answer where both are on the beam."""
+    """Yield a way to answer that needs a free hand when both hands are on the beam."""
     way = reading.sound("answers", "ways", name)
     if reading.sound("answers", "given_by") != "experimenter" and way in (None, "free_hand"):
         path = ("answers", "ways", name) if way else ("answers",)

@@ -1,4 +1,4 @@
-"""Faults of a protocol's durations: no whole bursts, or bursts that cannot be played one by one."""
+"""Faults of a protocol's durations: not a whole number of bursts, or bursts that cannot be played one by one."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.sections import Protocol, whole_bursts
 
 WHOLE = 5e-3
-"""How far from a whole number of bursts a duration may be, for its rounding [1]."""
+"""Tolerance of a duration, in bursts, for its rounding in the file [1]."""
 
 MOST_OF_PERIOD = 0.95
-"""Longest burst that leaves room for the next one's jitter, as a part of the period [1]."""
+"""Longest burst that leaves room for the jitter of the next trigger, as a fraction of the period [1]."""
 
 
 def check_timing(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None) -> list[Problem]:
-    """Return the durations that are no whole bursts, and the bursts that cannot be played one by one."""
+    """Return the durations that are not a whole number of bursts, and the bursts that cannot be played one by one."""
     found = [*_check_durations(protocol), *_check_written_once(protocol)]
     if apparatus is not None:
         found += [*_check_period(protocol, apparatus), *_check_catch_trials(protocol, apparatus)]
@@ -26,7 +26,7 @@ def check_timing(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | No
 
 
 def _stimuli(protocol: Reading[Protocol], key: str) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Yield the values of a key of the stimulus, and of those of the several stimuli that have their own."""
+    """Yield path and value of a key of the stimulus, and of each of several stimuli that has its own value."""
     value = protocol.sound("stimulus", key)
     if value is not None:
         yield ("stimulus", key), value
@@ -47,7 +47,7 @@ def _check_durations(protocol: Reading[Protocol]) -> Iterator[Problem]:
             names = shared if path[0] == "stimulus" else [path[1]]
             counted = names and all(protocol.sound("stimuli", name, "presentation_bursts") for name in names)
             if counted and key == "presentation_s":
-                continue  # whose number of bursts is their own
+                continue  # each has its own number of bursts
             n_bursts = seconds * rate
             if n_bursts > 1 - WHOLE and abs(n_bursts - round(n_bursts)) <= WHOLE:
                 continue
@@ -82,7 +82,7 @@ def _check_period(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) ->
         if duration is None or rate is None or not is_written or duration * rate <= MOST_OF_PERIOD * 1e3:
             continue
         if duration * rate > 1e3:
-            continue  # longer than the period, which is told anyway
+            continue  # longer than the period, which is reported elsewhere
         given = f"{duration:g} ms at {rate:g} bursts per second"
         allowed = f"at most {MOST_OF_PERIOD * 1e3 / rate:.6g} ms, so that a burst is over before the next is triggered"
         remedy = "shorten the burst, repeat it less often, or set generator.repetition to continuous"

@@ -1,4 +1,4 @@
-"""A protocol with the apparatus and the texts that it names, their sources for the record, and all their faults."""
+"""A protocol with the files that it names, their sources for the record, and all their faults."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Experiment:
-    """Everything that the files of a protocol say.
+    """The valid content of all files of a protocol.
 
     Attributes
     ----------
     protocol : Protocol
-        What is presented, asked and repeated.
+        What is presented and asked, and how often.
     apparatus : Apparatus
-        What it is presented with.
+        The equipment that presents it.
     texts : Texts
         What the participant reads.
     sources : Sources
@@ -55,26 +55,26 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Findings:
-    """What the files of a protocol hold, as far as they are sound, and everything that is wrong with them.
+    """The files of a protocol as far as they are valid, and all their faults.
 
     Attributes
     ----------
     protocol, apparatus, texts : Reading or None
-        Each file; None where it cannot be opened.
+        Each file; None if it cannot be opened.
     problems : tuple of Problem
-        Every fault of all of them.
+        Every fault of all files.
     calibration : Reading or None
-        The calibration file, where there is one.
+        The calibration file, if any.
     field : Source or None
-        The file of the target field's points, where there is one.
+        The file of the target field's points, if any.
     fingers : Reading or None
-        The fingers that the stimulus is designed for, where there are any.
+        The fingers that the stimulus is designed for, if any.
     table : Source or None
-        The table of cells, where there is one.
+        The table of cells, if any.
     occasion : Occasion
-        The group of participants and the kind of session that it is for.
+        The group of participants and the kind of session that these findings are for.
     others : tuple of Findings
-        The files on the other occasions; what is wrong with these is among the problems.
+        The files on the other occasions; `problems` includes theirs.
     """
 
     protocol: Reading[Protocol] | None
@@ -110,14 +110,14 @@ class Findings:
         return Experiment(protocol, apparatus, texts, sources)
 
     def problem(self, path: Iterable[str | int], given: str, allowed: str, remedy: str = "") -> Problem:
-        """Problem at a path of the protocol, which must have been opened.
+        """Return a problem at a path of the protocol, which must have been opened.
 
         Parameters
         ----------
         path : iterable of str or int
             Key within the file.
         given, allowed, remedy : str
-            As of `Problem`.
+            As in `Problem`.
 
         Raises
         ------
@@ -129,7 +129,7 @@ class Findings:
         return self.protocol.problem(path, given, allowed, remedy)
 
     def defaults(self) -> list[dict[str, Any]]:
-        """Keys that the protocol leaves out and the values taken for them, but what each of several stimuli gives."""
+        """Keys that the protocol leaves out, with their defaults; without keys that every one of its stimuli gives."""
         if self.protocol is None:
             return []
         named = [self.protocol.find(("stimuli", name)) for name in self.protocol.sound("stimuli") or ()]
@@ -139,16 +139,16 @@ class Findings:
 
     @property
     def levels(self) -> dict[tuple[str | int, ...], float]:
-        """Sound levels that the protocol presents, by their keys [mm/s]."""
+        """Valid levels that the protocol presents, by their paths [mm/s]."""
         return {} if self.protocol is None else presented_levels(self.protocol)
 
     def points(self) -> tuple[tuple[float, float], ...] | None:
-        """Points in the file of the target field, positions [mm] and relative velocities; None where it is faulty."""
+        """Points in the file of the target field, positions [mm] and relative velocities; None if it is faulty."""
         points, faults = ((), []) if self.field is None else read_points(self.field)
         return None if faults else points
 
     def under(self, name: str) -> Findings:
-        """Findings with fingers of a file, or shipped ones, instead of those that the protocol names.
+        """Return findings with the fingers of a file, or shipped ones, instead of those that the protocol names.
 
         Raises
         ------
@@ -169,7 +169,7 @@ class Findings:
 
     @cached_property
     def placements(self) -> Placements | None:
-        """Where fingers lie in each condition; None on the untouched beam, or where a file is faulty."""
+        """Fingers on the beam in each condition; None for the untouched beam, or if a file is faulty."""
         fingers = None if self.fingers is None else self.fingers.value
         protocol = None if self.protocol is None else self.protocol.value
         apparatus = None if self.apparatus is None else self.apparatus.value
@@ -180,7 +180,7 @@ class Findings:
         return Placements(fingers, protocol, apparatus)
 
     def with_true_fingers(self, rng: np.random.Generator) -> Apparatus:
-        """Apparatus whose twin has a person's fingers, where the stimulus is designed for any; else as it is.
+        """Return the apparatus; if the stimulus is designed for fingers, its twin has the fingers of a random person.
 
         Parameters
         ----------
@@ -196,19 +196,19 @@ class Findings:
         return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update=own)})
 
     def placement_of(self, finger_condition: str, left: str, right: str) -> str:
-        """Name of the placement of a finger condition on two zones of a beam that is not turned; empty for none."""
+        """Name of the placement of a finger condition on two zones of the unturned beam; empty for none."""
         from modaltouch.protocol.trial import Condition
 
         return self.placement(Condition(finger_condition, left, right, velocity_mm_s=0.0))
 
     def placement(self, condition: Condition) -> str:
-        """Name of the placement of a condition; empty where the stimulus is for the untouched beam."""
+        """Name of the placement of a condition; empty if the stimulus is for the untouched beam."""
         return "" if self.placements is None else self.placements.name(condition)
 
     def generator_problem(self, identity: str) -> Problem | None:
-        """Why the calibration was made with another generator than the one that is open; None if it was not.
+        """Problem if the calibration was made with another generator than the open one, else None.
 
-        Maker, model and serial number must agree; the firmware may be another.
+        Maker, model and serial number must agree; the firmware may differ.
 
         Parameters
         ----------
@@ -224,14 +224,14 @@ class Findings:
         return self.calibration.problem(("instruments", "generator"), given, allowed, remedy)
 
     def each_stimulus(self) -> Iterator[tuple[str, Findings]]:
-        """Name of each of several stimuli, and the files as if it were the only one, with what is then wrong."""
+        """Yield each of several stimuli by name with the findings of the files as if it were the only one."""
         if self.protocol is None or self.protocol.value is None or self.apparatus is None:
             return
         from modaltouch.protocol.cell_table import at_own_levels
 
         for name, variant in self.protocol.value.stimuli.items():
             value = self.protocol.value.with_stimulus(name)
-            # The order is drawn and checked for all of them together.
+            # Their order is drawn and checked for all stimuli together.
             eased = value.schedule.model_copy(update={"catch_trials": 0, **dict.fromkeys(LIMITS)})
             alone = at_own_levels(replace(self.protocol, value=value.model_copy(update={"schedule": eased})))
             problems = [*check_protocol(alone), *check_fit(alone, self.apparatus)]
@@ -247,14 +247,14 @@ class Findings:
             yield name, replace(self, protocol=alone, problems=tuple(problems), calibration=calibration)
 
     def at_stimulus(self, name: str, problems: Iterable[Problem]) -> Iterator[Problem]:
-        """Problems of a stimulus at its own key where it has one, and named after it elsewhere.
+        """Yield the problems of a stimulus with its name, each at the stimulus's own key if it has that key.
 
         Parameters
         ----------
         name : str
             The stimulus.
         problems : iterable of Problem
-            What is wrong with it.
+            Its problems, found as if it were the only one.
         """
         calibration = self.calibration
         in_calibration = calibration is not None and calibration.find(("stimuli", name)) is not None
@@ -271,14 +271,14 @@ class Findings:
 
     @classmethod
     def restored(cls, sources: Sources, occasion: tuple[str, str] = ("", "")) -> Findings:
-        """Findings in the texts that a record keeps, whatever became of their files.
+        """Return the findings in the copies that a record keeps, whatever became of the files.
 
         Parameters
         ----------
         sources : Sources
             As `Sources.from_dict` reads them from the record.
         occasion : (str, str)
-            The group and the kind of session that it is for.
+            The group and the kind of session.
         """
         protocol, texts = (
             _read_protocol(sources.protocol, Occasion(*occasion), sources.table),
@@ -291,7 +291,7 @@ class Findings:
         if sources.calibration is not None:
             from modaltouch.protocol.calibration import check_calibration, examine_calibration
 
-            # However old it has become since: a record keeps what it was begun with.
+            # Its age is not checked: a record keeps the calibration that it was begun with.
             calibration = examine_calibration(sources.calibration)
             problems += [*calibration.problems, *check_calibration(calibration, protocol, apparatus)]
         if sources.field is not None:
@@ -307,7 +307,7 @@ class Findings:
 
     @classmethod
     def recorded(cls, start: dict[str, Any]) -> Findings:
-        """Findings in the texts that a session's start record keeps, on its occasion."""
+        """Return the findings in the copies that a session's start record keeps, on its occasion."""
         own = start.get("schedule", {})
         occasion = str(own.get("group", "")), str(own.get("session_kind", ""))
         return cls.restored(Sources.from_dict(start["sources"]), occasion)
@@ -316,7 +316,7 @@ class Findings:
     def read(
         cls, path: Path | str, calibration: Path | None = None, *, uncalibrated: bool = False, marked: bool = False
     ) -> Findings:
-        """Findings in a protocol file and the files that it names.
+        """Return the findings in a protocol file and the files that it names.
 
         Parameters
         ----------
@@ -325,9 +325,9 @@ class Findings:
         calibration : Path, optional
             Calibration file to use instead of the one that the protocol names.
         uncalibrated : bool
-            Whether no calibration is read, although the protocol names or requires one: to make one, or to plan.
+            Whether to ignore a calibration that the protocol names or requires: to make one, or to plan.
         marked : bool
-            Whether a calibration may be marked, since it misses its limits.
+            Whether to accept a calibration that is marked because it misses its limits.
         """
         try:
             source = Source.find("protocol", path)
@@ -343,7 +343,7 @@ class Findings:
     def _read(
         cls, source: Source, occasion: Occasion, calibration: Path | None, *, uncalibrated: bool, marked: bool
     ) -> Findings:
-        """Return what `read` does, on one occasion."""
+        """Return the findings of one occasion."""
         problems: list[Problem] = []
         protocol = _read_protocol(source, occasion)
         table = _load_named(protocol, ("conditions", "table"), problems)
@@ -377,7 +377,7 @@ class Findings:
 
 
 def _read_protocol(source: Source, occasion: Occasion, table: Source | None = None) -> Reading[Protocol]:
-    """Return a protocol as it is on an occasion, with the cells of its table, where it has one."""
+    """Return a protocol as it is on an occasion, with the cells of its table, if any."""
     root, problems = parse_tree(source)
     if root is not None and any(occasion):
         problems += check_groups(source, root)
@@ -400,7 +400,7 @@ def _serial(identity: str) -> tuple[str, ...]:
 def _examine_calibration(
     protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None, path: Path | None, problems: list[Problem]
 ) -> Reading[Calibration] | None:
-    """Return the calibration that is given, or that the protocol names; what is wrong goes to `problems`."""
+    """Return the calibration that is given, or that the protocol names; add its faults to `problems`."""
     source = None
     if path is not None:
         try:
@@ -415,7 +415,7 @@ def _examine_calibration(
             problems.append(protocol.problem(("calibration", "required"), given, "a calibration", remedy))
     if source is None:
         return None
-    # Most protocols name none: its forty keys are not built for them.
+    # Imported only here: most protocols name no calibration, and its models take time to build.
     from modaltouch.protocol.calibration import check_age, check_calibration, examine_calibration
 
     if protocol.sound("stimulus", "field", "file") is not None:
@@ -431,7 +431,7 @@ def _examine_calibration(
 
 
 def _load_named(protocol: Reading[Protocol], key: tuple[str, ...], problems: list[Problem]) -> Source | None:
-    """Return the text of the file that a key names; what is wrong with the name goes to `problems`."""
+    """Return the source of the file that a key names; add what is wrong with it to `problems`."""
     name = protocol.sound(*key)
     if name is None:
         return None

@@ -20,7 +20,7 @@ Spread = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=3)]
 
 
 class MaxwellSection(Section):
-    """A spring in series with a damper, which relaxes over time."""
+    """A Maxwell element: a spring in series with a damper."""
 
     stiffness_N_per_mm: Positive = described("Stiffness before it relaxes [N/mm].")  # noqa: N815
     relaxation_ms: Positive = described("Relaxation time [ms].")
@@ -55,7 +55,7 @@ class FingerSection(Section):
     )
 
     def at(self, centre: float) -> Finger:
-        """The finger on a zone with its centre at a place of the beam [m], SI units."""
+        """Return the finger in SI units on a zone centred at `centre` [m]."""
         from modaltouch.stimulus import Finger
 
         return Finger(
@@ -102,7 +102,7 @@ class FingerSpread(Section):
     )
 
     def drawn(self, typical: FingerSection, rng: np.random.Generator) -> FingerSection:
-        """A fingertip of a person or of a placement, around the typical one."""
+        """Draw the fingertip of a person, a placement or a trial around a typical one."""
         mass, damping, stiffness = np.exp(rng.standard_normal(3) * (self.mass, self.damping, self.stiffness)).tolist()
         values = {
             "mass_g": typical.mass_g * mass,
@@ -115,7 +115,7 @@ class FingerSpread(Section):
 
 
 class FingerProbe(Section):
-    """A probe with which fingers were measured."""
+    """A probe that measured fingers."""
 
     placement: Text = described("Zones from left to right, and the fingers on them.")
     date: Text = described("When the probe was made.")
@@ -153,7 +153,7 @@ class FingersFile(Section):
     )
 
     def of(self, name: str) -> FingerSection | None:
-        """The fingertip of a name such as ``left index``; None where the file has none of it."""
+        """Return the fingertip of a name such as ``left index``; None if the file has none."""
         if isinstance(self.fingers, FingerSection):
             return self.fingers
         hand, finger = name.split()
@@ -162,7 +162,7 @@ class FingersFile(Section):
 
     @classmethod
     def read(cls, name: Path | str) -> FingersFile:
-        """Fingers in a file.
+        """Read fingers from a file.
 
         Parameters
         ----------
@@ -172,6 +172,6 @@ class FingersFile(Section):
         Raises
         ------
         InputError
-            With every fault of the file and its place; or with the shipped names, where there is no such file.
+            With every fault of the file and its place; or with the shipped names, if there is no such file.
         """
         return read(Source.find("fingers", name), cls).require()

@@ -1,4 +1,4 @@
-"""What an identification adds to an apparatus file: mode shapes of a scan, intervals, and where numbers come from."""
+"""What an identification adds to an apparatus file: measured mode shapes, intervals, and the sources of numbers."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Intervals(Section):
 
 
 class Provenance(Section):
-    """Where each number of a mode comes from, in words."""
+    """Source of each number of a mode, in words."""
 
     natural_frequency_Hz: Text = described("Source of the natural frequency.", default="")  # noqa: N815
     damping_ratio: Text = described("Source of the damping ratio.", default="")
@@ -98,7 +98,7 @@ class ShapeTable(Section):
         Raises
         ------
         ValueError
-            If they span no basis.
+            If the shapes do not span a basis.
         """
         from modaltouch.stimulus import MeasuredShapes
 
@@ -108,7 +108,7 @@ class ShapeTable(Section):
 
 
 def check_shapes(reading: Reading[Any]) -> Iterator[Problem]:
-    """Return the faults between shapes, theory and table of modes, as far as their sound parts show them."""
+    """Yield the faults between shapes, theory and table of modes, as far as their valid parts show them."""
     theory, table = reading.sound("beam", "theory"), reading.sound("beam", "measured_shapes")
     here = ("beam", "measured_shapes")
     if theory == "measured" and reading.find(here) is None:

@@ -1,4 +1,4 @@
-"""Trials of several intervals: where the comparison stands, and which keys do not go together."""
+"""Trials of several intervals: which interval holds the comparison, and which keys contradict each other."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from modaltouch.protocol.trial import Condition
 
 
 def draw_intervals(section: IntervalsSection, conditions: Sequence[Condition], stream: Stream) -> list[int]:
-    """Return in which interval each trial has its comparison: as equally often as can be, in each condition and in all.
+    """Return the interval of the comparison in each trial, balanced within each condition and over all trials.
 
     Parameters
     ----------
     section : IntervalsSection
-        Where it may stand.
+        Intervals that may hold the comparison.
     conditions : sequence of Condition
         Conditions of the trials, in order.
     stream : Stream
-        Where chance comes from.
+        Source of random numbers.
     """
     of_condition: dict[Condition, list[int]] = {}
     for place, condition in enumerate(conditions):
         of_condition.setdefault(condition, []).append(place)
     drawn, turns, n_dealt = [0] * len(conditions), stream.shuffled(section.places), 0
-    # Dealt in turn: no condition has an interval twice more than another one, nor have all together.
+    # Dealt in turn: within each condition, and over all, the counts of the intervals differ by at most one.
     for places in stream.shuffled(of_condition.values()):
         dealt = [turns[(n_dealt + number) % len(turns)] for number in range(len(places))]
         n_dealt += len(places)
@@ -38,13 +38,13 @@ def draw_intervals(section: IntervalsSection, conditions: Sequence[Condition], s
 
 
 def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield the faults between the section ``intervals`` and the others, as far as its sound parts show them."""
+    """Yield the faults between the section ``intervals`` and the others, as far as its valid parts show them."""
     path = ("intervals",)
     if reading.keys(*path) is None:
         given = "meanings of answers, but a trial has a single stimulus"
         yield reading.problem(("answers", "intervals"), given, "a section intervals", "write it, or remove this")
     if reading.keys(*path) is None or (reading.value is not None and reading.value.intervals is None):
-        return  # of several stimuli this one is not the standard's
+        return  # one of several stimuli, and not the standard's
     standard = reading.sound(*path, "standard")
     names = reading.keys("stimuli") or []
     if standard is not None and standard.stimulus is not None and standard.stimulus not in names:
@@ -88,7 +88,7 @@ def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def _check_numbers(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield intervals that there are not, or that are named twice."""
+    """Yield intervals that do not exist or are named twice."""
     number = reading.sound("intervals", "number")
     for path in (("intervals", "comparison_in"), ("answers", "intervals")):
         seen: list[Meaning] = []
@@ -102,7 +102,7 @@ def _check_numbers(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def _check_asked(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield answers of two questions, intervals without one, and a question of levels that does not say which."""
+    """Yield answers to two different questions, intervals without an answer, and an ambiguous question about levels."""
     levels = [level for _, level in reading.items("conditions", "peak_velocities_mm_s")]
     standard, number = reading.sound(*STANDARD_LEVEL), reading.sound("intervals", "number")
     meanings = reading.items("answers", "intervals")

@@ -1,4 +1,4 @@
-"""Trials of several stimuli in sequence: their keys, and which answer is right."""
+"""Trials of several intervals: their keys, and which answer is correct."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from modaltouch.protocol.trial import Condition
 
 IntervalNumber = Annotated[int, Field(strict=True, ge=1, le=3)]
 Meaning = IntervalNumber | Literal["same", "different"]
-"""What an answer says: in which interval something was, or whether all intervals were alike."""
+"""What an answer says: which interval it was, or whether all intervals were alike."""
 
 STANDARD_LEVEL = ("intervals", "standard", "velocity_mm_s")
 """Key of the standard's level."""
 
 
 class StandardSection(Section):
-    """The stimulus that the comparison is compared with; it lies under the same fingers."""
+    """The stimulus that the comparison is compared with, under the same fingers."""
 
     velocity_mm_s: NotNegative | None = described(
         "Level of the standard [mm/s], such as 100; 0 for a silent interval; null for the level of the comparison.",
@@ -56,7 +56,7 @@ class IntervalsSection(Section):
 
     @property
     def places(self) -> tuple[int, ...]:
-        """Intervals in which the comparison may stand."""
+        """Intervals that may hold the comparison."""
         return self.comparison_in or tuple(range(1, self.number + 1))
 
     def standard_of(self, comparison: Condition) -> Condition:
@@ -66,7 +66,7 @@ class IntervalsSection(Section):
         return replace(comparison, velocity_mm_s=velocity, stimulus=given.stimulus or comparison.stimulus)
 
     def is_correct(self, meaning: Meaning | None, comparison: Condition, interval: int) -> bool | None:
-        """Whether an answer is right; None where it says nothing of the intervals, or any may be right.
+        """Whether an answer is correct; None if it says nothing about the intervals, or if any may be correct.
 
         Parameters
         ----------
@@ -75,7 +75,7 @@ class IntervalsSection(Section):
         comparison : Condition
             Condition of the trial.
         interval : int
-            Where it stood.
+            Interval that held the comparison.
         """
         standard = self.standard_of(comparison)
         if meaning is None or isinstance(meaning, str):
@@ -87,7 +87,7 @@ class IntervalsSection(Section):
 
 
 def presented_levels(reading: Reading[Any]) -> dict[tuple[Step, ...], float]:
-    """Return the sound levels of a protocol by their keys [mm/s]; that of a standard where it is another one."""
+    """Return the valid levels of a protocol by path [mm/s], including the standard's if it is not one of them."""
     section = ("conditions", "peak_velocities_mm_s")
     levels: dict[tuple[Step, ...], float] = {(*section, index): level for index, level in reading.items(*section)}
     if (standard := reading.sound(*STANDARD_LEVEL)) and standard not in levels.values():

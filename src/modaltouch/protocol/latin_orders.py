@@ -12,8 +12,8 @@ from modaltouch.protocol.streams import Stream
 def latin_square(n_cells: int) -> list[list[int]]:
     """Return the rows of a balanced Latin square: Williams' design.
 
-    Every cell comes at every place equally often, and follows every other equally often; that takes `n_cells`
-    rows for an even number of cells and twice as many for an odd one.
+    Every cell occurs equally often at each place and follows every other equally often, which takes `n_cells` rows
+    for an even number of cells and twice as many for an odd one.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def latin_square(n_cells: int) -> list[list[int]]:
 
 
 def period_of_rows(protocol: Protocol) -> int:
-    """Return after how many turns the rows of a Latin square repeat; 1 where the protocol uses none."""
+    """Return the number of turns after which the rows of a Latin square repeat; 1 if the protocol uses none."""
     if protocol.schedule.order not in ("latin_square", *_PLACES):
         return 1
     return math.lcm(*(_period(protocol, protocol.cells(name)) for name in protocol.conditions.finger_conditions))
@@ -59,7 +59,7 @@ def order_by_square(protocol: Protocol, cells: list[Cell], turn: int, stream: St
 
 def _period(protocol: Protocol, cells: list[Cell]) -> int:
     n_rows = len(latin_square(len(_kinds(protocol.schedule.order, cells))))
-    # Each round of the rows begins one later than the last, so it takes as many rounds as rows.
+    # Each round begins one row later than the last, so it takes as many rounds as rows.
     period = n_rows * n_rows
     taken = protocol.scheduled_repetitions if protocol.schedule.order == "latin_square" else 1
     return period // math.gcd(period, taken)
@@ -68,16 +68,16 @@ def _period(protocol: Protocol, cells: list[Cell]) -> int:
 def _row_of_turn(turn: int, n_rows: int) -> int:
     """Return the row of a square for a turn.
 
-    Each dozen of participants (for a dozen rows) begins a row later than the last, so that rows and orders of
-    finger conditions, which take turns too, meet in every combination.
+    Each round of `n_rows` participants begins one row later than the last, so that rows are combined in every way with
+    the orders of finger conditions, which also alternate between participants.
     """
     return (turn + turn // n_rows) % n_rows
 
 
 _PLACES = {"by_pair": 0, "by_velocity": 1}
-"""Place in a cell of what comes one after the other, by the protocol's `order`."""
+"""Index in a cell of what is presented one after the other, by the protocol's `order`."""
 
 
 def _kinds(order: str, cells: list[Cell]) -> list[object]:
-    """Return what the rows of a Latin square order; of all cells each as often as its weight."""
+    """Return what the rows of a Latin square order: pairs, velocities or cells (each as often as its weight)."""
     return list(cells if order == "latin_square" else dict.fromkeys(cell[_PLACES[order]] for cell in cells))

@@ -1,4 +1,4 @@
-"""The level of a trial in an adaptive run, from the record alone: killed and resumed, it is the very same.
+"""The level of a trial in an adaptive run, computed from the record alone: a resumed run continues as if never broken.
 
 References
 ----------
@@ -30,7 +30,7 @@ Run = tuple[str, ...]
 
 
 class Levels:
-    """Tells the level of each trial of an adaptive protocol; trials of other protocols stay as they are.
+    """Sets the level of each trial of an adaptive protocol; trials of other protocols are left as they are.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Levels:
         self._bounds = to_dB(self._range[0]), to_dB(self._range[1])
         self._quests: dict[Run, Quest] = {}
         if adaptive is not None and adaptive.method == "quest_plus":
-            # Built now rather than at the first trial, which it would keep waiting.
+            # Built now, so that the first trial need not wait for it.
             blank = Quest(self._bounds, to_dB(adaptive.start_mm_s), adaptive.guess_rate, adaptive.lapse_rate)
             fingers, contacts = protocol.conditions.finger_conditions, protocol.conditions.contacts
             for finger_condition, zones, name in product(fingers, contacts, protocol.stimulus_names):
@@ -53,17 +53,17 @@ class Levels:
                     self._quests[run] = copy.copy(blank)
 
     def settle(self, trial: Trial, answered: Iterable[Mapping[str, Any]], algorithm: str = "") -> Trial:
-        """Return a scheduled trial with the level that it is presented at.
+        """Return a scheduled trial with the level at which it is presented.
 
         Parameters
         ----------
         trial : Trial
             As scheduled; practice and catch trials are left as they are.
         answered : iterable of mapping
-            The record's trial events that count (`Session.trials`), in any order; only those before this trial in
-            the session and of its run are looked at.
+            The record's trial events that count (`Session.trials`), in any order; only those of the same run and
+            before this trial are used.
         algorithm : str
-            As the record names it; the first version of each took a time-out for "felt".
+            The algorithm as recorded; version 1 of each took a time-out for "felt".
         """
         adaptive = self._protocol.adaptive
         if adaptive is None or trial.practice or trial.condition.is_catch:
@@ -81,7 +81,7 @@ class Levels:
     def _history(
         self, run: Run, until: int, rule: str, answered: Iterable[Mapping[str, Any]], timed_out: str
     ) -> list[tuple[float, bool]]:
-        """Return level [dB] and success of the trials of a run that the instrument confirmed before one, in order."""
+        """Return level [dB] and success of each trial of a run confirmed by the instrument before `until`, in order."""
         found: list[tuple[int, float, bool]] = []
         offered = self._protocol.answers.offered
         for event in answered:
@@ -96,7 +96,7 @@ class Levels:
 
 
 def run_of(condition: Condition) -> Run:
-    """Return which run a condition belongs to."""
+    """Return the run of a condition."""
     return (condition.finger_condition, *condition.zones, condition.stimulus)
 
 
@@ -106,15 +106,15 @@ def to_dB(velocity_mm_s: float) -> float:  # noqa: N802
 
 
 def from_dB(level: float, bounds: tuple[float, float]) -> float:  # noqa: N802
-    """Return a level [mm/s] within its bounds, to four digits, as many as the generator's amplitude has."""
+    """Return a level [mm/s] within its bounds, to four digits, the resolution of the generator's amplitude."""
     velocity = 10 ** (level / 20)
     return min(max(float(f"{velocity:.4g}"), bounds[0]), bounds[1])
 
 
 def follow(rule: StaircaseSection, start: float, bounds: tuple[float, float], successes: Sequence[bool]) -> float:
-    """Return the next level of a staircase after some answers [dB]; a step that would pass a bound ends there.
+    """Return the next level of a staircase after some answers [dB], clipped to its bounds.
 
-    The step shrinks at each reversal, before it is taken.
+    The step changes to the next size at each reversal, before it is taken.
     """
     level, in_a_row, heading, n_reversals = start, 0, 0, 0
     for success in successes:
@@ -131,20 +131,20 @@ def follow(rule: StaircaseSection, start: float, bounds: tuple[float, float], su
 
 
 STEP = 2.0
-"""Distance of the levels that may be presented [dB]."""
+"""Spacing of the levels that may be presented [dB]."""
 
 MARGIN = 12.0
-"""How far beyond the levels the threshold may lie [dB]."""
+"""Range of possible thresholds beyond the lowest and highest level [dB]."""
 
 SPREADS = (1.0, 2.0, 4.0, 8.0, 12.0)
-"""Standard deviations of the function that are thought possible [dB]."""
+"""Possible standard deviations of the psychometric function [dB]."""
 
 _PARAMETERS = (0, 1, 2, 3)
-"""Axes of the likelihoods that are parameters of the function; answers and levels follow."""
+"""Axes of the likelihoods for the parameters of the psychometric function; those for answers and levels follow."""
 
 
 class Quest:
-    """A run of QUEST+, whose likelihoods are those of the package questplus, which PsychoPy brings along.
+    """A run of QUEST+, with likelihoods from the package questplus, a dependency of PsychoPy.
 
     Parameters
     ----------
@@ -153,11 +153,11 @@ class Quest:
     start : float
         Level of the first trial [dB].
     guess_rate, lapse_rate : float
-        Asymptotes of the function, and the largest lapse rate thought possible [1].
+        Lower asymptote of the psychometric function, and largest possible lapse rate [1].
     """
 
     def __init__(self, bounds: tuple[float, float], start: float, guess_rate: float, lapse_rate: float) -> None:
-        # Slow to import, so only where a run needs it.
+        # Slow to import.
         from questplus import QuestPlus
 
         low, high = bounds
@@ -177,7 +177,7 @@ class Quest:
         )
         self._levels: FloatArray = quest.stim_domain["intensity"]
         self._prior: FloatArray = quest.prior.values
-        # Bare arrays: the labelled ones of questplus cost eight times as much at every answer.
+        # Plain arrays: the labelled ones of questplus take eight times as long at every answer.
         self._likelihood: FloatArray = quest.likelihoods.transpose(*quest.prior.dims, "response", "intensity").values
         self._posterior, self._taken = self._prior, list[tuple[float, bool]]()
 
@@ -186,7 +186,7 @@ class Quest:
         if list(history[: len(self._taken)]) != self._taken:
             self._posterior, self._taken = self._prior, []
         for level, success in history[len(self._taken) :]:
-            # The record has the level that was presented to four digits.
+            # The record has the presented level to four digits.
             nearest = np.abs(self._levels - level).argmin()
             posterior = self._posterior * self._likelihood[..., 0 if success else 1, nearest]
             self._posterior = posterior / posterior.sum()
@@ -194,10 +194,10 @@ class Quest:
         return self._most_telling() if self._taken else self._start
 
     def _most_telling(self) -> float:
-        """Return the level after whose answer the least entropy is expected: Watson (2017), equations (8) to (10)."""
+        """Return the level with the least expected entropy after its answer: Watson (2017), equations (8) to (10)."""
         joint = self._posterior[..., None, None] * self._likelihood
         chance = joint.sum(axis=_PARAMETERS)
         after = joint / chance
-        with np.errstate(divide="ignore", invalid="ignore"):  # what is impossible adds nothing
+        with np.errstate(divide="ignore", invalid="ignore"):  # 0 log 0 = 0
             entropy = -np.nansum(after * np.log(after), axis=_PARAMETERS)
         return float(self._levels[(chance * entropy).sum(axis=0).argmin()])

@@ -1,7 +1,7 @@
-"""Uniform draws among the orders in which no kind comes more than n times running.
+"""Uniform draws among the orders in which no kind comes more than n times in a row.
 
-Each way is uniform over all valid orders: by the gaps between unlike neighbours where nothing may come twice
-running, by counting the ways to go on where these can be counted, by rejection where they cannot.
+Three methods, each uniform over all valid orders: inserting one kind after the other, if none may follow itself;
+counting the ways to continue, if they are few enough to count; else rejection.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from math import comb
 from modaltouch.protocol.streams import Cuts, Stream
 
 STATE_LIMIT = 40_000
-"""Most states that are counted: half a second."""
+"""Most states for which ways to continue are counted; takes half a second."""
 
 State = tuple[int, tuple[int, ...]]
-"""How many are left of the kind that came last, and of the others, increasing."""
+"""Number left of the kind that came last, and those of the other kinds in increasing order."""
 
 
 def n_states_at_most(counts: Sequence[int]) -> int:
-    """Return a bound on the number of states."""
+    """Return an upper bound on the number of states."""
     most, n_kinds = max(counts), len(counts)
     return (most + 1) * math.comb(most + n_kinds - 1, n_kinds - 1)
 
 
 @lru_cache(maxsize=8)
 def count_states(counts: tuple[int, ...], limit: int) -> dict[State, int]:
-    """Return the number of ways to go on from every state that can be met."""
+    """Return the number of ways to continue from every state that can occur."""
     layers: dict[int, set[State]] = {}
     open_states = set(_next_states(tuple(sorted(counts)), None, limit))
     while open_states:
@@ -59,25 +59,25 @@ def _next_states(others: tuple[int, ...], last: int | None, limit: int) -> Itera
 
 
 def _without(others: tuple[int, ...], count: int, last: int | None) -> tuple[int, ...]:
-    """Return the others once one with `count` left has become the last, and the last one of them."""
+    """Return the others after a kind with `count` left has become the last, and the former last has joined them."""
     position = others.index(count)
     rest = others[:position] + others[position + 1 :]
     return rest if last is None else tuple(sorted((*rest, last)))
 
 
 def moves(left: Sequence[int], last: int | None, limit: int, table: dict[State, int]) -> Iterator[tuple[int, int, int]]:
-    """Yield each next run: its kind, its length and the number of ways to go on after it.
+    """Yield each possible next run: its kind, its length and the number of ways to continue after it.
 
     Parameters
     ----------
     left : sequence of int
-        How many are left of each kind.
+        Number left of each kind.
     last : int or None
         Kind that came last.
     limit : int
-        Most times that a kind may come running.
+        Most times in a row that a kind may come.
     table : dict
-        As `count_states` returns it.
+        Returned by `count_states`.
     """
     for kind, count in enumerate(left):
         if kind == last:
@@ -88,7 +88,7 @@ def moves(left: Sequence[int], last: int | None, limit: int, table: dict[State, 
 
 
 def draw_counted(counts: Sequence[int], limit: int, stream: Stream) -> list[int]:
-    """Return an order drawn run by run, each with the share of the orders that begin so."""
+    """Return an order drawn run by run, each with the probability that a valid order continues with it."""
     table, left, order, last = count_states(tuple(counts), limit), list(counts), list[int](), None
     while any(left):
         choices = list(moves(left, last, limit, table))
@@ -108,7 +108,7 @@ def draw_unlike_neighbours(counts: tuple[int, ...], stream: Stream) -> list[int]
         spreads = _spreads(counts, kind, len(like))
         n_groups, n_like = spreads[stream.weighted([weight for *_, weight in spreads])][:2]
         gaps = stream.chosen(like, n_like) + stream.chosen(unlike, n_groups - n_like)
-        # Group sizes: cut the row of items at places drawn without replacement.
+        # Group sizes: cut the row of items at random places, drawn without replacement.
         cuts = [0, *sorted(stream.chosen(range(1, count), n_groups - 1)), count]
         sizes = dict(zip(sorted(gaps), (b - a for a, b in pairwise(cuts)), strict=True))
         grown: list[int] = []
@@ -119,7 +119,7 @@ def draw_unlike_neighbours(counts: tuple[int, ...], stream: Stream) -> list[int]
 
 
 def _spreads(counts: tuple[int, ...], kind: int, n_like: int) -> list[tuple[int, int, int]]:
-    """Return number of groups, number of them between like neighbours, and number of ways, for each spread."""
+    """Return the ways to group a kind: number of groups, number of them between like neighbours, number of orders."""
     count, after = counts[kind], _ways_to_finish(counts)[kind + 1]
     n_unlike = sum(counts[:kind]) + 1 - n_like
     spreads = []
@@ -135,7 +135,7 @@ def _spreads(counts: tuple[int, ...], kind: int, n_like: int) -> list[tuple[int,
 
 @lru_cache(maxsize=8)
 def _ways_to_finish(counts: tuple[int, ...]) -> list[list[int]]:
-    """Return the ways to finish before each kind but the first is inserted, by the number of like neighbours."""
+    """Return the number of ways to finish, by the kind to insert next (not the first) and number of like neighbours."""
     table: list[list[int]] = [[] for _ in counts] + [[1]]
     for kind in reversed(range(1, len(counts))):
         count, after, placed = counts[kind], table[kind + 1], sum(counts[:kind])
@@ -155,16 +155,16 @@ def _ways_to_finish(counts: tuple[int, ...]) -> list[list[int]]:
 
 
 WORK_LIMIT = 4_000_000
-"""Most items placed in rejected orders before a design is given up: a few seconds."""
+"""Most items placed in rejected orders before rejection is given up: a few seconds."""
 
 
 def draw_by_rejection(counts: Sequence[int], limit: int, stream: Stream) -> list[int] | None:
-    """Return the first order that keeps limit and counts, of many that keep one of the two; None if that is too rare.
+    """Draw orders that keep either the limit or the counts, until one keeps both; None if these are too rare.
 
-    Nothing is drawn where about more than `WORK_LIMIT` items would be.
+    Nothing is drawn if this would take more than about `WORK_LIMIT` items.
     """
     n_trials, n_kinds = sum(counts), len(counts)
-    # Rough sizes, logarithms of the tries, choose the quicker way: each draws uniformly.
+    # Estimated logarithms of the numbers of attempts choose the quicker way; both are uniform.
     excess = n_trials * n_kinds ** -float(limit) * (1 - 1 / n_kinds)
     spread = (n_kinds - 1) / 2 * math.log(2 * math.pi * n_trials / n_kinds)
     by_counts = excess < spread
@@ -179,7 +179,7 @@ def draw_by_rejection(counts: Sequence[int], limit: int, stream: Stream) -> list
 
 
 def _draw_word(counts: tuple[int, ...], limit: int, stream: Stream) -> list[int]:
-    """Return a uniform draw among all orders that keep the limit, cut where its counts go wrong."""
+    """Return a uniform draw among all orders that keep the limit, cut off where it exceeds a count."""
     steps = _totals_of_runs(sum(counts), len(counts), limit)
     left, last, order, others = list(counts), -1, list[int](), len(counts)
     rest = len(steps)
@@ -201,7 +201,7 @@ def _draw_word(counts: tuple[int, ...], limit: int, stream: Stream) -> list[int]
 
 @lru_cache(maxsize=8)
 def _totals_of_runs(length: int, n_kinds: int, limit: int) -> list[Cuts]:
-    """Return the ways to go on with runs of 1, 2, ... at most, added up, by the number of places left."""
+    """Return the cumulative number of ways to continue with a run of 1, 2, ..., by the number of places left."""
     ways, rows = [1], list[Cuts]()
     for rest in range(1, length + 1):
         totals = list(accumulate((n_kinds - 1) * ways[rest - run] for run in range(1, min(limit, rest) + 1)))
@@ -211,7 +211,7 @@ def _totals_of_runs(length: int, n_kinds: int, limit: int) -> list[Cuts]:
 
 
 def longest_run(order: Sequence[object]) -> int:
-    """Return how often the same item comes running at most.
+    """Return the length of the longest run of one item.
 
     >>> longest_run("ABBBA")
     3

@@ -16,7 +16,7 @@ Decibels = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-120, le=
 
 
 class MaskingSection(Section):
-    """Noise in the participant's ears, without a break from before the first trial until after the last."""
+    """Masking noise, played without a break from before the first trial until after the last."""
 
     noise: Literal["pink", "white"] = described(
         "pink: equal power per octave; white: equal power per hertz; both from 20 Hz to 20 kHz.", default="pink"
@@ -36,12 +36,12 @@ class MaskingSection(Section):
     )
 
     def level(self, sound: Sound) -> float | None:
-        """Return the level against a sine of full scale [dB FS]; None where calibration or level lack.
+        """Return the level relative to a full-scale sine [dB FS]; None if the level or its calibration is missing.
 
         Parameters
         ----------
         sound : Sound
-            What plays it.
+            The device that plays it.
         """
         if self.level_dB_FS is not None:
             return self.level_dB_FS
@@ -56,7 +56,7 @@ class MaskingSection(Section):
 
 
 def check_masking(protocol: Reading[Any], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
-    """Yield what is wrong with the level of the masking noise, as far as the sound parts of both files show it."""
+    """Yield the faults of the level of the masking noise, as far as the valid parts of both files show them."""
     if protocol.keys("masking") is None:
         return
     given = [key for key in ("level_dB_FS", "level_dB_SPL") if protocol.sound("masking", key) is not None]

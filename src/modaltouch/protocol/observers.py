@@ -1,4 +1,4 @@
-"""The keys of an observer file: who is simulated."""
+"""The keys of an observer file, which describes simulated participants."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class ObserverFile(Section):
 
     @classmethod
     def read(cls, name: Path | str) -> ObserverFile:
-        """Observer in a file.
+        """Read an observer from a file.
 
         Parameters
         ----------
@@ -101,6 +101,6 @@ class ObserverFile(Section):
         Raises
         ------
         InputError
-            With every fault of the file and its place; or with the shipped names, where there is no such file.
+            With every fault of the file and its place; or with the shipped names, if there is no such file.
         """
         return read(Source.find("observer", name), cls).require()

@@ -56,21 +56,21 @@ Sessions = Annotated[
 
 
 class Occasion(NamedTuple):
-    """A group of participants and a kind of session; empty where the protocol has none."""
+    """A group of participants and a kind of session; each empty if the protocol has none."""
 
     group: str = ""
     kind: str = ""
 
 
 def occasions_of(root: Node | None) -> list[Occasion]:
-    """Return every group with every kind of session that the tree of a protocol has; one without names for neither."""
+    """Return every combination of group and kind of session in the tree of a protocol; names it lacks are empty."""
     groups = list(_overrides(root, "groups")) or [""]
     kinds = list(_overrides(root, "schedule", "sessions")) or [""]
     return [Occasion(group, kind) for group in groups for kind in kinds]
 
 
 def at_occasion(root: Node, occasion: Occasion) -> Node:
-    """Return the tree of a protocol with what is otherwise on an occasion; every value keeps its place."""
+    """Return the tree of a protocol with the overrides of an occasion; every value keeps its place."""
     own = [_overrides(root, "groups").get(occasion.group), _overrides(root, "schedule", "sessions").get(occasion.kind)]
     for each in filter(None, own):
         for section in Overrides.model_fields:
@@ -81,7 +81,7 @@ def at_occasion(root: Node, occasion: Occasion) -> Node:
 
 
 def check_groups(source: Source, root: Node) -> list[Problem]:
-    """Return groups and kinds with sessions of their own, kinds of one name, and people asked for their group."""
+    """Return the faults of groups and kinds: sessions of their own, repeated names, a field `group` under people."""
     problems = []
     people = root.child("people")
     if people is not None and "group" in people.keys and _overrides(root, "groups"):
@@ -122,7 +122,7 @@ def _overrides(root: Node | None, *path: str) -> dict[str, Node]:
 
 
 def _merged(base: Node | None, over: Node) -> Node:
-    """Return a mapping with the values of another over its own; anything else is replaced."""
+    """Return a mapping updated, at every depth, with the values of another; anything else is replaced."""
     if base is None or not (isinstance(base.content, dict) and isinstance(over.content, dict)):
         return over
     for key, each in over.content.items():

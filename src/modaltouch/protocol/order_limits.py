@@ -1,4 +1,4 @@
-"""Which keys limit what may follow what in shuffled orders, and what is raised where none keeps them."""
+"""The keys that limit what may follow what in shuffled orders, and the error if no order keeps them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LIMITS = (
 
 
 class NoOrderError(ValueError):
-    """No order keeps a limit, or those that do are too rare to find; `key` is the limit's in the section schedule."""
+    """No order keeps a limit, or those that do are too rare to find; `key` is its key in the section schedule."""
 
     def __init__(self, message: str, key: str) -> None:
         super().__init__(message)
@@ -23,16 +23,16 @@ class NoOrderError(ValueError):
 
 
 def refuse_runs(counts: Sequence[int], limit: int, key: str, n_others: int = 0) -> None:
-    """Raise NoOrderError where no order keeps each kind to so many times running.
+    """Raise NoOrderError if no order keeps a limit on runs.
 
     Parameters
     ----------
     counts : sequence of int
-        How often each kind comes.
+        Number of trials of each kind.
     limit : int
-        Most times that a kind may come running.
+        Most times in a row that a kind may come.
     key : str
-        Which of `LIMITS` it is.
+        Key of the limit, one of `LIMITS`.
     n_others : int
         Number of trials of no kind, which may come anywhere.
     """
@@ -45,7 +45,7 @@ def refuse_runs(counts: Sequence[int], limit: int, key: str, n_others: int = 0) 
 def least_limit(counts: Sequence[int]) -> int:
     """Return the smallest limit on runs that the counts allow.
 
-    The most frequent kind must fit into the gaps before, between and after the others.
+    The trials of the most frequent kind must fit into the gaps before, between and after all others.
 
     >>> least_limit([4, 4, 4]), least_limit([12]), least_limit([9, 2])
     (1, 12, 3)

@@ -1,8 +1,8 @@
-"""Orders under limits that cannot be counted: a random walk that comes to every order that keeps them alike.
+"""Orders under limits that cannot be counted: a random walk with a uniform distribution over the orders that keep them.
 
-A step turns a stretch of the order round. It is taken if it breaks no more limits than before, and else with a
-probability of 2**-k for each more: Metropolis's rule, in whole numbers. Over all orders the walk is then
-stationary with weights 2**-k for each limit broken; watched only where none is, it is stationary and uniform.
+A step reverses a stretch of the order. It is taken if it breaks no more limits than before, else with probability
+2**(-k m) for m more (Metropolis's rule, in whole numbers). The stationary distribution over all orders then has the
+weight 2**-k for each limit broken; restricted to orders that break none, it is uniform.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from modaltouch.protocol.streams import Stream
 Item = TypeVar("Item", bound=Hashable)
 
 REPEATS = 10_000
-"""Permutations of equally frequent cells that are drawn where only one repeated keeps the distance."""
+"""Most permutations that are drawn if only a repeated permutation of the cells keeps the distance."""
 
 SWEEPS = 100
-"""Steps for each trial that the walk takes among orders that keep all limits; most designs forget theirs in two."""
+"""Steps of the walk per trial among orders that keep all limits; in most designs two suffice to forget the first."""
 
 STEPS_ASTRAY, SWEEPS_ASTRAY = 200_000, 200
-"""Steps, and steps for each trial besides, among orders that break a limit, after which limits are given up."""
+"""Steps, plus steps per trial, among orders that break a limit, after which the search is given up."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,11 @@ class Limit(Generic[Item]):
     key : str
         Key of the section schedule that sets it.
     kind_of : callable
-        What of an item it is about; None for an item that it is not about.
+        Kind of an item, such as its pair; None for an item that the limit does not concern.
     running : int
-        Most times running; 1 for a distance.
+        Most times in a row; 1 for a distance.
     distance : int
-        Least number of trials from one of a kind to the next; 1 for none.
+        Least number of trials from one of a kind to the next; 1 if the limit is on runs.
     """
 
     key: str
@@ -49,7 +49,7 @@ class Limit(Generic[Item]):
     distance: int = 1
 
     def refuse_impossible(self, items: Sequence[Item]) -> None:
-        """Raise NoOrderError where no order of these items keeps it."""
+        """Raise NoOrderError if no order of these items keeps it."""
         counts = Counter(map(self.kind_of, items))
         n_free = counts.pop(None, 0)
         most = max(counts.values(), default=0)
@@ -65,14 +65,13 @@ class Limit(Generic[Item]):
 
     @property
     def reach(self) -> int:
-        """Number of trials before and after a place that can break it there."""
+        """Number of trials on each side of a place that matter for whether it is broken there."""
         return max(self.running, self.distance - 1)
 
     def n_broken_between(self, before: Sequence[Item], after: Sequence[Item]) -> int:
-        """Return how often it is broken by what comes right before a place together with what comes right after.
+        """Return how often it is broken across a place, by the items just before and just after it.
 
-        A row of kinds breaks it once for each stretch that is one longer than allowed, a distance once for each two
-        that are too near.
+        A run counts once for each item more than allowed, a distance once for each pair of items too near.
         """
         if not before or not after:
             return 0
@@ -100,36 +99,36 @@ class Limit(Generic[Item]):
 def draw_by_walk(
     items: Sequence[Item], limits: Sequence[Limit[Item]], stream: Stream, effort: float = 1.0
 ) -> list[Item]:
-    """Return an order that keeps all limits, each as likely as any other once the walk has forgotten its first.
+    """Return an order that keeps all limits; all are equally likely once the walk has forgotten its first order.
 
     Parameters
     ----------
     items, limits, stream
-        What is ordered, what is to be kept, and where chance comes from.
+        Items to order, limits to keep, and source of random numbers.
     effort : float
-        Share of the usual work after which limits are given up [1].
+        Fraction of the usual work after which the search is given up [1].
 
     Raises
     ------
     NoOrderError
-        If no order keeps one of them, or the walk comes to too few that keep all.
+        If no order keeps one of the limits, or the walk meets too few that keep all.
     """
     for limit in limits:
         limit.refuse_impossible(items)
-    # What an item is to each limit is looked up, not worked out again.
+    # The kind of each item is looked up, not computed again.
     limits = [replace(limit, kind_of={item: limit.kind_of(item) for item in items}.__getitem__) for limit in limits]
     if any(limit.distance == len(set(items)) for limit in limits):
         return _draw_repeated(items, limits, stream)
     order, n = stream.shuffled(items), len(items)
     reach = max(limit.reach for limit in limits)
-    # A weight below 1 / n: an order breaks a few limits for each ten trials, and the walk shall mostly break none.
+    # A weight below 1 / n: a random order breaks a few limits per ten trials, but the walk should mostly break none.
     bits, n_steps = n.bit_length(), [0, 0]
     n_broken = sum(limit.n_broken(order) for limit in limits)
     while n_steps[True] < effort * (STEPS_ASTRAY + SWEEPS_ASTRAY * n):
         begin, last = sorted(divmod(stream.below(n * n), n))
         end = last + 1
         before, after = order[max(0, begin - reach) : begin], order[end : end + reach]
-        # Of a long stretch only its ends can break a limit with what lies around it; of a short one all, and more.
+        # Only the ends of a long stretch can break a limit with its neighbours; a short one matters as a whole.
         head, tail = order[begin : min(end, begin + reach)], order[max(begin, end - reach) : end]
         new_head, new_tail = tail[::-1], head[::-1]
         if end - begin < reach:
@@ -148,9 +147,9 @@ def draw_by_walk(
 
 
 def _draw_repeated(items: Sequence[Item], limits: Sequence[Limit[Item]], stream: Stream) -> list[Item]:
-    """Return one permutation of the kinds again and again, which a distance of as many trials as kinds leaves alone.
+    """Return a repeated permutation of the kinds, the only order if the distance equals the number of kinds.
 
-    The kinds that come once more than others, begun anew at the end, come first in it.
+    Kinds that come once more than the others are first in it, as the last repetition is not complete.
     """
     counts = Counter(items)
     most = max(counts.values())
@@ -158,7 +157,7 @@ def _draw_repeated(items: Sequence[Item], limits: Sequence[Limit[Item]], stream:
     broken = [0] * len(limits)
     for _ in range(REPEATS):
         order = ([*stream.shuffled(often), *stream.shuffled(others)] * most)[: len(items)]
-        # No run is longer than two permutations, for limits that one kind alone would break are refused before.
+        # No run spans more than two permutations: limits that a single kind would break were refused before.
         if not any(found := [limit.n_broken(order[: 3 * len(counts)]) for limit in limits]):
             return order
         broken = [n + more for n, more in zip(broken, found, strict=True)]
@@ -166,7 +165,7 @@ def _draw_repeated(items: Sequence[Item], limits: Sequence[Limit[Item]], stream:
 
 
 def _too_rare(limits: Sequence[Limit[Item]], broken: Sequence[int]) -> NoOrderError:
-    """Return that no order was found, from how often each limit was broken."""
+    """Return the error that no order was found, which names the limit broken most."""
     worst, told = limits[broken.index(max(broken))].key, " and ".join(f"schedule.{limit.key}" for limit in limits)
     if len(limits) == 1:
         given, eased = (limits[0].distance, "lower") if limits[0].distance > 1 else (limits[0].running, "raise")

@@ -1,7 +1,7 @@
 """Orders of the cells within a block: shuffled, blocked or by a balanced Latin square, with catch trials among them.
 
-Shuffled orders are drawn uniformly among all that keep the protocol's limits: exactly so wherever one limit on runs is
-set and they can be counted or are met by chance; by a random walk elsewhere.
+Shuffled orders are drawn uniformly among all that keep the protocol's limits: exactly, if a single limit on runs is set
+and such orders can be counted or found by rejection; otherwise by a random walk.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ if TYPE_CHECKING:
 def order_cells(
     protocol: Protocol, finger_condition: str, turn: int, stream: Stream, effort: float = 1.0
 ) -> list[Cell]:
-    """Return the pairs and velocities of one block in order, as the protocol's `order` says.
+    """Return the cells of one block in order, according to the protocol's `order`.
 
     Parameters
     ----------
     protocol : Protocol
         The design.
     finger_condition : str
-        That of the block.
+        Finger condition of the block.
     turn : int
-        Which of several balanced orders is this participant's.
+        Number of this participant's order among the balanced ones.
     stream : Stream
-        Where chance comes from.
+        Source of random numbers.
     effort : float
-        Share of the usual work after which limits are given up [1].
+        Fraction of the usual work after which the search is given up [1].
 
     Raises
     ------
-    ValueError
-        If no order keeps the protocol's limit on runs.
+    NoOrderError
+        If no order keeps the protocol's limits, or those that do are too rare to find.
     """
     cells, order = protocol.cells(finger_condition), protocol.schedule.order
     if order == "as_listed":
@@ -81,7 +81,7 @@ def insert_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> lis
 
 
 def _shuffled(protocol: Protocol, cells: list[Cell], stream: Stream, effort: float) -> list[Cell]:
-    """Draw the order of the kinds that are limited first, then spread each kind's cells over its places."""
+    """Draw the order of the kinds that a limit concerns, then shuffle the cells of each kind over its places."""
     schedule, every = protocol.schedule, cells * protocol.scheduled_repetitions
     kind_of: Callable[[Cell], object] = itemgetter(0)
     running, key = schedule.max_same_pair_running, LIMITS[0]
@@ -128,13 +128,13 @@ def draw_order(counts: Sequence[int], limit: int | None, stream: Stream, key: st
     Parameters
     ----------
     counts : sequence of int
-        How often each kind comes, at least once.
+        Number of trials of each kind, at least 1.
     limit : int or None
-        Most times that a kind may come running; None for no limit.
+        Most times in a row that a kind may come; None for no limit.
     stream : Stream
-        Where chance comes from.
+        Source of random numbers.
     key : str
-        Which of `LIMITS` it is.
+        Key of the limit, one of `LIMITS`.
 
     Returns
     -------

@@ -21,7 +21,7 @@ IDENTIFYING = re.compile(
     "(first|last|sur|fore|full|nick)?names?|initials|born|birth.*|dob|e?mail|(tele)?phone|mobile|address|street|postcode|"
     "zip|passport|ssn|matriculation"
 )
-"""A word in the name of a field that identifies a person."""
+"""Words in the name of a field that identifies a person."""
 
 
 class PersonField(Section):
@@ -64,7 +64,7 @@ class PersonField(Section):
 
     @property
     def answer(self) -> Any:
-        """Type of its answers."""
+        """Type of the answers."""
         known: dict[str, Any] = {
             "number": Annotated[float, Field(ge=self.lowest, le=self.highest, allow_inf_nan=False)],
             "choice": Literal[self.choices],
@@ -79,17 +79,17 @@ class PersonField(Section):
         return describe(_model({"answer": self}), ("answer",)).replace("null", "nothing")
 
     def read(self, words: str) -> float | str | None:
-        """Answer that words stand for; None where the question is left out.
+        """Return the answer that was typed; None if the question was left out.
 
         Parameters
         ----------
         words : str
-            As they were typed.
+            The answer as typed.
 
         Raises
         ------
         ValueError
-            If they are no answer.
+            If it is not an allowed answer.
         """
         given = " ".join(words.split())
         given = given.replace(",", ".") if self.kind == "number" else given
@@ -102,12 +102,12 @@ class PersonField(Section):
         return answer
 
     def draw(self, rng: np.random.Generator) -> float | str | None:
-        """Answer of a simulated participant: of what is allowed, each as likely.
+        """Return the answer of a simulated participant, drawn uniformly from what is allowed; consent is always given.
 
         Parameters
         ----------
         rng : numpy.random.Generator
-            Draws it.
+            Source of random numbers.
         """
         if self.kind == "number":
             high = max(65.0, self.lowest or 0.0) if self.highest is None else self.highest
@@ -117,7 +117,7 @@ class PersonField(Section):
 
 
 def check_people(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield the fields that nobody should be asked, and the one that participants.tsv has anyway."""
+    """Yield fields that would identify a person, and one with the name of a fixed column of participants.tsv."""
     for name, asked in reading.items("people"):
         if not asked.identifies and any(map(IDENTIFYING.fullmatch, re.split(r"[_-]", name.casefold()))):
             given, allowed = (
@@ -131,12 +131,12 @@ def check_people(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def read_people(fields: Mapping[str, PersonField], path: Path) -> dict[str, float | str | None]:
-    """Return the answers in a YAML file, a line to each field.
+    """Return the answers in a YAML file, one line per field.
 
     Parameters
     ----------
     fields : mapping of str to PersonField
-        What is asked.
+        The questions.
     path : Path
         The file.
 
@@ -149,6 +149,6 @@ def read_people(fields: Mapping[str, PersonField], path: Path) -> dict[str, floa
 
 
 def _model(fields: Mapping[str, PersonField]) -> type[Section]:
-    """Return what a file of answers holds."""
+    """Return the model of a file of answers."""
     answers: dict[str, Any] = {name: (each.answer, ... if each.required else None) for name, each in fields.items()}
     return create_model("People", __base__=Section, **answers)

@@ -1,4 +1,4 @@
-"""Where fingers lie on the beam in each condition, and with what names the designs for them go."""
+"""Placements of fingers on the beam in each condition, and their names, by which designs are kept."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ class Placements:
     apparatus: Apparatus
 
     def all(self) -> dict[str, tuple[Finger, ...]]:
-        """Fingers on the beam, from left to right, by the name of each placement."""
+        """Return the fingers on the beam, from left to right, by name of the placement."""
         design, placed = self.protocol.conditions, {}
         for condition, place, zones in product(design.finger_conditions, design.placements, design.contacts):
             each = Condition.on(zones[::-1] if place.startswith("mirrored") else zones, condition, 0.0, place)
             if len(zones) != len(design.fingers_of(each)):
-                continue  # of another finger condition, where cells are listed
+                continue  # listed cells of another finger condition
             placed[self.name(each)] = tuple(
                 section.at(self._centre(zone))
                 for zone, finger in self._laid(each)
@@ -55,9 +55,9 @@ class Placements:
         return placed
 
     def name(self, condition: Condition) -> str:
-        """Name of a condition's placement: its zones from left to right, such as ``A-C``.
+        """Return the name of a condition's placement: its zones from left to right, such as ``A-C``.
 
-        The fingers follow where each has its own values and they are not those of the first finger condition.
+        The fingers are added if each has its own values and they are not those of the first finger condition.
         """
         laid = self._laid(condition)
         zones = "-".join(zone for zone, _ in laid)
@@ -68,20 +68,20 @@ class Placements:
         return f"{zones} {', '.join(name for _, name in laid)}"
 
     def drawn(self, rng: np.random.Generator) -> FingerSection | None:
-        """Fingertip of a person; of a file that has each by itself, as its index finger. None where that lacks."""
+        """Draw the fingertip of a person around the file's index finger; None if the file has none."""
         usual = self.file.of(f"{self.protocol.conditions.hand} index")
         return None if usual is None else self.file.spread.drawn(usual, rng)
 
     def expected(
         self, finger_condition: str, zones: tuple[str, ...], placement: str = "normal"
     ) -> dict[str, tuple[str, Finger]]:
-        """Zone and values of each finger of a finger condition, by its name, from the left end of the beam."""
+        """Return zone and values of each finger of a finger condition by its name, from the left end of the beam."""
         laid = self._laid(Condition.on(zones, finger_condition, 0.0, placement))
         found = [(name, zone, self.file.of(name)) for zone, name in laid]
         return {name: (zone, each.at(self._centre(zone))) for name, zone, each in found if each is not None}
 
     def measured(self, fingers: Mapping[str, Mapping[str, Any]]) -> dict[str, Finger]:
-        """Fingers by their zones, from the keys of each in a file and its ``zone``."""
+        """Return fingers by zone, from the keys that each has in a file and its ``zone``."""
         found = {}
         for values in fingers.values():
             own = FingerSection.model_validate({key: value for key, value in values.items() if key != "zone"})
@@ -93,7 +93,7 @@ class Placements:
 
     def _laid(self, condition: Condition) -> list[tuple[str, str]]:
         """Return zones and fingers on them, from the left end of the beam."""
-        # The first finger condition, which names are compared with, may have another number of fingers.
+        # Not strict: the first finger condition, with which `name` compares, may have another number of fingers.
         laid = zip(condition.zones, self.protocol.conditions.fingers_of(condition), strict=False)
         return sorted(laid, key=lambda each: self.apparatus.zones[each[0]].centre_mm)
 
@@ -111,9 +111,9 @@ def lacking_fingers(reading: Reading[FingersFile], protocol: Protocol) -> list[P
 
 
 def load_fingers(protocol: Reading[Protocol], problems: list[Problem]) -> Reading[FingersFile] | None:
-    """Return the fingers that the protocol names; what is wrong with them goes to `problems`."""
+    """Return the fingers that the protocol names; add their faults to `problems`."""
     name = protocol.sound("stimulus", "fingers")
-    # Until they are measured, typical ones are expected.
+    # Until fingers are measured, typical ones are assumed.
     name = "typical" if name == MEASURED else name
     beside = protocol.source.path.parent / name
     own = beside.is_file()
@@ -130,7 +130,7 @@ def load_fingers(protocol: Reading[Protocol], problems: list[Problem]) -> Readin
 
 
 def check_measured(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None) -> Iterator[Problem]:
-    """Yield why fingers cannot be measured in a session that is to measure them."""
+    """Yield why fingers cannot be measured, for a protocol that asks for measured fingers."""
     path = "stimulus", "fingers"
     if protocol.sound(*path) != MEASURED or apparatus is None or apparatus.value is None:
         return
@@ -149,7 +149,7 @@ def check_measured(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | 
 
 
 def read_fingers(source: Source, protocol: Reading[Protocol] | None) -> tuple[Reading[FingersFile], list[Problem]]:
-    """Return fingers, and what is wrong with them or lacking for the design."""
+    """Return fingers and their faults, including fingers of the design that are missing."""
     reading = read(source, FingersFile)
     value = None if protocol is None else protocol.value
     return reading, [*reading.problems, *([] if value is None else lacking_fingers(reading, value))]

@@ -19,13 +19,13 @@ class Problem:
     Attributes
     ----------
     file : str
-        File as it was named.
+        File, as the user named it.
     line, column : int
-        Place of the fault, both from 1; 0 where it is in no line: of a folder, or of a file that is not there.
+        Place of the fault, both from 1; 0 if it concerns a folder, or a file that does not exist.
     path : str
         Key within the file, as in ``conditions.zone_pairs[1]``; empty for the file as a whole.
     given, allowed, remedy : str
-        What stands there, what may stand there, and what to do (empty where `allowed` says it).
+        What is there, what is allowed, and what to do (empty if `allowed` says it).
     """
 
     file: str
@@ -54,7 +54,7 @@ class Problem:
 
 
 class InputError(Exception):
-    """Files that cannot be used: every fault of all of them, sorted by place.
+    """Files cannot be used; holds every fault of all of them, sorted by place.
 
     Parameters
     ----------
@@ -68,20 +68,20 @@ class InputError(Exception):
 
     @classmethod
     def of(cls, file: Path | str, given: str, allowed: str, remedy: str = "") -> Self:
-        """Return the one problem of a file or folder as a whole.
+        """Return an error with a single problem of a file or folder as a whole.
 
         Parameters
         ----------
         file : Path or str
-            Which one.
+            The file or folder.
         given, allowed, remedy : str
-            As `Problem` has them.
+            As in `Problem`.
         """
         return cls([Problem(str(file), 0, 0, "", given, allowed, remedy)])
 
 
 def fault(given: str, allowed: str, remedy: str = "") -> PydanticCustomError:
-    """Return the error that a model's validator raises so that `Problem` can say it in its three parts."""
+    """Return an error for a model's validator to raise, with the three parts that `Problem` reports."""
     from pydantic_core import PydanticCustomError
 
     return PydanticCustomError(
@@ -104,9 +104,9 @@ def format_path(path: Iterable[str | int]) -> str:
 
 
 def suggest(word: str, known: Iterable[str]) -> str:
-    """Return the known word that `word` is probably meant to be, or an empty string.
+    """Return the known word that `word` was probably meant to be, or an empty string.
 
-    Words that differ in their unit alone, as ``base_cm`` and ``base_mm``, are taken as meant.
+    Words that differ only in their unit, as ``base_cm`` and ``base_mm``, match too.
 
     >>> suggest("peak_velocities_cm_s", ["zone_pairs", "peak_velocities_mm_s"])
     'peak_velocities_mm_s'

@@ -36,17 +36,17 @@ KEY_NAMES = frozenset(
         *(f"num_{name}" for name in [*string.digits, *_KEYPAD.split()]),
     ]
 )
-"""Names of the keys that can answer: those of the window's keyboard layer, in small letters."""
+"""Names of the keys that can answer: those of the window's keyboard layer, in lower case."""
 
 KeyName = Annotated[Text, Field(json_schema_extra={"x-allowed": "the name of a key"})]
 Keys = Annotated[tuple[KeyName, ...], Field(min_length=1)]
 ScaleAction = Literal["lower", "higher", "confirm"]
 
 RATED = "rated"
-"""What is recorded as the answer on a scale; its number stands beside it."""
+"""Recorded answer to a scale; its number is recorded with it."""
 
 MOST_ANSWERS = 7
-"""Most answers that a screen has room for, and a console digits."""
+"""Most answers that fit on a screen."""
 
 _TAKEN = """
 participant session trial block practice group interval finger_condition zone_left zone_right zone_between
@@ -56,12 +56,12 @@ onset_uncertainty n_bursts n_bursts_dropped repetition_by presentation device sp
 speed_between_mm_s delivered_mm_s log_line value n mode standard_mm_s correct level pair zone zones dominant
 """
 TAKEN_COLUMNS = frozenset(_TAKEN.split())
-"""Columns that a table of answers has anyway."""
+"""Fixed columns of a table of answers."""
 
 _BOUNDS = {"vas": (0.0, 100.0), "likert": (1.0, 7.0)}
 _MOST_POINTS, _MOST_STEPS = 11, 1000
 _MODULUS = 10.0
-"""Number that a simulated participant gives to the middle of an open scale [1]."""
+"""Number that a simulated participant gives for the middle of an open scale [1]."""
 
 
 class ScaleSection(Section):
@@ -122,28 +122,28 @@ class ScaleSection(Section):
 
     @property
     def is_from_right(self) -> bool:
-        """Whether its lowest number stands at the right, for a reader from right to left."""
+        """Whether its lowest number is on the right, for a script written from right to left."""
         return self._is_from_right
 
     def from_right(self) -> Self:
-        """Return the scale for a reader from right to left."""
+        """Return the scale for a script written from right to left."""
         turned = self.model_copy()
         turned._is_from_right = True
         return turned
 
     @property
     def low(self) -> float:
-        """Number of the left end; 0, which is itself too small, of an open scale."""
+        """Lowest number; 0 for an open scale, on which it is excluded."""
         return _BOUNDS.get(self.kind, (0.0, 0.0))[0] if self.lowest is None else self.lowest
 
     @property
     def high(self) -> float:
-        """Number of the right end; infinite of an open scale."""
+        """Highest number; infinite for an open scale."""
         return _BOUNDS.get(self.kind, (0.0, math.inf))[1] if self.highest is None else self.highest
 
     @property
     def points(self) -> tuple[float, ...]:
-        """Numbers of the points, or places of the mark; none where a number is typed."""
+        """Numbers at the points, or at the positions of the mark; none if a number is typed."""
         if self.kind == "number":
             return ()
         step = self.step or 1.0
@@ -151,7 +151,7 @@ class ScaleSection(Section):
 
     @property
     def actions(self) -> dict[str, tuple[str, ...]]:
-        """Keys of everything that can be done on the scale; a terminal sends signs in place of their names."""
+        """Keys of each action on the scale; a terminal sends characters such as ``.`` instead of their names."""
         usual: dict[str, tuple[str, ...]] = {"confirm": ("enter", "num_enter", "space")}
         digits = {digit: (digit, f"num_{digit}") for digit in string.digits}
         if self.kind == "number":
@@ -179,14 +179,14 @@ class ScaleSection(Section):
         return is_above and value <= self.high and math.isfinite(value)
 
     def at(self, share: float) -> float:
-        """Number at a share of the scale, as a simulated participant answers it.
+        """Return the number at a fraction of the scale, as a simulated participant answers.
 
-        Of an open scale the share is that of a saturating response, s / (1 + s), and the number is proportional to s.
+        On an open scale the fraction is a saturating response s / (1 + s), and the number is proportional to s.
 
         Parameters
         ----------
         share : float
-            Above 0 and below 1 [1].
+            Fraction of the scale, above 0 and below 1 [1].
         """
         if self.points:
             return self.points[min(int(share * len(self.points)), len(self.points) - 1)]
@@ -196,12 +196,12 @@ class ScaleSection(Section):
 
 
 class AskedSection(Section):
-    """What a question asks, and what may be answered."""
+    """A question and its possible answers."""
 
     PAUSE_KEY: ClassVar[str] = "escape"
-    """Key that pauses the session, which the window keeps for itself."""
+    """Key that pauses the session, reserved by the window."""
     END_KEY: ClassVar[str] = "q"
-    """Key that ends the session from the pause screen; elsewhere it may answer."""
+    """Key that ends the session from the pause screen; elsewhere it may be an answer."""
     KEY_ALIASES: ClassVar[dict[str, str]] = {
         "return": "enter",
         "esc": "escape",
@@ -222,10 +222,10 @@ class AskedSection(Section):
         "ç": "9",
         "à": "0",
     }
-    """Other names that people give to keys.
+    """Other names of keys.
 
-    The number pad is one set of keys with and without NumLock; a French keyboard's row of digits types them with Shift,
-    and goes by its digits.
+    Keys of the number pad have the same names with and without NumLock. The digit row of a French keyboard, which types
+    digits only with Shift, is named by its digits.
     """
 
     question: Text | None = described(
@@ -254,16 +254,16 @@ class AskedSection(Section):
 
     @property
     def actions(self) -> dict[str, tuple[str, ...]]:
-        """Keys of each answer, or of everything that can be done on the scale."""
+        """Keys of each answer, or of each action on the scale."""
         return self.keys if self.scale is None else self.scale.actions
 
     @property
     def allowed(self) -> str:
-        """What may be answered in time, in words."""
+        """What may be answered, other than a time-out, in words."""
         return ", ".join(self.keys) if self.scale is None else self.scale.allowed
 
     def takes(self, answer: str, value: float | None) -> bool:
-        """Return whether an answer can have been given, with its number where it is one on the scale."""
+        """Return whether an answer, with its number if it is on a scale, is possible."""
         if answer == TIME_OUT or self.scale is None:
             return value is None and (answer == TIME_OUT or answer in self.keys)
         return answer == RATED and isinstance(value, int | float) and self.scale.takes(value)
@@ -281,7 +281,7 @@ class QuestionSection(AskedSection):
 
 
 def check_key(reading: Reading[Any], path: tuple[str | int, ...], name: str) -> Iterator[Problem]:
-    """Yield the fault of a name that is no key's, or of the key that pauses."""
+    """Yield the fault of a name that is not the name of a key, or of the key that pauses."""
     if name == AskedSection.PAUSE_KEY:
         yield reading.problem(path, f"'{name}', which pauses the session", "any other key", "choose another")
     elif name not in KEY_NAMES:
@@ -292,7 +292,7 @@ def check_key(reading: Reading[Any], path: tuple[str | int, ...], name: str) -> 
 
 
 def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield what is wrong with a scale in place of the answers, with further questions, and with the form."""
+    """Yield the faults of a scale in place of the answers, of further questions, and of the form."""
     answers, has_scale = ("answers",), bool(reading.keys("answers", "scale"))
     if reading.keys(*answers) is not None and not has_scale and reading.find((*answers, "keys")) is None:
         remedy = "add the missing key `keys`, or describe a `scale`"
@@ -316,7 +316,7 @@ def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def _check_scale(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Problem]:
-    """Yield the faults of the keys of a scale, and keys for emergencies that a scale has without being given any."""
+    """Yield the faults of the keys of a scale, and emergency keys that a scale uses by default."""
     yield from _check_used(reading, (*path, "keys"))
     scale, written = reading.sound(*path), reading.keys(*path, "keys") or ()
     usual = {} if scale is None else {key: act for act, keys in scale.actions.items() for key in keys}
@@ -328,7 +328,7 @@ def _check_scale(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Probl
 
 
 def _check_used(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Problem]:
-    """Yield the faults of keys: no key's name, of two meanings, or one for emergencies."""
+    """Yield the faults of keys: not the name of a key, two meanings, or an emergency key."""
     taken = {name: "switches the outputs off" for _, name in reading.items("answers", "emergency_keys")}
     for answer in reading.keys(*path) or ():
         for index, name in reading.items(*path, answer):

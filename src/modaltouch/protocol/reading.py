@@ -1,4 +1,4 @@
-"""Tree + model -> sound values and located problems."""
+"""Tree + model -> valid values, and problems with their places."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ Model = TypeVar("Model", bound=BaseModel)
 
 @dataclass(frozen=True, eq=False)
 class Reading(Generic[Model]):
-    """A file as far as it can be understood.
+    """A file as far as it is valid.
 
     Attributes
     ----------
     source : Source
         The text.
     model : type
-        What it should hold.
+        Model that it should fit.
     root : Node or None
-        Its tree; None where the text is no YAML mapping.
+        Its tree; None if the text is not a YAML mapping.
     value : Model or None
-        What it holds; None where anything is wrong with it.
+        Its content; None if it has any fault.
     problems : tuple of Problem
-        What is wrong.
+        Its faults.
     """
 
     source: Source
@@ -42,9 +42,9 @@ class Reading(Generic[Model]):
     problems: tuple[Problem, ...] = field(default=())
 
     def sound(self, *path: Step) -> Any:
-        """Return the value at a path, or its default; None where it is missing or wrong by itself.
+        """Return the value at a path, or its default; None if it is missing or itself invalid.
 
-        The rest of the file may be as faulty as it likes, so that one fault does not hide another.
+        Faults elsewhere in the file do not matter, so that one fault does not hide another.
         """
         if self.value is not None:
             return _descend(self.value, path)
@@ -65,9 +65,9 @@ class Reading(Generic[Model]):
             return None
 
     def salvage(self, *path: Step) -> Any:
-        """Return the section at a path, its unknown keys left out; None where anything else is wrong with it.
+        """Return the section at a path without its unknown keys; None if it has any other fault.
 
-        A key that is probably a misspelt one of the section's own is not left out: its value is wanted.
+        An unknown key that is probably a misspelt key of the section counts as a fault, since its value is needed.
         """
         value = self.sound(*path)
         section, node = annotation_at(self.model, path), self.find(path)
@@ -85,7 +85,7 @@ class Reading(Generic[Model]):
             return None
 
     def items(self, *path: Step) -> list[tuple[Any, Any]]:
-        """Return index (or key) and value of every sound entry of the list (or mapping) at a path."""
+        """Return index (or key) and value of every valid entry of the list (or mapping) at a path."""
         node = self.find(path)
         if node is None or not isinstance(node.content, dict | list):
             value = self.sound(*path)
@@ -97,7 +97,7 @@ class Reading(Generic[Model]):
         return [(step, value) for step, value in values if value is not None]
 
     def require(self) -> Model:
-        """Return what the text holds; raise `InputError` with every fault where there is any."""
+        """Return the content of the text; raise `InputError` with every fault if there is any."""
         if self.value is None:
             raise InputError(self.problems)
         return self.value
@@ -110,21 +110,21 @@ class Reading(Generic[Model]):
         return node
 
     def keys(self, *path: Step) -> list[str] | None:
-        """Keys of the mapping at a path; None where there is no mapping."""
+        """Return the keys of the mapping at a path; None if there is no mapping."""
         node = self.find(path)
         return list(node.content) if node is not None and isinstance(node.content, dict) else None
 
     def length(self, *path: Step) -> int | None:
-        """Number of entries of the list at a path; None where there is no list."""
+        """Return the number of entries of the list at a path; None if there is no list."""
         node = self.find(path)
         return len(node.content) if node is not None and isinstance(node.content, list) else None
 
     def unknown(
         self, path: Iterable[Step], kind: str, known: Iterable[str], remedy: str = "", *, at_key: bool = False
     ) -> Problem:
-        """Problem of a name, the value at a path or its last key, that is not among the known ones."""
+        """Return the problem of an unknown name, which is the value at a path or the last key of the path."""
         *_, last = steps = tuple(path)
-        # Of several stimuli the value is that of the one looked at, and the text that of what they share.
+        # For one of several stimuli the value is its own, while the text is that of the shared section.
         name, names = str(last if at_key else self.sound(*steps)), list(known)
         remedy = f"did you mean '{meant}'?" if (meant := suggest(name, names)) else remedy
         return self.problem(steps, f"'{name}', which is not {kind}", ", ".join(names) or "none", remedy, at_key=at_key)
@@ -132,7 +132,7 @@ class Reading(Generic[Model]):
     def unlisted(
         self, path: tuple[Step, ...], kind: str, known: Sequence[str], remedy: str = "", *, at_key: bool = False
     ) -> Iterator[Problem]:
-        """Yield the entries of a list, or the keys of a mapping, that are none of those that are known."""
+        """Yield a problem for each unknown entry of a list, or key of a mapping."""
         entries = [(key, key) for key in self.keys(*path) or ()] if at_key else self.items(*path)
         for step, value in entries:
             if value not in known:
@@ -141,17 +141,17 @@ class Reading(Generic[Model]):
     def problem(
         self, path: Iterable[Step], given: str, allowed: str, remedy: str = "", *, at_key: bool = False
     ) -> Problem:
-        """Return a problem with the place of the value (or key) at a path, or of what is nearest to it."""
+        """Return a problem with the place of the value (or key) at a path, or of its nearest existing parent."""
         steps = tuple(path)
         file, line, column = self._place(steps, at_key=at_key)
         return Problem(file or str(self.source.path), line, column, format_path(steps), given, allowed, remedy)
 
     def faults(self, *known: tuple[object, Iterable[Step], str, str, str]) -> Iterator[Problem]:
-        """Yield a problem of each of what holds: whether it does, then path, given, allowed and remedy."""
+        """Yield a problem for each tuple (condition, path, given, allowed, remedy) whose condition is true."""
         yield from (self.problem(at, given, allowed, remedy) for holds, at, given, allowed, remedy in known if holds)
 
     def defaults(self) -> list[dict[str, Any]]:
-        """Keys that the file leaves out and the values taken for them, in the schema's order."""
+        """Return the keys that the file leaves out and their defaults, in the schema's order."""
         return [] if self.root is None else list(_absent(self.model, self.root, ""))
 
     def _place(self, path: tuple[Step, ...], *, at_key: bool) -> tuple[str, int, int]:
@@ -162,10 +162,10 @@ class Reading(Generic[Model]):
         for depth, step in enumerate(path):
             child = node.child(step)
             if child is None:
-                # A missing key is told where its section is named.
+                # A missing key is reported where its section is named.
                 break
             key_place = node.keys.get(step, place) if isinstance(step, str) else (child.line, child.column)
-            # Block mappings begin a line below their key; the key is where one looks.
+            # A block mapping begins on the line below its key, but users look at the key.
             is_section = isinstance(child.content, dict) or (at_key and depth == len(path) - 1)
             place = key_place if is_section else (child.line, child.column)
             node = child
@@ -173,27 +173,27 @@ class Reading(Generic[Model]):
 
 
 def read(source: Source, model: type[Model]) -> Reading[Model]:
-    """Return what a text holds, as far as it is sound.
+    """Return the content of a text, as far as it is valid.
 
     Parameters
     ----------
     source : Source
         The text.
     model : type
-        What it should hold.
+        Model that it should fit.
     """
     return read_tree(source, model, *parse_tree(source))
 
 
 def read_tree(source: Source, model: type[Model], root: Node | None, problems: Iterable[Problem]) -> Reading[Model]:
-    """Return what a tree holds, as `read` does; the tree may hold more than the text.
+    """Return the content of a tree, as `read` does; the tree may contain more than the text.
 
     Parameters
     ----------
     source, model
         As for `read`.
     root, problems
-        The tree, and the faults that building it met.
+        The tree, and the faults found while building it.
     """
     problems = list(problems)
     if root is None:
@@ -209,7 +209,7 @@ def read_tree(source: Source, model: type[Model], root: Node | None, problems: I
 
 
 def _follows(details: Any, errors: Iterable[Any]) -> bool:
-    """Return whether a list is only too short because of what is wrong with its items."""
+    """Return whether a list is too short only because some of its items are invalid."""
     loc = details["loc"]
     return details["type"] == "too_short" and any(
         len(other["loc"]) > len(loc) and other["loc"][: len(loc)] == loc for other in errors
@@ -240,14 +240,14 @@ def _translate(reading: Reading[Any], details: Any) -> Problem:
 
 
 def _home_of(model: type[BaseModel], path: tuple[Step, ...]) -> str:
-    """Return where a key belongs that stands in another section, if anywhere."""
+    """Return the section to which a misplaced key belongs, in words; empty if none has it."""
     homes = ["the top of the file, not indented"] * (len(path) > 1 and path[-1] in model.model_fields)
     homes += [f"the section {name}" for name in model.model_fields if path[-1] in keys_of(model, (name,))]
     return f"it belongs to {' or '.join(homes[:2])}" if homes else ""
 
 
 def _beyond_all(value: object) -> str:
-    """Return the bound of all quantities, unsaid elsewhere, where a value passes it."""
+    """Return, in words, the bound of all quantities if a value exceeds it; `describe` does not mention this bound."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return ""
     if abs(value) > LARGEST:
@@ -256,7 +256,7 @@ def _beyond_all(value: object) -> str:
 
 
 def _real_path(reading: Reading[Any], details: Any) -> tuple[Step, ...]:
-    """Return the place of an error without what pydantic adds to it: branch tags, ``[key]``."""
+    """Return the path of an error without what pydantic adds to it: branch tags, ``[key]``."""
     path: list[Step] = []
     node = reading.root
     loc = details["loc"]
@@ -271,7 +271,7 @@ def _real_path(reading: Reading[Any], details: Any) -> tuple[Step, ...]:
 
 
 def _in_words(node: Node | None) -> str:
-    """Return what stands at a node."""
+    """Return the content of a node in words."""
     if node is None or node.content is None:
         return "nothing"
     if isinstance(node.content, list):

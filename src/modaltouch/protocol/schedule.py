@@ -24,16 +24,16 @@ from modaltouch.protocol.trial import SIDES, Condition, Trial
 
 @dataclass(frozen=True)
 class Turn:
-    """Which of several balanced orders a participant gets.
+    """Number of the balanced order that a participant gets.
 
     Attributes
     ----------
     number : int
-        To be taken modulo the number of orders, placements and rows.
+        From 0, taken modulo the number of orders, placements and rows.
     reason : str
         What decided it.
     group : str
-        The participant's group; empty where the protocol has none.
+        The participant's group; empty if the protocol has none.
     group_by : str
         What decided the group.
     """
@@ -45,15 +45,15 @@ class Turn:
 
     @staticmethod
     def of(participant: str, seed: int, session: int, groups: Iterable[str] = ()) -> Turn:
-        """Return which group and which of several balanced orders is a participant's by number or hash.
+        """Return the turn and group of a participant, from the number that ends the identifier or from a hash.
 
-        Sessions of one participant take turns too, so nothing is drawn anew for them. Groups change with every
-        participant, turns each time all groups have been had.
+        Each further session of a participant takes the next turn. Groups alternate with every participant; the turn
+        advances once all groups have been used.
 
         Parameters
         ----------
         participant, seed, session
-            As `Schedule.draw` takes them.
+            As in `Schedule.draw`.
         groups : iterable of str
             Groups of the protocol.
         """
@@ -68,7 +68,7 @@ class Turn:
 
     @staticmethod
     def recorded(start: dict[str, Any]) -> Turn | None:
-        """Return the turn that a start record keeps; None where the participant's number or hash decided.
+        """Return the turn that a start record keeps; None if the participant's number or hash decided.
 
         Parameters
         ----------
@@ -80,7 +80,7 @@ class Turn:
         return Turn(int(schedule["turn"]), str(schedule["turn_by"]), *own) if "turn" in schedule else None
 
     def order(self, protocol: Protocol) -> tuple[tuple[str, ...], Placement]:
-        """Return the order of the finger conditions, and the placement, that the turn gives.
+        """Return the order of the finger conditions and the placement for this turn.
 
         Parameters
         ----------
@@ -88,12 +88,12 @@ class Turn:
             The design.
         """
         orders, placements = _orders_of_finger_conditions(protocol), protocol.conditions.placements
-        # Orders change with every participant, placements each time all orders have been had.
+        # Orders alternate with every turn; the placement advances once all orders have been used.
         return orders[self.number % len(orders)], placements[self.number // len(orders) % len(placements)]
 
     @staticmethod
     def period(protocol: Protocol) -> int:
-        """Return after how many turns orders of finger conditions, placements and rows repeat together.
+        """Return the number of turns after which orders of finger conditions, placements and rows all repeat.
 
         Parameters
         ----------
@@ -127,7 +127,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Schedule:
-    """Everything a participant will be presented with, in order.
+    """All trials of a participant's session, in order.
 
     Attributes
     ----------
@@ -138,20 +138,20 @@ class Schedule:
     seed : int
         Seed of the study.
     practice : tuple of Trial
-        Trials before the ones that count.
+        Practice trials, before those that count.
     blocks : tuple of Block
-        One to each finger condition, in this participant's order.
+        One for each finger condition, in this participant's order.
     finger_conditions_by : str
         What decided the order of the finger conditions: ``number of the participant``, ``hash of the
         participant``, the reason of a given turn, or ``protocol``.
     is_adaptive : bool
-        Whether the levels follow from the answers; a trial is then scheduled with the level of a run's first.
-    turn : int or None
-        The turn where it was given; None where participant, seed and session decide it.
+        Whether the levels depend on the answers; all trials are then scheduled at the level of a run's first trial.
+    turn : Turn or None
+        The turn, if it was given; None if participant, seed and session decide it.
     group, group_by : str
-        The participant's group and what decided it; empty where the protocol has none.
+        The participant's group and what decided it; empty if the protocol has none.
     session_kind : str
-        Which of several kinds of session it is; empty where they are all alike.
+        Kind of the session; empty if the protocol has only one.
     """
 
     participant: str
@@ -181,7 +181,7 @@ class Schedule:
 
     @property
     def seeds(self) -> dict[str, Any]:
-        """What the order was drawn from, and how, for the record."""
+        """Seeds and algorithm from which the order was drawn, for the record."""
         return {
             "algorithm": ALGORITHM,
             "study_seed": self.seed,
@@ -226,7 +226,7 @@ class Schedule:
         given: Turn | None = None,
         effort: float = 1.0,
     ) -> Schedule:
-        """A participant's schedule; the same arguments give the same schedule.
+        """Draw a participant's schedule; the same arguments give the same schedule.
 
         Parameters
         ----------
@@ -237,16 +237,16 @@ class Schedule:
         seed : int
             Seed of the study, 0 or above.
         session : int
-            Number of the session, from 1; every session has an order of its own.
+            Number of the session, from 1; every session has its own order.
         given : Turn, optional
-            The participant's turn, where records decide it and not the participant's number.
+            The participant's turn, if the record decides it and not the participant's number.
         effort : float
-            Share of the usual work after which limits on orders are given up [1].
+            Fraction of the usual work after which the search for an order is given up [1].
 
         Raises
         ------
         ValueError
-            If no order keeps the protocol's limit on runs.
+            If no order keeps the protocol's limits, or those that do are too rare to find.
         """
         decided = given or Turn.of(participant, seed, session, protocol.groups)
         kind = protocol.schedule.kind_of(session)
@@ -279,21 +279,21 @@ class Schedule:
 
     @staticmethod
     def random_generator(seed: int, participant: str, session: int, purpose: str) -> np.random.Generator:
-        """Generator for what the order does not hang on, as for an observer's answers.
+        """Return a generator for random numbers that do not affect the order, such as an observer's answers.
 
         Parameters
         ----------
         seed, participant, session
-            As `draw` takes them.
+            As in `draw`.
         purpose : str
-            What it is for; each purpose has chance of its own.
+            What it is for; the streams of different purposes are independent.
         """
         return np.random.Generator(np.random.PCG64(seed_sequence(seed, participant, session, purpose)))
 
 
 _BY_HASH = "hash of the participant"
 _ORDER, _CATCHES, _INTERVALS = "order within ", "catch trials within ", "intervals within "
-"""What chance is for, before the name of the finger condition."""
+"""Purposes of random streams, to be followed by the name of the finger condition."""
 
 
 def _orders_of_finger_conditions(protocol: Protocol) -> list[tuple[str, ...]]:
@@ -302,13 +302,13 @@ def _orders_of_finger_conditions(protocol: Protocol) -> list[tuple[str, ...]]:
 
 
 def _place(finger_condition: str, cell: Cell, placement: Placement) -> Condition:
-    """Return a cell under a participant's fingers; on a beam turned end to end, left and right change places."""
+    """Return the condition of a cell in a placement; on a beam turned end to end, left and right are exchanged."""
     zones = cell[0][::-1] if placement.startswith("mirrored") else cell[0]
     return Condition.on(zones, finger_condition, cell[1], placement, cell[2])
 
 
 def _draw_practice(protocol: Protocol, finger_condition: str, stream: Stream) -> list[Cell]:
-    """Return the cells to practise, none again before all others have come."""
+    """Return the cells to practise; none is repeated before all others have been used."""
     cells, n_trials = dict.fromkeys(protocol.cells(finger_condition)), protocol.schedule.all_practice_trials
     drawn: list[Cell] = []
     while len(drawn) < n_trials:
@@ -319,7 +319,7 @@ def _draw_practice(protocol: Protocol, finger_condition: str, stream: Stream) ->
 def _number(
     protocol: Protocol, conditions: Sequence[Condition], stream: Stream, *, block: int, first: int
 ) -> tuple[Trial, ...]:
-    """Return the conditions as trials, those of block 0 for practice; repetitions count as they are presented."""
+    """Return the conditions as numbered trials, with repetitions counted in order; block 0 is practice."""
     seen: Counter[Condition] = Counter()
     intervals = [0] * len(conditions)
     if protocol.intervals is not None:
@@ -347,38 +347,38 @@ class Round:
     Attributes
     ----------
     n_judged : int
-        Trials whose answer can be right or wrong.
+        Trials with an expected answer.
     n_agreed : int
-        Those answered as predicted.
+        Those of them answered as expected.
     """
 
     n_judged: int
     n_agreed: int
 
     def passes(self, criterion: float | None) -> bool:
-        """Return whether the round meets a criterion: a share of the trials that can be judged, or None.
+        """Return whether the round meets a criterion.
 
         Parameters
         ----------
         criterion : float or None
-            Least share answered as predicted [1]; None is always met.
+            Least fraction of the judged trials that must be answered as expected [1]; None is always met.
         """
         return criterion is None or self.n_agreed >= criterion * self.n_judged - 1e-9
 
 
 def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int, protocol: Protocol) -> Round:
-    """Return how a round of practice went, from the session's log.
+    """Return the result of a round of practice, from the session's log.
 
     Parameters
     ----------
     events : iterable of dict
         Events of the session log.
     number : int
-        Which round, from 1.
+        Number of the round, from 1.
     n_trials : int
-        Practice trials of a round.
+        Number of practice trials in a round.
     protocol : Protocol
-        Tells which answer is right.
+        The design, which gives the expected answers.
     """
     first, last = (number - 1) * n_trials + 1, number * n_trials
     judged: dict[int, bool] = {}

@@ -1,4 +1,4 @@
-"""How trials are ordered and sessions follow each other, as the file gives it."""
+"""The section ``schedule``: order of trials, practice, breaks and sessions."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class ResumeSection(Section):
 
 
 class ScheduleSection(Section):
-    """How the trials are ordered."""
+    """Order of the trials, practice, breaks and sessions."""
 
     repetitions: Annotated[Count, Field(le=10_000)] = described("Number of trials of each condition.", default=1)
     order: Literal["shuffled", "by_pair", "by_velocity", "latin_square", "as_listed"] = described(
@@ -103,25 +103,25 @@ class ScheduleSection(Section):
 
     @property
     def session_kinds(self) -> tuple[SessionKind, ...]:
-        """Kind of each of a participant's sessions in order; empty where they are all alike."""
+        """Kind of each of a participant's sessions, in order; empty if they are all alike."""
         kinds = () if isinstance(self.sessions, int) else self.sessions
         return tuple(kind for kind in kinds for _ in range(kind.times))
 
     @property
     def n_sessions(self) -> int:
-        """Sessions of each participant."""
+        """Number of sessions of each participant."""
         return self.sessions if isinstance(self.sessions, int) else len(self.session_kinds)
 
     @property
     def all_repetitions(self) -> int:
-        """Repetitions of a cell in all of a participant's sessions, where these are alike."""
+        """Repetitions of a cell over all of a participant's sessions, if these are alike."""
         return self.repetitions * self.n_sessions
 
     def kind_of(self, session: int) -> SessionKind | None:
-        """Return the kind of a participant's session, from 1; of one beyond the last, the last's."""
+        """Return the kind of a participant's session, counted from 1; beyond the last session, the kind of the last."""
         return self.session_kinds[: max(session, 1)][-1] if self.session_kinds else None
 
     @property
     def all_practice_trials(self) -> int:
-        """Number of practice trials in all the rounds there may be."""
+        """Number of practice trials in the maximum number of rounds."""
         return self.practice_trials * (self.practice_rounds if self.practice_criterion is not None else 1)

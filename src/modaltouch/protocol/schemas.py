@@ -1,4 +1,4 @@
-"""JSON Schemas of the YAML files, so that editors complete and check them."""
+"""JSON Schemas of the YAML files, for completion and checks in editors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The kinds of value that files are made of, and the words in which messages say what a key may hold."""
+"""Types of the values in YAML files, and the words in which messages say what a key may contain."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Dis
 from modaltouch.protocol.problems import fault
 
 RESERVED_NAMES = frozenset({"simulated", "pilot", "reference", "benchmarks", "analysis", "derivatives"})
-"""Folders of a results tree that no protocol may be called after."""
+"""Folders of the results tree, which cannot be names of protocols."""
 
 DEVICE_NAMES = re.compile(r"(?i:con|prn|aux|nul|(com|lpt)[0-9])")
-"""No file of Windows can have such a name."""
+"""Names that Windows does not allow for files."""
 
 
 class Section(BaseModel):
@@ -27,7 +27,7 @@ class Section(BaseModel):
 
 
 def described(text: str, **bounds: Any) -> Any:
-    """Return a field whose description becomes the text that editors show."""
+    """Return a field with a description, which editors show."""
     return Field(description=text, **bounds)
 
 
@@ -44,14 +44,14 @@ def _plain_file_name(name: str) -> str:
 
 
 def _word(value: object) -> object:
-    """Say what a truth value or a number standing for a name was probably meant to be."""
+    """Refuse a truth value or number where text is required."""
     if isinstance(value, bool | int | float):
         raise fault(f"{str(value).lower()}, which is not text", "text", "write it in quotes")
     return value
 
 
 SMALLEST, LARGEST = 1e-9, 1e12
-"""Beyond these no quantity of this experiment lies in any of its units; within them nothing overflows."""
+"""Bounds of every quantity, in whatever unit: no value of this experiment lies beyond, and nothing overflows within."""
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=SMALLEST, le=LARGEST)]
@@ -76,14 +76,14 @@ FileName = Annotated[
 
 
 NUMBER_OR_LIST = Discriminator(lambda value: "list" if isinstance(value, list | tuple) else "number")
-"""Which of two branches, tagged so, holds what was given."""
+"""Chooses between branches tagged ``number`` and ``list``."""
 
 Step = str | int
 
 
 @lru_cache(maxsize=1024)
 def adapter(model: type[BaseModel], path: tuple[Step, ...]) -> TypeAdapter[Any] | None:
-    """Return what reads the value at a path of a model; None where the model knows no such path."""
+    """Return the type adapter that validates the value at a path of a model; None if the model has no such path."""
     annotation = annotation_at(model, path)
     return None if annotation is None else TypeAdapter(annotation)
 
@@ -110,7 +110,7 @@ def _step_into(annotation: Any, step: Step) -> Any:
 
 
 def describe(model: type[BaseModel], path: Iterable[Step]) -> str:
-    """Return in words what may stand at a path of a model; empty where the model knows no such path."""
+    """Return in words what is allowed at a path of a model; empty if the model has no such path."""
     steps = tuple(path)
     known = adapter(model, steps)
     if known is None:
@@ -122,7 +122,7 @@ def describe(model: type[BaseModel], path: Iterable[Step]) -> str:
 
 
 def keys_of(model: type[BaseModel], path: Iterable[Step]) -> tuple[str, ...]:
-    """Return the keys that may stand in the mapping at a path; empty where any may."""
+    """Return the keys that are allowed in the mapping at a path; empty if any are."""
     known = adapter(model, tuple(path))
     schema = {} if known is None else known.json_schema()
     # An optional section is one branch of two, the other being null.
@@ -176,7 +176,7 @@ def _list_in_words(root: dict[str, Any], schema: dict[str, Any]) -> str:
 
 
 def _bounds(schema: dict[str, Any]) -> str:
-    # The bounds against overflow are no news to anyone who reads a message.
+    # The bounds against overflow are of no interest in a message.
     schema = {key: value for key, value in schema.items() if value not in (LARGEST, -LARGEST)}
     if schema.get("minimum") == SMALLEST:
         schema = {**schema, "minimum": None, "exclusiveMinimum": 0}
@@ -222,7 +222,7 @@ def _unit(key: str) -> str:
     return next((_UNITS[end] for n in range(1, len(words)) if (end := "_".join(words[n:])) in _UNITS), "")
 
 
-# What follows the number begins as a unit does: the 1 of 1_000, 1/3 or a date is not the number that was meant.
+# A unit must follow, if anything: the 1 of 1_000, of 1/3 or of a date is not the number that was meant.
 _WITH_UNIT = re.compile(
     r"\s*([-+]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(?:(?:[^\W\d_]|[%°]).*|)"
 )

@@ -1,4 +1,4 @@
-"""Protocol: what is presented, asked and repeated, as the file gives it."""
+"""Protocol file: what is presented and asked, and how often."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from modaltouch.protocol.trial import Trial
 
 
 class CalibrationLimits(Section):
-    """Largest errors that a calibration may leave, uncertainty included; one that misses them is marked."""
+    """Largest errors, including uncertainty, that a calibration may leave; one that exceeds them is marked."""
 
     velocity_mm_s: Positive = described("Error of a modal velocity at the focusing instant [mm/s].", default=0.3)
     displacement_mm_s: Positive = described(
@@ -68,11 +68,11 @@ Seconds = Annotated[NotNegative, Field(le=600)]
 _UNIQUE = {"uniqueItems": True}
 
 USUAL_PRESENTATION, USUAL_LONGEST = 2.0, 60.0
-"""Length of a stimulus that stops before the question, and of one that nobody answers, unless it is given [s]."""
+"""Default length of a stimulus that stops before the question, and of one that is not answered [s]."""
 
 
 def whole_bursts(seconds: float, rate: float) -> int:
-    """Return the number of bursts, one at least, whose periods come nearest to a time [s] at a rate [Hz]."""
+    """Return the number of bursts, at least one, nearest to a duration [s] at a repetition rate [Hz]."""
     return max(round(seconds * rate), 1)
 
 
@@ -161,17 +161,17 @@ class AnswersSection(AskedSection):
 
     @property
     def offered(self) -> AnswerList:
-        """The answers as they stand on the screen."""
+        """The answers in the order of the screen."""
         said = ("keys", "fingers", "below", "intervals", "scale")
         return AnswerList.of({name: getattr(self, name) for name in said})
 
     @property
     def further(self) -> dict[str, AnswersSection]:
-        """How each further question is asked, by its name."""
+        """How each further question is asked, by name."""
         return self.asking(self.then)
 
     def asking(self, questions: Mapping[str, QuestionSection]) -> dict[str, AnswersSection]:
-        """Return how each question is asked: as the first one, but for its words, answers and time-out."""
+        """Return how each question is asked: like the first one, except for its words, answers and time-out."""
         none = {"fingers": {}, "below": (), "intervals": {}, "then": {}, "change_until_confirmed": False}
         return {
             name: self.model_copy(update=none | vars(asked) | {"question": asked.question or name})
@@ -184,7 +184,7 @@ class AnswersSection(AskedSection):
         return self.offered.naming() is not None
 
     def n_bursts(self, rate: float) -> int:
-        """Return how many bursts a stimulus has, or may have until the answer, at a rate [Hz]."""
+        """Return the number of bursts of a stimulus, or the most until the answer, at a repetition rate [Hz]."""
         if self.stimulus_until == "answer":
             return whole_bursts(self.longest_presentation_s or USUAL_LONGEST, rate)
         return self.presentation_bursts or whole_bursts(self.presentation_s or USUAL_PRESENTATION, rate)
@@ -196,17 +196,17 @@ class AnswersSection(AskedSection):
         return self.ways.get(finger_condition, "lifting" if finger_condition == "two_hands" else "free_hand")
 
     def settles(self, finger_condition: str) -> bool:
-        """Return whether a hand or finger that rests on the beam presses, and then has to settle there again."""
+        """Return whether a hand or finger on the beam presses the key, and so has to settle on the beam again."""
         way = self.way(finger_condition)
         return way == "lifting" or (way == "free_hand" and finger_condition == "two_hands")
 
     def pause(self, finger_condition: str) -> float:
-        """Return the time from an answer, or a key to go on, to the next stimulus [s]."""
+        """Return the time from an answer, or a continue key, to the next stimulus [s]."""
         return max(self.pause_s, self.settling_s) if self.settles(finger_condition) else self.pause_s
 
 
 class AnalysisSection(Section):
-    """Criteria of the analysis, fixed before anybody answers."""
+    """Criteria of the analysis, fixed before data are taken."""
 
     equivalence_margin: Annotated[float, Field(strict=True, gt=0, lt=1)] | None = described(
         "Largest difference in the share of an answer at which finger conditions count as equivalent; null for no such "
@@ -278,11 +278,11 @@ class Protocol(Section):
 
     @property
     def closing(self) -> dict[str, AnswersSection]:
-        """How each question of the form at the end is asked, by its name."""
+        """How each question of the form at the end is asked, by name."""
         return self.answers.asking(self.form)
 
     def read_people(self, path: Path) -> dict[str, float | str | None]:
-        """Return a participant's answers from a YAML file; InputError with every fault of it."""
+        """Return a participant's answers from a YAML file; raise InputError with every fault of it."""
         return read_people(self.people, path)
 
     @property
@@ -293,7 +293,7 @@ class Protocol(Section):
 
     @property
     def uncrossed_by(self) -> tuple[str, ...]:
-        """Path of the key by which the design is not crossed; empty where it is."""
+        """Path of the first key that makes the design not crossed; empty if it is crossed."""
         conditions, kinds = self.conditions, self.schedule.session_kinds
         known: tuple[tuple[tuple[str, ...], object], ...] = (
             (("conditions", "table"), conditions.table),
@@ -312,7 +312,7 @@ class Protocol(Section):
         finger_condition : str
             Name of the finger condition.
         excluded : bool
-            Whether cells that the protocol leaves out are among them.
+            Whether to include cells that the protocol leaves out.
         """
         conditions = self.conditions
         listed = conditions.cells or [
@@ -332,10 +332,10 @@ class Protocol(Section):
 
     @property
     def scheduled_levels(self) -> tuple[float, ...]:
-        """Peak velocities that trials are scheduled with [mm/s].
+        """Peak velocities with which trials are scheduled [mm/s].
 
-        In an adaptive run the first, whatever comes. Levels calibrated by participant are those of the highest
-        threshold that fits, until the participant's own is known (`with_levels`).
+        In adaptive runs, the level of the first trial. Sensation levels are those for the highest threshold that fits,
+        until the participant's own threshold is known (`with_levels`).
         """
         if self.adaptive is not None:
             return (self.adaptive.start_mm_s,)
@@ -344,34 +344,34 @@ class Protocol(Section):
 
     @property
     def scheduled_repetitions(self) -> int:
-        """How many trials of each pair, scheduled level and stimulus a block holds."""
+        """Number of trials of each pair, scheduled level and stimulus in a block."""
         if self.adaptive is not None:
             return self.adaptive.trials
         return self.schedule.repetitions
 
     @property
     def stimulus_names(self) -> tuple[str, ...]:
-        """Names of the stimuli; one, without a name, where the protocol has no section ``stimuli``."""
+        """Names of the stimuli; a single empty name if the protocol has no section ``stimuli``."""
         return tuple(self.stimuli) or ("",)
 
     def stimulus_of(self, name: str) -> StimulusSection:
-        """Return the stimulus of a name; of a catch trial, which has none, what all share."""
+        """Return the stimulus of a name; for a catch trial, which has none, the shared section."""
         return self.stimuli[name].applied(self.stimulus) if name in self.stimuli else self.stimulus
 
     def presented(self, trial: Trial) -> tuple[Trial, ...]:
-        """Return a trial with what each of its intervals presents as its condition, in order; of one, the trial."""
+        """Return the trial once for each interval, with the condition presented there; once if it has no intervals."""
         if self.intervals is None:
             return (trial,)
         standard = replace(trial, condition=self.intervals.standard_of(trial.condition))
         return tuple(trial if n == trial.interval else standard for n in range(1, self.intervals.number + 1))
 
     def expected(self, trial: Trial, speeds: Sequence[float]) -> str | None:
-        """Name of the right answer to a trial, by its intervals or else the speeds under the fingers; None for none.
+        """Return the expected answer to a trial, from its intervals or else the speeds under the fingers; None if none.
 
         Parameters
         ----------
         trial : Trial
-            What is presented.
+            The trial.
         speeds : sequence of float
             Predicted peak speeds under the fingers, from left to right, in one unit.
         """
@@ -380,13 +380,13 @@ class Protocol(Section):
         return next((name for name in self.answers.offered.names if self.is_correct(trial, name)), None)
 
     def is_correct(self, trial: Trial, answer: str) -> bool | None:
-        """Whether an answer is right about a trial's intervals; None where it says nothing of them, or any may be."""
+        """Whether an answer is correct about a trial's intervals; None if it says nothing about them, or any may be."""
         if self.intervals is None:
             return None
         return self.intervals.is_correct(self.answers.offered.named(answer).interval, trial.condition, trial.interval)
 
     def n_bursts(self, name: str) -> int:
-        """Return how many bursts a stimulus has, or may have until the answer; of a catch trial, what all share."""
+        """Return the number of bursts of a stimulus, or the most until the answer; an empty name for a catch trial."""
         own = self.stimuli[name].presentation_bursts if name in self.stimuli else None
         return own or self.answers.n_bursts(self.stimulus_of(name).repetition_rate_Hz)
 
@@ -396,13 +396,13 @@ class Protocol(Section):
         return (self.n_bursts(name) - 1) / stimulus.repetition_rate_Hz + stimulus.duration_ms * 1e-3
 
     def is_masked(self, name: str) -> bool:
-        """Return whether the masking noise, where there is any, is on with a stimulus."""
+        """Return whether the masking noise, if any, is on with a stimulus."""
         return name not in self.stimuli or self.stimuli[name].masked is not False
 
     def with_stimulus(self, name: str) -> Protocol:
-        """Return the protocol with one of its stimuli alone, crossed with its levels; no standard of another."""
+        """Return the protocol with one stimulus alone, crossed with its levels; no intervals if not its standard."""
         levels = self.conditions.peak_velocities_mm_s
-        # A catch trial is set as one at the lowest level of all, and a standard has a level of its own.
+        # Catch trials use the settings of the lowest level of all, and a standard has its own level.
         if self.uncrossed_by[:1] == ("conditions",) and not (self.schedule.catch_trials or self.intervals):
             cells = [cell for fingers in self.conditions.finger_conditions for cell in self.cells(fingers)]
             own_levels = {level for _, level, stimulus in cells if stimulus == name}
@@ -414,6 +414,6 @@ class Protocol(Section):
         return self.model_copy(update={**own, "conditions": crossed})
 
     def with_levels(self, levels_mm_s: tuple[float, ...]) -> Protocol:
-        """Return the protocol as a participant gets it whose levels, calibrated by participant, are known [mm/s]."""
+        """Return the protocol with a participant's own levels [mm/s] in place of sensation levels."""
         update = {"peak_velocities_mm_s": levels_mm_s, "sensation_levels": None}
         return self.model_copy(update={"conditions": self.conditions.model_copy(update=update)})

@@ -1,4 +1,4 @@
-"""The text of a file, as it is read and as the record keeps it; the files that come with the program."""
+"""The text of a file, as it is read and as the record keeps it; the shipped files."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from typing import Any, Literal
 from modaltouch.protocol.problems import InputError, Problem, suggest
 
 YAML_FILE = "a YAML file that exists and can be read"
-"""What may be named where a file is wanted."""
+"""Words of messages for what may be named as a file."""
 
 SIZE_LIMIT = 256 * 1024
-"""Longest file that is read [byte]: a hundred times the shipped ones."""
+"""Largest file that is read [byte]: a hundred times the shipped ones."""
 
 
 Kind = Literal["protocol", "apparatus", "observer", "fingers"]
@@ -35,7 +35,7 @@ class Source:
     Attributes
     ----------
     path : Path
-        File as it was named.
+        File, as the user named it.
     text : str
         Its text, without a byte order mark.
     """
@@ -64,7 +64,7 @@ class Source:
         Raises
         ------
         InputError
-            If there is no such file, or it is no UTF-8 text of at most 256 KiB.
+            If there is no such file, or it is not UTF-8 text of at most 256 KiB.
         """
 
         def refused(
@@ -94,30 +94,30 @@ class Source:
 
     @classmethod
     def find(cls, kind: Kind, name: Path | str) -> Source:
-        """Text of the file that a path, or the name of a shipped file, stands for.
+        """Return the text of a file given by path, or by the name of a shipped file.
 
         Parameters
         ----------
         kind : str
             ``protocol``, ``apparatus``, ``observer`` or ``fingers``.
         name : path
-            The file, or the name of a shipped one; a file that exists wins.
+            The file, or the name of a shipped one; an existing file takes precedence.
 
         Raises
         ------
         InputError
-            If there is neither, with the names that there are; or if it cannot be read.
+            If there is neither, with the shipped names; or if it cannot be read.
         """
         return cls.load(find(kind, name))
 
     @classmethod
     def shipped_text(cls, kind: Kind, name: str) -> Source:
-        """Text of a shipped file, under its name alone: where the program is installed says nothing of it.
+        """Return the text of a shipped file, with only its name as path, which does not depend on the installation.
 
         Raises
         ------
         InputError
-            If there is none of that name, with the names that there are.
+            If there is none of that name, with the shipped names.
         """
         known = cls.shipped(kind)
         if name not in known:
@@ -126,7 +126,7 @@ class Source:
 
     @staticmethod
     def shipped(kind: Kind) -> dict[str, Path]:
-        """Shipped files of a kind by name.
+        """Return the shipped files of a kind by name.
 
         Parameters
         ----------
@@ -149,13 +149,13 @@ class Sources:
     protocol, apparatus, texts : Source
         Path, text and hash of each.
     calibration : Source or None
-        Path, text and hash of the calibration, where there is one.
+        The same of the calibration, if any.
     field : Source or None
-        The same of the points of the target field, where they stand in a file.
+        The same of the points of the target field, if they are in a file.
     fingers : Source or None
-        The same of the fingers that the stimulus is designed for, where there are any.
+        The same of the fingers that the stimulus is designed for, if any.
     table : Source or None
-        The same of the table of cells, where there is one.
+        The same of the table of cells, if any.
     """
 
     protocol: Source
@@ -177,18 +177,18 @@ class Sources:
 
 
 def find(kind: Kind, name: Path | str) -> Path:
-    """Return the file that a path, or the name of a shipped file, stands for; a file that exists wins.
+    """Return the file given by a path, or by the name of a shipped file; an existing file takes precedence.
 
     Raises
     ------
     InputError
-        If there is neither, with the names that there are.
+        If there is neither, with the shipped names.
     """
     path, known = Path(name), Source.shipped(kind)
     try:
         if path.is_file() or (path.exists() and str(name) not in known):
             return path
-    except OSError:  # told by what reads it
+    except OSError:  # reported when it is read
         return path
     if str(name) not in known:
         raise InputError([_unknown(path, known)])

@@ -1,4 +1,4 @@
-"""The keys of the stimulus, and of several stimuli that trials take turns in; the points of a sampled field."""
+"""The keys of the stimulus, and of several stimuli; the points of a sampled target field."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from modaltouch.protocol.section import NUMBER_OR_LIST, Count, Label, Number, Po
 from modaltouch.protocol.source import Source
 
 NO_FINGERS = "none"
-"""What a protocol says whose stimulus is designed for the untouched beam."""
+"""Value of `stimulus.fingers` if the stimulus is designed for the untouched beam."""
 
 MEASURED = "measured"
-"""What a protocol says whose fingers are measured in the session, at each placement."""
+"""Value of `stimulus.fingers` if fingers are measured in the session, at each placement."""
 
 ZoneName = Annotated[Word, Field(json_schema_extra={"x-allowed": "the name of a zone of the beam"})]
 SampleCount = Annotated[int, Field(strict=True, ge=2, le=524_288, multiple_of=2)]
-"""As many as any known generator holds; how many that of the apparatus does is checked with its other limits."""
+"""Up to the memory of the largest known generator; that of the apparatus is checked with its other limits."""
 
 
 class FieldSection(Section):
@@ -139,7 +139,7 @@ class StimulusVariant(Section):
     )
 
     def applied(self, base: StimulusSection) -> StimulusSection:
-        """Return a stimulus with what this one has different."""
+        """Return a stimulus with the keys that this variant gives."""
         own = {key: getattr(self, key) for key in type(self).model_fields if key in StimulusSection.model_fields}
         return base.model_copy(update={key: value for key, value in own.items() if value is not None})
 
@@ -153,9 +153,9 @@ _FIELD = ("stimulus", "field")
 
 
 def check_target_field(reading: Reading[Any]) -> Iterator[Problem]:
-    """Return the faults between the keys of the target field, as far as its sound parts show them."""
+    """Yield the faults between the keys of the target field, as far as its valid parts show them."""
     shape = reading.sound(*_FIELD, "shape")
-    # One of several stimuli is not as the section in the file has it.
+    # For one of several stimuli the value counts, not the section in the file.
     held = reading.sound if reading.value is not None else lambda *path: reading.find(path)
     named = [key for key in ("points", "file") if held(*_FIELD, key) is not None]
     if shape == "sampled" and len(named) != 1:
@@ -183,12 +183,12 @@ def check_target_field(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def read_points(source: Source) -> tuple[Points, list[Problem]]:
-    """Return the points in a file, positions [mm] and relative velocities, and what is wrong with it.
+    """Return the points in a file, positions [mm] and relative velocities, and its faults.
 
     Parameters
     ----------
     source : Source
-        Comma-separated text with a header line that has the columns of `COLUMNS`.
+        Comma-separated text with a header line that contains `COLUMNS`.
     """
     path, remedy = str(source.path), "write one line per point, such as `-20,0.5`"
     rows = list(csv.reader(source.text.splitlines()))

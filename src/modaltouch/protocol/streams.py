@@ -1,8 +1,8 @@
-"""A random stream of its own for each purpose, so that a draw added to one shifts no other.
+"""A separate random stream for each purpose, so that a draw added to one does not change any other.
 
-A stream is numpy's PCG64 seeded by a SeedSequence of (study seed, participant, session, purpose). Only its raw
-64-bit words are used: numpy promises these, and not what its distributions make of them, to stay the same in
-every version, and an order must be recomputable years later.
+A stream is numpy's PCG64 seeded by a SeedSequence of (study seed, participant, session, purpose). Only its raw 64-bit
+words are used: an order must be reproducible years later, and numpy guarantees these words, but not its distributions,
+to stay the same in every version.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from typing import Self, TypeVar
 import numpy as np
 
 ALGORITHM = "modaltouch order 1: raw words of numpy PCG64, seeded by SeedSequence(seed, participant, session, purpose)"
-"""Name and version of what turns a seed into an order, for the record."""
+"""Name and version of the algorithm that turns a seed into an order, for the record."""
 
 Item = TypeVar("Item")
 
 
 def key_of(name: str) -> int:
-    """Return the number that stands for a participant or a purpose: its SHA-256."""
+    """Return the number that represents a participant or a purpose in a seed: its SHA-256."""
     return int.from_bytes(hashlib.sha256(name.encode()).digest(), "big")
 
 
@@ -46,16 +46,16 @@ def seed_sequence(seed: int, participant: str, session: int, purpose: str) -> np
 
 @dataclass(frozen=True, slots=True)
 class Cuts:
-    """Whole numbers that cut a range, and their first words, which nearly always tell where a drawn number lies.
+    """Whole numbers that divide a range, and their first words, which nearly always suffice to place a drawn number.
 
     Attributes
     ----------
     totals : list of int
-        Increasing, the last being the end of the range.
+        Increasing; the last is the end of the range.
     n_words, n_spare : int
-        Number of words of a draw from the range, and of their bits that are dropped.
+        Number of words in a draw from the range, and number of their bits that are dropped.
     words : list of int
-        First words of the totals, as of a draw.
+        First word of each total, aligned as in a draw.
     """
 
     totals: list[int]
@@ -65,7 +65,7 @@ class Cuts:
 
     @classmethod
     def of(cls, totals: list[int]) -> Self:
-        """Return the cuts at totals."""
+        """Return the cuts at the given totals."""
         n_bits = (totals[-1] - 1).bit_length()
         n_words = (n_bits + 63) // 64
         n_spare = 64 * n_words - n_bits
@@ -78,16 +78,16 @@ class Stream:
     Parameters
     ----------
     seed, participant, session, purpose
-        As `seed_sequence` takes them.
+        As in `seed_sequence`.
     """
 
     def __init__(self, seed: int, participant: str, session: int, purpose: str) -> None:
         self._source = np.random.PCG64(seed_sequence(seed, participant, session, purpose))
-        # Read where they lie, for a list of all words would take longer to make than most draws.
+        # A view of numpy's buffer: making a list of all words would take longer than most draws.
         self._words, self._read, self._end = self._source.random_raw(0).data, 0, 0
 
     def below(self, bound: int) -> int:
-        """Return a uniform whole number from 0 to `bound` - 1, exactly, however large the bound."""
+        """Return an exactly uniform whole number from 0 to `bound` - 1, however large the bound."""
         n_bits = (bound - 1).bit_length()
         n_words = (n_bits + 63) // 64
         n_spare = 64 * n_words - n_bits
@@ -101,7 +101,7 @@ class Stream:
                 return value
 
     def among(self, cuts: Cuts) -> int:
-        """Return the place of a uniform whole number among totals, as `bisect_right(totals, below(totals[-1]))`."""
+        """Return the place of a uniform whole number among totals, like `bisect_right(totals, below(totals[-1]))`."""
         n_words, words = cuts.n_words, cuts.words
         while True:
             if self._read + n_words > self._end:
@@ -116,20 +116,20 @@ class Stream:
                 return place
 
     def _refill(self, n_words: int) -> None:
-        """Have at least so many words that are not read yet."""
+        """Provide at least `n_words` unread words."""
         left = self._words[self._read :]
         self._words = np.concatenate([left, self._source.random_raw(4096 + n_words)]).data
         self._read, self._end = 0, len(self._words)
 
     def _number(self, begin: int) -> int:
-        """Return the number that the words make together which were passed last."""
+        """Return the number formed by the words from `begin` up to the last one read."""
         value = 0
         for word in self._words[begin : self._read]:
             value = value << 64 | word
         return value
 
     def shuffled(self, items: Iterable[Item]) -> list[Item]:
-        """Return the items in an order drawn uniformly among all of them (Fisher-Yates)."""
+        """Return the items in an order drawn uniformly among all orders (Fisher-Yates)."""
         order = list(items)
         for last in range(len(order) - 1, 0, -1):
             other = self.below(last + 1)
@@ -137,10 +137,10 @@ class Stream:
         return order
 
     def chosen(self, items: Iterable[Item], n_items: int) -> list[Item]:
-        """Return some of the items, drawn uniformly among all choices of so many."""
+        """Return `n_items` of the items, drawn uniformly without replacement."""
         return self.shuffled(items)[:n_items]
 
     def weighted(self, weights: Sequence[int]) -> int:
-        """Return an index drawn with whole-number weights, exactly."""
+        """Return an index drawn with probabilities exactly proportional to whole-number weights."""
         totals = list(accumulate(weights))
         return bisect_right(totals, self.below(totals[-1]))

@@ -42,11 +42,11 @@ _OPTIONAL: dict[str, frozenset[str]] = {
     "how_to_answer_or_none": frozenset({"n_answers", "nothing_felt"}),
     "lift_to_answer": frozenset({"hand"}),
 }
-"""Words in braces that a text may contain: files were written before the window could fill them in."""
+"""Words in braces that a text may contain; older files lack them."""
 
 
 def _check_text(text: str, wanted: frozenset[str] = frozenset(), optional: frozenset[str] = frozenset()) -> str:
-    """Return a text that has words, and of those in braces all that are wanted and none beyond the optional ones."""
+    """Return a text that is not empty and has all the wanted words in braces, and no others but the optional ones."""
     if not text.strip():
         raise fault("an empty text", "at least one word", "write what the participant should read")
     needed = ", ".join(f"{{{name}}}" for name in sorted(wanted)) or "no words in braces"
@@ -191,11 +191,11 @@ class Texts(Section):
         return dict(enumerate(self.numbers, 2)).get(count, str(count))
 
     def finger(self, name: str) -> str:
-        """Return what the participant calls a finger such as ``left index``."""
+        """Return the participant's word for a finger such as ``left index``."""
         return self.fingers.get(name) or str(getattr(self, name.replace(" ", "_")))  # type: ignore[call-overload]
 
     def placing(self, fingers: tuple[str, ...], zones: tuple[str, ...]) -> str:
-        """Return which finger goes where, as the participant calls them."""
+        """Return the instruction which finger goes on which zone."""
         if len(zones) != 2:
             laid = zip(fingers, zones, strict=True)
             return "\n".join((self.place_each_finger or "").format(finger=f, zone=zone) for f, zone in laid)
@@ -204,16 +204,16 @@ class Texts(Section):
         return self.place_fingers.format(**given)
 
     def label(self, answer: str) -> str:
-        """Return what the participant calls an answer."""
+        """Return the label of an answer."""
         return self.answers.get(answer) or str(getattr(self, answer, answer))
 
     def named(self, words: str) -> str:
-        """Return the further text of a name, or the words themselves where they name none."""
+        """Return the further text of that name, or the words themselves if there is none."""
         return self.further.get(words, words)
 
 
 _ROOM = 120
-"""Characters for which a row of buttons has room: more are drawn too small to be read."""
+"""Most characters on a row of buttons: more would be too small to read."""
 
 
 def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Problem]:
@@ -234,7 +234,7 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Prob
                 problems.append(
                     texts.problem(path, given, f"at most {room} with {in_row} answers in a row", "shorten it")
                 )
-            # What every file must hold is missed without a protocol, too.
+            # Required keys are reported without a protocol, too.
             if field.is_required() or (node is not None and node.content is not None):
                 continue
             meant = suggest(answer.name, absent) if path[0] == "answers" else ""
@@ -250,7 +250,7 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Prob
 
 
 def _lacking_fingers(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[Problem]:
-    """Yield the names of fingers that a protocol lays on the beam, and how to lay one or three, where they lack."""
+    """Yield the missing texts for a protocol's fingers: their names, and how to place one or three."""
     design = None if protocol.value is None else protocol.value.conditions
     if design is None or texts.root is None:
         return

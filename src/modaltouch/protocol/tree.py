@@ -1,7 +1,6 @@
-"""YAML 1.2 -> tree of nodes that know their line and column.
+"""YAML 1.2 -> tree of nodes with line and column.
 
-The tree is built from the parser's events, so that nesting, aliases and tags are bounded before anything is
-made of them.
+The tree is built from the parser's events, so that nesting, aliases and tags are checked before they are expanded.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ _SPECIAL: dict[str, Scalar] = {
 
 
 def resolve(text: str) -> Scalar:
-    """Return the value of an unquoted word under the core schema of YAML 1.2.
+    """Return the value of an unquoted word in the core schema of YAML 1.2.
 
     >>> [resolve(word) for word in ("80", "8e1", "0x50", "no", "80 mm/s", "")]
     [80, 80.0, 80, 'no', '80 mm/s', None]
@@ -52,7 +51,7 @@ DEPTH_LIMIT = 16
 """Deepest nesting that is read; the shipped files need four."""
 
 VALUE_LIMIT = 20_000
-"""Most values in a file, every alias counted as what it stands for."""
+"""Most values in a file, with aliases expanded."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +65,11 @@ class Node:
     line, column : int
         Where it begins, both from 1.
     keys : dict of str to (int, int)
-        Line and column of each key, where the value is a mapping.
+        Line and column of each key, if the value is a mapping.
     text : str
         A scalar as it was written.
     file : str
-        File that it stands in, where that is another than the tree's.
+        File that contains it, if that is not the tree's file.
     """
 
     content: Scalar | list[Node] | dict[str, Node]
@@ -82,19 +81,19 @@ class Node:
 
     @property
     def children(self) -> list[Node]:
-        """The values in it."""
+        """The values of a list or mapping; empty for a scalar."""
         if isinstance(self.content, dict):
             return list(self.content.values())
         return self.content if isinstance(self.content, list) else []
 
     @cached_property
     def size(self) -> int:
-        """Number of values in it, itself included, every alias counted as what it stands for."""
+        """Number of values in it, itself included, with aliases expanded."""
         return 1 + sum(child.size for child in self.children)
 
     @cached_property
     def depth(self) -> int:
-        """Number of lists and mappings nested in it, itself included."""
+        """Levels of nested lists and mappings, itself included."""
         return 1 + max((child.depth for child in self.children), default=0) if self.is_nested else 0
 
     @property
@@ -119,14 +118,14 @@ class Node:
         return None
 
     def with_child(self, key: str, child: Node) -> Node:
-        """Return the mapping with a value under a key, which is told where the value begins if it is new."""
+        """Return the mapping with a value under a key; the place of a new key is where the value begins."""
         held = self.content if isinstance(self.content, dict) else {}
         keys = {key: (child.line, child.column)} | self.keys
         return Node(held | {key: child}, self.line, self.column, keys, self.text, self.file)
 
 
 def parse_tree(source: Source) -> tuple[Node | None, list[Problem]]:
-    """Return the tree of a YAML text and the faults that building it met.
+    """Return the tree of a YAML text and the faults found while building it.
 
     Parameters
     ----------
@@ -136,9 +135,9 @@ def parse_tree(source: Source) -> tuple[Node | None, list[Problem]]:
     Returns
     -------
     root : Node or None
-        The mapping at the top; None where the text holds none.
+        The mapping at the top; None if the text has none.
     problems : list of Problem
-        Syntax, doubled keys, tags, aliases without an anchor, excess.
+        Syntax errors, repeated keys, tags, aliases without an anchor, exceeded limits.
     """
     root, problems = _parsed(source.text)
     return root, [replace(problem, file=str(source.path)) for problem in problems]
@@ -146,13 +145,13 @@ def parse_tree(source: Source) -> tuple[Node | None, list[Problem]]:
 
 @lru_cache(maxsize=16)
 def _parsed(text: str) -> tuple[Node | None, list[Problem]]:
-    """Return the tree of a text, and its faults in a file without a name: parsing costs more than all that follows."""
+    """Return the tree of a text and its faults, without the file's name; cached, since parsing is the slowest step."""
     reader = _Reader(text)
     try:
         root = reader.document()
     except _Stop:
         return None, reader.problems
-    except (YAMLError, ValueError, AttributeError) as error:  # the parser itself fails so on some directives
+    except (YAMLError, ValueError, AttributeError) as error:  # the parser raises these for some directives
         reader.problems.append(_syntax_problem(text, error))
         return None, reader.problems
     if root is None or root.content is None:
@@ -166,11 +165,11 @@ def _parsed(text: str) -> tuple[Node | None, list[Problem]]:
 
 
 class _Stop(Exception):  # noqa: N818
-    """The text is not worth reading further."""
+    """Reading the text stops at a fault."""
 
 
 def _syntax_problem(text: str, error: Exception) -> Problem:
-    """Return what the parser could not read."""
+    """Return the problem of what the parser could not read."""
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
     if isinstance(error, ReaderError):
         before = text[: error.position]
@@ -190,7 +189,7 @@ def _syntax_problem(text: str, error: Exception) -> Problem:
 
 
 class _Reader:
-    """Makes nodes of the parser's events; the depth that it allows is far below that of Python's stack."""
+    """Makes nodes from the parser's events, recursively; its depth limit is far below Python's."""
 
     def __init__(self, text: str) -> None:
         self.problems: list[Problem] = []
@@ -202,7 +201,7 @@ class _Reader:
         self.problems.append(Problem("", line, column, path, given, allowed, remedy))
 
     def document(self) -> Node | None:
-        """Return the value of the one document, None where there is none."""
+        """Return the value of the only document, None if there is none."""
         root = None
         for event in self._events:
             if type(event).__name__ == "DocumentStartEvent":
@@ -216,7 +215,7 @@ class _Reader:
         raise _Stop
 
     def _value(self, event: Any, path: tuple[str | int, ...]) -> Node:
-        """Return the value that begins with an event, under the steps that lead to it."""
+        """Return the value that begins with an event, at a path."""
         kind = type(event).__name__
         if kind == "AliasEvent":
             return self._alias(event, len(path))
@@ -243,7 +242,7 @@ class _Reader:
         return node
 
     def _bound(self, event: Any, size: int, depth: int) -> None:
-        """Stop where a value makes the file too large or nests too deep."""
+        """Stop if a value makes the file too large or is nested too deeply."""
         self._size += size
         if depth > DEPTH_LIMIT:
             given = f"lists and mappings nested deeper than {DEPTH_LIMIT}"
@@ -269,7 +268,7 @@ class _Reader:
         return Node(content, *_place(start), keys)
 
     def _check_key(self, key: Node, keys: dict[str, tuple[int, int]], path: tuple[str | int, ...]) -> bool:
-        """Return whether a key is a word that the mapping has not yet; what stands under another is not kept."""
+        """Return whether a key is a word that is new in the mapping; values under other keys are dropped."""
         if not isinstance(key.content, str):
             word = key.text or "a list, a mapping or nothing"
             remedy = f'write "{key.text}" in quotes' if key.text else "write a word before the colon"

@@ -1,4 +1,4 @@
-"""The atom of the experiment: a Trial is what is asked, a Response what is answered."""
+"""Trial, condition and response."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 TIME_OUT = "time_out"
-"""What is recorded where no answer came in time; never offered."""
+"""Recorded answer if none came in time; never offered."""
 
 _SELDOM = ("value", "further")
-"""What a response says only where there is any."""
+"""Keys of a response that are recorded only if they have a value."""
 
 FINGERS: dict[tuple[str, str], tuple[str, str]] = {
     ("one_hand", "right"): ("right index", "right middle"),
@@ -25,7 +25,7 @@ SIDES: dict[int, tuple[Literal["left", "between", "right"], ...]] = {
     2: ("left", "right"),
     3: ("left", "between", "right"),
 }
-"""What the fingers are called by their place on the beam, by their number; one alone has the place of the left."""
+"""Sides of the fingers, by their number; a single finger is the left one."""
 
 
 def other_hand(finger: str) -> str:
@@ -42,19 +42,19 @@ class Condition:
     ----------
     finger_condition : str
         ``one_hand`` (index and middle finger of one hand; the paper's test 1), ``two_hands`` (both index
-        fingers; test 2), or one that the protocol names.
+        fingers; test 2), or one that the protocol defines.
     zone_left, zone_right : str
-        Zones under the outer fingers, left and right as the participant sees the beam; the zone of one finger alone
-        is the left one, and the right one empty.
+        Zones under the outer fingers, left and right as the participant sees the beam; for a single finger, its zone
+        and an empty string.
     velocity_mm_s : float
         Peak velocity at the centre of the focus zone at the focusing instant [mm/s]; 0 in a catch trial.
     placement : str
         ``normal``; ``mirrored`` (the beam turned end to end, so that its last zone lies on the left);
-        ``swapped`` (the other hand, or crossed hands where both are on the beam); ``mirrored_swapped``.
+        ``swapped`` (the other hand, or crossed hands if both are on the beam); ``mirrored_swapped``.
     stimulus : str
-        Which of the protocol's stimuli; empty where it has one alone, and in a catch trial.
+        Name of the stimulus; empty if the protocol has only one, and in a catch trial.
     zone_between : str
-        Zone under the finger between the outer two; empty for fewer than three.
+        Zone under the middle one of three fingers; else empty.
     """
 
     finger_condition: str
@@ -80,12 +80,12 @@ class Condition:
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """What the fingers are called by their place: ``left``, ``between`` and ``right``."""
+        """Sides of the fingers, from left to right: ``left``, ``between`` and ``right``."""
         return SIDES[len(self.zones)]
 
     @property
     def is_catch(self) -> bool:
-        """Whether nothing is driven: a catch trial."""
+        """Whether it is that of a catch trial."""
         return self.velocity_mm_s == 0
 
     @property
@@ -101,7 +101,7 @@ class Condition:
         hand : str
             The hand that the protocol uses in ``one_hand``.
         named : mapping, optional
-            Fingers of the finger conditions that the protocol names.
+            Fingers of the finger conditions that the protocol defines.
         """
         laid: tuple[str, ...] = FINGERS.get((self.finger_condition, hand), ())
         laid = (named or {}).get(self.finger_condition, laid)
@@ -115,7 +115,7 @@ class Condition:
 
 @dataclass(frozen=True)
 class Trial:
-    """One presentation and one answer.
+    """One presentation and one response.
 
     Attributes
     ----------
@@ -126,11 +126,11 @@ class Trial:
     condition : Condition
         What is presented.
     repetition : int
-        Which presentation of this condition it is, from 1.
+        Number of this presentation of the condition, from 1.
     practice : bool
-        Whether the answer stays out of the analysis.
+        Whether it is a practice trial, which the analysis ignores.
     interval : int
-        In which interval of the trial the condition is presented, from 1; 0 where the trial has a single stimulus.
+        Interval in which the condition is presented, from 1; 0 if the trial has no intervals.
     """
 
     index: int
@@ -163,16 +163,16 @@ class Response:
     Attributes
     ----------
     answer : str
-        Name of one of the protocol's answers; ``time_out`` where none came in time.
+        Name of one of the protocol's answers; ``time_out`` if none came in time.
     reaction_time : float
-        From the onset named by `onset` to the answer event, or to the end of the time [s].
+        From the onset named by `onset` to the answer event, or to the time-out [s].
     onset : str
-        ``first_burst`` or ``question`` (where the stimulus stops before the question).
+        ``first_burst`` or ``question`` (if the stimulus stops before the question).
     answered_by : str
         ``participant``, ``experimenter`` (typed for the participant) or ``simulated``.
     way : str
-        ``free_hand``, ``lifting`` (a finger off the beam), ``foot_switch`` or ``experimenter``, as the protocol
-        has it; empty without a window.
+        ``free_hand``, ``lifting`` (a finger off the beam), ``foot_switch`` or ``experimenter``, as in the protocol;
+        empty without a window.
     device : str
         ``key``, ``mouse``, ``console`` (the experimenter's), ``model`` (an observer without a window), or ``none`` at
         a time-out.
@@ -183,13 +183,13 @@ class Response:
     question_after : float or None
         From the onset of the stimulus to the question on the screen [s]; None without a screen.
     question_uncertainty : float
-        How long bringing the question onto the screen took: it was there this much earlier at most [s].
+        Time taken to show the question: it was visible at most this much earlier than `question_after` [s].
     time_uncertainty : float
-        Longest time the answer event may have waited before it was stamped [s].
+        Longest time the answer event may have waited for its time stamp [s].
     value : float or None
-        The number that was answered on a scale.
+        The number answered on a scale.
     further : dict of str to dict
-        What was answered to each further question, by its name, as a response of its own.
+        The response to each further question, by its name.
     """
 
     answer: str
@@ -208,7 +208,7 @@ class Response:
 
     @property
     def counted_from(self) -> float:
-        """What the reaction time counts from [s after the onset of the stimulus]."""
+        """Instant from which the reaction time counts [s after the onset of the stimulus]."""
         return (self.question_after or 0.0) if self.onset == "question" else 0.0
 
     def as_dict(self) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The section ``twin``: what the simulated rig has and the identified tables have not."""
+"""The section ``twin``: properties of the simulated rig that are not in the identified tables."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class UnlistedMode(Section):
 
 
 class TrueAmplifier(Section):
-    """The true amplifier; values that are null are as identified."""
+    """The true amplifier; null for a value as identified."""
 
     gain_V_per_V: Positive | None = described("True voltage gain [V/V].", default=None)  # noqa: N815
     limit_V: Positive | None = described("Voltage at which it saturates [V, peak].", default=None)  # noqa: N815
@@ -39,7 +39,7 @@ class TrueAmplifier(Section):
 
 
 class Vibrometer(Section):
-    """The vibrometer as it is."""
+    """The true vibrometer."""
 
     bandwidth_kHz: Positive | None = described(  # noqa: N815
         "Corner of its first-order low-pass [kHz]; null for none.", default=250.0
@@ -57,7 +57,7 @@ class Vibrometer(Section):
 
 
 class ScopeSection(Section):
-    """The oscilloscope as it is."""
+    """The true oscilloscope."""
 
     bits: Annotated[int, Field(strict=True, ge=4, le=24)] = described("Resolution of its converters [bits].", default=8)
     noise_steps: NotNegative = described("Noise of its inputs [steps of the converter, rms].", default=0.3)
@@ -92,7 +92,7 @@ class Latency(Section):
 
 
 class TrueGenerator(Section):
-    """The generator as it is: how long its hardware takes."""
+    """The true generator: latencies of its hardware, and its trigger input."""
 
     trigger_latency_ms: Latency = described(
         "Time from the trigger command to the first sample of its burst, anywhere between two bounds.",
