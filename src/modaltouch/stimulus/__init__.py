@@ -1,10 +1,10 @@
-"""The physics of the stimulus, with NumPy alone: from a target field to a generator's codes, and forward again.
+"""The physics of the stimulus, with NumPy alone: from a target field to a generator's codes, and back to the motion.
 
-In go the modes of a beam (`ModalModel`), a velocity field at an instant (`TargetField`), the clock (`Timing`) and the
-`Amplifier`. `design_stimulus` returns a `Stimulus`: voltages, codes and amplitudes (`Burst`), and what they do to the
-beam at every level. `focus_sensitivity`, `scatter` and `cheapest_samples` tell how well the beam must be identified and
-how few samples will do. `DiagonalSystem`, `BlockKernel` and `BlockStates` carry any voltages forward, for the simulated
-rig. A `Probe` tells the beam from measured responses, fingers and all.
+Input: the modes of a beam (`ModalModel`), a velocity field at an instant (`TargetField`), the clock (`Timing`) and the
+`Amplifier`. `design_stimulus` returns a `Stimulus`: voltages, codes and amplitudes (`Burst`), and the motion that they
+cause at every level. `focus_sensitivity`, `scatter` and `cheapest_samples` say how accurately the beam must be
+identified and how few samples suffice. `DiagonalSystem`, `BlockKernel` and `BlockStates` compute the response to any
+voltages, for the simulated rig. A `Probe` identifies the beam, with fingers on it, from measured responses.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""A response block by block: within a block matrix products, from block to block a recursion of the states.
+"""A response block by block: matrix products within a block, a recursion of the states from block to block.
 
-Each state decays over a sample and is then pushed by the sample's inputs. A block of outputs is one product of the
-block's inputs and the states at its start; those follow from the blocks' pushes by the same method one level up.
-Most blocks of a long response need no closer look where only its peak is sought: an upper bound shows it.
+Over a sample each state decays, and the sample's inputs then push it: they add to it. The outputs of a block are one
+matrix product of its inputs and the states at its start; those states follow from the blocks' pushes by the same method
+one level up. If only the peak of a long response is wanted, an upper bound rules out most of its blocks.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import decay
 
 SHORT = 16
-"""Samples per block: the work per sample is least where a block is about as long as a product is efficient."""
+"""Samples per block, chosen for the least work per sample."""
 
 LEVELS = 3
 """Blocks, groups of blocks, groups of groups: three levels step over 16^4 samples, twice the longest chunk."""
@@ -29,7 +29,7 @@ _CHUNK = 32_768
 """Samples per chunk: bounds the memory, and keeps a chunk of voltages in the second-level cache."""
 
 _LIKELIEST = 64
-"""Blocks looked at first where a peak is sought: what they reach spares most of the others."""
+"""Blocks that are computed first in the search for a peak: what they reach rules out most of the others."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +41,7 @@ class BlockRecursion:
     power : (n_states, LEVELS, SHORT + 1) complex array
         Decays over 0 to SHORT blocks, groups of blocks, and so on [1].
     triangle : (LEVELS, n_states, SHORT, SHORT) complex array
-        What each push of a group (rows) leaves in the states before the later members (columns).
+        What each push of a group (rows) contributes to the states before its later members (columns).
     """
 
     power: ComplexArray
@@ -59,7 +59,7 @@ class BlockRecursion:
     def follow(self, pushed: ComplexArray, state: ComplexArray, level: int = 0) -> tuple[ComplexArray, ComplexArray]:
         """Return the states before each block, (n_states, n_blocks) array, and after the last, (n_states,) array.
 
-        Level 0 steps over blocks, 1 over groups of them, and so on; `state` is that before the first block.
+        Level 0 steps over blocks, 1 over groups of them, and so on; `state` is the one before the first block.
         """
         n_states, n_blocks = pushed.shape
         n_groups, rest = divmod(n_blocks, SHORT)
@@ -81,23 +81,23 @@ class BlockRecursion:
         return begin, state
 
     def within(self, pushed: ComplexArray, starts: ComplexArray, out: ComplexArray, level: int = 0) -> None:
-        """Write the states before each block of each group, (n_states, n_groups, SHORT) array, from those before it."""
+        """Write the states before each block, (n_states, n_groups, SHORT) array, from those before each group."""
         np.matmul(pushed, self.triangle[level], out=out)
         out += starts[:, :, None] * self.power[:, level, None, :SHORT]
 
 
 @dataclass(frozen=True, eq=False)
 class PeakBound:
-    """What bounds the outputs within each block: the states, the mean inputs, and the energy of what remains.
+    """Bounds of the outputs within each block, from the states, the mean inputs and the deviations from them.
 
     Attributes
     ----------
     size : (n_states, n_blocks) array
-        Magnitudes of the states at the starts.
+        Magnitudes of the states at the starts of the blocks.
     mean : (n_inputs, n_blocks) array
-        Magnitude of the mean input.
+        Magnitudes of the mean inputs.
     swing : (n_inputs, n_blocks) array
-        Root of the energy of what remains.
+        Root of the sum of squares of the inputs less their mean.
     """
 
     size: FloatArray
@@ -106,7 +106,7 @@ class PeakBound:
 
     @classmethod
     def of(cls, blocks: FloatArray, begin: ComplexArray) -> PeakBound:
-        """Return the sizes of inputs, (n_inputs, n_blocks, n) array, and of the states `begin` at the starts."""
+        """Return the bounds from inputs, (n_inputs, n_blocks, n) array, and the states `begin` at the starts."""
         n = blocks.shape[2]
         size = np.sqrt(begin.real**2 + begin.imag**2)
         mean = blocks @ np.full(n, 1 / n)
@@ -116,7 +116,7 @@ class PeakBound:
     def of_outputs(self, output: ComplexArray, push: ComplexArray, powers: ComplexArray) -> FloatArray:
         """Return upper bounds of the outputs ``Re(output @ state)`` in each block, (n_outputs, n_blocks) array.
 
-        A unit of each input leaves `push` in the states at the end of its sample; `powers` are the decays over a block.
+        A unit of each input adds `push` to the states at the end of its sample; `powers` are the decays over a block.
         """
         impulse = ((output[:, None, :] * push.T) @ powers).real
         steady, worst = np.abs(impulse.cumsum(axis=2)).max(axis=2), np.sqrt((impulse**2).sum(axis=2))
@@ -125,16 +125,16 @@ class PeakBound:
 
 @dataclass(frozen=True, eq=False)
 class BlockKernel:
-    """What a block of inputs and the states at its start do to the outputs and to the states at its end.
+    """Effect of a block of inputs, and of the states at its start, on the outputs and on the states at its end.
 
-    Everything is computed when first needed: bounds need no tables, states no outputs.
+    Tables are computed when first needed.
 
     Attributes
     ----------
     exponent : (n_states,) complex array
         Exponents [1/s].
     push : (n_states, n_inputs) complex array
-        What a unit of each input leaves in the states at the end of its sample.
+        What a unit of each input adds to the states at the end of its sample.
     output : (n_outputs, n_states) complex array
         The outputs are the real part of ``output @ state``.
     hold : float
@@ -151,14 +151,14 @@ class BlockKernel:
 
     @classmethod
     def of(cls, system: DiagonalSystem, output: ComplexArray, hold: float) -> BlockKernel:
-        """Return the kernel of held voltages, and of outputs that are the real part of ``output @ state``.
+        """Return the kernel for held voltages and outputs that are the real part of ``output @ state``.
 
         Parameters
         ----------
         system : DiagonalSystem
             The beam behind its amplifier.
         output : (n_outputs, n_states) complex array
-            What is read off the states.
+            Output matrix.
         hold : float
             Length of a sample [s].
         """
@@ -166,7 +166,7 @@ class BlockKernel:
 
     @staticmethod
     def blocks(inputs: FloatArray) -> FloatArray:
-        """Return samples as blocks, the last filled up with zeros, (n_inputs, n_blocks, BLOCK_LENGTH) array."""
+        """Return samples as blocks, the last padded with zeros, (n_inputs, n_blocks, BLOCK_LENGTH) array."""
         beyond = -inputs.shape[1] % SHORT
         filled = np.pad(inputs, ((0, 0), (0, beyond))) if beyond else inputs
         return filled.reshape(len(inputs), -1, SHORT)
@@ -178,12 +178,12 @@ class BlockKernel:
 
     @cached_property
     def scan(self) -> BlockRecursion:
-        """How the states go on from block to block."""
+        """Recursion of the states from block to block."""
         return BlockRecursion.of(self.exponent, self.hold)
 
     @cached_property
     def _into_state(self) -> list[tuple[NDArray[np.intp], ComplexArray]]:
-        """For each input the states that it pushes, and what the samples of a block leave in them."""
+        """For each input the states that it pushes, and what the samples of a block add to them."""
         pushes = []
         for column in self.push.T:
             pushed = np.flatnonzero(column)
@@ -192,11 +192,11 @@ class BlockKernel:
 
     @cached_property
     def _tables(self) -> list[tuple[tuple[int, ...], tuple[int, ...], FloatArray]]:
-        """For each output its inputs, its states, and the right side of its product; what it does not hear is left out.
+        """For each output, the inputs and states that affect it, and the right factor of its matrix product.
 
-        The rows of a right side are the samples of the inputs, then the real and the imaginary parts of the states.
+        The rows of a right factor are the samples of the inputs, then the real and the imaginary parts of the states.
         """
-        # Sample i of a block hears what an input did i - m - 1 samples ago, and none that is still to come.
+        # Sample i of a block responds to sample m of an input after i - m - 1 samples of decay, if m < i.
         heard = np.zeros((self.output.shape[0], self.push.shape[1], 2 * SHORT))
         heard[:, :, SHORT + 1 :] = ((self.output[:, None, :] * self.push.T) @ self.powers[:, :-1]).real
         toeplitz = np.lib.stride_tricks.sliding_window_view(heard, SHORT, axis=2)[:, :, SHORT:0:-1]
@@ -210,14 +210,14 @@ class BlockKernel:
         return tables
 
     def write(self, inputs: Callable[[int, int], FloatArray], out: FloatArray) -> None:
-        """Write the outputs at the starts of the samples from rest, chunk by chunk: no memory grows with their number.
+        """Write the outputs at the starts of the samples, from rest, in chunks: memory does not grow with their number.
 
         Parameters
         ----------
         inputs : callable
-            Returns the inputs of the samples from a first one up to, without it, a last, (n_inputs, n) array.
+            Returns the inputs of the samples from `start` up to but excluding `stop`, (n_inputs, n) array.
         out : (n_outputs, n_samples) array
-            Where they go; each row contiguous.
+            Receives the outputs; each row contiguous.
         """
         state = np.zeros(self.exponent.size, dtype=complex)
         for start in range(0, out.shape[1], _CHUNK):
@@ -254,21 +254,21 @@ class BlockKernel:
         Parameters
         ----------
         blocks : (n_inputs, n_blocks, SHORT) array
-            Their inputs.
+            Inputs of the blocks.
         state : (n_states,) complex array
-            At the start of the first.
+            States at the start of the first block.
 
         Returns
         -------
         begin : (n_states, n_blocks) complex array
-            At the starts.
+            States at the start of each block.
         after : (n_states,) complex array
-            After the last.
+            States after the last block.
         """
         return self.scan.follow(self.pushed(blocks), state)
 
     def pushed(self, blocks: FloatArray) -> ComplexArray:
-        """Return what each block of inputs leaves in the states at its end, (n_states, n_blocks) array."""
+        """Return what each block of inputs adds to the states at its end, (n_states, n_blocks) array."""
         together = np.zeros((self.exponent.size, blocks.shape[1]), dtype=complex)
         for (states, column), rows in zip(self._into_state, blocks, strict=True):
             parts = np.concatenate([column.real, column.imag]) @ rows.T
@@ -282,17 +282,17 @@ class BlockKernel:
         Parameters
         ----------
         blocks : (n_inputs, n_blocks, SHORT) array
-            Their inputs.
+            Inputs of the blocks.
         begin : (n_states, n_blocks) complex array
             From `states`.
         out : (n_outputs, n_samples) array
-            Where they go, at most the samples of the blocks; each row contiguous.
+            Receives the outputs, for at most the samples of the blocks; each row contiguous.
         """
         n_whole, rest = divmod(out.shape[1], SHORT)
         sides: dict[tuple[tuple[int, ...], int], FloatArray] = {}
         written: dict[tuple[tuple[int, ...], int], tuple[int, ...]] = {}
         for (inputs, states, table), row in zip(self._tables, out, strict=True):
-            # Outputs of the same inputs share one left side; only its states are written anew, where they are others.
+            # Outputs with the same inputs share one left factor; only its states are rewritten, if they differ.
             key = (inputs, len(states))
             if key not in sides:
                 sides[key] = _inputs_beside(blocks, inputs, len(states))
@@ -312,20 +312,22 @@ class BlockKernel:
         return np.asarray(side @ table)
 
     def peak(self, place: int, blocks: FloatArray, begin: ComplexArray, bound: FloatArray, least: float) -> float:
-        """Return the largest magnitude of one output within the blocks, or `least` where that is higher.
+        """Return the largest magnitude of one output within the blocks, or `least` if that is higher.
 
-        Only blocks whose bound is higher are computed, the likeliest first.
+        Only blocks whose bound exceeds `least` are computed, those with the highest bounds first.
 
         Parameters
         ----------
-        place, blocks
-            As for `respond`.
+        place : int
+            Index of the output.
+        blocks : (n_inputs, n_blocks, SHORT) array
+            Inputs of the blocks.
         begin : (n_states, n_blocks) complex array
             From `states`.
         bound : (n_blocks,) array
             From `PeakBound`.
         least : float
-            Value that the output is known to reach.
+            Magnitude that the output is known to reach.
         """
         if bound.max() <= least:
             return least
@@ -339,7 +341,7 @@ class BlockKernel:
 
 
 def _inputs_beside(blocks: FloatArray, inputs: tuple[int, ...], n_states: int) -> FloatArray:
-    """Return the left side of a product: the inputs' samples, and room for the states beside them."""
+    """Return the left factor of a product: the samples of the inputs, and room for the states."""
     side = np.empty((blocks.shape[1], SHORT * len(inputs) + 2 * n_states))
     for place, which in enumerate(inputs):
         side[:, place * SHORT : (place + 1) * SHORT] = blocks[which]
@@ -347,7 +349,7 @@ def _inputs_beside(blocks: FloatArray, inputs: tuple[int, ...], n_states: int) -
 
 
 def _write_states(side: FloatArray, begin: ComplexArray, states: tuple[int, ...]) -> None:
-    """Write the states into the last columns of a left side."""
+    """Write the states into the last columns of a left factor."""
     n_states = len(states)
     side[:, -2 * n_states : -n_states] = begin.real[states, :].T
     side[:, -n_states:] = begin.imag[states, :].T

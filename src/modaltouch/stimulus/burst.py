@@ -1,4 +1,4 @@
-"""A burst: the two channels' codes that the generator plays at each trigger, and their amplitude."""
+"""A burst: the codes of both channels that the generator plays at each trigger, and their amplitudes."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from modaltouch.stimulus.quantisation import Converter
 
 @dataclass(frozen=True, eq=False)
 class Burst:
-    """Codes common to all levels; a level changes the amplitude alone.
+    """Codes common to all levels; a level changes only the amplitudes.
 
     Attributes
     ----------
     codes : (n_channels, n_samples) array of uint16
-        Codes of `converter`; the first and the last are its zero volts.
+        Codes of `converter`; the first and the last are its code for zero volts.
     duration : float
         Length of one burst [s].
     repetition_rate : float
@@ -30,9 +30,9 @@ class Burst:
     amplitude : tuple of float
         Amplitude of each channel's full scale at `velocity` [V peak to peak, open circuit].
     converter : Converter
-        What makes voltages of them.
+        Converter that turns the codes into voltages.
     corrections : tuple of (float, float)
-        Levels [m/s], each with the factor of its amplitude that a calibration measured [1].
+        Levels [m/s], each with the amplitude factor that a calibration measured [1].
     """
 
     codes: NDArray[np.uint16]
@@ -45,22 +45,22 @@ class Burst:
 
     @cached_property
     def content_hash(self) -> str:
-        """SHA-256 of the codes as they travel: big-endian, channel after channel."""
+        """SHA-256 of the codes as they are sent: big-endian, channel after channel."""
         return hashlib.sha256(self.codes.astype(">u2").tobytes()).hexdigest()
 
     @cached_property
     def peaks(self) -> tuple[float, ...]:
-        """Highest value of each channel's record, as a part of half its amplitude [1]."""
+        """Peak of each channel's record relative to half of full scale [1]."""
         return self._highest(self.codes)
 
     @cached_property
     def ends(self) -> tuple[float, ...]:
-        """How far from zero each channel's record begins or ends, as a part of half its amplitude [1]."""
+        """Larger magnitude of the first and last value of each channel's record, relative to half of full scale [1]."""
         return self._highest(self.codes[:, [0, -1]])
 
     @cached_property
     def shares(self) -> NDArray[np.float64]:
-        """What part of its full scale the amplitude of each channel is, (n_channels,) array [1]."""
+        """Amplitude of each channel relative to its full scale, (n_channels,) array [1]."""
         return self.converter.shares(self.codes)
 
     def _highest(self, codes: NDArray[np.uint16]) -> tuple[float, ...]:

@@ -1,10 +1,11 @@
-r"""The drive that moves the focus most beside another zone: how far the two can be told apart.
+r"""The drive with the highest contrast between the focus and another zone, and a bound of that contrast.
 
-Least is the highest speed s of the zone over the whole burst, while the focus reaches its level at the focusing
-instant: a linear programme in the drive, :math:`\min s` under :math:`v_{focus}(t_F) = level`,
-:math:`|v_{zone}(t)| \le s` and :math:`|u(t)| \le limit`. It is solved within a family of drives, each mode's frequency
-under raised cosines that grow longer away from the focusing instant, by a barrier and Newton's method (Boyd and
-Vandenberghe 2004, sec. 11.3), whose gap bounds what any drive of the family can reach.
+The highest speed s of the other zone over the whole burst is minimised, while the focus reaches its level at the
+focusing instant: a linear programme in the drive, :math:`\min s` subject to :math:`v_{focus}(t_F) = level`,
+:math:`|v_{zone}(t)| \le s` and :math:`|u(t)| \le limit`. The drives are of one family: oscillations at each mode's
+frequency under raised cosines that become longer away from the focusing instant. The programme is solved by a barrier
+and Newton's method (Boyd and Vandenberghe 2004, sec. 11.3), whose duality gap bounds what any drive of the family can
+reach.
 """
 
 from __future__ import annotations
@@ -18,19 +19,19 @@ from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import history
 
 HOLD = 2e-6
-"""Length of a sample [s], about: six to a cycle of the highest mode of Table I."""
+"""Approximate length of a sample [s]: six per cycle of the highest mode of the paper's Table I."""
 
 _NEAR, _SPARSE = 1.5e-3, 10
-"""How near the focusing instant every sample is bounded [s]; elsewhere every so many."""
+"""Time around the focusing instant in which every sample is bounded [s]; elsewhere one in so many is [1]."""
 
 _GROWTH, _FORGOTTEN = 3.0, 6.0
-"""Length of a raised cosine over the next one inwards; time constants after which a mode is forgotten [1]."""
+"""Ratio of successive lags of the raised cosines; time constants after which a mode has decayed [1]."""
 
 _GAP = 0.15
-"""Of the highest speed of the zone, at which the programme counts as solved [1]."""
+"""Duality gap, relative to the highest speed of the zone, at which the programme counts as solved [1]."""
 
 _KEPT = 0.95
-"""Of the amplifier's limit, what samples that are bounded may take: those between may pass it by a little [1]."""
+"""Fraction of the amplifier's limit for the bounded samples: those between them may exceed their bound a little [1]."""
 
 _NEWTON_STEPS = 30
 
@@ -38,30 +39,30 @@ _NEWTON_STEPS = 30
 def contrast_drive(
     model: ModalModel, amplifier: Amplifier, timing: Timing, places: FloatArray, level: float
 ) -> tuple[FloatArray, float]:
-    """Return the drive under which the focus reaches its level while other points move least.
+    """Return the drive with which the focus reaches its level while the highest speed of other points is least.
 
     Parameters
     ----------
     model, amplifier, timing
-        The beam, and the clock of the samples, about `HOLD` long.
+        The beam, its amplifier, and the clock, with samples about `HOLD` long.
     places : (n_places,) array
-        The focus, then the other points, origin at mid-beam [m].
+        Positions of the focus, then of the other points, origin at mid-beam [m].
     level : float
         Velocity of the focus [m/s].
 
     Returns
     -------
     voltage : (n_channels, n_samples) array
-        At the beam [V].
+        Voltages at the beam [V].
     bound : float
-        Level over the highest speed of the other points which no drive of the family passes [1].
+        Upper bound, for all drives of the family, of the level over the highest speed of the other points [1].
     """
     focused = timing.focusing_instant - amplifier.delay
     time = np.asarray((np.arange(timing.n_samples) + 0.5) * timing.hold - focused, dtype=float)
     waves = _family(model, time)
     bounded = np.flatnonzero((np.abs(time) < _NEAR) | (np.arange(time.size) % _SPARSE == 0))
     speeds = _speeds(DiagonalSystem.of(model, amplifier), model.shapes(places), timing, waves)
-    # In volts over the limit and speeds over the level; what reaches the level with least energy, and the rest.
+    # Voltages relative to the limit, speeds to the level; the least-energy solution and the directions normal to it.
     limit = _KEPT * amplifier.limit
     speeds *= limit / level
     focus = speeds[0, :, int((time < 0).sum())]
@@ -74,7 +75,7 @@ def contrast_drive(
 
 
 def _family(model: ModalModel, time: FloatArray) -> FloatArray:
-    """Return orthogonal waves, (n_waves, n_samples) array; times count from the focusing instant [s]."""
+    """Return orthogonal waves, (n_waves, n_samples) array, at times from the focusing instant [s]."""
     rows: list[FloatArray] = []
     for s in model.exponent:
         last = min(-_FORGOTTEN / s.real, float(np.abs(time).max()))
@@ -92,7 +93,7 @@ def _family(model: ModalModel, time: FloatArray) -> FloatArray:
 
 
 def _speeds(system: DiagonalSystem, shapes: FloatArray, timing: Timing, waves: FloatArray) -> FloatArray:
-    """Return the speeds of points under a volt of each wave on each channel, (n_points, n_waves of all, n_samples)."""
+    """Return velocities of points per volt of each wave on each channel, (n_points, n_channels n_waves, n_samples)."""
     n, n_channels = waves.shape[1], system.input_gain.shape[1]
     spectrum = np.fft.rfft(waves, 2 * n)
     speeds = np.empty((shapes.shape[1], n_channels, len(waves), n))
@@ -106,7 +107,7 @@ def _speeds(system: DiagonalSystem, shapes: FloatArray, timing: Timing, waves: F
 
 
 def least_peak(offset: FloatArray, rows: FloatArray, slack: FloatArray) -> tuple[FloatArray, float]:
-    """Return weights of least s under |offset + rows @ weights| <= s where there is slack, else <= 1; a bound of s."""
+    """Return weights of least s, |offset + rows @ weights| <= s where `slack` is 1, else <= 1, and a bound of s."""
     n, n_sides = rows.shape[1], 2 * len(rows)
     point = np.append(np.zeros(n), 1.2 * np.abs(offset[slack > 0]).max())
     sharpness = n_sides / point[n] / 2
@@ -122,7 +123,7 @@ def least_peak(offset: FloatArray, rows: FloatArray, slack: FloatArray) -> tuple
             move, room = rows @ step[:n], slack * step[n]
             towards = np.concatenate([(move - room) * above, (-move - room) * below])
             length, gain = min(1.0, 0.95 / max(float(towards.max()), 0.95)), -float(gradient @ step)
-            # Shorter until the barrier falls as it should.
+            # Backtracking line search.
             while sharpness * length * step[n] - np.log1p(-length * towards).sum() > -0.1 * length * gain:
                 length /= 2
             point = point + length * step

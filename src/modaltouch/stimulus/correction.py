@@ -1,4 +1,4 @@
-"""What a calibration changes of a stimulus: the targets of the exact law, and the amplitude of each level."""
+"""What a calibration changes in a stimulus: the targets of the exact law, and the amplitude of each level."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from dataclasses import dataclass
 from modaltouch.stimulus.quantities import FloatArray
 
 LevelCorrections = tuple[tuple[float, float], ...]
-"""Levels [m/s], each with the factor of its amplitude [1]."""
+"""Levels [m/s], each with its amplitude factor [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """Corrected targets: what the exact law is to aim at so that the real beam reaches the target field.
+    """Corrected targets of the exact law, with which the real beam reaches the target field.
 
     Attributes
     ----------
     velocity, displacement : (n_modes,) arrays
-        Modal velocities, and modal displacements times angular frequency, to be aimed at for the level `reference`
+        Target modal velocities, and target modal displacements times angular frequency, for the level `reference`
         [m/s].
     reference : float
-        Level for which they hold; at any other they hold in proportion [m/s].
+        Level of these targets; those of other levels are proportional [m/s].
     corrections : tuple of (float, float)
-        Levels [m/s], each with the factor of its amplitude [1].
+        Levels [m/s], each with its amplitude factor [1].
     """
 
     velocity: FloatArray
@@ -32,16 +32,16 @@ class Correction:
     corrections: LevelCorrections = ()
 
     def at(self, level: float) -> tuple[FloatArray, FloatArray]:
-        """Return what to aim at for a level: modal velocities, and displacements times angular frequency [m/s]."""
+        """Return the targets for a level: modal velocities, and displacements times angular frequency [m/s]."""
         share = level / self.reference
         return self.velocity * share, self.displacement * share
 
 
 def corrected(velocity: float, corrections: LevelCorrections) -> float:
-    """Return the level to be set for a level to be reached [m/s].
+    """Return the level to set so that a level is reached [m/s].
 
-    Between two levels with factors, as adaptive runs play, the factor runs straight over the logarithm of the level; a
-    level beyond them all is set as it is.
+    Between two levels with factors, as in adaptive runs, the factor is interpolated linearly over the logarithm of the
+    level; beyond them the level is set unchanged.
     """
     own = next((factor for level, factor in corrections if math.isclose(level, velocity)), None)
     if own is not None:

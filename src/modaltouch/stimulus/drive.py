@@ -1,10 +1,10 @@
-r"""The drive laws: voltages that bring every modelled mode from rest to its target, as the generator plays it.
+r"""The drive laws: voltages that bring every modelled mode from rest to its target, as the generator plays them.
 
-The exact law takes the voltages of least weighted energy that bring all modes at the focusing instant to (velocity =
-target, displacement = 0), through the hold of the samples, the amplifier's pole and its delay, every channel driving
-every mode. After it they brake the modes to rest, or are silent.
+The exact law takes the voltages of least weighted energy that bring all modes to (velocity = target, displacement = 0)
+at the focusing instant. It accounts for the hold of the samples, the amplifier's pole and delay, and the gain of every
+channel for every mode. After the focusing instant the voltages brake the modes to rest, or are zero.
 
-The law of the paper, equations (6) and (7), is kept to show what the exact law is for. Corrected are these errata:
+The law of the paper, equations (6) and (7), is kept to show why the exact law is needed. These errata are corrected:
 
 1. the gain of section III-B is printed with :math:`\omega^2`; at resonance
    :math:`|\dot\eta| = G|v|/(2\xi\omega)`;
@@ -13,9 +13,9 @@ The law of the paper, equations (6) and (7), is kept to show what the exact law 
 4. equation (6) has :math:`e^{ct}`, equation (7) :math:`e^{a(t-t_F)}` with the same amplitude; the latter is
    meant;
 
-and one kept, since its miss is the reason for the exact law:
+and one is kept, since it is the reason for the exact law:
 
-3. the orbit (6) does not start at rest; begun from rest, mode 1 ends 4 % short.
+3. the orbit (6) does not start at rest; started from rest, mode 1 ends 4 % short.
 """
 
 from __future__ import annotations
@@ -45,39 +45,39 @@ Design = Literal["least_energy", "norm_4", "norm_8", "least_peak"]
 Priority = Literal["field", "level"]
 
 MEANT = "the paper has 0.08 to 0.2 m/s"
-"""Levels that a field has, said where one is refused."""
+"""Typical levels, for messages that refuse one."""
 
 RISE = 1.0e-3
-"""Length of the taper at the start of a stretch [s]."""
+"""Length of the taper at the start of the drive or of the brake [s]."""
 
 FALL = 0.4e-3
-"""Length of the taper before the focus, which keeps the speed after it from passing the speed at it [s]."""
+"""Length of the taper before the focusing instant, which keeps later speeds from exceeding the speed at it [s]."""
 
 _REFINEMENTS = 8
 _POLISHED = 9e-13
-"""Residual of coupled modes, as a fraction of the largest target, above which it is taken out once more [1]."""
+"""Residual of coupled modes, relative to the largest target, above which it is corrected once more [1]."""
 
 _NEARLY = 1e-6
-"""The same of coupled modes whose eigenvectors are lost: what is left is then taken out by itself [1]."""
+"""The same for coupled modes with ill-conditioned eigenvectors, whose residual is then corrected separately [1]."""
 
 _ROUNDING = 16 * float(np.finfo(float).eps)
-"""A residual this small, as a fraction of the largest target, is rounding: no refinement lessens it [1]."""
+"""Residual, relative to the largest target, that is due to rounding, so that no refinement reduces it [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """Voltages of a burst, and how well its equations were solved.
+    """Voltages of a burst, and how accurately they meet the targets.
 
     Attributes
     ----------
     voltage : (n_channels, n_samples) array
-        At the beam [V].
+        Voltages at the beam [V].
     condition_number : float
-        Of the scaled Gramian [1]; 1 where nothing is solved (`paper`).
+        Condition number of the scaled Gramian [1]; 1 if nothing is solved (`paper`).
     residual : float
-        Largest deviation of a state at the focusing instant from its target [m/s], of these voltages unrounded.
+        Largest deviation of a state at the focusing instant from its target [m/s], for these voltages unrounded.
     n_before : int
-        Samples played before the focusing instant; voltages after them do not act on it.
+        Number of samples played before the focusing instant; later voltages do not affect it.
     """
 
     voltage: FloatArray
@@ -87,12 +87,12 @@ class Drive:
 
     @property
     def before_focus(self) -> FloatArray:
-        """Voltages that act on the focusing instant, (n_channels, n_before) array [V]."""
+        """Voltages that affect the focusing instant, (n_channels, n_before) array [V]."""
         return self.voltage[:, : self.n_before]
 
 
 def check_options(law: str, release: str, rounding: str, design: str, priority: str) -> None:
-    """Refuse words that mean nothing here."""
+    """Refuse unknown options, and options that exclude each other."""
     for name, given, kind in (
         ("drive law", law, Law),
         ("release", release, Release),
@@ -111,7 +111,7 @@ def check_options(law: str, release: str, rounding: str, design: str, priority: 
 
 
 def check_levels(levels: tuple[float, ...], reference: float) -> None:
-    """Refuse levels that cannot be played by codes that fill the generator's range at the reference [m/s]."""
+    """Refuse levels above the reference, for which the codes fill the generator's range [m/s]."""
     if not levels:
         raise ValueError("no velocity level is given; give at least one")
     for level in levels:
@@ -124,7 +124,7 @@ def check_levels(levels: tuple[float, ...], reference: float) -> None:
 
 
 def check_drivable(model: ModalModel, target: FloatArray, timing: Timing) -> None:
-    """Refuse modes that cannot be driven to their targets [m/s], or whose oscillation the samples cannot follow.
+    """Refuse modes that cannot be driven to their targets [m/s], or that the samples cannot follow.
 
     Raises
     ------
@@ -148,24 +148,24 @@ def check_drivable(model: ModalModel, target: FloatArray, timing: Timing) -> Non
 
 @dataclass(frozen=True, eq=False)
 class Steering:
-    """What the voltages are to do to the driven modes; modes without any gain rest by themselves and are left out.
+    """Conditions that the voltages must meet for the driven modes; modes without a gain stay at rest and are left out.
 
     Attributes
     ----------
     model : ModalModel
         The modelled modes.
     system : DiagonalSystem
-        Their equations behind the amplifier.
+        Their equations, with the amplifier.
     timing : Timing
         Clock of the samples.
     release : str
-        ``braked`` (steered to rest at the end of the burst) or ``free`` (zero volts after the focus).
+        ``braked`` (brought to rest at the end of the burst) or ``free`` (zero volts after the focusing instant).
     velocity : (n_modes,) array
-        Modal velocities at the focusing instant [m/s].
+        Target modal velocities at the focusing instant [m/s].
     displacement : (n_modes,) array
-        Modal displacements times angular frequency there; 0 but where a calibration wants others [m/s].
+        Target modal displacements times angular frequency at that instant; 0 unless a calibration corrects them [m/s].
     amplifier : Amplifier, optional
-        The one of `system`, for fingers whose eigenvectors are lost.
+        The amplifier of `system`, needed for fingers with ill-conditioned eigenvectors.
     """
 
     model: ModalModel
@@ -178,7 +178,7 @@ class Steering:
 
     @cached_property
     def driven(self) -> NDArray[np.intp]:
-        """Indices of the modes that any channel drives, and of those that fingers couple to them."""
+        """Indices of the modes that a channel drives, and of those that fingers couple to them."""
         driven = np.asarray(self.model.modal_gain.any(axis=1))
         if self.model.fingers:
             from modaltouch.stimulus.fingers import coupled_with
@@ -188,17 +188,17 @@ class Steering:
 
     @cached_property
     def read(self) -> ComplexArray:
-        """The conditions are the real part of ``read @ state``: velocities, then displacements [m/s]."""
+        """Output matrix of the conditions, the real part of ``read @ state``: velocities, then displacements [m/s]."""
         return np.concatenate([self.system.velocity[self.driven], self.system.displacement[self.driven]])
 
     @cached_property
     def goal(self) -> FloatArray:
-        """Values of the conditions at the focusing instant, (n_conditions,) array [m/s]."""
+        """Target values of the conditions at the focusing instant, (n_conditions,) array [m/s]."""
         return np.concatenate([self.velocity[self.driven], self.displacement[self.driven]])
 
     @cached_property
     def reach(self) -> ReachabilityGramian:
-        """How the samples before the focusing instant reach the conditions.
+        """Effect of the samples before the focusing instant on the conditions.
 
         Raises
         ------
@@ -212,7 +212,7 @@ class Steering:
 
     @property
     def braked_from(self) -> int:
-        """First sample that does not act before the focusing instant."""
+        """First sample that has no effect before the focusing instant."""
         n_before, remainder = self._until_focus
         return n_before + (remainder > 0)
 
@@ -221,7 +221,7 @@ class Steering:
         return self.timing.samples_until(self.timing.focusing_instant - self.system.delay)
 
     def _reach(self, read: ComplexArray, n_samples: int, fall: float, remainder: float = 0.0) -> ReachabilityGramian:
-        """Return how a stretch of samples reaches what is read some time after its end."""
+        """Return the effect of `n_samples` samples on the outputs `read`, a time `remainder` [s] after their end."""
         held = self.system.held_gain(self.timing.hold) * np.exp(self.system.exponent * remainder)[:, None]
         rate = self.timing.sampling_rate
         return ReachabilityGramian(
@@ -240,7 +240,7 @@ class Steering:
         return GramianSolver.of(reach.gramian(), [self.model.label[i] for i in self.driven])
 
     def short(self, voltage: FloatArray) -> tuple[FloatArray, ComplexArray]:
-        """Return by how much voltages from the start of the burst fall short of the goal, and the state they reach."""
+        """Return the goal less what voltages from the start of the burst reach, and the state that they reach."""
         state = self.system.state_at(voltage, self.timing, self.timing.focusing_instant)
         if self._real is None:
             return self.goal - (self.read @ state).real, state
@@ -249,7 +249,7 @@ class Steering:
 
     @cached_property
     def _real(self) -> RealSystem | None:
-        """The equations as they are, where `system` is that of fingers a few parts in 1e9 off; None elsewhere."""
+        """The true equations if `system` has fingers a few parts in 1e9 off their values; else None."""
         if self.system.exact:
             return None
         from modaltouch.stimulus.real_form import RealSystem
@@ -257,27 +257,27 @@ class Steering:
         return RealSystem.of(self.model, self.amplifier)
 
     def end(self, voltage: FloatArray, state: ComplexArray) -> None:
-        """Write the voltages after the focus into those of the whole burst, given the state at the focus."""
+        """Write the voltages after the focusing instant into those of the burst, given the state at that instant."""
         if self.release == "braked":
             start, timing = self.braked_from, self.timing
-            # No sample acts between the focusing instant and the arrival of the first that brakes.
+            # Nothing reaches the beam between the focusing instant and the arrival of the first braking sample.
             ahead = start * timing.hold + self.system.delay - timing.focusing_instant
             self.brake(voltage, start, state * np.exp(self.system.exponent * ahead))
 
     def brake(self, voltage: FloatArray, start: int, state: ComplexArray) -> None:
-        """Write the cheapest voltages from a sample on that leave every driven mode at rest when the burst ends.
+        """Write the least-energy voltages from a sample on that leave every driven mode at rest at the burst's end.
 
-        The state is that when the sample arrives at the beam, after the amplifier's delay.
+        `state` is the one when sample `start` reaches the beam, after the amplifier's delay.
 
         Raises
         ------
         ValueError
-            If there are fewer samples left than conditions.
+            If there are too few samples left for the conditions.
         """
         timing, driven = self.timing, self.driven
         n_left = timing.n_samples - start
         self._check_enough(n_left, "after the focusing instant, or release it `free`")
-        # What is read at rest are the beam's own states: the amplifier's die out by themselves within the silence.
+        # Only the beam's own states must be at rest: the amplifier's decay by themselves in the silence that follows.
         read = np.zeros((2 * driven.size, self.system.exponent.size), dtype=complex)
         if self.model.fingers:
             n_beam = self.system.n_beam
@@ -291,7 +291,7 @@ class Steering:
         reach.write(weight, voltage[:, start:])
 
     def _check_enough(self, n_samples: int, where: str) -> None:
-        """Refuse fewer free samples than conditions; the first and the last of a stretch are not free."""
+        """Refuse fewer free samples than conditions; the first and the last sample are zero, so not free."""
         driving = self.model.modal_gain[self.driven] != 0
         alone = driving & (driving.sum(axis=1, keepdims=True) == 1)
         n_conditions = 2 * self.driven.size
@@ -306,10 +306,10 @@ class Steering:
 
 
 def exact_drive(steering: Steering) -> Drive:
-    """Return the cheapest voltages that meet every condition, from rest.
+    """Return the least-energy voltages that meet every condition, from rest.
 
-    The residual is measured forward, on the voltages as written and the clock as it is, and solved for again:
-    that takes the rounding of the closed-form Gramian and the unevenness of the clock out of the result.
+    The residual is computed forward, from the voltages as written and the true clock, and solved for again. This
+    removes the rounding of the closed-form Gramian and the unevenness of the clock from the result.
     """
     reach, solver, goal = steering.reach, steering.solver, steering.goal
     voltage = np.zeros((steering.model.n_channels, steering.timing.n_samples))
@@ -331,16 +331,16 @@ def exact_drive(steering: Steering) -> Drive:
     if kept is not weight:
         reach.write(kept, before)
     if steering.system.coupled and best > _POLISHED * float(np.abs(goal).max()):
-        # What is left is small beside exponentials that all but cancel: added by itself, it is not lost among them.
+        # The residual is small compared with exponentials that nearly cancel: corrected separately, it is not lost.
         return polished(steering, before, _POLISHED)
     steering.end(voltage, kept_state)
     return Drive(voltage, solver.condition_number, best, reach.taper.n_samples)
 
 
 def polished(steering: Steering, voltage: FloatArray, enough: float = 0.0) -> Drive:
-    """Return the drive of voltages until the focus, with the least energy added that takes their residual out.
+    """Return the drive of voltages until the focusing instant, after a least-energy correction of their residual.
 
-    A residual of `enough`, as a fraction of the largest target, is left.
+    A residual of `enough`, relative to the largest target, is left as it is.
     """
     change, residual = np.empty_like(voltage), np.inf
     for _ in range(3):

@@ -1,17 +1,17 @@
-r"""The modal equations and the amplifier before them as uncoupled complex first-order equations.
+r"""The modal equations, with the amplifier, as uncoupled complex first-order equations.
 
 With :math:`s = -a + ib` the state :math:`z = \dot\eta - \bar s \eta` of a mode obeys
 :math:`\dot z = s z + \psi`, from which :math:`\dot\eta = \mathrm{Re}[(1 + ia/b) z]` and
-:math:`\omega\eta = \mathrm{Re}[-i (\omega/b) z]`. No difference of nearly equal numbers appears, where a
-second-order section sees :math:`1 - \cos(b\,dt)`.
+:math:`\omega\eta = \mathrm{Re}[-i (\omega/b) z]`. Nothing cancels, whereas a second-order section suffers from the
+cancellation in :math:`1 - \cos(b\,dt)`.
 
 An amplifier of first order, :math:`\dot u = p (v - u)`, leaves the equations uncoupled: the state
 :math:`y = z + \sum_c G_c u_c / (p + s)` obeys
 :math:`\dot y = s y + \frac{p}{p+s} \sum_c G_c v_c`.
 
-A step of voltage that the clock plays late by d reaches a state of exponent s as :math:`e^{-sd}` instead of 1. Its
-series in d makes further inputs, the steps times powers of d. Few are needed: a clock of 250 MHz turns a mode of
-90 kHz by 0.002 between two of its edges.
+A voltage step that the clock plays late by d contributes :math:`e^{-sd}` instead of 1 to a state of exponent s. The
+series of this factor in d becomes further inputs, the steps times powers of d. A few terms suffice: between two edges
+of a 250 MHz clock the phase of a 90 kHz mode advances by only 0.002 rad.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ if TYPE_CHECKING:
     from modaltouch.stimulus.fingers import Load
 
 _SERIES_REST = 1e-12
-"""Rest of the series in the delay of a step, over its first term: four terms for 90 kHz on 250 MHz [1]."""
+"""Remainder of the series in d relative to its first term: four terms for 90 kHz and a 250 MHz clock [1]."""
 
 
 @dataclass(frozen=True)
 class Amplifier:
-    """What stands between generator and beam, the same for every channel.
+    """The amplifier between generator and beam, the same for every channel.
 
     Attributes
     ----------
@@ -47,9 +47,9 @@ class Amplifier:
     limit : float
         Highest voltage at the beam [V].
     bandwidth : float or None
-        Corner frequency of the amplifier's first-order pole [Hz]; None where it does not matter.
+        Corner frequency of the amplifier's first-order pole [Hz]; None if it does not matter.
     delay : float
-        From the generator's output to the beam [s].
+        Delay from the generator's output to the beam [s].
     """
 
     gain: float
@@ -58,7 +58,7 @@ class Amplifier:
     delay: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what is no amplifier."""
+        """Refuse values that no amplifier has."""
         require_positive("the gain of the amplifier", self.gain, "V/V", "measure it")
         require_positive("the limit of the amplifier", self.limit, "V", "read it off its data sheet")
         if self.bandwidth is not None:
@@ -69,24 +69,24 @@ class Amplifier:
 
 @dataclass(frozen=True, eq=False)
 class DiagonalSystem:
-    """Uncoupled first-order equations x' = exponent * x + input_gain @ voltage, and what is read off them.
+    """Uncoupled first-order equations x' = exponent * x + input_gain @ voltage, and their outputs.
 
     Attributes
     ----------
     exponent : (n_states,) complex array
-        One per mode, then one per channel where the amplifier has a pole [1/s].
+        One per mode, then one per channel if the amplifier has a pole [1/s].
     input_gain : (n_states, n_channels) complex array
-        What a volt does to each state [m/s^2 per V; V/s per V for the amplifier's states].
+        Rate of each state per volt [m/s^2 per V; V/s per V for the amplifier's states].
     velocity : (n_modes, n_states) complex array
         Modal velocities [m/s] are the real part of `velocity @ state`.
     displacement : (n_modes, n_states) complex array
         Modal displacements times angular frequency [m/s] are the real part of `displacement @ state`.
     delay : float
-        From the generator's output to the beam [s].
+        Delay from the generator's output to the beam [s].
     n_poles : int
-        States of the amplifier, which come last.
+        Number of states of the amplifier, which come last.
     exact : bool
-        False where fingers had to be taken a little off their values, since their eigenvectors are lost.
+        False if fingers were moved slightly off their values because the eigenvectors are ill-conditioned.
     """
 
     exponent: ComplexArray
@@ -106,7 +106,7 @@ class DiagonalSystem:
         model : ModalModel
             The modes.
         amplifier : Amplifier, optional
-            Its pole and delay count; its gain does not, since voltages are those at the beam. None for neither.
+            Its pole and delay are used, but not its gain, since voltages are those at the beam. None for neither.
         """
         given = model.angular_frequency, model.damping_ratio, model.modal_gain
         return cls.of_modes(*given, model.loads, amplifier)
@@ -129,9 +129,9 @@ class DiagonalSystem:
         gain : (n_modes, n_channels) array
             Modal accelerations per volt at the beam [m/s^2 per V].
         loads : sequence of Load
-            Each finger, after its contact over the beam's moving mass, (n_modes, n_modes) array [1/kg].
+            Contact over the beam's moving mass, (n_modes, n_modes) array [1/kg], and finger, for each finger.
         amplifier : Amplifier, optional
-            As for `of`.
+            As in `of`.
         """
         if not loads:
             s = omega * (-damping_ratio + 1j * np.sqrt((1 - damping_ratio) * (1 + damping_ratio)))
@@ -151,14 +151,14 @@ class DiagonalSystem:
         velocity: ComplexArray,
         displacement: ComplexArray,
     ) -> DiagonalSystem:
-        """Return uncoupled equations with an amplifier put before them, which leaves them uncoupled.
+        """Return the uncoupled equations of a beam with an amplifier before it; they remain uncoupled.
 
         Parameters
         ----------
         amplifier : Amplifier or None
-            Its pole and delay count.
+            Its pole and delay are used.
         exponent, input_gain, velocity, displacement
-            Of the beam alone, as the attributes.
+            As the attributes, of the beam alone.
         """
         delay = 0.0 if amplifier is None else amplifier.delay
         if amplifier is None or amplifier.bandwidth is None:
@@ -182,7 +182,7 @@ class DiagonalSystem:
 
     @property
     def n_beam(self) -> int:
-        """Number of the beam's states, which come first: one per mode, more where fingers keep it from swinging."""
+        """Number of the beam's states, which come first: one per mode, more if fingers add states or overdamp it."""
         return self.exponent.size - self.n_poles
 
     @property
@@ -191,15 +191,15 @@ class DiagonalSystem:
         return bool(np.count_nonzero(self.velocity[:, : self.n_beam]) > self.n_modes)
 
     def held_gain(self, hold: float) -> ComplexArray:
-        """Return what one volt held for a time [s] leaves in each state, (n_states, n_channels) array."""
+        """Return what one volt held for a time [s] adds to each state, (n_states, n_channels) array."""
         return np.asarray((np.expm1(self.exponent * hold) / self.exponent)[:, None] * self.input_gain)
 
     def clock_gain(self, timing: Timing) -> ComplexArray:
-        """Return what `clock_inputs` of 1 leave in the states after a sample, (n_states, n_inputs) array."""
+        """Return what `clock_inputs` of 1 add to the states at the end of a sample, (n_states, n_inputs) array."""
         return np.concatenate([self.held_gain(timing.hold), *self._late_gains(timing)], axis=1)
 
     def _late_gains(self, timing: Timing) -> list[ComplexArray]:
-        """Gains of ``step * d**k`` for steps late by d, k from 1; none where the clock is never late."""
+        """Return the gains of ``step * d**k`` for steps late by d, k from 1; none if the clock is never late."""
         if timing.clock_error is None:
             return []
         s = self.exponent
@@ -215,19 +215,19 @@ class DiagonalSystem:
         return gains
 
     def held_states(self, voltage: FloatArray, hold: float) -> ComplexArray:
-        """Return the states that evenly held samples leave at their end, from rest, (n_channels, n_states) array.
+        """Return the states at the end of evenly held samples of each channel, from rest, (n_channels, n_states) array.
 
         Parameters
         ----------
         voltage : (n_channels, n_samples) array
-            At the beam [V].
+            Voltages at the beam [V].
         hold : float
             Length of a sample [s].
         """
         return np.asarray(moments(voltage, self.exponent, hold) * self.held_gain(hold).T)
 
     def states_by_channel(self, voltage: FloatArray, timing: Timing, instant: float) -> ComplexArray:
-        """Return the states that each channel alone leaves at an instant, from rest, on the generator's clock.
+        """Return the states that each channel alone causes at an instant, from rest, on the generator's clock.
 
         Parameters
         ----------
@@ -236,12 +236,12 @@ class DiagonalSystem:
         timing : Timing
             Clock of the samples.
         instant : float
-            From the start of the burst, up to its end plus the delay [s].
+            Time from the start of the burst, up to its end plus the delay [s].
 
         Returns
         -------
         (n_channels, n_states) complex array
-            Their sum over the channels is the state of the beam.
+            States, whose sum over the channels is the state of the beam.
         """
         if instant <= self.delay:
             # Nothing has arrived yet.
@@ -261,12 +261,12 @@ class DiagonalSystem:
                 begun = self.held_gain(remainder - wait)
                 states = states + voltage[:, n_whole, None] * begun.T
                 if wait and n_whole:
-                    # Until the clock begins it, the sample before goes on.
+                    # Until the clock begins this sample, the one before it is held.
                     states = states + voltage[:, n_whole - 1, None] * (self.held_gain(remainder) - begun).T
         return np.asarray(states)
 
     def state_at(self, voltage: FloatArray, timing: Timing, instant: float) -> ComplexArray:
-        """Return the state at an instant, from rest, (n_states,) array; arguments as for `states_by_channel`."""
+        """Return the state at an instant, from rest, (n_states,) array; arguments as in `states_by_channel`."""
         return np.asarray(self.states_by_channel(voltage, timing, instant).sum(axis=0))
 
     def read(self, state: ComplexArray) -> tuple[FloatArray, FloatArray]:
@@ -279,7 +279,7 @@ def moments(
 ) -> ComplexArray:
     """Return sums of voltage * exp(exponent * time until the end of the last sample), (n_channels, n_states) array [V].
 
-    Where `driven`, (n_channels, n_states), is given, only its sums are computed; the others are 0.
+    If `driven`, (n_channels, n_states) array, is given, only the sums that it selects are computed; the others are 0.
     """
     n_samples = voltage.shape[1]
     sums = np.zeros((voltage.shape[0], exponent.size), dtype=complex)
@@ -310,7 +310,7 @@ def _chunk_moments(
 
 
 def clock_inputs(voltage: FloatArray, timing: Timing, start: int, stop: int, n_inputs: int) -> FloatArray:
-    """Return the voltages of some samples, and below them the inputs that stand for the delays of steps to the clock.
+    """Return the voltages of some samples and, in the rows below, the inputs that represent late steps of the clock.
 
     Parameters
     ----------
@@ -321,12 +321,12 @@ def clock_inputs(voltage: FloatArray, timing: Timing, start: int, stop: int, n_i
     start, stop : int
         First sample, and the one after the last.
     n_inputs : int
-        Columns of `DiagonalSystem.clock_gain`.
+        Number of columns of `DiagonalSystem.clock_gain`.
 
     Returns
     -------
     (n_inputs, stop - start) array
-        Voltages, then steps times their delay to the clock, its square, and so on.
+        Voltages, then steps times their delay on the clock [s], times its square, and so on.
     """
     if timing.clock_error is None:
         return voltage[:, start:stop]
@@ -340,10 +340,10 @@ def clock_inputs(voltage: FloatArray, timing: Timing, start: int, stop: int, n_i
 
 
 def late_steps(voltage: FloatArray, timing: Timing, start: int, stop: int) -> Iterator[FloatArray]:
-    """Yield the steps times their delay to the clock, then times its square, and so on: the same array each time."""
+    """Yield the steps times their delay on the clock [s], times its square, and so on, each time in the same array."""
     if timing.clock_error is None:
         return
-    # The record ends with its last sample: what follows is silence, never late.
+    # After the last sample of the record there is silence, which is never late.
     late = np.zeros(stop - start)
     playing = timing.clock_error[start : min(stop, timing.n_samples)]
     late[: playing.size] = playing

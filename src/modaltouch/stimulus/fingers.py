@@ -1,15 +1,16 @@
-r"""Fingertips on the beam: what each adds to the modal equations, and the coupled equations made uncoupled again.
+r"""Fingertips on the beam: what each adds to the modal equations, and how the coupled equations are uncoupled.
 
 A finger with the impedance :math:`Z(s) = m s + c + k/s + \sum_j k_j \tau_j / (1 + s \tau_j)` along its contact
-couples the modes; a second mass behind a spring adds :math:`k_2 (m_2 s + c_2) / (m_2 s^2 + c_2 s + k_2)`. With
+couples the modes; a second mass behind a spring adds :math:`k_2 (m_2 s + c_2) / (m_2 s^2 + c_2 s + k_2)`. With the mean
 :math:`W = \langle\varphi\varphi^T\rangle` over the contact and the moving mass :math:`m_b` of the beam,
 
 .. math:: \left(I + \frac{m}{m_b} W\right)\ddot\eta + \left(2\xi\omega + \frac{c}{m_b} W\right)\dot\eta
    + \left(\omega^2 + \frac{k}{m_b} W\right)\eta = G v.
 
-The complex eigenvectors of the state :math:`(\omega\eta, \dot\eta)` uncouple it, and everything that holds for free
-modes holds for it. Where two eigenvalues meet (critical damping) the eigenvectors are lost: the fingers are then taken
-by a few parts in 1e9 off their values, and what that misses is measured on the equations as they are (`RealSystem`).
+The complex eigenvectors of the state :math:`(\omega\eta, \dot\eta)` uncouple these equations, so that everything that
+holds for free modes holds for them. If two eigenvalues coincide (critical damping), the eigenvectors are
+ill-conditioned: the fingers are then moved a few parts in 1e9 off their values, and the resulting error is computed
+with the true equations (`RealSystem`).
 """
 
 from __future__ import annotations
@@ -25,24 +26,24 @@ from numpy.typing import NDArray
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_finite, require_positive
 
 _NODES = 12
-"""Points for each tenth of the beam under a contact: exact for products of shapes that change sign six times there."""
+"""Quadrature points per tenth of the beam under a contact: exact for shapes that change sign up to six times there."""
 
 _WORST_CONDITION = 1e5
-"""Condition number of the eigenvectors above which they are not trusted [1]."""
+"""Largest acceptable condition number of the eigenvectors [1]."""
 
 _OFF = (0.0, 1e-9, 1e-8, 1e-7)
-"""Relative deviations of the fingers that are tried until their eigenvectors can be trusted [1]."""
+"""Relative deviations of the fingers, tried until the condition number is acceptable [1]."""
 
 _ALIKE = 1e-9
-"""Distance, over the largest, of eigenvalues whose vectors cannot be told apart [1]."""
+"""Distance of eigenvalues, relative to the largest, below which their eigenvectors cannot be separated [1]."""
 
 _THIN = 1e-12
-"""Share of the largest below which a direction of a contact, or a coupling, is rounding [1]."""
+"""Magnitude, relative to the largest, below which a direction of a contact, or a coupling, is due to rounding [1]."""
 
 
 @dataclass(frozen=True)
 class Finger:
-    """A fingertip on the beam: a mass, a damper and springs between the beam and a point at rest.
+    """A fingertip on the beam: a mass on the beam, a damper and springs between the beam and a point at rest.
 
     Attributes
     ----------
@@ -51,15 +52,15 @@ class Finger:
     mass : float
         Mass that moves with the beam [kg].
     damping : float
-        Of the damper [N s/m].
+        Damping constant of the damper [N s/m].
     stiffness : float
-        Of the spring [N/m].
+        Stiffness of the spring [N/m].
     width : float
-        Of the contact along the beam, over which all of it is spread evenly [m].
+        Width of the contact along the beam, over which the load is distributed evenly [m].
     maxwell : tuple of (float, float)
-        Springs behind dampers: stiffness [N/m] and relaxation time [s] of each.
+        Maxwell terms, springs in series with dampers: stiffness [N/m] and relaxation time [s] of each.
     second_mass : (float, float, float), optional
-        Mass [kg] behind a spring [N/m], which a damper [N s/m] holds to a point at rest.
+        Second mass [kg], stiffness of the spring to it [N/m], and damping between it and a point at rest [N s/m].
     """
 
     position: float
@@ -71,7 +72,7 @@ class Finger:
     second_mass: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is no fingertip."""
+        """Refuse values that no fingertip has."""
         require_finite("the place of a finger", self.position, "m", "give a point of the beam")
         require_positive("the width of a contact", self.width, "m", "a fingertip has 10 mm")
         for name, unit in (("mass", "kg"), ("damping", "N s/m"), ("stiffness", "N/m")):
@@ -87,15 +88,15 @@ class Finger:
 
     @property
     def weighs(self) -> bool:
-        """Whether it adds anything to the beam."""
+        """Whether it loads the beam at all."""
         return bool(self.mass or self.damping or self.stiffness or self.maxwell or self.second_mass)
 
     def impedance(self, s: ComplexArray) -> ComplexArray:
-        """Force per velocity at complex frequencies other than 0 [1/s], array of their shape [N s/m]."""
+        """Return force per velocity at nonzero complex frequencies s [1/s], array of their shape [N s/m]."""
         total = self.mass * s + self.damping + self.stiffness / s
         for stiffness, time in self.maxwell:
             decaying = 1 + s * time
-            # A state that decays by this term alone moves nothing.
+            # At the pole of the term, s = -1/time, the state belongs to the term alone and the beam is at rest.
             alone = np.abs(decaying) < _THIN
             total = total + np.where(alone, 0, stiffness * time / np.where(alone, 1, decaying))
         if self.second_mass is not None:
@@ -105,16 +106,16 @@ class Finger:
         return np.asarray(total)
 
     def scaled(self, factor: float) -> Finger:
-        """The finger with this many times the damping, and as many times squared the stiffness."""
+        """Return the finger with its damping times `factor`, and its stiffness times the square of `factor`."""
         return replace(self, damping=self.damping * factor, stiffness=self.stiffness * factor**2)
 
     def contact(self, shapes: Callable[[FloatArray], FloatArray], length: float) -> FloatArray:
-        """Mean of shape times shape over the contact, cut at the beam's ends, (n_modes, n_modes) array [1].
+        """Return the mean of shape times shape over the contact within the beam, (n_modes, n_modes) array [1].
 
         Parameters
         ----------
         shapes : callable
-            Returns the mode shapes at positions [m], (n_modes, n_points or a multiple of them) array.
+            Returns the mode shapes at positions [m], (n_modes, n_points or a multiple of n_points) array.
         length : float
             Length of the beam [m].
         """
@@ -122,7 +123,7 @@ class Finger:
         return np.asarray((values * weights) @ values.T)
 
     def mean_shape(self, shapes: Callable[[FloatArray], FloatArray], length: float) -> FloatArray:
-        """Mean of each mode shape over the contact, (n_modes,) array [1]; arguments as for `contact`."""
+        """Return the mean of each mode shape over the contact, (n_modes,) array [1]; arguments as in `contact`."""
         values, weights = self._over_contact(shapes, length)
         return np.asarray(values @ weights)
 
@@ -137,13 +138,13 @@ class Finger:
 
 @lru_cache(maxsize=16)
 def _gauss(n: int) -> tuple[FloatArray, FloatArray]:
-    """Nodes and weights of the Gauss-Legendre rule, two (n,) arrays."""
+    """Return nodes and weights of the Gauss-Legendre rule, two (n,) arrays."""
     nodes, weights = np.polynomial.legendre.leggauss(n)
     return nodes, weights
 
 
 Uncoupled = tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]
-"""Exponents, input gains, and what reads velocities and displacements, as the attributes of `DiagonalSystem`."""
+"""Exponents, input gains, and output matrices of velocities and displacements, as in `DiagonalSystem`."""
 
 Load = tuple[FloatArray, Finger]
 """A contact over the beam's moving mass, (n_modes, n_modes) array [1/kg], and the finger on it."""
@@ -156,9 +157,10 @@ class CoupledModes:
     Attributes
     ----------
     matrix : (n_states, n_states) array
-        Of the state: displacements times angular frequency, velocities [m/s], Maxwell terms and second masses [1/s].
+        System matrix; the state holds displacements times angular frequency, velocities [m/s], then Maxwell terms and
+        second masses [1/s].
     force : (n_states, n_channels) array
-        What a volt does to each state [m/s^2 per V].
+        Rate of each state per volt [m/s^2 per V].
     n_modes : int
         Number of modes.
     """
@@ -169,7 +171,7 @@ class CoupledModes:
 
     @classmethod
     def of(cls, omega: FloatArray, damping_ratio: FloatArray, gain: FloatArray, loads: Sequence[Load]) -> CoupledModes:
-        """Equations of modes under fingers.
+        """Return the equations of modes with fingers on the beam.
 
         Parameters
         ----------
@@ -178,7 +180,7 @@ class CoupledModes:
         gain : (n_modes, n_channels) array
             Modal accelerations per volt [m/s^2 per V].
         loads : sequence of Load
-            The fingers.
+            Contact and finger, for each finger.
         """
         n = omega.size
         mass, damping, stiffness = np.eye(n), np.diag(2 * damping_ratio * omega), np.diag(omega)
@@ -188,7 +190,7 @@ class CoupledModes:
             damping = damping + finger.damping * contact
             stiffness = stiffness + finger.stiffness * contact / omega
             if finger.maxwell or finger.second_mass:
-                # Along each direction in which the contact moves, every term has a state of its own, or two.
+                # For each direction in which the contact moves, a Maxwell term has one state, a second mass two.
                 size, direction = np.linalg.eigh(contact)
                 kept = size > _THIN * size[-1]
                 along = direction[:, kept] * np.sqrt(size[kept])
@@ -214,9 +216,9 @@ class CoupledModes:
         return cls(matrix, force, n)
 
     def uncoupled(self) -> tuple[Uncoupled, float]:
-        """Uncoupled equations, and the condition number of the eigenvectors [1].
+        """Return the uncoupled equations, and the condition number of the eigenvectors [1].
 
-        Of each conjugate pair one is kept, counted twice; a mode that does not swing has no pair.
+        One state of each conjugate pair is kept and counted twice; an overdamped mode has no pair.
         """
         n = self.n_modes
         exponent, vectors = eigenvectors(self.matrix)
@@ -227,9 +229,9 @@ class CoupledModes:
 
 
 def eigenvectors(matrix: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Eigenvalues and vectors after one Newton step in extended precision, where it is a small one.
+    """Return eigenvalues and eigenvectors, refined by one Newton step in extended precision if that step is small.
 
-    An eigenvalue is found to 1e-16 of the largest: of a mode 400 times slower, that turns 1e-12 within a burst.
+    LAPACK finds each eigenvalue to 1e-16 of the largest, a phase error of 1e-12 within a burst even for slow modes.
     """
     exponent, vectors = (np.asarray(each).astype(np.complex128) for each in np.linalg.eig(matrix))
     long, inverse = vectors.astype(np.clongdouble), np.linalg.inv(vectors).astype(np.clongdouble)
@@ -239,7 +241,7 @@ def eigenvectors(matrix: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     apart = np.abs(gap) > _ALIKE * np.abs(found).max()
     turn = np.where(apart, (across - unit * found) / np.where(apart, gap, 1), 0)
     if np.abs(turn).max() > _ALIKE:
-        return exponent, vectors  # of vectors all but parallel, the step would be no improvement
+        return exponent, vectors  # for nearly parallel vectors the step would be no improvement
     real = exponent.imag == 0
     found, long = np.where(real, found.real, found), long + long @ turn
     return found.astype(complex), np.where(real, long.real, long).astype(complex)
@@ -248,10 +250,10 @@ def eigenvectors(matrix: FloatArray) -> tuple[ComplexArray, ComplexArray]:
 def uncouple(
     omega: FloatArray, damping_ratio: FloatArray, gain: FloatArray, loads: Sequence[Load]
 ) -> tuple[Uncoupled, bool]:
-    """Uncoupled equations of modes under fingers, and whether they are those of the very fingers.
+    """Return the uncoupled equations of modes with fingers on the beam, and whether they are exact.
 
-    Arguments as for `CoupledModes.of`. Where the eigenvectors cannot be trusted, they are those of fingers a few parts
-    in 1e9 off.
+    Arguments as in `CoupledModes.of`. If the eigenvectors are ill-conditioned, the equations are those of fingers
+    moved a few parts in 1e9 off their values.
     """
     tried: list[tuple[float, Uncoupled, bool]] = []
     for off in _OFF:
@@ -265,7 +267,7 @@ def uncouple(
 
 
 def coupled_with(driven: NDArray[np.bool_], loads: Sequence[Load]) -> NDArray[np.bool_]:
-    """Whether each mode moves where some are driven: those, and what the fingers couple to them, (n_modes,) array."""
+    """Return whether each mode moves: the driven ones, and those that fingers couple to them, (n_modes,) array."""
     size = sum((np.abs(contact) for contact, _ in loads), np.zeros((driven.size, driven.size)))
     linked = size > _THIN * size.max(initial=0.0)
     moves = driven.copy()

@@ -1,10 +1,10 @@
-r"""The highest speed where fingers are taken away within a burst, at whatever instant.
+r"""The highest speed if fingers are lifted off the beam within a burst, at the worst instant.
 
-From that instant the beam goes on as the lighter one that it then is, from the state in which it was left: its response
-as if the fingers had never been there, and the free decay of the difference between both states,
-:math:`y(t) = y_{left}(t) + \mathrm{Re} \sum_j c_j \delta_j(\tau) e^{s_j (t - \tau)}`. Moduli bound the decay, so that
-most pairs of blocks of instants need no closer look. The springs of the Maxwell terms of fingers that stay are taken as
-those of the lighter beam.
+From that instant on, the beam moves without those fingers, starting from the state that it has. Its motion is the
+response as if the fingers had never been there, plus the free decay of the difference between the two states,
+:math:`y(t) = y_{left}(t) + \mathrm{Re} \sum_j c_j \delta_j(\tau) e^{s_j (t - \tau)}`. The moduli of its terms bound
+the decay, which rules out most pairs of blocks of instants. The Maxwell terms of fingers that stay are assumed to be in
+the state that they have on the beam without the lifted fingers.
 """
 
 from __future__ import annotations
@@ -18,30 +18,30 @@ from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 
 FINE = 0.4e-6
-"""Between instants at which speeds are looked at, about [s]; fingers are taken away at every sixteenth."""
+"""Approximate time between instants at which speeds are computed [s]; fingers are lifted at every sixteenth."""
 
 _BLOCK = 16 * SHORT
-"""Instants judged together."""
+"""Number of instants in a block, for which a bound is computed."""
 
 _BETWEEN = 1.1
-"""What bounds are multiplied by for instants between those of taking away: of fingers up to 0.3 g and 30 N s/m moduli
-rise by 8 % there within a block, by 0.5 % over a burst [1]."""
+"""Factor on bounds for instants between those of lifting: for fingers up to 0.3 g and 30 N s/m, moduli rise by 8 %
+between them within a block, by 0.5 % over a burst [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class LiftedBeam:
-    """A beam while a burst is played from which fingers are taken away.
+    """A beam off which fingers are lifted while a burst is played.
 
     Attributes
     ----------
     loaded, left : DiagonalSystem
-        Until then, and with the fingers that stay; behind the amplifier.
+        The beam with all fingers, and with those that stay; behind the amplifier.
     beam : DiagonalSystem
         The latter without the amplifier.
     voltage : (n_channels, n_instants) array
-        Held at instants about `FINE` apart [V].
+        Voltages, held from one instant to the next, about `FINE` apart [V].
     hold : float
-        Between instants [s].
+        Time between instants [s].
     """
 
     loaded: DiagonalSystem
@@ -51,16 +51,16 @@ class LiftedBeam:
     hold: float
 
     def peaks(self, shapes: FloatArray, known: FloatArray, floor: float) -> FloatArray:
-        """Return the highest speed at points, the worst instant of taking away, (n_points,) array [m/s].
+        """Return the highest speed at points for the worst instant of lifting, (n_points,) array [m/s].
 
         Parameters
         ----------
         shapes : (n_modes, n_points) array
             Mode shapes at the points [1].
         known : (2, n_points) array
-            Peaks under all fingers, and under those that stay [m/s].
+            Peaks with all fingers, and with those that stay [m/s].
         floor : float
-            Lower peaks are returned as it [m/s].
+            Least value returned: lower peaks are not resolved [m/s].
         """
         peak: FloatArray = np.maximum(known.max(axis=0), floor)
         output = shapes.T @ self.beam.velocity
@@ -73,7 +73,7 @@ class LiftedBeam:
         return self._raised(speed, output, difference, peak)
 
     def _difference(self) -> ComplexArray:
-        """Return what the states differ by at every `SHORT` instants, (n_states, n_instants / SHORT) array."""
+        """Return the difference of the states at every `SHORT`-th instant, (n_states, n_instants / SHORT) array."""
         blocks, motion = BlockKernel.blocks(self.voltage), []
         for system in (self.loaded, self.left):
             rest = np.zeros(system.exponent.size, dtype=complex)
@@ -87,7 +87,7 @@ class LiftedBeam:
     def _raised(
         self, speed: FloatArray, output: ComplexArray, difference: ComplexArray, peak: FloatArray
     ) -> FloatArray:
-        """Return peaks raised by what speeds as if no finger had been there reach with the decay of the difference."""
+        """Return the peaks, raised where the response without the fingers plus the decaying difference exceeds them."""
         highest, size = _block_peaks(speed, _BLOCK), _BETWEEN * _block_peaks(difference, _BLOCK // SHORT)
         from_here = np.maximum.accumulate(highest[:, ::-1], axis=1)[:, ::-1]
         bound = from_here + np.abs(output) @ size
@@ -107,7 +107,7 @@ class LiftedBeam:
                 for point in which[near[:, ahead]].tolist():
                     some = speed[point, (block + ahead) * _BLOCK :][:_BLOCK, None]
                     found = np.abs(some + swing_parts[point, : some.size] @ begun_parts)
-                    if not ahead:  # nothing decays before it is taken away
+                    if not ahead:  # no decay before the fingers are lifted
                         found[np.arange(some.size)[:, None] < since] = 0.0
                     peak[point] = max(peak[point], found.max())
         return peak

@@ -1,4 +1,4 @@
-"""Mode shapes as they were measured on a scan grid."""
+"""Mode shapes measured on a scan grid."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WORST_CONDITION = 1e6
 
 @dataclass(frozen=True, eq=False)
 class MeasuredShapes:
-    """Mode shapes sampled along the beam, each scaled to a unit mean square and positive at its right end.
+    """Mode shapes sampled along the beam, each scaled to unit mean square and positive at the right end.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class MeasuredShapes:
     position : (n_points,) array
         Scan grid, origin at mid-beam, increasing [m].
     shape : (n_modes, n_points) array
-        Shapes on the grid, in any unit when given [1].
+        Shapes on the grid, given in any unit and scaled [1].
     length : float
         Length of the beam [m].
     """
@@ -38,7 +38,7 @@ class MeasuredShapes:
     length: float
 
     def __post_init__(self) -> None:
-        """Refuse shapes that span no basis, and scale the others."""
+        """Refuse shapes that do not span a basis, and scale the others."""
         position = np.array(self.position, dtype=float)
         shape = np.array(self.shape, dtype=float)
         if shape.shape != (len(self.label), position.size) or position.ndim != 1:
@@ -61,7 +61,7 @@ class MeasuredShapes:
         self._check_rank()
 
     def _scaled(self, position: FloatArray, shape: FloatArray) -> FloatArray:
-        """Return the shapes of unit mean square over the beam: by their smooth fit, not by a sum over few points."""
+        """Return the shapes with unit mean square over the beam, from their smooth fit, not a sum over a few points."""
         fit = self._fit(position, shape)
         # The fitting shapes are orthonormal over the beam: the mean square is the sum of the squares.
         size = np.sqrt((fit**2).sum(axis=1))
@@ -69,16 +69,16 @@ class MeasuredShapes:
         return np.asarray(shape / (size * np.where(end == 0, 1.0, end))[:, None])
 
     def _fit(self, position: FloatArray, shape: FloatArray) -> FloatArray:
-        """Return the coefficients of the shapes on theoretical ones, (n_modes, n_fitted) array."""
+        """Return the coefficients of the shapes in theoretical shapes, (n_modes, n_fitted) array."""
         theory = mode_shapes(self._fitted(position), position, self.length)
         return np.asarray(np.linalg.lstsq(theory.T, shape.T, rcond=None)[0].T)
 
     def _fitted(self, position: FloatArray) -> range:
-        """Return the labels of the theoretical shapes that the grid can tell apart."""
+        """Return the labels of the theoretical shapes that the grid resolves."""
         return range(1, max(2, min(max(self.label) + 4, position.size * 2 // 3)) + 1)
 
     def _check_rank(self) -> None:
-        """Refuse modes that the grid cannot tell apart, naming the closest pair."""
+        """Refuse modes that the grid cannot distinguish, naming the closest pair."""
         if self.condition_number <= WORST_CONDITION:
             return
         size = np.linalg.norm(self.shape, axis=1)
@@ -92,7 +92,7 @@ class MeasuredShapes:
 
     @cached_property
     def condition_number(self) -> float:
-        """Condition number of the shapes on their grid, by which least squares magnify noise [1]."""
+        """Condition number of the shapes on their grid, by which least squares may amplify noise [1]."""
         if self.position.size < len(self.label):
             return math.inf
         singular = np.linalg.svd(self.shape, compute_uv=False)
@@ -110,8 +110,8 @@ class MeasuredShapes:
     def at(self, position: ArrayLike) -> FloatArray:
         """Return the shapes at positions between the points of the grid, (n_modes, n_positions) array [1].
 
-        They are carried over by the theoretical shapes that fit them on the grid: straight lines would lose a
-        third of a mode with two and a half points to the half wave.
+        They are interpolated by the theoretical shapes that fit them on the grid: straight lines would lose a third of
+        a mode sampled at two and a half points per half wave.
         """
         coefficient = self._fit(self.position, self.shape)
         return np.asarray(coefficient @ mode_shapes(self._fitted(self.position), position, self.length))

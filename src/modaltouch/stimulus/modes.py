@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from modaltouch.stimulus.timoshenko import TimoshenkoBeam
 
 _POINTS = 4096
-"""Points at which the modes are added up together."""
+"""Number of points at which the modes are summed at a time."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModalModel:
-    """The modelled modes of a beam: those whose parameters are known.
+    """The modelled modes of a beam, those with known parameters.
 
     Attributes
     ----------
@@ -40,16 +40,15 @@ class ModalModel:
     length : float
         Length of the beam [m].
     theory : str
-        Where the shapes come from: ``euler_bernoulli``, ``timoshenko`` (see `beam`) or ``measured`` (see
-        `basis`).
+        Source of the shapes: ``euler_bernoulli``, ``timoshenko`` (see `beam`) or ``measured`` (see `basis`).
     basis : MeasuredShapes, optional
         Measured shapes of every mode, in the order of the labels.
     beam : TimoshenkoBeam, optional
-        The bare beam whose shear and rotary inertia shape the bending modes.
+        The bare beam, whose shear and rotary inertia affect the bending modes.
     fingers : tuple of Finger
-        Fingertips on it, which couple the modes; everything else is said of the untouched beam.
+        Fingertips on the beam, which couple the modes; all other attributes are those of the untouched beam.
     mass : float, optional
-        Moving mass of the beam [kg], which fingers weigh on.
+        Moving mass of the beam [kg], needed with fingers.
     """
 
     label: tuple[int, ...]
@@ -64,7 +63,7 @@ class ModalModel:
     mass: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what is no vibrating beam."""
+        """Refuse values that no vibrating beam has."""
         label = tuple(int(k) for k in self.label)
         object.__setattr__(self, "label", label)
         for name in ("natural_frequency", "damping_ratio", "modal_gain"):
@@ -153,22 +152,22 @@ class ModalModel:
 
     @cached_property
     def loads(self) -> tuple[Load, ...]:
-        """What each finger weighs on; empty for a beam that nobody touches."""
+        """Contact over the beam's moving mass [1/kg], and finger, for each finger; empty for the untouched beam."""
         if self.mass is None:
             return ()
         mass, fingers = self.mass, self.fingers
         if self.basis is None and all(k % 2 for k in self.label):
-            # Symmetric modes alone feel a finger as its mirror image: to the last bit the same, and one design.
+            # For symmetric modes alone, a finger and its mirror image are made identical to the last bit: one design.
             fingers = tuple(replace(finger, position=-abs(finger.position)) for finger in fingers)
         ordered = sorted(fingers, key=lambda finger: finger.position)
         return tuple((finger.contact(self.shapes, self.length) / mass, finger) for finger in ordered)
 
     def patch_gains(self, patches: Sequence[tuple[float, float]]) -> FloatArray:
-        """Return how strongly patches wired together drive each mode, by theory; see `modaltouch.stimulus.shapes`."""
+        """Return the relative modal gains of patches wired together, by theory; see `modaltouch.stimulus.shapes`."""
         return patch_gains(self.label, patches, self.length)
 
     def touched(self, fingers: tuple[Finger, ...]) -> ModalModel:
-        """Return the same beam under other fingers."""
+        """Return the same beam with other fingers on it."""
         return self if fingers == self.fingers else replace(self, fingers=fingers)
 
     def shapes(self, position: ArrayLike) -> FloatArray:
@@ -184,9 +183,9 @@ class ModalModel:
         return mode_shapes(self.label, position, self.length)
 
     def field(self, modal_velocity: FloatArray, position: ArrayLike) -> FloatArray:
-        """Return the velocity of modes [m/s] at positions on the beam [m], (n_points,) array [m/s].
+        """Return the velocity at positions on the beam [m] for modal velocities [m/s], (n_points,) array [m/s].
 
-        Many points are taken some at a time: no array of all modes at all points is made.
+        Points are taken in groups, to avoid an array of all modes at all points.
         """
         place = np.atleast_1d(np.asarray(position, dtype=float))
         field = np.empty(place.size)
@@ -197,7 +196,7 @@ class ModalModel:
 
 
 def _check_mode(label: int, frequency: float, ratio: float, gain: FloatArray) -> None:
-    """Refuse parameters that no vibration mode has."""
+    """Refuse parameters that no vibration mode has, and gains too small or too large to compute with."""
     require_positive(f"the natural frequency of mode {label}", frequency, "Hz", "identify the mode, or leave it out")
     if not (math.isfinite(ratio) and 0 < ratio < 1):
         raise ValueError(

@@ -1,8 +1,8 @@
-r"""Drives other than the exact law of least energy: of less peak voltage, of the level first, of the paper.
+r"""Drives other than the exact law of least energy: with less peak voltage, with priority of the level, of the paper.
 
-The least p-norm under :math:`R v = x_F` is :math:`v = D\,\mathrm{sign}(g)|g|^{1/(p-1)}` with :math:`g =
-R^T\lambda`; its dual in the few multipliers is smooth and convex, and is solved by Newton's method. The least
-peak is a linear programme. Either is polished by the least energy that takes the last rounding out.
+The least p-norm subject to :math:`R v = x_F` is :math:`v = D\,\mathrm{sign}(g)|g|^{1/(p-1)}` with :math:`g =
+R^T\lambda`; the dual problem in the few multipliers is smooth and convex, and is solved by Newton's method. The least
+peak is a linear programme. A least-energy correction then removes the remaining residual from either.
 """
 
 from __future__ import annotations
@@ -17,18 +17,15 @@ from modaltouch.stimulus.reachability import ReachabilityGramian
 from modaltouch.stimulus.synthesis import decay, synthesise
 
 _HELD_STEPS = 1024
-"""Steps of the linear programme: with more it takes minutes and gains nothing."""
+"""Most steps of the linear programme: more would take minutes and gain nothing."""
 
 _CONVERGED = 1e-12
 _FLOOR = 1e-9
-"""Smallest |g|, relative to the largest, whose curvature counts: p > 2 has infinite curvature at g = 0."""
+"""Least |g|, relative to the largest, for the curvature, which for p > 2 is infinite at g = 0 [1]."""
 
 
 def least_norm(steering: Steering, p: float) -> Drive:
-    """Return the voltages of least weighted norm of order p, from 2 (the exact law) to about 8.
-
-    Higher orders flatten the peaks.
-    """
+    """Return the voltages of least weighted p-norm, p from 2 (the exact law) to about 8: higher p, lower peaks."""
     reach = steering.reach
     rows = _rows(reach)
     weight = np.ones((1, reach.taper.n_samples))
@@ -66,10 +63,9 @@ def _multiplier(rows: FloatArray, weight: FloatArray, goal: FloatArray, p: float
 
 
 def least_peak(steering: Steering) -> Drive:
-    """Return the voltages of least peak that meet every modelled mode: a linear programme on held steps.
+    """Return the voltages of least peak that meet every condition: a linear programme over steps of several samples.
 
-    They jump between the peak and its negative, and excite whatever the model leaves out. Each of the steps
-    holds several samples.
+    They jump between the peak and its negative, which excites modes that are not modelled.
     """
     from scipy.optimize import linprog
     from scipy.sparse import bmat, csr_matrix, eye
@@ -85,7 +81,7 @@ def least_peak(steering: Steering) -> Drive:
     flat = held.reshape(goal.size, -1) * scale[:, None]
     n = flat.shape[1]
     unit = float(np.abs(exact_drive(steering).voltage).max())
-    # Unknown are the steps v and their peak t: v - t <= 0 and -v - t <= 0.
+    # The unknowns are the steps v and their peak t: v - t <= 0 and -v - t <= 0.
     ones = csr_matrix(np.ones((n, 1)))
     solved = linprog(
         np.append(np.zeros(n), 1.0),
@@ -113,7 +109,7 @@ def _rows(reach: ReachabilityGramian) -> FloatArray:
 
 
 def compare_designs(steering: Steering, amplifier: Amplifier, unmodelled: ModalModel) -> list[dict[str, float | str]]:
-    """Return what each design costs, as `Stimulus.compare_designs`."""
+    """Return peak voltage, energy, residual and unmodelled speed of each design, as in `Stimulus.compare_designs`."""
     drives = {
         "exact": exact_drive(steering),
         "4-norm": least_norm(steering, 4.0),
@@ -136,23 +132,24 @@ def compare_designs(steering: Steering, amplifier: Amplifier, unmodelled: ModalM
 
 
 _HALVINGS = 14
-"""Of the bracket of the logarithm of mu, which spans sixteen decades: to 0.2 % of mu."""
+"""Bisections of the logarithm of mu over sixteen decades, which determine mu to 0.2 %."""
 
 _BRACKET = -10.0, 6.0
-"""Powers of ten of mu, over the mean of the Gramian's diagonal."""
+"""Bracket of log10 of mu relative to the mean of the Gramian's diagonal."""
 
 
 def level_first_drive(steering: Steering, shape: FloatArray, limit: float) -> Drive:
-    r"""Return voltages that meet the level at the focus exactly, within a limit if any field allows it.
+    r"""Return voltages that meet the level at the focus exactly, within the voltage limit if any field allows it.
 
-    Minimise :math:`v^T D^{-1} v + \mu^{-1} |x(t_F) - x_F|^2` over all modal states, under the level's condition: with
-    the level as a further row of the reachability, :math:`(W + \mu\,\mathrm{diag}(0, 1, \ldots)) y = b`. The larger
-    :math:`\mu`, the lower the voltage and the farther the field; it is bisected until the peak meets the limit.
+    Minimise :math:`v^T D^{-1} v + \mu^{-1} |x(t_F) - x_F|^2` over all modal states, subject to the level: with the
+    level as a further row of the reachability matrix, :math:`(W + \mu\,\mathrm{diag}(0, 1, \ldots)) y = b`. The larger
+    :math:`\mu`, the lower the voltage and the larger the error of the field; :math:`\mu` is bisected until the peak
+    voltage meets the limit.
 
     Parameters
     ----------
     steering : Steering
-        What the whole field would be.
+        Conditions of the whole field.
     shape : (n_modes,) array
         Mode shapes at the focus [1].
     limit : float
@@ -170,7 +167,7 @@ def level_first_drive(steering: Steering, shape: FloatArray, limit: float) -> Dr
     before = voltage[:, : whole.n_before]
 
     def write(power: float) -> float:
-        """Write the voltages of a mu, scaled to the level, and return their peak."""
+        """Write the voltages for a mu, scaled to the level, and return their peak."""
         multiplier = np.linalg.lstsq(gram + 10.0**power * ridge, goal, rcond=None)[0]
         steering.reach.write(rows.T @ multiplier, before)
         short, _ = steering.short(before)
@@ -188,7 +185,7 @@ def level_first_drive(steering: Steering, shape: FloatArray, limit: float) -> Dr
 
 
 def paper_drive(steering: Steering) -> Drive:
-    r"""Return the voltages of the paper, :math:`v = \sum_k 4 a_k \dot\eta_k(t) / G_k` until the focus.
+    r"""Return the voltages of the paper, :math:`v = \sum_k 4 a_k \dot\eta_k(t) / G_k` until the focusing instant.
 
     With :math:`\dot\eta_k = \dot\eta_k(t_F) e^{a_k (t - t_F)} \cos b_k (t - t_F)`, each mode on the channel
     that drives it best, sampled at the middle of each hold. Sample 0 is set to 0 V, where the generator idles.
@@ -197,7 +194,7 @@ def paper_drive(steering: Steering) -> Drive:
     Parameters
     ----------
     steering : Steering
-        Modes with a velocity of 0 are left alone; displacements have no meaning.
+        Conditions; modes with a target velocity of 0 are not driven, and target displacements are ignored.
 
     References
     ----------
@@ -206,7 +203,7 @@ def paper_drive(steering: Steering) -> Drive:
     model, system, timing, target = steering.model, steering.system, steering.timing, steering.velocity
     check_drivable(model, target, timing)
     asked = np.flatnonzero(target)
-    # Each mode by the channel that drives it best, the paper's assignment.
+    # As in the paper, each mode is driven by the channel with the largest gain.
     channel = np.abs(model.modal_gain).argmax(axis=1)[asked]
     exponent = model.exponent[asked]
     n_before = min(int(timing.focusing_instant * timing.sampling_rate + 0.5), timing.n_samples - 1)

@@ -1,4 +1,4 @@
-r"""What a probe says of a beam and of the fingers on it: natural frequencies, damping, gains, impedances, places.
+r"""Identification of a beam and the fingers on it from a probe: frequencies, damping, gains, impedances, positions.
 
 A probe is the velocity of one point per volt at single frequencies. With the impedance :math:`Z` of each finger,
 
@@ -6,9 +6,9 @@ A probe is the velocity of one point per volt at single frequencies. With the im
    Y = \left[s + 2\xi\omega + \omega^2/s + \sum Z W / m_b\right]^{-1}, \qquad
    dH_c = -e^{-s\tau}\,\varphi^T Y\, d(Y^{-1})\, Y G_c.
 
-It is fitted by least squares over the values of the beam and, of each finger, the logarithms of mass, damping and
-stiffness, and the place, all of them with wide priors. The values of the untouched beam, with their covariance, are the
-prior of the next fit, so that the covariance of what a drive does under the fingers holds all that is uncertain.
+It is fitted by least squares over the parameters of the beam and, for each finger, the logarithms of mass, damping and
+stiffness, and the position, all with wide priors. The estimates for the untouched beam, with their covariance, are the
+prior of the next fit, so that the covariance of any prediction with fingers on the beam includes every uncertainty.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 
 _BEAM_SPREAD = (0.005, 0.1, 0.1, 20.0)
-"""Prior standard deviations: natural frequency, damping ratio [1], gain [strongest of its mode], delay [us]."""
+"""Prior standard deviations: logarithms of frequency and damping, gain [strongest of its mode], delay [us]."""
 
 _FINGER_SPREAD = (1.0, 1.0, 1.5, 2.5)
-"""Prior standard deviations: logarithms of mass, damping and stiffness, place [mm]."""
+"""Prior standard deviations: logarithms of mass, damping and stiffness, position [mm]."""
 
 _RELAXATION = (1e-5, 1e-4, 1e-3)
 """Relaxation times of the Maxwell terms [s]."""
@@ -37,60 +37,61 @@ _TERM_DAMPING, _TERM_SPREAD = 0.1, 2.5
 """Prior of a Maxwell term: stiffness times relaxation time [N s/m], and the standard deviation of its logarithm."""
 
 _SHIFT = 3e-3
-"""By which fits begin beside the expected places, to either side, until one of them is good [m]."""
+"""Distance to either side of the expected positions of the other starting points, used until a fit is good [m]."""
 
 _MODEL_ERROR = 1e-3
-"""What no beam is described better than, of each response [1]."""
+"""Least error of the model, relative to each response [1]."""
 
 _STEP = 1e-3
-"""By which a parameter of a finger is moved for its derivative [its unit]."""
+"""Step of a finger's parameter for its numerical derivative [unit of the parameter]."""
 
 _FINGER_DRIFT, _TERM_DRIFT = (0.3, 0.3, 0.5, 1.0), 0.5
-"""By how much fingers may differ between a probe and a burst: standard deviations as those of their priors."""
+"""Standard deviations of the change of a finger between a probe and a burst, in the units of the priors."""
 
 _GAIN_DRIFT, _DELAY_DRIFT = 0.03, 1.0
-"""The same of a channel's gain [1], and of the instant of a record against its trigger [us]."""
+"""The same for a channel's gain [1], and for the instant of a record relative to its trigger [us]."""
 
 _DELAYS = np.arange(0.0, 60e-6, 0.25e-6)
 """Delays of the velocity that are tried [s]."""
 
 _MOST_EVALUATIONS, _MORE_EVALUATIONS, _PROMISING = 40, 160, 50.0
-"""Of a fit that does not end; a good one takes five to fifteen. More where plain fingers are then below that misfit."""
+"""Most evaluations of a fit (a good one takes 5 to 15); further ones without Maxwell terms below a misfit [1]."""
 
 _GOOD, _FAIR, _WORST = 2.0, 5.0, 10.0
-"""Misfit up to which no Maxwell terms and no other places to begin at are tried, above which a probe is refused [1]."""
+"""Misfits: up to the first no Maxwell terms, up to the second no other start are tried; above the last, refused [1]."""
 
 _TERMS_MUST_GAIN = 1.5
-"""Misfit of plain fingers over that with Maxwell terms, from which these are taken [1]."""
+"""Ratio of the misfit of plain fingers to that with Maxwell terms from which the terms are used [1]."""
 
 _OUTLIER, _MOST_OUTLIERS = 4.0, 0.1
-"""Standard deviations from which a line is not of the listed modes, and the share of such that may be left out."""
+"""Deviation above which the listed modes do not explain a line [standard deviations]; most such lines left out [1]."""
 
 _WEAK = 0.1
-"""Median share of noise in the responses above which a probe is too weak [1]."""
+"""Median ratio of noise to response above which a probe is too weak [1]."""
 
 _MOVED = 3.0
-"""Variance between records, over that of their noise, above which something moved [1]."""
+"""Ratio of the variance between records to that of their noise above which something moved [1]."""
 
 _SHRUNK = 0.05
-"""Part of the standard deviations by which parameters are moved, to stay where all is linear [1]."""
+"""Step of a parameter for `slopes`, relative to its standard deviation, small enough to be linear [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class ProbedBeam:
-    """A beam as probes know it.
+    """A beam identified by probes, with the covariance of its parameters.
 
     Attributes
     ----------
     model : ModalModel
         The beam, with its fingers.
     delay : float
-        Of the velocity against the drive, beyond the vibrometer's low-pass [s].
+        Delay of the velocity relative to the drive, in addition to the vibrometer's low-pass [s].
     covariance : (n_parameters, n_parameters) array
-        Of natural frequencies and damping ratios (logarithms), gains (parts of the strongest of each mode), delay [us];
-        then of each finger mass, damping, stiffness (logarithms), place [mm] and Maxwell terms (logarithms).
+        Covariance of natural frequencies and damping ratios (logarithms), gains (relative to the strongest of each
+        mode), delay [us]; then for each finger of mass, damping, stiffness (logarithms), position [mm] and Maxwell
+        terms (logarithms).
     misfit : float
-        Mean square of what the fit leaves, over that of the noise [1].
+        Mean square of the residuals of the fit, relative to that of the noise [1].
     trusted : (n_lines,) array of bool
         Lines of the probe that the listed modes explain.
     """
@@ -107,9 +108,10 @@ class ProbedBeam:
         return self.model.n_modes * (2 + self.model.n_channels) + 1
 
     def slopes(self, figures: Callable[[ModalModel], FloatArray], known: FloatArray | None = None) -> FloatArray:
-        """Derivatives of figures of a beam under fingers by the parameters, (n_parameters, n_figures) array.
+        """Return the derivatives of figures of the beam by the parameters, (n_parameters, n_figures) array.
 
-        Those by the parameters of the beam are taken from `known`, the derivatives under other fingers, if given.
+        If `known`, the derivatives with other fingers on the beam, is given, those by the parameters of the untouched
+        beam are taken from it.
         """
         middle, steps = figures(self.model), np.diag(_SHRUNK * np.sqrt(np.diag(self.covariance)))
         start = 0 if known is None else self.n_beam
@@ -117,11 +119,11 @@ class ProbedBeam:
         return np.array(own) if known is None else np.concatenate([known[:start], own])
 
     def spread(self, slopes: FloatArray) -> FloatArray:
-        """Standard deviations of figures with these derivatives, by the covariance, (n_figures,) array."""
+        """Return the standard deviations of figures with these derivatives, (n_figures,) array."""
         return np.asarray(np.sqrt(((np.linalg.cholesky(self.covariance).T @ slopes) ** 2).sum(axis=0)))
 
     def moved(self, step: FloatArray) -> ProbedBeam:
-        """The same with its parameters moved, in the units of the covariance."""
+        """Return the beam with its parameters changed by `step`, in the units of the covariance."""
         model, n = self.model, self.model.n_modes
         ratio = np.exp(step[: 2 * n])
         fingers, start = [], self.n_beam
@@ -139,7 +141,7 @@ class ProbedBeam:
         return replace(self, model=moved, delay=self.delay + float(step[self.n_beam - 1]) * 1e-6)
 
     def laid(self, fingers: Sequence[Finger]) -> ProbedBeam:
-        """The same untouched beam under fingers of which little is known."""
+        """Return the same beam under other fingers, with their wide priors."""
         spreads = [[*_FINGER_SPREAD, *[_TERM_SPREAD] * len(finger.maxwell)] for finger in fingers]
         n, sizes = self.n_beam, np.concatenate(spreads)
         covariance = np.diag(np.append(np.zeros(n), sizes**2))
@@ -147,7 +149,7 @@ class ProbedBeam:
         return replace(self, model=self.model.touched(tuple(fingers)), covariance=covariance)
 
     def loosened(self) -> ProbedBeam:
-        """The same some time later: fingers, gain of each channel and trigger are known less well."""
+        """Return the beam some time later: with more uncertain fingers, channel gains and trigger."""
         model, n, covariance = self.model, self.n_beam, self.covariance.copy()
         gains = model.modal_gain / _strongest(model)
         of_channel = (gains[:, :, None] * np.eye(model.n_channels)).reshape(-1, model.n_channels) * _GAIN_DRIFT
@@ -166,15 +168,15 @@ class Probe:
     Attributes
     ----------
     position : float
-        Where it was measured, origin at mid-beam [m].
+        Measured point, origin at mid-beam [m].
     frequency : (n_lines,) array
-        [Hz].
+        Frequencies [Hz].
     drive : (n_lines, n_channels) array
-        What drives at each frequency: 1 V of one channel in a probe, the spectrum of a burst in its record [V or V s].
+        Voltage at each frequency: 1 V on one channel in a probe, the spectrum of a burst in its record [V or V s].
     response : (n_lines,) complex array
-        Velocity under it [m/s or m].
+        Velocity at each frequency [m/s or m].
     deviation : (n_lines,) array
-        Standard deviation of its real and of its imaginary part, by noise [m/s or m].
+        Standard deviation of the noise in the real and in the imaginary part of each response [m/s or m].
     """
 
     position: float
@@ -185,7 +187,7 @@ class Probe:
 
     @classmethod
     def averaged(cls, probes: Sequence[Probe]) -> Probe:
-        """Mean of records of the same lines.
+        """Return the mean of records of the same lines.
 
         Raises
         ------
@@ -204,7 +206,7 @@ class Probe:
 
     @staticmethod
     def check_table(model: ModalModel) -> None:
-        """Refuse a table of modes that no probe of fingers can be judged by.
+        """Refuse a table of modes that is not sufficient to identify fingers.
 
         Raises
         ------
@@ -220,7 +222,7 @@ class Probe:
             )
 
     def untouched(self, model: ModalModel) -> ProbedBeam:
-        """The beam that nobody touches.
+        """Return the untouched beam, fitted to this probe.
 
         Parameters
         ----------
@@ -230,7 +232,7 @@ class Probe:
         Raises
         ------
         ValueError
-            If the table lacks modes, or the probe is too weak.
+            If the table lacks modes or does not describe the beam, or the probe is too weak.
         """
         self.check_table(model)
         noise = float(np.median(self.deviation / np.abs(self.response)))
@@ -246,7 +248,7 @@ class Probe:
         found = self._fitted(start)
         trusted = self._missed(found) <= _OUTLIER
         if 1 - _MOST_OUTLIERS <= trusted.mean() < 1:
-            # Under fingers no line is left out: it might be what tells that their impedance has another form.
+            # Only here: with fingers, such a line may show that their impedance has another form.
             found = self._fitted(replace(start, trusted=trusted))
         if found.misfit > _WORST:
             raise ValueError(
@@ -257,19 +259,19 @@ class Probe:
         return found
 
     def touched(self, free: ProbedBeam, fingers: Sequence[Finger]) -> ProbedBeam:
-        """The beam under fingers, and these.
+        """Return the beam with the fingers on it, fitted to this probe.
 
         Parameters
         ----------
         free : ProbedBeam
-            The same beam untouched, by a probe of the same lines.
+            The same beam untouched, from a probe of the same lines.
         fingers : sequence of Finger
-            Those that are expected.
+            The expected fingers, where the fit starts.
 
         Raises
         ------
         ValueError
-            If no finger is felt, or no impedance describes what is.
+            If no finger is detected, or the fit is not acceptable.
         """
         felt = float((self._missed(free)[free.trusted] ** 2).mean())
         if felt <= _GOOD:
@@ -294,12 +296,12 @@ class Probe:
         return found
 
     def later(self, known: ProbedBeam) -> ProbedBeam:
-        """The beam and its fingers while a burst was played, from a record of it.
+        """Return the beam and its fingers while a burst was played, fitted to this record of it.
 
         Parameters
         ----------
         known : ProbedBeam
-            The same as a probe found it, at this placement.
+            The same from a probe, at this placement.
 
         Raises
         ------
@@ -314,7 +316,7 @@ class Probe:
         return found
 
     def _missed(self, beam: ProbedBeam) -> FloatArray:
-        """What a beam misses of each response, over its uncertainty, (n_lines,) array [1]."""
+        """Return the residual of each response relative to its uncertainty, (n_lines,) array [1]."""
         missed = np.abs(self._responses(beam)[0] - self.response) / self._uncertainty
         return np.asarray(missed / np.sqrt(2))
 
@@ -323,7 +325,7 @@ class Probe:
         return np.hypot(self.deviation, _MODEL_ERROR * np.abs(self.response))
 
     def _fitted(self, prior: ProbedBeam) -> ProbedBeam:
-        """The beam that the probe says, fingers and all, from what was known before."""
+        """Return the beam, with any fingers, fitted to the probe and the prior."""
         from scipy.optimize import least_squares
 
         deviation = np.where(prior.trusted, self._uncertainty, np.inf)
@@ -354,7 +356,7 @@ class Probe:
         return replace(prior.moved(step), covariance=covariance, misfit=misfit)
 
     def _responses(self, beam: ProbedBeam) -> tuple[ComplexArray, ComplexArray]:
-        """Responses of a beam, (n_lines,) array, and their derivatives, (n_lines, n_parameters) array."""
+        """Return the responses of a beam, (n_lines,) array, and their derivatives, (n_lines, n_parameters) array."""
         model, n, rows = beam.model, beam.model.n_modes, np.arange(self.frequency.size)
         s: ComplexArray = (2j * np.pi * self.frequency[:, None]).astype(complex)
         omega, xi = model.angular_frequency, model.damping_ratio
@@ -382,7 +384,7 @@ class Probe:
 def _slopes(
     model: ModalModel, finger: Finger, s: ComplexArray, left: ComplexArray, right: ComplexArray
 ) -> Iterator[ComplexArray]:
-    """Derivatives by each parameter of a finger, each an (n_lines, 1) array."""
+    """Yield the derivatives by each parameter of a finger, each an (n_lines, 1) array."""
     n = 4 + len(finger.maxwell)
     contact = model.touched((finger,)).loads[0][0]
     by_impedance = -((left @ contact) * right).sum(axis=1)[:, None]
@@ -397,7 +399,7 @@ def _slopes(
 
 
 def _moved(finger: Finger, step: FloatArray, length: float) -> Finger:
-    """A finger with its parameters moved, in the units of the covariance."""
+    """Return a finger with its parameters changed by `step`, in the units of the covariance."""
     ratio = np.exp(np.clip(step, -20, 20)).tolist()
     return replace(
         finger,
@@ -410,18 +412,18 @@ def _moved(finger: Finger, step: FloatArray, length: float) -> Finger:
 
 
 def _rank(beam: ProbedBeam) -> float:
-    """Misfit, that of Maxwell terms raised: they must explain what the plain fingers do not."""
+    """Return the misfit, increased for Maxwell terms: they are used only if they explain much more."""
     return beam.misfit * (_TERMS_MUST_GAIN if any(finger.maxwell for finger in beam.model.fingers) else 1.0)
 
 
 def _identified(model: ModalModel) -> ProbedBeam:
-    """The untouched beam of a table, before any probe."""
+    """Return the untouched beam of a table of modes, with its prior, before any probe."""
     n = model.n_modes
     sizes = np.repeat(_BEAM_SPREAD, [n, n, n * model.n_channels, 1])
     return ProbedBeam(model.touched(()), 0.0, np.diag(sizes**2), np.inf, np.ones(0, dtype=bool))
 
 
 def _strongest(model: ModalModel) -> FloatArray:
-    """Largest gain of each mode, (n_modes, 1) array; of one that nothing drives, the median of the others."""
+    """Return the largest gain of each mode, (n_modes, 1) array; for a mode without a gain, the median of the others."""
     size = np.abs(model.modal_gain).max(axis=1, keepdims=True)
     return np.asarray(np.where(size > 0, size, np.median(size[size > 0])))

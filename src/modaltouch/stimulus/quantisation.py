@@ -1,4 +1,4 @@
-"""From volts to codes: an instrument's converter, which rounds voltages to codes and amplitudes to a grid."""
+"""From volts to codes: a generator's converter, which rounds voltages to codes and amplitudes to a grid."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from numpy.typing import NDArray
 from modaltouch.stimulus.quantities import FloatArray
 
 _LONGEST_STRETCH = 1.05
-"""A full scale may pass the peak by this factor, which costs a fifteenth of a bit."""
+"""Largest ratio of full scale to the peak, which costs a fifteenth of a bit [1]."""
 
 
 @dataclass(frozen=True)
 class Converter:
-    """How an instrument makes voltages of codes: code ``c`` stands for ``(c / mid_code - 1) * full_scale / 2`` volts.
+    """An instrument's converter: code ``c`` stands for ``(c / mid_code - 1) * full_scale / 2`` volts.
 
     Attributes
     ----------
     mid_code : int
         Code of zero volts; codes run from 0 to twice that.
     max_points : int
-        Longest record [points].
+        Length of the longest record [points].
     clock_rate : float
-        Its clock [Hz].
+        Rate of its clock [Hz].
     amplitude_digits, amplitude_decimals : int
-        Significant digits of an amplitude, and the decimals it has at most [V peak to peak].
+        Most significant digits and most decimals of an amplitude in volts peak to peak.
     of_record : bool
-        Whether an amplitude is that of the record, from its lowest code to its highest; else that of all codes, the
-        full scale.
+        Whether an amplitude spans the record, from its lowest code to its highest; else it spans all codes, the full
+        scale.
     any_rate : bool
-        Whether its clock takes the rate of the samples, so that none begins late.
+        Whether its clock adapts to the sampling rate, so that no sample begins late.
     """
 
     mid_code: int
@@ -43,7 +43,7 @@ class Converter:
     any_rate: bool = False
 
     def shares(self, codes: FloatArray | NDArray[np.uint16]) -> FloatArray:
-        """Return what part of its full scale the amplitude of each channel of a record is, (n_channels,) array [1]."""
+        """Return the amplitude of each channel of a record relative to its full scale, (n_channels,) array [1]."""
         shares = np.ones(codes.shape[0])
         if self.of_record:
             span = np.subtract(codes.max(axis=1), codes.min(axis=1), dtype=float)
@@ -51,7 +51,7 @@ class Converter:
         return shares
 
     def round_amplitude(self, amplitude: float) -> float:
-        """Return an amplitude on the instrument's grid [V peak to peak]."""
+        """Return an amplitude rounded to the instrument's grid [V peak to peak]."""
         return max(round(float(f"{amplitude:.{self.amplitude_digits}g}"), self.amplitude_decimals), 0.0)
 
     def amplitudes_at(
@@ -62,7 +62,7 @@ class Converter:
         return tuple(self.round_amplitude(full * velocity / reference * share) for full, share in each)
 
     def full_scale(self, least: float, shares: tuple[float, ...]) -> float:
-        """Return an amplitude at or above the least whose shares lie on the instrument's grid too.
+        """Return a full scale, at or above the least, for which the amplitudes of all levels are close to the grid.
 
         Parameters
         ----------
@@ -74,8 +74,8 @@ class Converter:
         Returns
         -------
         float
-            Of the amplitudes up to 5 % above the least, the one whose shares lie closest to the grid, the smallest
-            of equals [V peak to peak].
+            Of the amplitudes up to 5 % above the least, the one whose products with `shares` are closest to the grid;
+            the smallest, if several are [V peak to peak].
         """
         if least <= 0:
             return 0.0
@@ -85,7 +85,7 @@ class Converter:
         best, smallest_miss = self.round_amplitude(first * step), np.inf
         for count in range(first, last + 1):
             candidate = self.round_amplitude(count * step)
-            # Across a power of ten the grid is coarser than the steps: rounding may leave the stretch at either end.
+            # Above a power of ten the grid is coarser than `step`: rounding may leave the range at either end.
             if not least * (1 - 1e-12) <= candidate <= max(least * _LONGEST_STRETCH, first * step) * (1 + 1e-12):
                 continue
             miss = max((abs(self.round_amplitude(candidate * s) / (candidate * s) - 1) for s in shares), default=0.0)
@@ -101,9 +101,9 @@ class Converter:
         Parameters
         ----------
         voltage : (n_channels, n_samples) array
-            At the beam [V].
+            Voltages at the beam [V].
         volts_per_code : (n_channels,) array
-            At the beam [V]; 0 for a channel that stays silent.
+            Voltage of one code at the beam [V]; 0 for a silent channel.
 
         Returns
         -------
@@ -113,7 +113,7 @@ class Converter:
         Raises
         ------
         ValueError
-            If a voltage passes the full scale.
+            If a voltage exceeds the full scale.
         """
         steps = np.empty(voltage.shape)
         for channel, (row, unit, out) in enumerate(zip(voltage, volts_per_code, steps, strict=True)):
@@ -130,10 +130,10 @@ class Converter:
         return steps
 
     def unsigned(self, signed: FloatArray) -> NDArray[np.uint16]:
-        """Return codes as the generator takes them, from codes counted from mid-scale, array of the same shape."""
+        """Return codes for the generator from codes relative to mid-scale, array of the same shape."""
         codes = np.empty(signed.shape, dtype=np.uint16)
         return np.add(signed, self.mid_code, out=codes, casting="unsafe")
 
     def signed(self, codes: NDArray[np.uint16]) -> FloatArray:
-        """Return codes counted from mid-scale, from codes as the generator takes them, array of the same shape."""
+        """Return codes relative to mid-scale from codes for the generator, array of the same shape."""
         return np.subtract(codes, self.mid_code, dtype=float)

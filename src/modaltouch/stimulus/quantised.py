@@ -1,10 +1,10 @@
-"""Codes as the generator plays them: what they do to the beam, and how single ones are changed for the focus.
+"""Codes as the generator plays them: the motion that they cause, and how single codes are changed for the focus.
 
-Rounding leaves an error in the states at the focusing instant. Which codes to change against it is a lattice problem:
-small integer steps whose effects add up to what rounding left over. It is solved backwards in time. One code moves a
-fast mode by much just before the focus and by ever less before that, so samples are visited from the focus back, and a
-code is changed wherever that lessens the error, each mode's error counted in what a code can still do to it. The error
-of every mode then shrinks with the steps that are left.
+Rounding leaves an error in the states at the focusing instant. Which codes to change to cancel it is a lattice problem:
+small integer steps whose effects add up to the error. It is solved backwards in time. The effect of one code on a fast
+mode is large just before the focusing instant and smaller the earlier it is. Samples are therefore visited from the
+focusing instant backwards, and a code is changed if that reduces the error, where each mode's error is measured in
+units of what a code can still do to it. The error of every mode then decreases with the effect of the remaining codes.
 """
 
 from __future__ import annotations
@@ -27,46 +27,46 @@ if TYPE_CHECKING:
     from modaltouch.stimulus.fingers import Finger
 
 GOAL = 3e-8
-"""Error, as a fraction of the largest target, below which a mode is no longer urgent [1]."""
+"""Error, relative to the largest target, below which a mode is no longer urgent [1]."""
 
 _VISITS = (300, 600, 1000, 2000)
-"""Samples visited on each channel; more only where fewer do not settle it."""
+"""Numbers of samples visited on each channel; the next is tried if the error is not small enough."""
 
 _SETTLED = 3e-7
-"""Error, as a fraction of the largest target, at which no more samples are visited [1]."""
+"""Error, relative to the largest target, at which no more samples are visited [1]."""
 
 _FEW = 1024
-"""Points up to which mode shapes are kept for the next question."""
+"""Largest number of points for which mode shapes are cached."""
 
 _TOGETHER = 64
-"""Moves whose effects on each other are computed at once."""
+"""Number of moves whose mutual effects are computed at once."""
 
 
 @dataclass(frozen=True, eq=False)
 class QuantisedStimulus:
-    """A record in the generator before a beam, be it that of the design or one under other fingers.
+    """The codes of a burst played on a beam: that of the design, or the same with other fingers.
 
-    What is linear in the level is computed once.
+    Results that are proportional to the level are computed once.
 
     Attributes
     ----------
     model : ModalModel
-        The beam with its fingers; without any, the untouched beam.
+        The beam, with its fingers if any.
     amplifier : Amplifier
-        Its pole and delay count.
+        Its pole and delay are used.
     timing : Timing
         Clock of the samples.
     codes : (n_channels, n_samples) array
-        Codes counted from mid-scale [1].
+        Codes relative to mid-scale [1].
     """
 
     model: ModalModel
     amplifier: Amplifier
     timing: Timing
     codes: FloatArray
-    # Mode shapes already computed, by the positions.
+    # Mode shapes already computed, by position.
     _shapes: dict[bytes, FloatArray] = field(default_factory=dict, init=False)
-    # States already computed, and peaks by position, by the ratio of the channels.
+    # States already computed, and peaks by position, for each ratio of the channels.
     _responses: dict[tuple[float, ...], tuple[BlockStates, dict[float, float]]] = field(
         default_factory=dict, init=False
     )
@@ -88,16 +88,16 @@ class QuantisedStimulus:
 
     @cached_property
     def _left_per_volt(self) -> ComplexArray:
-        """States when the burst's end has arrived, for codes worth a volt each, (n_channels, n_states) array."""
+        """States when the burst's end reaches the beam, for codes worth a volt each, (n_channels, n_states) array."""
         end = self.timing.duration + self.system.delay
         return self.system.states_by_channel(self.codes, self.timing, end)
 
     def states_at_focus(self, unit: FloatArray) -> ComplexArray:
-        """Return the states at the focus of the first burst, (n_states,) array, for codes worth `unit` volts."""
+        """Return the states at the first burst's focusing instant for codes worth `unit` volts, (n_states,) array."""
         return np.asarray(unit @ self._states_per_volt)
 
     def states_steady(self, unit: FloatArray) -> ComplexArray:
-        """Return the states at the focusing instant once the burst has been repeated for long, (n_states,) array."""
+        """Return the states at the focusing instant in the steady state of the repeated burst, (n_states,) array."""
         timing, exponent = self.timing, self.system.exponent
         end = timing.duration + self.system.delay
         left = unit @ self._left_per_volt
@@ -106,14 +106,14 @@ class QuantisedStimulus:
         return np.asarray(self.states_at_focus(unit) + left * carried)
 
     def _response(self, unit: FloatArray) -> tuple[BlockStates, dict[float, float], float]:
-        """Return the states under the codes, known peaks by position, and the factor of both.
+        """Return the states, the known peaks by position, and the factor [V per code] by which both are multiplied.
 
-        Levels that keep the channels' ratio only scale: one response serves them all.
+        Levels with the same ratio of the channels share one response.
         """
         largest = float(unit.max()) or 1.0
         ratio = tuple(round(float(u), 12) for u in unit / largest)
         if ratio not in self._responses:
-            # Codes for volts: what a code is worth goes into the gains, and no voltages are written out.
+            # The value of a code goes into the gains, so that no array of voltages is needed.
             gain = self.system.input_gain * (unit / largest)
             self._responses[ratio] = BlockStates.of(replace(self.system, input_gain=gain), self.codes, self.timing), {}
         return *self._responses[ratio], largest
@@ -124,9 +124,9 @@ class QuantisedStimulus:
         Parameters
         ----------
         positions : (n_positions,) array_like
-            Where, origin at mid-beam [m].
+            Points of the beam, origin at mid-beam [m].
         unit : (n_channels,) array
-            What a code is worth at the beam [V].
+            Voltage of one code at the beam [V].
         """
         velocity, _ = self.system.read(self.states_at_focus(unit))
         if np.size(positions) > _FEW:
@@ -134,17 +134,17 @@ class QuantisedStimulus:
         return np.asarray(velocity @ self._shapes_at(positions))
 
     def _shapes_at(self, positions: ArrayLike) -> FloatArray:
-        """Return the mode shapes at points asked for before, or again at others, (n_modes, n_positions) array."""
+        """Return the mode shapes at points, from the cache if they are there, (n_modes, n_positions) array."""
         place = np.atleast_1d(np.asarray(positions, dtype=float))
         if place.tobytes() not in self._shapes:
             self._shapes[place.tobytes()] = self.model.shapes(place)
         return self._shapes[place.tobytes()]
 
     def passes(self, positions: ArrayLike, unit: FloatArray, limit: float) -> bool:
-        """Return whether the speed at any of some points passes a limit; most blocks are skipped."""
+        """Return whether the speed at any of the points exceeds a limit [m/s]; most blocks need not be computed."""
         response, _, scale = self._response(unit)
         floor = limit / scale
-        # Not multiplied again: rounding would let the floor itself pass.
+        # Compared unscaled: with rounding, `floor` times `scale` might exceed the limit.
         return bool((response.peak(self._shapes_at(positions).T @ self.system.velocity, floor) > floor).any())
 
     def peak_velocity(self, positions: ArrayLike, unit: FloatArray) -> FloatArray:
@@ -163,13 +163,13 @@ class QuantisedStimulus:
         return np.array([shape @ system.read(state)[0] for shape, state in zip(shapes.T, states, strict=True)])
 
     def peak_instants(self, positions: ArrayLike, unit: FloatArray) -> FloatArray:
-        """Return the instants of a burst at which points are fastest, (n_positions,) array [s]."""
+        """Return the instant of the burst at which each point is fastest, (n_positions,) array [s]."""
         output = self.model.shapes(positions).T @ self.system.velocity
         speed = np.abs(history(self.system, output, self.codes * unit[:, None], self.timing))
         return np.asarray(speed.argmax(axis=1) * self.timing.hold + self.system.delay)
 
     def peak_below(self, frequency: float, position: float, unit: FloatArray) -> float:
-        """Return the highest speed at a point [m] of what swings and decays slower than a frequency [Hz], [m/s]."""
+        """Return the highest speed at a point [m] due to states with |exponent| below a frequency [Hz], [m/s]."""
         response, _, scale = self._response(unit)
         slow = np.abs(self.system.exponent) < 2 * np.pi * frequency
         return float(response.peak((self.model.shapes([position]).T @ self.system.velocity) * slow)[0]) * scale
@@ -177,16 +177,16 @@ class QuantisedStimulus:
     def peak_when_lifted(
         self, left: QuantisedStimulus, positions: ArrayLike, unit: FloatArray, floor: float = 0.0
     ) -> FloatArray:
-        """Return the highest speed at points where fingers are taken away at the worst instant, (n_positions,) array.
+        """Return the highest speed at points if fingers are lifted at the worst instant, (n_positions,) array [m/s].
 
         Parameters
         ----------
         left : QuantisedStimulus
-            The same burst on the beam under the fingers that stay.
+            The same burst on the beam with the fingers that stay.
         positions, unit
-            As for `velocity_at_focus`.
+            As in `velocity_at_focus`.
         floor : float
-            Speed below which nobody needs to know; lower peaks are returned as it [m/s].
+            Least value returned: lower peaks are not resolved [m/s].
         """
         from modaltouch.stimulus.lifted import FINE, LiftedBeam
 
@@ -198,21 +198,21 @@ class QuantisedStimulus:
         return lifted.peaks(left.model.shapes(positions), known, floor)
 
     def highest_contrast(self, focus: float, points: FloatArray, level: float) -> tuple[QuantisedStimulus, float]:
-        """Return the beam under a drive that moves other points least, and a bound (see `stimulus.contrast`).
+        """Return the beam under the drive with the highest contrast, and its bound (see `stimulus.contrast`).
 
         Parameters
         ----------
         focus, points : float and (n_points,) array
-            What reaches the level at the focusing instant, and the others, origin at mid-beam [m].
+            Point that reaches the level at the focusing instant, and the other points, origin at mid-beam [m].
         level : float
             Velocity of the focus [m/s].
 
         Returns
         -------
         played : QuantisedStimulus
-            Its codes are volts: a code is worth 1 V at the beam.
+            The beam under that drive; its codes are volts at the beam.
         bound : float
-            Level over the highest speed of the points that no drive of the family passes [1].
+            Upper bound, for all drives of the family, of the level over the highest speed of the other points [1].
         """
         from modaltouch.stimulus.contrast import HOLD, contrast_drive
 
@@ -221,16 +221,16 @@ class QuantisedStimulus:
         return replace(self, timing=timing, codes=drive), bound
 
     def pull(self, unit: FloatArray) -> FloatArray:
-        """Return the largest force by which each finger would have to stick to the beam, (n_fingers,) array [N].
+        """Return the largest tension in the contact of each finger, (n_fingers,) array [N].
 
-        The impedance holds as long as the contact can pull, which skin cannot: where this passes the force with which
-        the finger presses, skin and beam part, and no linear figure holds.
+        The impedance assumes a contact that can pull, which skin cannot: if this force exceeds the force with which the
+        finger presses, skin and beam separate, and the linear model does not hold.
         """
         if not self.model.fingers:
             return np.zeros(0)
         rows = [_force(self.model, finger, self.system) for finger in self.model.fingers]
         at_once, voltage = np.stack([direct for _, direct in rows]), self.codes * unit[:, None]
-        # The force of an inertia follows the acceleration, in which a step of voltage shows at once.
+        # The inertial force follows the acceleration, on which a voltage step acts at once.
         force = history(self.system, np.stack([row for row, _ in rows]), voltage, self.timing) + at_once @ voltage
         return np.asarray(np.abs(force).max(axis=1))
 
@@ -243,22 +243,22 @@ def settle(
     error: FloatArray,
     largest: float,
 ) -> FloatArray:
-    """Return codes, each changed by one at most, that leave next to no error of rounding at the focusing instant [1].
+    """Return codes, each changed by one at most, that leave almost no rounding error at the focusing instant [1].
 
-    The codes given are changed in place where that is better: they are those returned.
+    The given array is changed in place, if that reduces the error, and returned.
 
     Parameters
     ----------
     codes : (n_channels, n_samples) array
-        Rounded codes, counted from mid-scale [1].
+        Rounded codes, relative to mid-scale [1].
     volts_per_code : (n_channels,) array
-        At the beam [V]; 0 for a silent channel.
+        Voltage of one code at the beam [V]; 0 for a silent channel.
     system : DiagonalSystem
         The beam behind its amplifier.
     timing : Timing
         Clock of the samples.
     error : (2 n_modes,) array
-        What the codes miss of the modal velocities, then of the displacements [m/s].
+        Targets less what the codes reach: modal velocities, then displacements times angular frequency [m/s].
     largest : float
         Largest modal target [m/s].
     """
@@ -277,7 +277,7 @@ def settle(
 
 
 class _Walk:
-    """Samples visited from the focusing instant back, with what one code of theirs does to the modes."""
+    """Samples visited from the focusing instant backwards, with the effect of one code of each on the modes."""
 
     def __init__(
         self,
@@ -295,7 +295,7 @@ class _Walk:
         rate = -system.exponent.real[: system.n_beam] * timing.hold
         urgent = step > goal
         with np.errstate(over="ignore", divide="ignore"):
-            # A mode that hardly decays feels every sample.
+            # A mode that hardly decays responds to every sample.
             span = np.max(np.log(step[urgent] / goal) / rate[urgent], initial=float(n_visits))
         span = max(2, int(min(span, n_before - 2)))
         # Equal neighbours after rounding down are dropped; the first sample keeps its code.
@@ -321,7 +321,7 @@ class _Walk:
         self.half = 0.5 * np.einsum("ij,ij->i", self.move, self.pull)
 
     def settle(self, error: FloatArray) -> tuple[FloatArray, float]:
-        """Return the change of each code visited, and the largest error that they leave over [m/s]."""
+        """Return the change of each visited code, and the largest remaining error [m/s]."""
         left = error.copy()
         change = np.zeros(self.half.size)
         at_limit = np.abs(self.codes[self.channel, self.sample]) >= self.highest
@@ -335,7 +335,7 @@ class _Walk:
 
 
 def _pull_of_coupled(move: FloatArray, goal: float) -> FloatArray:
-    """Return moves, each counted in what it and those still to come can do to the modes together."""
+    """Return moves, each weighted by what it and the remaining moves together can do to the modes."""
     pull, left = np.empty_like(move), goal**2 * np.eye(move.shape[1])
     for start in reversed(range(0, len(move), _TOGETHER)):
         some = slice(start, start + _TOGETHER)
@@ -345,7 +345,7 @@ def _pull_of_coupled(move: FloatArray, goal: float) -> FloatArray:
 
 
 def _changes(gain: FloatArray, together: FloatArray, half: list[float]) -> list[float]:
-    """Return the changes of codes, -1, 0 or 1, one after the other wherever that lessens the error."""
+    """Return the changes of codes, -1, 0 or 1, chosen one after the other to reduce the error."""
     changes = [0.0] * len(half)
     for i, least in enumerate(half):
         now = gain.item(i)
@@ -359,7 +359,7 @@ def _changes(gain: FloatArray, together: FloatArray, half: list[float]) -> list[
 
 
 def _on_clock(effect: ComplexArray, system: DiagonalSystem, timing: Timing, sample: NDArray[np.int64]) -> ComplexArray:
-    """Return what a code does that is held as long as the clock holds that sample, (n_states, n or 1) array."""
+    """Return the effect of a code held as long as the clock holds its sample, (n_states, n or 1) array."""
     if timing.clock_error is None:
         return effect[:, None]
     s = system.exponent[:, None]
@@ -369,7 +369,7 @@ def _on_clock(effect: ComplexArray, system: DiagonalSystem, timing: Timing, samp
 
 
 def _force(model: ModalModel, finger: Finger, system: DiagonalSystem) -> tuple[ComplexArray, FloatArray]:
-    """What reads the force of a finger off the states, and what a volt adds to it at once, two (n_...,) arrays."""
+    """Return the output row of a finger's force, (n_states,), and the direct force per volt, (n_channels,) arrays."""
     mean = finger.mean_shape(model.shapes, model.length)
     velocity = mean @ system.velocity
     # Each state decays by its own exponent s, and the impedance at s turns its velocity into force.

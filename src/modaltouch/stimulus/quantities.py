@@ -1,4 +1,4 @@
-"""Arrays of physical quantities, and the bounds of single ones."""
+"""Array types of physical quantities, and checks of single values."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 EXTREME = 1e30
-"""Beyond it, or below its inverse, no quantity lies in SI units; within, nothing overflows where it is squared."""
+"""No quantity in SI units is larger, or smaller than the inverse; between them, squares do not overflow."""
 
 
 def require_positive(name: str, value: float, unit: str, remedy: str) -> None:
@@ -20,7 +20,7 @@ def require_positive(name: str, value: float, unit: str, remedy: str) -> None:
     Raises
     ------
     ValueError
-        If the value is not finite, or zero or below, or beyond all that a beam could be.
+        If the value is not finite, not above zero, or not between 1 / `EXTREME` and `EXTREME`.
     """
     if not (math.isfinite(value) and value > 0):
         raise ValueError(f"{name} is {value} {unit}; it must be a finite number above 0 {unit}: {remedy}")

@@ -1,9 +1,8 @@
-r"""The cheapest voltages that take the modes from rest to a given state: weights, Gramian, solution.
+r"""The least-energy voltages that take the modes from rest to a given state: weights, Gramian, solution.
 
-Least weighted energy :math:`\sum v^2/D` under :math:`R v = x_F` is solved by :math:`v = D R^T W^{-1} x_F` with
-the reachability Gramian :math:`W = R D R^T` (linear control). The rows of R are sums of exponentials and the
-weight D is one too, so that every entry of W is a geometric sum: R itself, with a column per sample, is never
-built.
+The weighted energy :math:`\sum v^2/D` subject to :math:`R v = x_F` is least for :math:`v = D R^T W^{-1} x_F` with the
+reachability Gramian :math:`W = R D R^T` (linear control). The rows of R, and the weight D, are sums of exponentials, so
+that every entry of W is a sum of geometric series: R itself, with a column per sample, is never built.
 """
 
 from __future__ import annotations
@@ -19,14 +18,14 @@ from modaltouch.stimulus.synthesis import synthesise
 
 @dataclass(frozen=True)
 class Taper:
-    """Weight 1 with raised-cosine ends; the first and the last sample weigh nothing.
+    """Weight 1 with raised-cosine ends; the first and the last sample have the weight 0.
 
     Attributes
     ----------
     n_samples : int
-        Samples weighted.
+        Number of samples.
     rise, fall : int
-        Samples from 0 to 1 at the start, and from 1 to 0 at the end, at least 1 each.
+        Number of samples from 0 to 1 at the start, and from 1 to 0 at the end, at least 1 each.
     """
 
     n_samples: int
@@ -35,7 +34,7 @@ class Taper:
 
     @classmethod
     def fitting(cls, n_samples: int, rise: float, fall: float) -> Taper:
-        """Return the taper with these ends [samples], shortened together where they would fill over half."""
+        """Return the taper with these ends [samples], both shortened if they would take more than half."""
         shrink = min(1.0, 0.5 * n_samples / max(rise + fall, 1.0))
         return cls(n_samples, max(1, int(rise * shrink)), max(1, int(fall * shrink)))
 
@@ -50,13 +49,13 @@ class Taper:
         Parameters
         ----------
         amplitude : (n_channels, n_states) complex array
-            At the last sample, before the taper [V].
+            Amplitudes at the last sample, before the taper [V].
         exponent : (n_states,) complex array
             Exponents, real parts at most 0 [1/s].
         hold : float
             Length of a sample [s].
         voltage : (n_channels, n_samples) array
-            Where they go [V]; each row contiguous.
+            Receives the voltages [V]; each row contiguous.
         """
         synthesise(amplitude, exponent, hold, voltage)
         self.apply(voltage)
@@ -73,7 +72,7 @@ class Taper:
 
 
 def raised_cosine(n: int) -> FloatArray:
-    """Return the rise of a raised cosine from 0 towards 1, (n,) array [1]; sample n would be 1."""
+    """Return a raised cosine from 0, (n,) array [1]; sample n would be 1."""
     return np.asarray(np.sin(np.arange(n) * (np.pi / (2 * n))) ** 2)
 
 
@@ -86,7 +85,7 @@ def _geometric(step: ComplexArray, over_all: ComplexArray, n: int) -> ComplexArr
 def _turned(rate: ComplexArray, over_all: ComplexArray, n: int, shift: int) -> ComplexArray:
     """Return the sum of exp(rate * m) * 2 cos(pi (m + shift) / n) for m from 0 to n - 1, with expm1(rate * n).
 
-    Over n samples the cosine turns by half a turn, so that exp(n (rate +- i pi / n)) is -exp(rate n).
+    Over n samples the cosine advances by half a period, so that exp(n (rate +- i pi / n)) = -exp(rate n).
     """
     angle = 1j * np.pi / n
     ahead, behind = np.expm1(rate + angle), np.expm1(rate - angle)
@@ -100,7 +99,7 @@ def _turned(rate: ComplexArray, over_all: ComplexArray, n: int, shift: int) -> C
 
 @dataclass(frozen=True, eq=False)
 class ReachabilityGramian:
-    """How a stretch of tapered samples reaches a state: rows in, voltages out.
+    """The reachability matrix R of tapered samples, in factors, with its Gramian.
 
     Attributes
     ----------
@@ -129,22 +128,22 @@ class ReachabilityGramian:
         return np.asarray(0.5 * gram.real.sum(axis=0))
 
     def write(self, weight: FloatArray, voltage: FloatArray) -> None:
-        """Write the tapered voltages R^T weight, one weight to each condition, into contiguous rows."""
+        """Write the voltages D R^T weight, with one weight for each condition, into contiguous rows."""
         self.taper.write(np.tensordot(weight, self.row, axes=1), self.exponent, self.hold, voltage)
 
 
 @dataclass(frozen=True, eq=False)
 class GramianSolver:
-    """Solves W x = b with rows scaled to a unit diagonal, and knows how well it can.
+    """Solves W x = b with W scaled to a unit diagonal.
 
     Attributes
     ----------
     scale : (n,) array
         Inverse square roots of the diagonal.
     eigenvalue : (n,) array
-        Of the scaled Gramian, increasing.
+        Eigenvalues of the scaled Gramian, increasing.
     eigenvector : (n, n) array
-        Of the scaled Gramian, in columns.
+        Eigenvectors of the scaled Gramian, in columns.
     """
 
     scale: FloatArray
@@ -153,12 +152,12 @@ class GramianSolver:
 
     @classmethod
     def of(cls, gramian: FloatArray, label: Sequence[int]) -> GramianSolver:
-        """Return the solver of a Gramian; `label` names the modes of the conditions, over and over, for the message.
+        """Return the solver of a Gramian; `label` has the modes of the conditions, repeated cyclically, for messages.
 
         Raises
         ------
         ValueError
-            If a condition answers to no voltage in double precision.
+            If a condition does not respond to any voltage in double precision.
         """
         diagonal = np.diag(gramian)
         lost = np.flatnonzero(~((diagonal > 0) & np.isfinite(gramian).all(axis=1)))
@@ -174,7 +173,7 @@ class GramianSolver:
 
     @property
     def condition_number(self) -> float:
-        """Largest over smallest eigenvalue of the scaled Gramian [1]; infinite where it is singular."""
+        """Largest over smallest eigenvalue of the scaled Gramian [1]; infinite if it is singular."""
         smallest = float(self.eigenvalue[0])
         return float(self.eigenvalue[-1]) / smallest if smallest > 0 else float("inf")
 

@@ -1,4 +1,4 @@
-"""The coupled equations as they are, without eigenvectors: what the law's miss is measured on where those are lost."""
+"""The coupled equations without eigenvectors, to compute the law's residual if the eigenvectors are ill-conditioned."""
 
 from __future__ import annotations
 
@@ -17,35 +17,36 @@ _BLOCK = 256
 """Samples whose effects are summed by one matrix product."""
 
 _TERMS = 5
-"""Powers of the delay of a step to the clock that are followed: the rest is below 1e-12 at 90 kHz on 250 MHz."""
+"""Number of powers of a step's delay on the clock: the remainder is below 1e-12 at 90 kHz with a 250 MHz clock."""
 
 
 @dataclass(frozen=True, eq=False)
 class RealSystem:
-    """Real first-order equations x' = matrix @ x + force @ voltage, the amplifier's states among them.
+    """Real first-order equations x' = matrix @ x + force @ voltage, including the amplifier's states.
 
     Attributes
     ----------
     matrix : (n_states, n_states) array
-        Of the state: displacements times angular frequency, velocities, Maxwell terms, amplifier.
+        System matrix; the state holds displacements times angular frequency, velocities, Maxwell terms and second
+        masses, amplifier.
     force : (n_states, n_channels) array
-        What a volt does to each state.
+        Rate of each state per volt.
     n_modes : int
         Number of modes.
     delay : float
-        From the generator's output to the beam [s].
+        Delay from the generator's output to the beam [s].
     """
 
     matrix: FloatArray
     force: FloatArray
     n_modes: int
     delay: float
-    # Decays and effects already computed, by the time.
+    # Decays and effects already computed, by time.
     _known: dict[float, tuple[FloatArray, FloatArray]] = field(default_factory=dict, init=False)
 
     @classmethod
     def of(cls, model: ModalModel, amplifier: Amplifier | None) -> RealSystem:
-        """Equations of a beam under fingers behind an amplifier."""
+        """Return the equations of a beam with fingers on it, behind an amplifier."""
         given = model.angular_frequency, model.damping_ratio, model.modal_gain, model.loads
         modes = CoupledModes.of(*given)
         if amplifier is None or amplifier.bandwidth is None:
@@ -57,7 +58,7 @@ class RealSystem:
         return cls(matrix, force, modes.n_modes, amplifier.delay)
 
     def reached(self, voltage: FloatArray, timing: Timing, instant: float) -> FloatArray:
-        """Modal velocities, then displacements times angular frequency, from rest, (2 n_modes,) array [m/s].
+        """Return modal velocities, then displacements times angular frequency, from rest, (2 n_modes,) array [m/s].
 
         Parameters
         ----------
@@ -66,7 +67,7 @@ class RealSystem:
         timing : Timing
             Clock of the samples.
         instant : float
-            From the start of the burst [s].
+            Time from the start of the burst [s].
         """
         n_whole, remainder = timing.samples_until(instant - self.delay)
         n_whole = min(n_whole, voltage.shape[1])
@@ -87,7 +88,7 @@ class RealSystem:
         return np.concatenate([state[n : 2 * n], state[:n]])
 
     def _held(self, time: float) -> tuple[FloatArray, FloatArray]:
-        """Decay over a time [s], and what a volt held for it leaves in the states."""
+        """Return the decay matrix over a time [s], and what a volt held for that time adds to the states."""
         if time not in self._known:
             from scipy.linalg import expm
 
@@ -101,7 +102,7 @@ class RealSystem:
     def _inputs(
         self, voltage: FloatArray, timing: Timing, over: FloatArray, held: FloatArray
     ) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Yield effects and inputs: the voltages, then the steps times powers of their delay to the clock."""
+        """Yield effects and inputs: the voltages, then the steps times powers of their delay on the clock."""
         yield held, voltage
         effect = over @ self.force
         for term, steps in zip(range(1, _TERMS + 1), late_steps(voltage, timing, 0, voltage.shape[1]), strict=False):
@@ -110,12 +111,12 @@ class RealSystem:
 
 
 def _summed(samples: FloatArray, over: FloatArray, effect: FloatArray) -> FloatArray:
-    """Sum of ``over**(samples after it) @ effect @ sample``, (n_states,) array."""
+    """Return the sum of ``over**(samples after it) @ effect @ sample``, (n_states,) array."""
     rows, power = effect[None], over
     while len(rows) < _BLOCK:
         rows, power = np.concatenate([rows, power @ rows]), power @ power
     filled = np.pad(samples, ((0, 0), (-samples.shape[1] % _BLOCK, 0)))
-    # The small array is turned, not the long one, and no channel is copied.
+    # The small array is transposed, not the long one, and no channel is copied.
     turned = np.ascontiguousarray(rows[::-1].transpose(2, 0, 1))
     state = np.zeros(len(over))
     for push in (filled.reshape(len(samples), -1, _BLOCK) @ turned).sum(axis=0):

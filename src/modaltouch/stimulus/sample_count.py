@@ -1,7 +1,7 @@
-"""How few samples will do: the cheapest count that keeps the field around the focus within a tolerance.
+"""The least number of samples with which the field around the focusing instant stays within a tolerance.
 
-The state at the focusing instant hardly depends on the count, since the law is exact for its own clock; what
-more samples buy is the field in the milliseconds around it.
+The state at the focusing instant hardly depends on that number, since the law is exact for its own clock; more samples
+improve the field in the milliseconds around it.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import history
 
 LEAST_SAMPLES_PER_CYCLE = 2.5
-"""Of the highest mode, whatever the tolerance [1]."""
+"""Fewest samples per cycle of the highest mode, whatever the tolerance [1]."""
 
 _AROUND = 1e-3
-"""Half of the stretch around the focusing instant that is compared [s]."""
+"""Half width of the time around the focusing instant in which fields are compared [s]."""
 
 
 @dataclass(frozen=True)
 class SampleCount:
-    """The cheapest count of samples, and what every count that was tried would cost in accuracy.
+    """The least sufficient number of samples, and the errors of the numbers that were tried.
 
     Attributes
     ----------
     stimulus : Stimulus
-        The design on the cheapest count.
+        The design with that number of samples.
     error : float
-        Largest change of the field around the focus against the finest count, over its peak [1].
+        Largest deviation of the field around the focusing instant from that of the finest design, over the level [1].
     tried : tuple of (int, float)
-        Counts tried, and their errors [1].
+        Numbers of samples tried, and their errors [1].
     """
 
     stimulus: Stimulus
@@ -45,11 +45,11 @@ class SampleCount:
 
     @property
     def n_samples(self) -> int:
-        """The cheapest count."""
+        """Number of samples."""
         return self.stimulus.timing.n_samples
 
     def __str__(self) -> str:
-        """Say what was picked, and why."""
+        """Return the number chosen, and why."""
         finest = self.tried[-1][0]
         return (
             f"{self.n_samples} samples keep the field within {self.error:.1e} of that of {finest} samples; "
@@ -58,21 +58,21 @@ class SampleCount:
 
 
 def cheapest_samples(finest: Stimulus, tolerance: float, positions: ArrayLike) -> SampleCount:
-    """Return the fewest samples, each held for whole clocks, that keep the field around the focus.
+    """Return the least number of samples, each held for whole clock cycles, that keeps the field around the focus.
 
     Parameters
     ----------
     finest : Stimulus
-        The design on the finest count, which the others are measured by.
+        The design with the most samples, the reference.
     tolerance : float
         Allowed change of the field within 1 ms of the focusing instant, over the level [1].
     positions : (n_positions,) array_like
-        Where the field is compared, origin at mid-beam [m].
+        Points at which the field is compared, origin at mid-beam [m].
 
     Returns
     -------
     SampleCount
-        Never fewer than 2.5 samples per cycle of the highest mode; the finest count where no other will do.
+        Never fewer than 2.5 samples per cycle of the highest mode; the finest design if no other is sufficient.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def cheapest_samples(finest: Stimulus, tolerance: float, positions: ArrayLike) -
 
 
 def _counts(finest: Stimulus) -> Iterator[int]:
-    """Yield the counts that divide the finest, each sample held whole clocks, from the fewest on."""
+    """Yield, in increasing order, the divisors of the finest number with samples of whole clock cycles."""
     timing = finest.timing
     highest = float(finest.model.natural_frequency.max())
     least = max(2, math.ceil(LEAST_SAMPLES_PER_CYCLE * highest * timing.duration))

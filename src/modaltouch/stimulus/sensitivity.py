@@ -1,7 +1,8 @@
-r"""How well a lab must identify its beam: what an error of each parameter does to the field at the focus.
+r"""How accurately a lab must identify its beam: the effect of an error of each parameter on the field at the focus.
 
-The voltages stay as they were designed; the beam differs. Open loop is limited by identification, not by the
-codes: their 1e-13 means nothing without this table. Fingers couple the modes: each parameter then moves them all.
+The voltages stay as they were designed; the beam differs. An open loop is limited by the identification, not by the
+drive, whose residual of 1e-13 means nothing without this table. With fingers, which couple the modes, each parameter
+affects all modes.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from modaltouch.stimulus.quantities import FloatArray
 from modaltouch.stimulus.stimulus import Stimulus
 
 _STEP = 1e-5
-"""Relative change of a parameter for its derivative [1]: 30 kHz turn by 0.05 rad until the focus."""
+"""Relative step of a parameter for its derivative [1]: 0.05 rad at 30 kHz until the focusing instant."""
 
 
 def focus_sensitivity(
@@ -28,7 +29,7 @@ def focus_sensitivity(
     damping_ratio: float = 0.05,
     modal_gain: float = 0.05,
 ) -> list[dict[str, float | int | str]]:
-    """Return what given relative errors do at the focusing instant, to first order, the worst first.
+    """Return the first-order effects of given relative errors at the focusing instant, the worst first.
 
     Derivatives are central differences of the fourth order, at the reference level.
 
@@ -37,9 +38,9 @@ def focus_sensitivity(
     stimulus : Stimulus
         The design.
     positions : (n_points,) array_like
-        Where the field is looked at, origin at mid-beam [m].
+        Points of the field, origin at mid-beam [m].
     natural_frequency, damping_ratio, modal_gain : float
-        Relative errors of one mode [1]; the gain's is common to all channels.
+        Relative errors of one mode [1]; that of the gain is common to all channels.
 
     Returns
     -------
@@ -59,21 +60,21 @@ def focus_sensitivity(
 
 
 def derivative(stimulus: Stimulus, name: str, place: int) -> FloatArray:
-    """Return what a relative change of a mode's parameter does to each mode's velocity and w eta at the focus.
+    """Return the derivative of each mode's velocity and w eta at the focusing instant by the log of a mode's parameter.
 
     Parameters
     ----------
     stimulus : Stimulus
         The design.
     name : str
-        ``natural_frequency``, ``damping_ratio`` or ``modal_gain``, of all channels.
+        ``natural_frequency``, ``damping_ratio`` or ``modal_gain`` (of all channels).
     place : int
-        Place of the mode in the model.
+        Index of the mode in the model.
 
     Returns
     -------
     (2, n_modes) array
-        Per relative change [m/s].
+        Derivatives by a relative change [m/s].
     """
     change = np.zeros((2, stimulus.model.n_modes))
     for step, weight in ((-2, 1), (-1, -8), (1, 8), (2, -1)):
@@ -84,14 +85,14 @@ def derivative(stimulus: Stimulus, name: str, place: int) -> FloatArray:
 
 
 def _reached(stimulus: Stimulus, beam: ModalModel) -> FloatArray:
-    """Return the modal velocities and w eta of another beam at the focus under the voltages as designed."""
+    """Return modal velocities and w eta of another beam at the focusing instant under the designed voltages."""
     system, timing = DiagonalSystem.of(beam, stimulus.amplifier), stimulus.timing
     return np.stack(system.read(system.state_at(stimulus.voltage, timing, timing.focusing_instant)))
 
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """What an uncertain beam makes of a design.
+    """Results of a design on randomly drawn beams.
 
     Attributes
     ----------
@@ -120,20 +121,20 @@ def scatter(
     n_draws: int = 200,
     seed: int = 0,
 ) -> Scatter:
-    """Return what beams drawn around the identified one make of the voltages as designed.
+    """Return the motion of beams drawn around the identified one under the designed voltages.
 
     Parameters
     ----------
     stimulus : Stimulus
         The design.
     positions : (n_points,) array_like
-        Where the field is looked at, origin at mid-beam [m].
+        Points of the field, origin at mid-beam [m].
     natural_frequency, damping_ratio, modal_gain : float
-        Relative standard deviations, log-normal, each mode on its own [1].
+        Relative standard deviations, log-normal, independent for each mode [1].
     n_draws : int
-        Beams drawn, at least 2.
+        Number of beams drawn, at least 2.
     seed : int
-        Of the random numbers.
+        Seed of the random numbers.
 
     Raises
     ------

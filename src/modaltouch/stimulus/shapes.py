@@ -1,4 +1,4 @@
-"""Mode shapes of a free-free beam from theory, accurate to rounding at any label, and what patches do to them."""
+"""Theoretical mode shapes of a free-free beam, accurate to rounding at any label, and how patches drive them."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from numpy.typing import ArrayLike
 from modaltouch.stimulus.quantities import FloatArray
 
 _ASIN_ITERATIONS = 12
-"""The fixed point contracts by sech(4.73) = 0.018 at worst: twelve steps leave nothing in double precision."""
+"""The iteration contracts by sech(4.73) = 0.018 at worst: twelve steps converge in double precision."""
 
 
 @cache
 def characteristic_root(bending: int) -> float:
     r"""Return the root of :math:`\cos\lambda\,\cosh\lambda = 1` of a bending mode [1].
 
-    The root is :math:`(2n+1)\pi/2 + d` with :math:`\sin d = (-1)^{n+1} \operatorname{sech} \lambda`, iterated
-    on the small `d`; cosh is never formed, so that no mode overflows.
+    The root is :math:`(2n+1)\pi/2 + d` with :math:`\sin d = (-1)^{n+1} \operatorname{sech} \lambda`, which is iterated
+    for the small `d`; cosh is never computed, so that no mode overflows.
 
     Parameters
     ----------
@@ -57,8 +57,8 @@ def mode_shapes(label: ArrayLike, position: ArrayLike, length: float, derivative
     .. math:: \frac{\cos \lambda y}{\cos \lambda/2}
        + \frac{e^{-\lambda(1/2-|y|)} + e^{-\lambda(1/2+|y|)}}{1 + e^{-\lambda}},
 
-    an antisymmetric one its sine analogue: no growing exponential, hence good to rounding at any label, where
-    the textbook difference of cosh and sinh is meaningless from n = 12 on.
+    an antisymmetric one its sine analogue. There is no growing exponential, so these are accurate to rounding at any
+    label, whereas the textbook difference of cosh and sinh is meaningless from n = 12 on.
 
     Parameters
     ----------
@@ -103,11 +103,11 @@ def mode_shapes(label: ArrayLike, position: ArrayLike, length: float, derivative
 
 
 def patch_gains(label: ArrayLike, patches: Sequence[tuple[float, float]], length: float) -> FloatArray:
-    """Return how strongly piezoelectric patches wired together drive each mode, by theory, (n_modes,) array.
+    """Return the relative modal gains of piezoelectric patches wired together, by theory, (n_modes,) array.
 
-    A patch bends the beam by a pair of moments at its ends, which a mode feels by the difference of its slopes there.
-    Theory gives the ratios among the modes; their common factor is measured on one of them. Rigid modes feel no moment
-    pair: what drives them in practice, the tape under the beam, is not of this theory.
+    A patch bends the beam by opposite moments at its two ends and drives a mode in proportion to the difference of its
+    slopes there. Theory gives the ratios among the modes; their common factor must be measured on one of them. A moment
+    pair does not drive the rigid modes: what drives them in practice, the tape under the beam, is not modelled.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A stimulus: from a target field to voltages, their codes, and the beam's response at every level."""
+"""Stimulus: from a target field to voltages, their codes, and the beam's response at every level."""
 
 from __future__ import annotations
 
@@ -37,45 +37,45 @@ if TYPE_CHECKING:
     from modaltouch.stimulus.fingers import Finger
 
 _SHARED = ("projection", "system")
-"""What is computed and does not depend on the drive law."""
+"""Cached properties that do not depend on the drive law."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stimulus:
     """Voltages for a target field, their codes, and the beam's response at every level.
 
-    Everything is computed when first asked for, and only then.
+    Everything is computed when first needed.
 
     Attributes
     ----------
     model : ModalModel
         The identified beam.
     target_field : TargetField
-        The target field; its velocity is the reference level, the highest.
+        The target field; its velocity is the reference level, which is the highest.
     timing : Timing
         Samples, clock and focusing instant.
     amplifier : Amplifier
-        Between generator and beam.
+        The amplifier between generator and beam.
     law : str
         ``exact`` (every modelled mode meets its target) or ``paper`` (equations 6 and 7).
     release : str
-        ``braked`` (at rest when the burst ends) or ``free`` (zero volts after the focus).
+        ``braked`` (at rest at the end of the burst) or ``free`` (zero volts after the focusing instant).
     levels : tuple of float
-        Levels whose amplitudes shall lie on the generator's grid [m/s].
+        Levels whose amplitudes should be close to the generator's grid [m/s].
     load_factor : float
-        Share of the generator's open-circuit voltage that reaches the amplifier's input: 1 into high impedance,
-        0.5 into 50 ohm [1].
+        Fraction of the generator's open-circuit voltage at the amplifier's input: 1 into high impedance, 0.5 into
+        50 ohm [1].
     rounding : str
-        ``settled`` (single codes changed so that rounding costs next to nothing at the focus; the paper's law,
-        which misses by far more, is left alone) or ``plain``.
+        ``settled`` (single codes are changed so that rounding causes almost no error at the focusing instant; not with
+        the paper's law, whose own error is far larger) or ``plain``.
     correction : Correction, optional
-        What a calibration makes of the targets of the exact law and of the amplitudes.
+        Corrections, by a calibration, of the targets of the exact law and of the amplitudes.
     design : str
-        Of the exact law: ``least_energy``; ``norm_4`` or ``norm_8``, of less peak voltage for more energy; or
-        ``least_peak``, which jumps from end to end and excites what is not modelled.
+        Design of the exact law: ``least_energy``; ``norm_4`` or ``norm_8``, with less peak voltage but more energy; or
+        ``least_peak``, which switches between the extremes and excites modes that are not modelled.
     priority : str
-        ``field`` (the whole field, whatever its voltage) or ``level`` (the level at the focus exactly, and the field as
-        nearly as the amplifier's limit allows).
+        ``field`` (the whole field, whatever its voltage) or ``level`` (the exact level at the focus, with the field as
+        close as the amplifier's limit allows).
     """
 
     model: ModalModel
@@ -93,7 +93,7 @@ class Stimulus:
 
     @cached_property
     def projection(self) -> Projection:
-        """The target field as the modelled modes see it."""
+        """The target field projected on the modelled modes."""
         return Projection(self.model, self.target_field)
 
     @property
@@ -113,7 +113,7 @@ class Stimulus:
 
     @cached_property
     def corrected_target(self) -> tuple[FloatArray, FloatArray]:
-        """What the law steers the model to at the reference level: the targets, or what a calibration makes of them.
+        """Targets of the law at the reference level, corrected by a calibration if there is one.
 
         Modal velocities, and displacements times angular frequency, two (n_modes,) arrays [m/s].
         """
@@ -133,7 +133,7 @@ class Stimulus:
 
     @cached_property
     def drive(self) -> Drive:
-        """Voltages before rounding, and how well they were solved for."""
+        """Voltages before rounding, and how accurately they meet the targets."""
         if (self.law, self.priority, self.design) == ("exact", "field", "least_energy"):
             return exact_drive(self._steering)
         from modaltouch.stimulus.other_drives import least_norm, least_peak, level_first_drive, paper_drive
@@ -158,10 +158,11 @@ class Stimulus:
         return np.asarray(np.maximum(self.voltage.max(axis=1), -self.voltage.min(axis=1)))
 
     def compare_designs(self, unmodelled: ModalModel) -> list[dict[str, float | str]]:
-        """Return what each design costs, and how fast it leaves modes that the model lacks, on the same channels.
+        """Return voltage and energy of each design, and how strongly it excites modes that the model lacks.
 
         Each is a dict of ``name``, ``peak_voltage`` [V], ``energy`` [V^2 s], ``residual`` [m/s] and
-        ``unmodelled_speed``, the largest ``|velocity|`` or ``|w eta|`` of those modes at the focusing instant [m/s].
+        ``unmodelled_speed``, the largest ``|velocity|`` or ``|w eta|`` of those modes, which are driven by the same
+        channels, at the focusing instant [m/s].
         """
         from modaltouch.stimulus.other_drives import compare_designs
 
@@ -182,7 +183,7 @@ class Stimulus:
 
     @property
     def _to_beam(self) -> float:
-        """Volts at the beam for a volt of the open generator [1]."""
+        """Voltage at the beam per open-circuit voltage of the generator [V/V]."""
         return self.amplifier.gain * self.load_factor
 
     @cached_property
@@ -193,7 +194,7 @@ class Stimulus:
 
     @cached_property
     def _played(self) -> QuantisedStimulus:
-        """The codes, and what they do to the beam."""
+        """The codes, and the motion that they cause."""
         converter = self.timing.converter
         volts_per_code = np.asarray(self._full_scale) * (self._to_beam / 2 / converter.mid_code)
         codes = converter.round_to_codes(self.voltage, volts_per_code)
@@ -202,12 +203,12 @@ class Stimulus:
             error = self._reached - np.concatenate(self.system.read(states))
             codes = settle(codes, volts_per_code, self.system, self.timing, error, float(np.abs(self.target).max()))
         played = QuantisedStimulus(self.model, self.amplifier, self.timing, codes)
-        vars(played)["system"] = self.system  # under fingers it takes long
+        vars(played)["system"] = self.system  # slow to compute with fingers
         return played
 
     @property
     def _reached(self) -> FloatArray:
-        """What the voltages bring the modes to before rounding, (2 n_modes,) array [m/s]."""
+        """Modal velocities, then w eta, that the voltages reach before rounding, (2 n_modes,) array [m/s]."""
         if self.priority == "field":
             return np.concatenate(self.corrected_target)
         timing = self.timing
@@ -218,19 +219,19 @@ class Stimulus:
         return self._played.highest * self.volts_per_code(velocity)
 
     def touched(self, fingers: tuple[Finger, ...]) -> QuantisedStimulus:
-        """Return the beam under fingers while the codes are played; take `volts_per_code` for what a code is worth."""
+        """Return the codes played on the beam with fingers; the voltage of a code is `volts_per_code`."""
         return replace(self._played, model=self.model.touched(fingers))
 
     def under_law(self, law: Law) -> Stimulus:
-        """Return the same stimulus under another drive law; what does not depend on the law is not computed again."""
+        """Return the same stimulus under another drive law, with results that do not depend on the law."""
         other = replace(self, law=law, design=self.design if law == "exact" else "least_energy", priority="field")
         vars(other).update({name: getattr(self, name) for name in _SHARED})
         return other
 
     def volts_per_code(self, velocity: float) -> FloatArray:
-        """Return what a code is worth at the beam at a level [m/s] as the generator plays, (n_channels,) array [V]."""
+        """Return the voltage of one code at the beam at a level [m/s], amplitudes rounded, (n_channels,) array [V]."""
         require_positive("the velocity level", velocity, "m/s", MEANT)
-        # A level is trimmed so that the generator, as measured, really gives what proportion asks of it.
+        # Without a calibration's amplitude factors, which only correct what the real generator gives at this level.
         burst = self.burst
         amplitude = burst.converter.amplitudes_at(burst.amplitude, velocity, burst.velocity, burst.shares)
         return np.asarray(amplitude) / burst.shares * (self._to_beam / 2 / self.timing.converter.mid_code)
@@ -240,14 +241,14 @@ class Stimulus:
         return self._played.codes * self.volts_per_code(velocity)[:, None]
 
     def achieved(self, velocity: float, *, steady: bool = False) -> tuple[FloatArray, FloatArray]:
-        """Return what the rounded codes do to the modes at the focusing instant.
+        """Return the state of the modes that the rounded codes reach at the focusing instant.
 
         Parameters
         ----------
         velocity : float
             Level [m/s].
         steady : bool
-            Once the burst has been repeated for long; of the first burst, if not.
+            Whether in the steady state of the repeated burst; else in the first burst.
 
         Returns
         -------
@@ -265,12 +266,12 @@ class Stimulus:
         Parameters
         ----------
         velocity, steady
-            As for `achieved`.
+            As in `achieved`.
         """
         return self._worst_error(self.achieved(velocity, steady=steady), velocity)
 
     def worst_modal_error_of(self, codes: NDArray[np.uint16], timing: Timing, velocity: float) -> float:
-        """Return the largest modal error where other codes are played on another clock [m/s].
+        """Return the largest modal error if other codes are played, on another clock [m/s].
 
         Parameters
         ----------
@@ -289,18 +290,18 @@ class Stimulus:
         return float(np.abs(np.concatenate(achieved) - corrected_target).max())
 
     def velocity_at_focus(self, positions: ArrayLike, velocity: float) -> FloatArray:
-        """Return the velocity at points of the beam [m] at the focus, at a level [m/s], (n_positions,) array [m/s]."""
+        """Return the velocity at points [m] at the focusing instant, at a level [m/s], (n_positions,) array [m/s]."""
         return self._played.velocity_at_focus(positions, self.volts_per_code(velocity))
 
     def passes(self, positions: ArrayLike, velocity: float, limit: float) -> bool:
-        """Return whether the speed at any of some points of the beam passes a limit.
+        """Return whether the speed at any of the points exceeds a limit.
 
-        No more is computed than it takes to know: far below the limit, an upper bound is enough.
+        Far below the limit, only an upper bound is computed.
 
         Parameters
         ----------
         positions, velocity
-            As for `velocity_at_focus`.
+            As in `velocity_at_focus`.
         limit : float
             Speed [m/s].
         """
@@ -312,14 +313,14 @@ class Stimulus:
         Parameters
         ----------
         positions, velocity
-            As for `velocity_at_focus`.
+            As in `velocity_at_focus`.
         whole_period : bool
-            Until the next burst would begin, with nothing played after this one; else to the end of the burst.
+            Whether to go on to the end of the period, with silence after the burst; else to the end of the burst.
 
         Returns
         -------
         (n_positions, n_samples) array
-            Velocity at the start of each sample as it arrives, at ``n * hold + delay`` [m/s].
+            Velocity when each sample begins at the beam, at ``n * hold + delay`` [m/s].
         """
         voltage = self.voltage_played(velocity)
         if whole_period:
@@ -333,7 +334,7 @@ class Stimulus:
         Parameters
         ----------
         positions, velocity
-            As for `velocity_at_focus`.
+            As in `velocity_at_focus`.
         """
         return self._played.peak_velocity(positions, self.volts_per_code(velocity))
 
@@ -353,12 +354,12 @@ def design_stimulus(
     priority: Priority = "field",
     correction: Correction | None = None,
 ) -> Stimulus:
-    """Return the stimulus that makes a target field at the focusing instant.
+    """Return the stimulus that produces a target field at the focusing instant.
 
     Parameters
     ----------
     model, target_field, timing, amplifier, law, release, load_factor, rounding, design, priority, correction
-        As for `Stimulus`.
+        As in `Stimulus`.
     levels : tuple of float, optional
         Every level that will be played [m/s]; the target field's own if not given.
 

@@ -1,7 +1,7 @@
-"""Sums of decaying sinusoids, sampled fast: coarse steps times fine steps, one matrix product per channel.
+"""Fast sampling of sums of decaying sinusoids: coarse steps times fine steps, one matrix product per channel.
 
-Everything is counted in steps *before* an end, where each exponential is 1: nothing overflows however long a
-burst. Work is done in chunks from the end, so that no memory grows with the number of samples.
+Steps are counted back from an end, where each exponential is 1, so that nothing overflows however long the burst. Work
+is done in chunks from the end, so that memory does not grow with the number of samples.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ CHUNK = 512
 """Blocks per chunk: bounds the memory; one chunk holds the longest record of the generator."""
 
 _DEAD = 2.0**-53
-"""An exponential below this fraction of the channel's largest is lost in its rounding."""
+"""Fraction of a channel's largest exponential below which another is lost in its rounding [1]."""
 
 _WORTH = 64
-"""Blocks that must be spared before a matrix product is split in two."""
+"""Number of blocks that must be saved to split a matrix product in two."""
 
 _STEP = 8
-"""Lives are counted in as many blocks as a matrix product takes rows at a time."""
+"""Granularity of lives in blocks: the number of rows that a matrix product takes at a time."""
 
 _TWO_PI = np.longdouble("6.283185307179586476925286766559005768")
 
 
 def decay(exponent: ComplexArray, hold: float, steps: NDArray[np.int64]) -> ComplexArray:
-    """Return exp(exponent * hold * steps), phases reduced to a turn before rounding, (n, n_steps) array [1]."""
+    """Return exp(exponent * hold * steps), phases reduced modulo 2 pi before rounding, (n, n_steps) array [1]."""
     per_step = exponent.imag.astype(np.longdouble) * (np.longdouble(hold) / _TWO_PI)
     turns = per_step[:, None] * steps
     turns -= np.rint(turns)
@@ -49,14 +49,14 @@ def ladders(exponent: ComplexArray, hold: float, n_blocks: int) -> tuple[Complex
     """Return the decays towards an end, by samples within a block and by blocks.
 
     They run over BLOCK - 1 down to 0 samples, (n, BLOCK) array, and over `n_blocks` down to 0 blocks, (n_blocks + 1, n)
-    array. Each table is the product of two short ones: few exponentials are evaluated.
+    array. Each table is the product of two short ones, so that few exponentials are evaluated.
     """
     return _ladders(exponent.tobytes(), hold, n_blocks)
 
 
 @lru_cache(maxsize=8)
 def _ladders(exponents: bytes, hold: float, n_blocks: int) -> tuple[ComplexArray, ComplexArray]:
-    """Return the ladders, read-only: a design climbs the same ones again and again."""
+    """Return the tables of `ladders`, read-only and cached: a design uses the same ones many times."""
     exponent = np.frombuffer(exponents, dtype=complex)
     rung, stride = math.isqrt(BLOCK), math.isqrt(n_blocks) + 1
     short, long = np.arange(rung - 1, -1, -1), np.arange(stride - 1, -1, -1)
@@ -76,8 +76,8 @@ def synthesise(amplitude: ComplexArray, exponent: ComplexArray, hold: float, out
     """Write sums of exponentials that end, at full amplitude, on the last sample.
 
     Sample n of channel c is the real part of
-    ``sum(amplitude[c] * exp(exponent * hold * (n_samples - 1 - n)))``. Exponentials that have not yet begun to
-    matter, and channels that carry nothing, cost nothing.
+    ``sum(amplitude[c] * exp(exponent * hold * (n_samples - 1 - n)))``. Exponentials are skipped where they are
+    negligible, and so are silent channels.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def synthesise(amplitude: ComplexArray, exponent: ComplexArray, hold: float, out
     hold : float
         Length of a sample [s].
     out : (n_channels, n_samples) array
-        Where the samples go [V]; each row contiguous.
+        Receives the samples [V]; each row contiguous.
     """
     threshold = [_DEAD * max(each, default=0.0) for each in np.abs(amplitude).tolist()]
     stop = out.shape[1]
@@ -112,7 +112,7 @@ def _write_chunk(
         [_life(size, least, fading, n_blocks + 1) for size, fading in zip(sizes, rate, strict=True)]
         for sizes, least in zip(np.abs(ordered).tolist(), threshold, strict=True)
     ]
-    # Exponentials that some channels do not carry go with the others: leaving them out would save less than a tenth.
+    # Exponentials that are zero on some channels are not left out there: that would save less than a tenth.
     if all(map(any, lives)):
         _write_rows(coarse, ordered, fine, list(map(max, zip(*lives, strict=True))), out)
         return
@@ -125,7 +125,7 @@ def _write_chunk(
 def _by_life(
     exponents: bytes, hold: float, n_blocks: int
 ) -> tuple[NDArray[np.intp], ComplexArray, ComplexArray, list[float]]:
-    """Return exponentials' order from the slowest on, and in it their ladders and by what they fade in a block."""
+    """Return the order of exponentials from the slowest decay on, and in it their ladders and decay rates per block."""
     exponent = np.frombuffer(exponents, dtype=complex)
     fine, coarse = ladders(exponent, hold, n_blocks)
     order = np.argsort(-exponent.real, kind="stable")
@@ -135,7 +135,7 @@ def _by_life(
 
 
 def _life(size: float, threshold: float, rate: float, longest: int) -> int:
-    """Return for how many blocks before the end an exponential matters, in steps of those a product takes at once."""
+    """Return the number of blocks before the end in which an exponential matters, rounded up to steps of `_STEP`."""
     if size <= threshold:
         return 0
     if threshold == 0.0:
@@ -147,9 +147,9 @@ def _life(size: float, threshold: float, rate: float, longest: int) -> int:
 def _write_rows(
     coarse: ComplexArray, amplitude: ComplexArray, fine: ComplexArray, alive_for: list[int], rows: FloatArray
 ) -> None:
-    """Write channels stretch by stretch, each with the exponentials alive in it, which come first.
+    """Write channels in stretches of blocks, each with only the exponentials that matter in it, which come first.
 
-    Stretches shorter than what a matrix product costs by itself are joined to the next, longer one.
+    Stretches too short to be worth a matrix product are joined to the next, longer one.
     """
     if not any(alive_for):
         rows[:] = 0.0

@@ -1,4 +1,4 @@
-"""The target field: the velocity asked for at the focusing instant, and what the modes of a beam can make of it."""
+"""The target field, the velocity asked for at the focusing instant, and its projection on the modes of a beam."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ _PROFILES: dict[Shape, Callable[[FloatArray], FloatArray]] = {
     "half_cosine": lambda u: np.cos(np.pi * u / 2),
     "raised_cosine": lambda u: 0.5 + 0.5 * np.cos(np.pi * u),
 }
-"""Fields of bounded width against the distance from their centre, 1 at their edge [1]."""
+"""Shapes of bounded width, as functions of the distance from the centre over half the base [1]."""
 
 _NODES = 16
 _PHASE_PER_PANEL = 10.0
 """A 16-node Gauss rule integrates 10 rad of a sinusoid to 1e-22 of its own amplitude."""
 
 _NOTHING = 1e-9
-"""A projection below this fraction of the target field is rounding, not vibration."""
+"""Fraction of the target field below which a projection is due to rounding [1]."""
 
 
 @dataclass(frozen=True)
@@ -42,21 +42,21 @@ class TargetField:
     shape : str
         ``triangle``, ``box``, ``half_cosine``, ``raised_cosine``, ``gaussian``, or ``sampled`` (see `points`).
     base : float
-        Width of the field where it leaves zero [m]; for a Gaussian, which never does, its full width at half
-        maximum; without meaning for a sampled field.
+        Width of the base of the shape [m]; for a Gaussian, its full width at half maximum; not used for a sampled
+        field.
     centre : float
-        Where the level holds, the peak of a shape, origin at mid-beam [m].
+        Position at which the level holds, the peak of a shape, origin at mid-beam [m].
     velocity : float
         Velocity at the centre at the focusing instant, for the highest level [m/s].
     n_decomposed : int
-        The field is decomposed on modes 1 to this label.
+        Number of modes on which the field is decomposed, those with the labels 1 to `n_decomposed`.
     selection : int or tuple of int
         Number of strongest modelled modes to excite, or their labels.
     further_centres : tuple of float
-        Where else the same shape is to be at the same time [m]; where shapes overlap the higher counts.
+        Centres of further copies of the shape at the same time [m]; where shapes overlap, the higher one counts.
     points : tuple of (float, float)
-        Positions [m], increasing, and velocities relative to each other of a sampled field: straight lines
-        between, zero outside.
+        Points of a sampled field: increasing positions [m] and relative velocities, with straight lines between them
+        and zero outside.
     """
 
     shape: Shape = "triangle"
@@ -69,7 +69,7 @@ class TargetField:
     points: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse a field that no beam can follow."""
+        """Refuse a field that is not well defined."""
         if self.shape not in get_args(Shape):
             raise ValueError(f"the field shape {self.shape!r} is unknown; allowed: {', '.join(get_args(Shape))}")
         require_positive("the base of the field", self.base, "m", "the shipped field has 56 mm")
@@ -139,15 +139,15 @@ class TargetField:
             inner = [at for at, _ in self.points]
         else:
             inner = [c + side * self.base / 2 for c in self.centres for side in (-1, 0, 1)]
-            # Two overlapping shapes of one kind cross midway between their centres.
+            # Two overlapping copies of a shape cross midway between their centres.
             inner += [(a + b) / 2 for a in self.centres for b in self.centres if a < b]
         return [-half, *sorted({x for x in inner if -half < x < half}), half]
 
 
 @lru_cache(maxsize=1)
 def _gauss_rule() -> tuple[FloatArray, FloatArray]:
-    # By the eigenvalues of the recurrence's matrix (Golub and Welsch): numpy.polynomial takes longer to import than
-    # the whole stimulus to design.
+    # From the eigenvalues of the Jacobi matrix (Golub and Welsch): importing numpy.polynomial takes longer than
+    # designing the whole stimulus.
     k = np.arange(1, _NODES)
     beside = k / np.sqrt(4.0 * k**2 - 1)
     node, vector = np.linalg.eigh(np.diag(beside, 1) + np.diag(beside, -1))
@@ -155,7 +155,7 @@ def _gauss_rule() -> tuple[FloatArray, FloatArray]:
 
 
 def quadrature(edges: list[float], phase_rate: float) -> tuple[FloatArray, FloatArray]:
-    """Return nodes and weights [m] that integrate products of smooth pieces and mode shapes to rounding.
+    """Return nodes and weights [m] that integrate products of smooth pieces and mode shapes to rounding accuracy.
 
     The pieces end at `edges`, increasing [m]; `phase_rate` is the fastest phase of the integrand [rad/m].
     """
@@ -187,7 +187,7 @@ class Projection:
     target_field: TargetField
 
     def __post_init__(self) -> None:
-        """Refuse a field that the modelled modes cannot follow."""
+        """Refuse a field that does not fit the modelled modes."""
         half = self.model.length / 2
         off = [centre for centre in self.target_field.centres if abs(centre) > half]
         if off:
@@ -234,13 +234,13 @@ class Projection:
     def coefficient(self) -> FloatArray:
         """Coefficients of the target field at unit velocity on the modelled modes, (n_modes,) array [1]."""
         if self.model.basis is not None:
-            # Few scan points: least squares, where a sum over them would err by a quarter.
+            # With few scan points, a sum over them would err by a quarter, but least squares does not.
             return self.model.basis.project(self.target_field.profile(self.model.basis.position))
         phase_rate = (max(self.model.label) + 1) * 2 * np.pi / self.model.length
         position, weight = quadrature(self.target_field.edges(self.model.length), phase_rate)
         profile = self.target_field.profile(position)
         if self.model.beam is not None:
-            # Deflections alone are not quite orthogonal where the section's rotation carries inertia.
+            # With rotary inertia, deflections alone are not quite orthogonal.
             shapes = self.model.shapes(position)
             return np.asarray(np.linalg.solve((shapes * weight) @ shapes.T, shapes @ (weight * profile)))
         alive = profile != 0
@@ -259,7 +259,7 @@ class Projection:
     def target(self) -> FloatArray:
         """Modal velocities at the focusing instant, (n_modes,) array [m/s], 0 for modes not selected.
 
-        Scaled so that they add up to the velocity asked for at the centre of the field.
+        They are scaled so that they add up to the level at the centre of the field.
         """
         chosen = np.isin(self.model.label, self.selected)
         kept = np.where(chosen, self.coefficient, 0.0)
@@ -273,7 +273,7 @@ class Projection:
         return kept * (self.target_field.velocity / at_centre)
 
     def field(self, position: ArrayLike) -> FloatArray:
-        """Return the velocity that the selected modes make at positions on the beam [m], (n_points,) array [m/s]."""
+        """Return the velocity of the selected modes at positions on the beam [m], (n_points,) array [m/s]."""
         return self.model.field(self.target, position)
 
     def residual(self, position: ArrayLike) -> FloatArray:
@@ -282,17 +282,16 @@ class Projection:
 
     @cached_property
     def missing(self) -> tuple[int, ...]:
-        """Labels that the target field needs and the modes lack, strongest first: over a tenth of the strongest."""
+        """Labels of unselected modes with over a tenth of the largest coefficient of the field, strongest first."""
         strength = np.abs(self.decomposition)
         order = np.argsort(-strength, kind="stable") + 1
         least = 0.1 * strength.max()
         return tuple(int(k) for k in order if strength[k - 1] > least and k not in self.selected)
 
     def unreached(self) -> str:
-        """Return a sentence on what of the target field the selected modes do not reach, and for lack of which modes.
+        """Return a sentence on the part of the target field that the selected modes do not reach, and on missing modes.
 
-        Symmetric wiring, for one, mirrors every field at mid-beam: what it adds there and lacks here is said,
-        never silently taken for the target field.
+        Symmetric wiring, for example, mirrors every field about mid-beam.
         """
         position = np.linspace(-self.model.length / 2, self.model.length / 2, 501)
         residual = self.residual(position)
@@ -311,7 +310,7 @@ class Projection:
         return math.sqrt(float(weight @ self.residual(position) ** 2) / float(weight @ ideal**2))
 
     def width(self, fraction: float) -> float:
-        """Return how wide the field is at a fraction of its value at the centre [m].
+        """Return the width of the field at a fraction of its value at the centre [m].
 
         Raises
         ------
@@ -337,6 +336,6 @@ class Projection:
     def _flanks(self) -> list[tuple[FloatArray, FloatArray]]:
         """Positions from the centre to the left and to the right end [m], and the field there [m/s]."""
         half = self.model.length / 2
-        # Eight points to a half wave of the highest mode at least.
+        # At least eight points per half wave of the highest mode.
         sides = [np.linspace(self.target_field.centre, end, 8 * max(self.selected) + 13) for end in (-half, half)]
         return list(zip(sides, self.field(np.concatenate(sides)).reshape(2, -1), strict=True))

@@ -1,4 +1,4 @@
-"""When things happen: the samples of a burst, the clock that holds them, the focusing instant."""
+"""Timing of a burst: its samples, the clock that plays them, and the focusing instant."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from modaltouch.stimulus.quantisation import Converter
 from modaltouch.stimulus.quantities import FloatArray, require_positive
 
 _ON_GRID = 1e-6
-"""Fraction of a sample below which an instant counts as lying on the sample grid."""
+"""Distance from the sample grid, in samples, below which an instant counts as on it [1]."""
 
 
 @dataclass(frozen=True)
@@ -21,13 +21,13 @@ class Timing:
     Attributes
     ----------
     converter : Converter
-        Of the generator: its clock, and the points of its longest record.
+        Converter of the generator, with its clock and the length of its longest record.
     n_samples : int
-        Samples of each channel, 2 at least.
+        Number of samples of each channel, at least 2.
     duration : float
         Length of the burst [s].
     focusing_instant : float
-        When the target field is reached, from the start of the burst [s].
+        Time from the start of the burst to the instant at which the target field is reached [s].
     repetition_rate : float
         Bursts per second [Hz].
     """
@@ -78,7 +78,7 @@ class Timing:
 
     @property
     def hold(self) -> float:
-        """How long each sample is held [s]."""
+        """Duration of each sample [s]."""
         return self.duration / self.n_samples
 
     @property
@@ -87,19 +87,19 @@ class Timing:
         return self.n_samples / self.duration
 
     def samples_until(self, instant: float) -> tuple[int, float]:
-        """Return how many samples end by an instant, and the time left over.
+        """Return the number of samples that end by an instant, and the remaining time.
 
         Parameters
         ----------
         instant : float
-            From the start of the burst [s].
+            Time from the start of the burst [s].
 
         Returns
         -------
         n_samples : int
-            Whole samples that end by then, at most all of them.
+            Number of whole samples that end by then, at most all of them.
         remainder : float
-            From the end of the last of them to the instant [s], 0 on the grid.
+            Time from the end of the last of them to the instant [s]; 0 on the grid.
         """
         steps = instant * self.sampling_rate
         nearest = round(steps)
@@ -110,11 +110,11 @@ class Timing:
 
     @cached_property
     def clock_error(self) -> FloatArray | None:
-        """How late the clock begins each sample, (n_samples + 1,) array [s], or None where it is never late.
+        """Delay with which the clock begins each sample, (n_samples + 1,) array [s], or None if it is never late.
 
-        A clock that takes any rate is never late. A phase accumulator plays sample
-        ``floor(clock * n_samples / n_clocks)``: where the clocks of a burst are no multiple of the samples, sample n
-        begins at the first clock at or after ``n * hold``.
+        A clock that adapts to any rate is never late. A phase accumulator plays sample
+        ``floor(clock * n_samples / n_clocks)``: if the number of clock cycles in a burst is not a multiple of the
+        number of samples, sample n begins at the first clock edge at or after ``n * hold``.
         """
         clocks = self.duration * self.clock_rate / self.n_samples
         if self.converter.any_rate or abs(clocks - round(clocks)) < 1e-9 * clocks:

@@ -1,14 +1,14 @@
 r"""Bending of a short beam: Timoshenko's theory, with shear and rotary inertia.
 
-In y = x/L from mid-beam and the frequency parameter :math:`b^2 = \rho A L^4 \omega^2 / EI` the deflection is
-made of :math:`\cosh b\alpha y` and :math:`\cos b\beta y`, or their odd companions, with
+With y = x/L from mid-beam and the frequency parameter :math:`b^2 = \rho A L^4 \omega^2 / EI`, the deflection is a sum
+of :math:`\cosh b\alpha y` and :math:`\cos b\beta y`, or of their odd counterparts, with
 
 .. math:: \alpha^2, \beta^2 = \tfrac12 [\mp (r^2 + s^2) + \sqrt{(r^2 - s^2)^2 + 4/b^2}],
 
 :math:`r^2 = I/AL^2` (rotary inertia) and :math:`s^2 = EI/kAGL^2` (shear). Above the cut-off frequency
-:math:`b r s = 1` alpha is imaginary and the hyperbolic branch turns trigonometric; everything is written in
-:math:`\alpha^2`, :math:`\cosh` and :math:`\sinh/\alpha`, which stay real and smooth through it. Symmetric and
-antisymmetric modes are solved apart, so that close roots of the two kinds are never confused.
+:math:`b r s = 1` alpha is imaginary and the hyperbolic branch becomes trigonometric; everything is written in
+:math:`\alpha^2`, :math:`\cosh` and :math:`\sinh/\alpha`, which are real and smooth there. Symmetric and antisymmetric
+modes are solved separately, so that close roots of the two kinds are never confused.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from modaltouch.stimulus.quantities import FloatArray, require_positive
 from modaltouch.stimulus.shapes import scaled_position
 
 _STEP = 0.05
-"""Phase of the trigonometric branch between two looks for a root [rad]."""
+"""Step of the phase of the trigonometric branch in the search for roots [rad]."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class TimoshenkoBeam:
     poissons_ratio : float
         Poisson's ratio [1].
     shear_factor : float
-        Share of the section that carries shear [1]; 5/6 for a rectangle.
+        Fraction of the section that carries shear [1]; 5/6 for a rectangle.
     """
 
     length: float
@@ -53,7 +53,7 @@ class TimoshenkoBeam:
     shear_factor: float = 5 / 6
 
     def __post_init__(self) -> None:
-        """Refuse what is no beam."""
+        """Refuse values that no beam has."""
         for name, unit in (
             ("length", "m"),
             ("thickness", "m"),
@@ -80,7 +80,7 @@ class TimoshenkoBeam:
     def natural_frequency(self, bending: int) -> float:
         """Return the natural frequency of a bending mode, from 1 [Hz].
 
-        Odd modes are symmetric; above the cut-off the two kinds need not alternate.
+        Odd modes are symmetric; above the cut-off frequency the two kinds need not alternate.
         """
         wave_speed = math.sqrt(self.youngs_modulus / self.density)
         return self._root(bending) * math.sqrt(self.rotary) * wave_speed / (2 * math.pi * self.length)
@@ -88,8 +88,8 @@ class TimoshenkoBeam:
     def shapes(self, bending: ArrayLike, position: ArrayLike) -> FloatArray:
         """Return deflections of bending modes at positions on the beam [m], (n_modes, n_points) array [1].
 
-        They have unit mean square and are positive at the right end. They are orthogonal together with the rotations of
-        the section, not alone.
+        They have unit mean square and are positive at the right end. They are orthogonal only together with the
+        rotations of the section.
         """
         y = scaled_position(position, self.length)
         node, weight = np.polynomial.legendre.leggauss(64 + 4 * int(np.max(bending)))
@@ -105,7 +105,7 @@ class TimoshenkoBeam:
         """Return alpha^2 and beta^2 at frequency parameters [1]."""
         r2, s2 = self.rotary, self.shear
         root = np.sqrt((r2 - s2) ** 2 + 4 / b**2)
-        # Not half of a difference: near the cut-off it would cancel.
+        # Not as half of a difference, which would cancel near the cut-off frequency.
         beta2 = ((r2 + s2) + root) / 2
         return (1 / b**2 - r2 * s2) / beta2, beta2
 
@@ -122,7 +122,7 @@ class TimoshenkoBeam:
         return even, np.where(alpha < 1e-12, b * y, odd)
 
     def _determinant(self, b: FloatArray, symmetric: bool) -> FloatArray:
-        """Return what vanishes where both free ends carry neither moment nor shear force."""
+        """Return the characteristic determinant, zero if both free ends carry neither moment nor shear force."""
         alpha2, beta2 = self.wave_numbers(b)
         even, odd = self._branches(b, alpha2, np.full_like(b, 0.5))
         beta = np.sqrt(beta2)
@@ -132,7 +132,7 @@ class TimoshenkoBeam:
         return (alpha2 + self.shear) * alpha2 * odd * cosine / beta - (beta2 - self.shear) * sine * even
 
     def _deflection(self, b: float, bending: int, y: FloatArray) -> FloatArray:
-        """Return the deflection, free of moment at the ends."""
+        """Return the deflection with zero moment at the ends."""
         parameter = np.array([b])
         alpha2, beta2 = self.wave_numbers(parameter)
         even, odd = self._branches(parameter, alpha2, y)
@@ -144,7 +144,7 @@ class TimoshenkoBeam:
         return np.asarray(inner * end_odd * np.sin(phase * y) + outer * np.sin(phase / 2) * odd)
 
     def _root(self, bending: int) -> float:
-        """Return the frequency parameter of a bending mode, by looking for signs and between them."""
+        """Return the frequency parameter of a bending mode, from the sign changes of the determinant."""
         from scipy.optimize import brentq
 
         if bending < 1:

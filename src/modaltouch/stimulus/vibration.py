@@ -1,9 +1,9 @@
-"""The beam forward: from sampled voltages to velocity histories and peak speeds.
+"""The response of the beam: from sampled voltages to velocity histories and peak speeds.
 
-Each state is a one-pole, x' = exponent x + input_gain v, held samples: within a short block of samples every
-output is one matrix product of the block's voltages and the state at its start; the states at the starts follow
-by a second level of blocks. Histories are written chunk by chunk, so that memory does not grow with the burst.
-Peaks are looked for only in the blocks whose upper bound passes what is already reached.
+Each state has one pole, x' = exponent x + input_gain v, and the samples are held. Within a short block of samples,
+every output is one matrix product of the block's voltages and the state at its start; the states at the starts follow
+from a second level of blocks. Histories are written in chunks, so that memory does not grow with the burst. Peaks are
+searched for only in blocks whose upper bound exceeds the peak found so far.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from modaltouch.stimulus.synthesis import BLOCK, decay, ladders
 from modaltouch.stimulus.timing import Timing
 
 _OUTPUTS = 256
-"""Outputs whose peaks are sought together: bounds the memory, whatever the number of places."""
+"""Number of outputs whose peaks are searched for together, which bounds the memory."""
 
 _DENSE = 0.25
-"""Share of blocks that may hold a peak beyond which all samples are computed: that costs less than sorting them out."""
+"""Fraction of blocks with a possible peak above which computing all samples is cheaper than selecting blocks [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class BlockStates:
-    """A burst from rest, in long blocks; the short ones within are looked into only where a peak may lie.
+    """The states during a burst from rest, in long blocks; short ones are computed only where a peak is possible.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class BlockStates:
     timing : Timing
         Clock of the samples.
     blocks : (n_inputs, n_blocks, BLOCK) array
-        Voltages, and the steps times the powers of their delay to the clock; the last block is filled up with zeros.
+        Voltages, and the steps times powers of their delay on the clock; the last block is padded with zeros.
     begin : (n_states, n_blocks + 1) complex array
         States at the starts of the blocks, and after the last.
     """
@@ -73,15 +73,15 @@ class BlockStates:
     def peak(self, output: ComplexArray, floor: float = 0.0) -> FloatArray:
         """Return the largest magnitude of each output until the next burst would begin, (n_outputs,) array.
 
-        The outputs are ``Re(output @ state)``; those that stay below `floor` are returned as it. The higher it is, the
-        fewer blocks are looked into.
+        The outputs are ``Re(output @ state)``. `floor` is the least value returned; the higher it is, the fewer blocks
+        are computed.
         """
         if len(output) > _OUTPUTS:
             starts = range(0, len(output), _OUTPUTS)
             return np.concatenate([self.peak(output[start : start + _OUTPUTS], floor) for start in starts])
         some, places = self._different(output)
         kernel = BlockKernel(self.system.exponent, self._push, some, self.timing.hold)
-        # What the outputs reach at the starts of the blocks spares looking into most of them.
+        # The outputs at the starts of the blocks are a lower bound of the peaks, which rules out most blocks.
         peak = np.maximum(np.abs((some @ self.begin).real).max(axis=1), floor)
         bound = self._bounds(some)
         which = np.flatnonzero((bound > peak[:, None]).any(axis=0))
@@ -95,7 +95,7 @@ class BlockStates:
 
     @cached_property
     def _push(self) -> ComplexArray:
-        """What a unit of each input leaves in the states at the end of its sample, (n_states, n_inputs) array."""
+        """What a unit of each input adds to the states at the end of its sample, (n_states, n_inputs) array."""
         return self.system.clock_gain(self.timing)
 
     def _bounds(self, output: ComplexArray) -> FloatArray:
@@ -104,11 +104,11 @@ class BlockStates:
         return self._peak_bound.of_outputs(output, self._push, fine[:, ::-1])
 
     def _look_into(self, which: NDArray[np.intp], kernel: BlockKernel, peak: FloatArray) -> None:
-        """Raise the peaks, in place, by what the outputs reach within some blocks."""
+        """Raise the peaks, in place, to what the outputs reach within some blocks."""
         if which.size == 0:
             return
         blocks = self.blocks[:, which].reshape(len(self.blocks), -1, SHORT)
-        # All long blocks go side by side through their short ones.
+        # All long blocks step through their short ones together.
         n_states, ratio = len(self.begin), decay(self.system.exponent, self.timing.hold, np.array([SHORT]))
         pushed = kernel.pushed(blocks).reshape(n_states, which.size, -1)
         begin = np.empty_like(pushed)
@@ -121,10 +121,9 @@ class BlockStates:
             peak[place] = kernel.peak(place, blocks, short, bound, float(peak[place]))
 
     def _different(self, output: ComplexArray) -> tuple[ComplexArray, list[int]]:
-        """Return the outputs that differ in more than their sign, and which of them stands for each output.
+        """Return the outputs that differ in more than their sign, and the index of the one that represents each output.
 
-        States that nothing drives count for nothing: symmetric zones share one output where only symmetric modes
-        are driven.
+        States that are not driven are ignored: symmetric zones share one output if only symmetric modes are driven.
         """
         driven = output * self.system.input_gain.any(axis=1)
         first = np.take_along_axis(driven, (driven != 0).argmax(axis=1)[:, None], axis=1)
@@ -134,7 +133,7 @@ class BlockStates:
         return upright[[places.index(place) for place in range(len(seen))]], places
 
     def _peak_of_decay(self, amplitude: ComplexArray, n_samples: int, peak: FloatArray) -> FloatArray:
-        """Return the higher of `peak` and the decay after it, which is followed only while it could be higher."""
+        """Return the peaks, raised by the decay after the burst, which is computed only while it could be higher."""
         exponent, hold = self.system.exponent, self.timing.hold
         for start in range(0, n_samples, BLOCK):
             now = amplitude * decay(exponent, hold, np.array([start]))[:, 0]
