@@ -141,7 +141,7 @@ class AnswerList(tuple[Answer, ...]):
         return next((answer for answer in self if answer.name == name), Answer(name))
 
     def expected(self, *speeds: float) -> str | None:
-        """Name of the answer expected from a sensitive participant; None if it is uncertain or not offered.
+        """Return the name of the answer expected from a sensitive participant; None if uncertain or not offered.
 
         Parameters
         ----------
@@ -165,7 +165,7 @@ class AnswerList(tuple[Answer, ...]):
         return expected.name if expected is not None else None
 
     def is_success(self, name: str, rule: str, focus: str, zone_left: str) -> bool:
-        """Whether an answer counts as success in an adaptive run.
+        """Return whether an answer counts as success in an adaptive run.
 
         ``focus_named``: the answer names only the finger on the zone in focus. Naming both fingers or neither is a
         failure, like naming the other one: the level sought is that at which the focus is identified, not merely

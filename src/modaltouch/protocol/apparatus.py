@@ -292,7 +292,7 @@ class Apparatus(Section):
         return tuple((mode.label, name) for mode in self.modes for name in mode.assumed)
 
     def offered_gains(self) -> tuple[tuple[int, str, float], ...]:
-        """Mode label, actuator set and gain [mm/s^2 per V] that patches suggest where the table has no measured gain.
+        """Return mode label, actuator set and gain [mm/s^2 per V] that patches suggest for gains that are not measured.
 
         Theory gives the ratios among the bending modes (`patch_gains`). Their common factor is the median ratio of
         measured to theoretical gain. A set without a measured gain, or without patches, offers nothing.

@@ -323,7 +323,7 @@ def calibration_alone(reading: Reading[Calibration], name: str) -> Reading[Calib
 def _check_names(
     reading: Reading[Calibration], calibration: Calibration, protocol: Reading[Protocol]
 ) -> Iterator[Problem]:
-    """Yield that a calibration does not cover the protocol's stimuli."""
+    """Yield the fault that a calibration does not cover the protocol's stimuli."""
     wanted, made = tuple(protocol.sound("stimuli") or ("",)), tuple(calibration.by_stimulus)
     if set(wanted) <= set(made):
         return

@@ -102,7 +102,7 @@ def _check_stimuli(reading: Reading[Protocol]) -> Iterator[Problem]:
 TAKEN_NAMES = frozenset(
     {"finger_condition", "pair", "zone_left", "zone_right", "velocity_mm_s", "multiple_of_threshold", "n"}
 )
-"""Columns of the table of counts, so no names for answers, each of which has a column there too."""
+"""Columns of the table of counts, not allowed as names of answers, each of which has a column there too."""
 
 
 def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
@@ -131,7 +131,7 @@ def _check_intervals(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def check_settling(reading: Reading[Protocol]) -> Iterator[Problem]:
-    """Yield the fault of a pause too short for a hand that answers to come back to the beam.
+    """Yield the fault of a given pause that is too short for a hand that answers to come back to the beam.
 
     Only for new files: a record begun with such a pause continues, with `AnswersSection.settling_s`.
     """

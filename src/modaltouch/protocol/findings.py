@@ -129,7 +129,7 @@ class Findings:
         return self.protocol.problem(path, given, allowed, remedy)
 
     def defaults(self) -> list[dict[str, Any]]:
-        """Keys that the protocol leaves out, with their defaults; without keys that every one of its stimuli gives."""
+        """Return the keys that the protocol leaves out, with their defaults; without keys that each stimulus gives."""
         if self.protocol is None:
             return []
         named = [self.protocol.find(("stimuli", name)) for name in self.protocol.sound("stimuli") or ()]
@@ -143,7 +143,7 @@ class Findings:
         return {} if self.protocol is None else presented_levels(self.protocol)
 
     def points(self) -> tuple[tuple[float, float], ...] | None:
-        """Points in the file of the target field, positions [mm] and relative velocities; None if it is faulty."""
+        """Return the points in the file of the target field, positions [mm] and relative velocities; None if faulty."""
         points, faults = ((), []) if self.field is None else read_points(self.field)
         return None if faults else points
 
@@ -180,7 +180,7 @@ class Findings:
         return Placements(fingers, protocol, apparatus)
 
     def with_true_fingers(self, rng: np.random.Generator) -> Apparatus:
-        """Return the apparatus; if the stimulus is designed for fingers, its twin has the fingers of a random person.
+        """Return the apparatus; if the stimulus is designed for fingers and the twin has none, with a random person's.
 
         Parameters
         ----------
@@ -196,17 +196,17 @@ class Findings:
         return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update=own)})
 
     def placement_of(self, finger_condition: str, left: str, right: str) -> str:
-        """Name of the placement of a finger condition on two zones of the unturned beam; empty for none."""
+        """Return the name of the placement of a finger condition on two zones of the unturned beam; empty for none."""
         from modaltouch.protocol.trial import Condition
 
         return self.placement(Condition(finger_condition, left, right, velocity_mm_s=0.0))
 
     def placement(self, condition: Condition) -> str:
-        """Name of the placement of a condition; empty if the stimulus is for the untouched beam."""
+        """Return the name of the placement of a condition; empty if the stimulus is for the untouched beam."""
         return "" if self.placements is None else self.placements.name(condition)
 
     def generator_problem(self, identity: str) -> Problem | None:
-        """Problem if the calibration was made with another generator than the open one, else None.
+        """Return the problem if the calibration was made with another generator than the open one, else None.
 
         Maker, model and serial number must agree; the firmware may differ.
 

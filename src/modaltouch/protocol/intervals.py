@@ -66,7 +66,7 @@ class IntervalsSection(Section):
         return replace(comparison, velocity_mm_s=velocity, stimulus=given.stimulus or comparison.stimulus)
 
     def is_correct(self, meaning: Meaning | None, comparison: Condition, interval: int) -> bool | None:
-        """Whether an answer is correct; None if it says nothing about the intervals, or if any may be correct.
+        """Return whether an answer is correct; None if it says nothing about the intervals, or if any may be correct.
 
         Parameters
         ----------

@@ -81,7 +81,7 @@ class Levels:
     def _history(
         self, run: Run, until: int, rule: str, answered: Iterable[Mapping[str, Any]], timed_out: str
     ) -> list[tuple[float, bool]]:
-        """Return level [dB] and success of each trial of a run confirmed by the instrument before `until`, in order."""
+        """Return level [dB] and success of the trials of a run before index `until` that were confirmed, in order."""
         found: list[tuple[int, float, bool]] = []
         offered = self._protocol.answers.offered
         for event in answered:
@@ -198,6 +198,6 @@ class Quest:
         joint = self._posterior[..., None, None] * self._likelihood
         chance = joint.sum(axis=_PARAMETERS)
         after = joint / chance
-        with np.errstate(divide="ignore", invalid="ignore"):  # 0 log 0 = 0
+        with np.errstate(divide="ignore", invalid="ignore"):  # what is impossible contributes 0
             entropy = -np.nansum(after * np.log(after), axis=_PARAMETERS)
         return float(self._levels[(chance * entropy).sum(axis=0).argmin()])

@@ -21,7 +21,7 @@ REPEATS = 10_000
 """Most permutations that are drawn if only a repeated permutation of the cells keeps the distance."""
 
 SWEEPS = 100
-"""Steps of the walk per trial among orders that keep all limits; in most designs two suffice to forget the first."""
+"""Steps per trial of the walk among orders that keep all limits; in most designs two forget the first order."""
 
 STEPS_ASTRAY, SWEEPS_ASTRAY = 200_000, 200
 """Steps, plus steps per trial, among orders that break a limit, after which the search is given up."""

@@ -21,7 +21,7 @@ class Problem:
     file : str
         File, as the user named it.
     line, column : int
-        Place of the fault, both from 1; 0 if it concerns a folder, or a file that does not exist.
+        Place of the fault, both from 1; 0 for a folder or file as a whole.
     path : str
         Key within the file, as in ``conditions.zone_pairs[1]``; empty for the file as a whole.
     given, allowed, remedy : str
@@ -54,7 +54,7 @@ class Problem:
 
 
 class InputError(Exception):
-    """Files cannot be used; holds every fault of all of them, sorted by place.
+    """Raised if files cannot be used; holds every fault of all of them, sorted by place.
 
     Parameters
     ----------

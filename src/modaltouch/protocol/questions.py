@@ -46,7 +46,7 @@ RATED = "rated"
 """Recorded answer to a scale; its number is recorded with it."""
 
 MOST_ANSWERS = 7
-"""Most answers that fit on a screen."""
+"""Most answers that fit on a screen, and on the digits of a console."""
 
 _TAKEN = """
 participant session trial block practice group interval finger_condition zone_left zone_right zone_between

@@ -191,7 +191,7 @@ def read_tree(source: Source, model: type[Model], root: Node | None, problems: I
     Parameters
     ----------
     source, model
-        As for `read`.
+        As in `read`.
     root, problems
         The tree, and the faults found while building it.
     """
@@ -332,7 +332,7 @@ def _descend(value: Any, path: Iterable[Step]) -> Any:
 
 
 def _default(model: type[BaseModel], path: tuple[Step, ...], depth: int) -> Any:
-    """Return the default of what is absent from `path[depth]` on, or None where it has none."""
+    """Return the default of what is absent from `path[depth]` on, or None if there is none."""
     parent: Any = annotation_at(model, path[:depth])
     step = path[depth]
     if not (isinstance(parent, type) and issubclass(parent, BaseModel)) or step not in parent.model_fields:

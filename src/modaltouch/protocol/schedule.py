@@ -29,7 +29,7 @@ class Turn:
     Attributes
     ----------
     number : int
-        From 0, taken modulo the number of orders, placements and rows.
+        Taken modulo the number of orders, placements and rows.
     reason : str
         What decided it.
     group : str

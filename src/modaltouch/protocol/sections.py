@@ -380,7 +380,7 @@ class Protocol(Section):
         return next((name for name in self.answers.offered.names if self.is_correct(trial, name)), None)
 
     def is_correct(self, trial: Trial, answer: str) -> bool | None:
-        """Whether an answer is correct about a trial's intervals; None if it says nothing about them, or any may be."""
+        """Return whether an answer about intervals is correct; None if it says nothing about them, or any may be."""
         if self.intervals is None:
             return None
         return self.intervals.is_correct(self.answers.offered.named(answer).interval, trial.condition, trial.interval)

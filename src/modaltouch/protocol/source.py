@@ -12,7 +12,7 @@ from typing import Any, Literal
 from modaltouch.protocol.problems import InputError, Problem, suggest
 
 YAML_FILE = "a YAML file that exists and can be read"
-"""Words of messages for what may be named as a file."""
+"""What may be named as a file, in words."""
 
 SIZE_LIMIT = 256 * 1024
 """Largest file that is read [byte]: a hundred times the shipped ones."""

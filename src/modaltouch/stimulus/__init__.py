@@ -1,4 +1,4 @@
-"""The physics of the stimulus, with NumPy alone: from a target field to a generator's codes, and back to the motion.
+"""The physics of the stimulus, with NumPy alone: from a target field to codes, and from codes to the beam's motion.
 
 Input: the modes of a beam (`ModalModel`), a velocity field at an instant (`TargetField`), the clock (`Timing`) and the
 `Amplifier`. `design_stimulus` returns a `Stimulus`: voltages, codes and amplitudes (`Burst`), and the motion that they

@@ -48,7 +48,7 @@ MEANT = "the paper has 0.08 to 0.2 m/s"
 """Typical levels, for messages that refuse one."""
 
 RISE = 1.0e-3
-"""Length of the taper at the start of the drive or of the brake [s]."""
+"""Length of the taper at the start of the drive, and at both ends of the braking after the focusing instant [s]."""
 
 FALL = 0.4e-3
 """Length of the taper before the focusing instant, which keeps later speeds from exceeding the speed at it [s]."""

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_finite, require_positive
 
 _NODES = 12
-"""Quadrature points per tenth of the beam under a contact: exact for shapes that change sign up to six times there."""
+"""Quadrature points per tenth of the beam in a contact: exact for products of shapes with six changes of sign there."""
 
 _WORST_CONDITION = 1e5
 """Largest acceptable condition number of the eigenvectors [1]."""

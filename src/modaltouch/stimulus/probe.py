@@ -37,7 +37,7 @@ _TERM_DAMPING, _TERM_SPREAD = 0.1, 2.5
 """Prior of a Maxwell term: stiffness times relaxation time [N s/m], and the standard deviation of its logarithm."""
 
 _SHIFT = 3e-3
-"""Distance to either side of the expected positions of the other starting points, used until a fit is good [m]."""
+"""Offset from the expected positions, to either side, at which further fits start until one is good [m]."""
 
 _MODEL_ERROR = 1e-3
 """Least error of the model, relative to each response [1]."""

@@ -258,7 +258,7 @@ def settle(
     timing : Timing
         Clock of the samples.
     error : (2 n_modes,) array
-        Targets less what the codes reach: modal velocities, then displacements times angular frequency [m/s].
+        Values wanted less values reached: modal velocities, then displacements times angular frequency [m/s].
     largest : float
         Largest modal target [m/s].
     """

@@ -11,7 +11,7 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 EXTREME = 1e30
-"""No quantity in SI units is larger, or smaller than the inverse; between them, squares do not overflow."""
+"""Largest magnitude, and inverse of the smallest, of any quantity in SI units; squares do not overflow."""
 
 
 def require_positive(name: str, value: float, unit: str, remedy: str) -> None:

@@ -60,7 +60,7 @@ def focus_sensitivity(
 
 
 def derivative(stimulus: Stimulus, name: str, place: int) -> FloatArray:
-    """Return the derivative of each mode's velocity and w eta at the focusing instant by the log of a mode's parameter.
+    """Return the derivatives of modal velocities and w eta at the focusing instant by a parameter of a mode.
 
     Parameters
     ----------

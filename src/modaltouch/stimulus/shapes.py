@@ -57,7 +57,7 @@ def mode_shapes(label: ArrayLike, position: ArrayLike, length: float, derivative
     .. math:: \frac{\cos \lambda y}{\cos \lambda/2}
        + \frac{e^{-\lambda(1/2-|y|)} + e^{-\lambda(1/2+|y|)}}{1 + e^{-\lambda}},
 
-    an antisymmetric one its sine analogue. There is no growing exponential, so these are accurate to rounding at any
+    an antisymmetric one its sine analogue. Neither has a growing exponential, so both are accurate to rounding at any
     label, whereas the textbook difference of cosh and sinh is meaningless from n = 12 on.
 
     Parameters
