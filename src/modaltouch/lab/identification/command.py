@@ -1,4 +1,4 @@
-"""``modaltouch identify``: from a bare beam, or files of measured responses, to a table of modes."""
+"""``modaltouch identify``: a table of modes from a bare beam or from files of measured responses."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ from modaltouch.protocol import Apparatus, Source
 from modaltouch.report import refuse_other
 
 FEWEST_SHAPE_POINTS = 6
-"""Points of a file from which its modes are told apart by their shapes."""
+"""Least number of points in a file for its modes to be identified by their shapes."""
 
 
 @dataclass(frozen=True)
@@ -66,40 +66,41 @@ class IdentifyOptions:
     out : Path
         Folder for scans, apparatus file, table and figures.
     points, averages : int
-        Evenly spaced points of the scan, and records at each; of files, the records behind each response.
+        Evenly spaced points of the scan and records at each; for files, the records behind each response.
     voltage : float
         Peak of the excitation at the beam [V].
     excitation : str
         ``multisine`` or ``chirp``.
     lowest : float or None
-        Where the band of a file begins; its lowest bin if not given [Hz].
+        Lower end of the band of a file; its lowest bin if not given [Hz].
     highest : float or None
-        Highest frequency; by the highest mode of the table, or the whole band of a file, if not given [Hz].
+        Upper end of the band [Hz]; if not given, it follows from the highest mode of the table or, for a file, is its
+        highest bin.
     margin : float
-        From the ends of the beam to the outer points [m].
+        Distance from the ends of the beam to the outermost points [m].
     sets : tuple of str
-        Actuator sets; all of the apparatus if empty.
+        Actuator sets; all those of the apparatus if empty.
     modes : str
         Modes of the new table: ``listed`` in the apparatus file, ``all``, or labels such as ``1,3,5``.
     quantity : str or None
-        What the responses of a file that does not say it are of: ``velocity``, ``displacement`` or ``acceleration``.
+        ``velocity``, ``displacement`` or ``acceleration``: what the responses are, for a file that does not say.
     conjugated : bool
         Whether the files follow exp(-i w t).
     spacing : float or None
-        Distance of the bins of a file of bare numbers [Hz].
+        Bin spacing of a file of bare numbers [Hz].
     seed : int or None
-        Of the simulated rig, instead of its own.
+        Seed of the simulated rig, instead of its own.
     export : Path or None
-        File that gets the responses and shapes for other programs.
+        File to which the responses and shapes are written for other programs.
     leave_out : tuple of float
         Positions whose responses are not used [m].
     use_clipped : bool
         Whether the free decay after the last saturated sample of a record is used.
     rows : int
-        Rows of points over the width that are measured, an odd number; from 3 on torsion shows. Of earlier scans all
-        that are there are read.
+        Rows of points across the width to measure, an odd number; three or more reveal torsion. Of earlier scans, every
+        row is read.
     estimator : str
-        ``H1``; ``H2`` where the measured drive is noisy; ``Hv`` between both.
+        ``H1``; ``H2`` where the measured drive is noisy; ``Hv`` between the two.
     """
 
     apparatus: Path
@@ -128,7 +129,7 @@ class IdentifyOptions:
 
 @dataclass(frozen=True, eq=False)
 class IdentificationReport:
-    """The modes that were found, and the apparatus file that lists them.
+    """The modes found, and the apparatus file that lists them.
 
     Attributes
     ----------
@@ -137,15 +138,15 @@ class IdentificationReport:
     mode : str
         ``simulated``, ``real`` or ``file``.
     sources : str or list of str
-        Where the responses come from.
+        Files or folders the responses come from.
     folder : Path
-        Where the files go.
+        Folder for the results.
     labels : tuple of int
         Modes of the new table.
     apparatus : (str, str) or None
-        Name and text of the apparatus file; None where there are no shapes, and so no gains.
+        Name and text of the apparatus file; None where there are no shapes and hence no gains.
     export : Path or None
-        File that gets the responses and shapes for other programs.
+        File to which the responses and shapes are written for other programs.
     """
 
     found: Identification
@@ -162,7 +163,7 @@ class IdentificationReport:
         Raises
         ------
         RecordError
-            If the folder holds something else, or cannot be written.
+            If the folder holds something else or cannot be written.
         """
         written = write_identification(self.folder, self.found, self.apparatus, {"sources": self.sources})
         if self.export is not None:
@@ -179,26 +180,26 @@ class IdentificationReport:
 
 
 def identify(options: IdentifyOptions, progress: MeasurementProgress = UNTOLD) -> IdentificationReport:
-    """Identify the modes of a beam, from a scan, taken now or earlier, or from files of measured responses.
+    """Identify the modes of a beam from a new or earlier scan, or from files of measured responses.
 
     Parameters
     ----------
     options : IdentifyOptions
-        What is identified.
+        What is identified, and how it is measured or read.
     progress : MeasurementProgress, optional
-        What is called meanwhile.
+        Reports progress and lets the user interrupt.
 
     Returns
     -------
     IdentificationReport
-        Nothing is written yet but the scans.
+        Only the scans have been written so far.
 
     Raises
     ------
     ValueError
-        If an option, a file or the apparatus has faults, or a mode that is asked for was not found.
+        If an option, a file or the apparatus is faulty, or a requested mode was not found.
     RecordError
-        If a folder holds something else, or cannot be written.
+        If a folder holds something else or cannot be written.
     RigError
         If the rig fails.
     """
@@ -239,7 +240,7 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress = UNTOLD) -
 
 
 def _read(options: IdentifyOptions) -> FrequencyResponses:
-    """Return the responses of files, within the band that is asked for."""
+    """Return the responses in the files, within the requested band."""
     how = ResponseFormat(options.quantity, options.conjugated, options.spacing, options.averages, options.use_clipped)
     responses = read_responses(options.files, how).by(options.estimator)
     if options.lowest is None and options.highest is None:
@@ -256,7 +257,7 @@ def _fitting(progress: MeasurementProgress) -> Iterator[None]:
 
 
 class _Beam:
-    """The beam of an apparatus file, and what is to be identified of it; checked before anything is opened."""
+    """The beam of an apparatus file and what is to be identified; checked before anything is opened."""
 
     def __init__(self, options: IdentifyOptions) -> None:
         self.options = options
@@ -275,7 +276,7 @@ class _Beam:
         self.bandwidth = None if corner is None else corner * 1e3
 
     def _labels(self) -> tuple[int, ...]:
-        """Return the labels that must be found; with ``all``, those that the table lists."""
+        """Return the labels that must be found; with ``all``, those listed in the table."""
         modes = self.options.modes
         if modes in ("listed", "all"):
             return tuple(mode.label for mode in self.apparatus.modes)
@@ -288,7 +289,7 @@ class _Beam:
         return labels
 
     def measure(self, progress: MeasurementProgress) -> list[dict[str, Scan]]:
-        """Return the scans of a rig, new or gone on with, of each row."""
+        """Return the scans of each row, measured now or resumed."""
         options, out = self.options, self.options.out
         refuse_other(out, COMMAND)
         if options.averages < 2 and options.estimator != "H1":
@@ -314,13 +315,13 @@ class _Beam:
             return found
 
     def responses_of(self, rows: list[dict[str, Scan]]) -> FrequencyResponses:
-        """Return the responses of a scan, row by row."""
+        """Return the responses of all rows of a scan."""
         return FrequencyResponses.of_rows([responses_of(scans, self.bandwidth) for scans in rows]).by(
             self.options.estimator
         )
 
     def read(self, folder: Path) -> list[dict[str, Scan]]:
-        """Return the scans of a folder, of each row."""
+        """Return the scans of each row in a folder."""
         for name in self.sets:
             if not (folder / f"scan_{name}").is_dir():
                 raise ValueError(
@@ -331,7 +332,7 @@ class _Beam:
         return [{name: read_scan(folder / f"scan_{name}{row}") for name in self.sets} for row in rows]
 
     def chosen(self, responses: FrequencyResponses) -> FrequencyResponses:
-        """Return the responses to the actuator sets that are asked for, as a file names them."""
+        """Return the responses of a file to the requested actuator sets."""
         missing = [name for name in self.sets if name not in responses.sets]
         if missing:
             raise ValueError(
@@ -352,7 +353,7 @@ class _Beam:
     def fit(
         self, responses: FrequencyResponses, facts: dict[str, Any], progress: MeasurementProgress
     ) -> IdentificationReport:
-        """Return the modes, and the apparatus file with the new table."""
+        """Return the modes and the apparatus file with the new table."""
         refuse_other(self.options.out, COMMAND)
         if self.options.leave_out:
             responses = responses.without(self.options.leave_out)

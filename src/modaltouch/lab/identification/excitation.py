@@ -1,9 +1,10 @@
-"""The excitation of an identification, and the scans of a beam under it, one to each actuator set.
+"""The excitation of an identification, and the scans of a beam under it, one per actuator set.
 
-Two are offered, of one period and one flat spectrum. A *multisine* of random phases moves the beam with all its modes
-at once; a *chirp*, the paper's, passes them one after the other. Behind eight bits that matters: while a chirp is at a
-weak mode, a step of the converter may be larger than the whole motion, which averaging never brings back, as every
-period is cut alike. In a multisine the strong modes carry the weak ones over the steps.
+Two excitations are offered, with the same period and the same flat spectrum. A *multisine* with random phases excites
+all modes at once; a *chirp*, used in the paper, sweeps through them one after the other. With an eight-bit scope this
+matters: while the chirp passes a weak mode, one converter step may exceed the whole motion, and averaging cannot
+recover it, because every period is quantised alike. In a multisine the strong modes carry the weak ones across the
+steps.
 """
 
 from __future__ import annotations
@@ -25,39 +26,39 @@ from modaltouch.rig import Acquisition, RigError, instrument_of
 from modaltouch.stimulus import Burst
 
 N_SAMPLES = 131_072
-"""Samples of the chirp: a whole memory of the generator."""
+"""Samples of one period of the excitation: the whole memory of the generator."""
 
 RATE = 500e3
-"""At which they are held [Hz]: a period of 0.262 s gives five bins to a mode that is 20 Hz wide."""
+"""Rate at which the generator plays them [Hz]: a period of 0.262 s gives five bins across a mode 20 Hz wide."""
 
 OVERSAMPLING = 6.25
-"""Scope samples per held one. The images of the held samples about multiples of their rate fold: by a whole number
-onto the drive itself, where they beat with the drift of the two clocks (0.013 rad and 0.5 % at 88 kHz for 5 of them and
-5 ppm); a quarter off, onto other bins, of which each shifts its phase against the next."""
+"""Scope samples per generator sample. The images of the held samples about multiples of their rate alias. With an
+integer ratio they fold onto the drive itself, where they beat as the two clocks drift (0.013 rad and 0.5 % at 88 kHz
+for a ratio of 5 and 5 ppm); a quarter off, they fold onto other bins, with a phase that changes from bin to bin."""
 
 LOWEST = 40.0
-"""Where the excitation begins [Hz]."""
+"""Lower end of the excitation's band [Hz]."""
 
 HIGHEST = 120e3
-"""Where it may end at most: four held samples to a cycle [Hz]."""
+"""Highest upper end of the band: about four generator samples per cycle [Hz]."""
 
 N_DRAWS = 30
-"""Random phases of a multisine that are tried; those of the lowest peak are kept."""
+"""Sets of random phases tried for a multisine; the one with the lowest peak is kept."""
 
 LEVEL = 0.1
-"""Nominal velocity that names the chirp's level; nobody feels it [m/s]."""
+"""Nominal level of the excitation as a burst; no participant feels it [m/s]."""
 
 Excitation = Literal["multisine", "chirp"]
 
 CLOCK_TOLERANCE = 20e-6
-"""How far the clocks of scope and generator may differ, by their data sheets [1]."""
+"""How far the clocks of scope and generator may differ according to their data sheets [1]."""
 
 HEADROOM = 1.5
-"""Range of the vibrometer's input over what the end of the beam, which moves most, shows [1]."""
+"""Input range for the vibrometer over its peak at the end of the beam, which moves most [1]."""
 
 
 def excite(apparatus: Apparatus, set_name: str, voltage: float, highest: float, kind: Excitation = "chirp") -> Burst:
-    """Return a periodic excitation of one actuator set, silent on the others.
+    """Return a periodic excitation of one actuator set; the other channel stays silent.
 
     Parameters
     ----------
@@ -68,14 +69,14 @@ def excite(apparatus: Apparatus, set_name: str, voltage: float, highest: float, 
     voltage : float
         Peak at the beam [V].
     highest : float
-        Where its spectrum ends [Hz].
+        Upper end of its spectrum [Hz].
     kind : str
         ``chirp`` (linear) or ``multisine`` (random phases, always the same ones).
 
     Raises
     ------
     ValueError
-        If a number is out of bounds.
+        If the voltage or the frequency is out of bounds.
     """
     limit = apparatus.amplifier.limit_V
     if not 0 < voltage <= limit:
@@ -102,7 +103,7 @@ def excite(apparatus: Apparatus, set_name: str, voltage: float, highest: float, 
 
 
 def chirp(highest: float) -> NDArray[np.float64]:
-    """Return a linear chirp of a peak of 1 that ends in the phase in which it begins, (N_SAMPLES,) array."""
+    """Return a linear chirp of peak 1 that ends at the phase at which it begins, (N_SAMPLES,) array."""
     duration = N_SAMPLES / RATE
     cycles = round((LOWEST + highest) / 2 * duration)
     last = 2 * cycles / duration - LOWEST
@@ -111,7 +112,7 @@ def chirp(highest: float) -> NDArray[np.float64]:
 
 
 def multisine(highest: float) -> NDArray[np.float64]:
-    """Return equal sines at every multiple of the period's frequency, of a peak of 1 in all, (N_SAMPLES,) array."""
+    """Return equal sines at all multiples of 1/period within the band, with a total peak of 1, (N_SAMPLES,) array."""
     line = np.arange(N_SAMPLES // 2 + 1) * RATE / N_SAMPLES
     lines = (line >= LOWEST) & (line <= highest)
     rng = np.random.default_rng(0)
@@ -128,9 +129,9 @@ class Campaign:
     Attributes
     ----------
     positions : tuple of float
-        Where, origin at mid-beam [m].
+        Positions along the beam, origin at mid-beam [m].
     averages : int
-        Records at each.
+        Records at each position.
     voltage : float
         Peak of the excitation at the beam [V].
     highest : float
@@ -140,7 +141,7 @@ class Campaign:
     excitation : str
         ``multisine`` or ``chirp``.
     across : float
-        Where the row of positions lies across the beam, from its mid-line [m].
+        Offset of the row of positions from the beam's mid-line [m].
     """
 
     positions: tuple[float, ...]
@@ -160,7 +161,7 @@ class Campaign:
         on_progress: Callable[[int, int], None],
         check: Callable[[], None],
     ) -> dict[str, Scan]:
-        """Return the scans of all sets, each from the start or from where it was interrupted.
+        """Return the scans of all sets, each begun anew or resumed where it was interrupted.
 
         Parameters
         ----------
@@ -169,14 +170,14 @@ class Campaign:
         source : Source
             The apparatus file.
         folder : Path or None
-            Where each set has a folder; None to write nothing.
+            Parent of one folder per set; None to write nothing.
         on_progress, check : callable
-            As for `take_scan`, over all sets.
+            As for `take_scan`, counted over all sets.
 
         Raises
         ------
         RigError
-            If the rig fails, a drive does not reach its set, or something was overloaded.
+            If the rig fails, a drive does not reach its set, or an input was overloaded.
         RecordError
             If a folder holds another scan.
         """
@@ -220,14 +221,14 @@ class Campaign:
         }
         plan = ScanPlan(burst, burst.velocity, self.positions, asked, about, self.across)
         if place is not None and (place / DESCRIPTION).exists():
-            # A scan that goes on keeps the range it was begun with.
+            # A resumed scan keeps the range it was begun with.
             recorded = read_facts(place)["settings"]["acquisition"]["velocity_range"]
             return replace(plan, acquisition=replace(asked, velocity_range=recorded))
         return replace(plan, acquisition=_with_range(laboratory, plan, name, self.voltage))
 
 
 def _with_range(laboratory: Laboratory, plan: ScanPlan, name: str, voltage: float) -> Acquisition:
-    """Return the acquisition with the range that the end of the beam needs, having seen that the drive arrives."""
+    """Check that the drive reaches its set, and return the acquisition with the range needed at the end of the beam."""
     asked = plan.acquisition
     laboratory.load(plan.burst)
     end = max(plan.positions, key=abs)
@@ -252,13 +253,13 @@ def _with_range(laboratory: Laboratory, plan: ScanPlan, name: str, voltage: floa
             f"{', '.join(seen.overloaded)} was overloaded at {end * 1e3:g} mm, so its peak is unknown; measure with a "
             "wider range or a lower drive"
         )
-    # Overload is told of every record, so that the vibrometer's whole range is range enough.
+    # Overload is reported for every record, so the vibrometer's full range is always wide enough.
     widest = laboratory.apparatus.acquisition.range_mm_s * 1e-3
     return replace(asked, velocity_range=min(HEADROOM * highest, widest) if highest > 0 else None)
 
 
 def evenly(length: float, n_points: int, margin: float) -> tuple[float, ...]:
-    """Return evenly spaced positions along a beam, a margin from its ends [m]."""
+    """Return evenly spaced positions along a beam, the outermost a margin from its ends [m]."""
     if not 0 <= margin < length / 4:
         raise ValueError(f"a margin of {margin * 1e3:g} mm was given: allowed 0 to {length * 250:g} mm")
     if n_points < 2:
@@ -267,6 +268,6 @@ def evenly(length: float, n_points: int, margin: float) -> tuple[float, ...]:
 
 
 def highest_needed(apparatus: Apparatus) -> float:
-    """Return how far the excitation is to reach beyond the highest mode of the table, within what it can [Hz]."""
+    """Return the upper end of the excitation: a quarter above the highest mode of the table, within its bounds [Hz]."""
     above = 1.25 * max(mode.natural_frequency_Hz for mode in apparatus.modes)
     return float(min(HIGHEST, max(above, 20 * LOWEST)))

@@ -16,16 +16,16 @@ from modaltouch.protocol import InputError, Problem
 from modaltouch.record import RecordError
 
 ENDINGS = (".uff", ".unv", ".csv")
-"""Of an export: they say its form."""
+"""Endings of an export, which select its format."""
 
 
 def check_export(path: Path) -> None:
-    """Refuse, before anything is measured, a file whose ending says no form.
+    """Refuse, before anything is measured, a file whose ending is not one of `ENDINGS`.
 
     Raises
     ------
     InputError
-        With the endings that do.
+        With the allowed endings.
     """
     if path.suffix.lower() not in ENDINGS:
         given = f"--export with the ending '{path.suffix}'"
@@ -35,12 +35,12 @@ def check_export(path: Path) -> None:
 
 
 def export(identification: Identification, path: Path) -> None:
-    """Write the responses that were fitted, and in a universal file the mode shapes with them; all or nothing.
+    """Write the measured responses and, in a universal file, the mode shapes; all or nothing.
 
     Parameters
     ----------
     identification : Identification
-        What was measured and found.
+        The responses and the modes found.
     path : Path
         The file; its ending is one of `ENDINGS`.
 
@@ -59,7 +59,7 @@ def export(identification: Identification, path: Path) -> None:
             import pyuff
 
             with warnings.catch_warnings():
-                # It leaves a file object of binary data to be closed with its last reference.
+                # pyuff does not close the file object that it uses for binary data.
                 warnings.simplefilter("ignore", ResourceWarning)
                 pyuff.UFF(str(part)).write_sets(list(_sets(identification)), mode="overwrite")
         part.replace(path)
@@ -71,7 +71,7 @@ def export(identification: Identification, path: Path) -> None:
 
 
 def _lines(identification: Identification) -> Iterator[str]:
-    """Yield a line for each number, under the header that `identify` reads again."""
+    """Yield the header and one line per number, in the format that `identify` reads."""
     responses = identification.responses
     coherence, rows = responses.coherence, bool(np.any(responses.across))
     further = ("coherence", "across_mm") if rows else ("coherence",)

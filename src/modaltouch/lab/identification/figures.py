@@ -1,4 +1,4 @@
-"""The figures of an identification: responses with their fit, stability diagram, complexity, coherence, and Fig. 4."""
+"""The figures of an identification: responses and fit, stability diagram, complexity, coherence, shapes (Fig. 4)."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_
 from modaltouch.stimulus import mode_shapes
 
 DRAWN_BINS = 1500
-"""Bins that a curve keeps: a figure shows no more."""
+"""Bins per curve: a figure cannot show more."""
 
 STABILITIES: tuple[tuple[str, dict[str, Any]], ...] = (
     ("new", {"marker": "x", "ms": 3, "color": FAINT}),
     ("frequency within 1 % of the order before", {"marker": "o", "mfc": "white"}),
     ("and damping ratio within 5 %", {"marker": "o"}),
 )
-"""What is said of a pole, and how it is drawn."""
+"""Labels and markers for the stability of a pole."""
 
 MOST_SETS = 6
-"""Excitations that are drawn, a panel each."""
+"""Largest number of excitations drawn, one panel each."""
 
 
 def draw_responses(identification: Identification) -> Figure:
-    """Return the responses, root mean square over the points, with the fit and what it leaves."""
+    """Draw the responses, root mean square over the points, with the fit and the residual."""
     responses = identification.responses
     curves = (
         (responses.response, "measured", {"lw": 2.4, "alpha": 0.45}),
@@ -59,7 +59,7 @@ def draw_responses(identification: Identification) -> Figure:
 
 
 def draw_fits(identification: Identification) -> Figure:
-    """Return the worst, the median and the best fitted response: magnitude, what is left, and phase."""
+    """Draw the worst, the median and the best fitted response: magnitude, residual and phase."""
     responses = identification.responses
     flat = responses.response.reshape(-1, responses.frequency.size)
     fitted = identification.fitted.reshape(flat.shape)
@@ -88,7 +88,7 @@ def draw_fits(identification: Identification) -> Figure:
 def _draw_fit(
     column: NDArray[Any], identification: Identification, measured: ComplexArray, fitted: ComplexArray
 ) -> None:
-    """Draw one response: measured and fitted, with the delay taken off the phase where it is known."""
+    """Draw one response, measured and fitted, with the delay removed from the phase where it is known."""
     frequency = identification.responses.frequency
     delay = identification.delay.value - identification.responses.offset
     turn = np.exp(2j * np.pi * frequency * (0.0 if math.isnan(delay) else delay))
@@ -110,7 +110,7 @@ def _draw_fit(
 
 
 def draw_stability(identification: Identification) -> Figure:
-    """Return which model orders of a common denominator find each pole, over the responses and the identified modes."""
+    """Draw the stability diagram of a common-denominator model over the responses and the identified modes."""
     from modaltouch.lab.identification.stability import HIGHEST_ORDER, poles_by_order
 
     responses = identification.responses
@@ -136,7 +136,7 @@ def draw_stability(identification: Identification) -> Figure:
 
 
 def draw_complexity(identification: Identification) -> Figure:
-    """Return the residues of every mode in the complex plane, turned onto their common line."""
+    """Draw the residues of every mode in the complex plane, rotated so that their common line is real."""
     modes = [mode for mode in identification.modes if mode.residue.size > 1]
     n_rows = math.ceil(len(modes) / 6)
     with house_style(7.6, 0.5 + 1.05 * n_rows, n_rows, 6, subplot_kw={"aspect": "equal"}) as (figure, panels):
@@ -159,7 +159,7 @@ def draw_complexity(identification: Identification) -> Figure:
 
 
 def draw_coherence(identification: Identification) -> Figure:
-    """Return the coherence over the points: its median, and the band that holds eight points of ten."""
+    """Draw the coherence: its median over the points, and the band from the 10th to the 90th percentile."""
     responses = identification.responses
     coherence = np.ones(responses.response.shape) if responses.coherence is None else responses.coherence
     with house_style(7.6, 1.2 + 1.7 * len(responses.sets), len(responses.sets), sharex=True) as (figure, panels):
@@ -177,7 +177,7 @@ def draw_coherence(identification: Identification) -> Figure:
 
 
 def draw_shapes(identification: Identification) -> Figure:
-    """Return the measured shapes over those of a uniform free-free beam, as in Fig. 4."""
+    """Draw the measured shapes over those of a uniform free-free beam, as in Fig. 4."""
     modes = [mode for mode in identification.modes if mode.label is not None and mode.shape is not None]
     positions, length = identification.responses.positions, identification.length
     n_rows = math.ceil(len(modes) / 3)
@@ -201,7 +201,7 @@ def draw_shapes(identification: Identification) -> Figure:
 
 
 def draw_shape_maps(identification: Identification) -> Figure:
-    """Return the measured shapes over length and width, torsion with them, as in Fig. 4."""
+    """Draw the measured shapes over length and width, including torsion, as in Fig. 4."""
     n_rows = math.ceil(len(identification.shaped) / 3)
     x, y = np.array(identification.responses.places).T
     with house_style(7.6, 0.7 + 0.95 * n_rows, n_rows, 3, sharex=True, sharey=True) as (figure, panels):
@@ -218,7 +218,7 @@ def draw_shape_maps(identification: Identification) -> Figure:
 
 
 def _mark_modes(axes: Axes, identification: Identification, *, labelled: bool = True) -> None:
-    """Draw a line at each identified mode, with its label above in two rows."""
+    """Draw a line at each identified mode, with its label above, in two staggered rows."""
     for mode in identification.modes:
         place = mode.natural_frequency.value / 1e3
         axes.axvline(place, color=FAINT, lw=0.5, alpha=0.5, ls="-" if mode.label else ":", zorder=0.9)
@@ -239,12 +239,12 @@ def _unit(identification: Identification) -> str:
 
 
 def _rounded_down(value: float) -> str:
-    """Return a likeness as it is printed: no 1 that is not one."""
+    """Format a likeness with four decimals, rounded down so that only an exact 1 prints as 1."""
     return f"{math.floor(value * 1e4) / 1e4:.4f}"
 
 
 def _thinned(frequency: FloatArray, size: FloatArray) -> NDArray[np.intp]:
-    """Return the bins that a curve over the logarithm of frequency needs: each stretch's extremes."""
+    """Return the bins that a curve over log frequency needs: the extremes of each stretch."""
     if frequency.size <= DRAWN_BINS:
         return np.arange(frequency.size)
     stretch = np.floor(np.log(frequency / frequency[0]) / np.log(frequency[-1] / frequency[0]) * DRAWN_BINS / 2)
@@ -256,7 +256,7 @@ def _thinned(frequency: FloatArray, size: FloatArray) -> NDArray[np.intp]:
 
 
 def _frequency_axis(axes: Axes, frequency: FloatArray) -> None:
-    """End a logarithmic axis where the measured band does."""
+    """Make the frequency axis logarithmic, with the limits of the measured band."""
     low, high = float(frequency[0]) / 1e3, float(frequency[-1]) / 1e3
     axes.set_xscale("log", subs=(1, 2, 5))
     _plain_ticks(axes.xaxis, (1.0,) if high > 100 * low else (1.0, 2.0, 5.0))

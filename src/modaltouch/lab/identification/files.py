@@ -1,4 +1,4 @@
-"""Frequency responses, and records over time, from files of other programs: UFF, CSV, NPZ, LVM, plain numbers."""
+"""Frequency responses and time records from files of other programs: UFF, CSV, NPZ, LVM, plain numbers."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ _FUNCTION, _TIME, _RESPONSE = 58, 1, 4
 _NODES = (15, 2411)
 _UNITS = 164
 _QUANTITIES: dict[int, Quantity] = {8: "displacement", 11: "velocity", 12: "acceleration"}
-"""What a specific data type of an ordinate's numerator is."""
+"""Quantity of each specific data type of an ordinate's numerator."""
 
 
 def _read_universal(path: Path, how: ResponseFormat) -> Part:
-    """Return the responses of a universal file, or those of its records over time.
+    """Return the responses in a universal file, or those computed from its time records.
 
-    Places are those of the response nodes, from their middle: along the axis in which the nodes spread most, and across
-    it along the one in which they spread second most.
+    Places are those of the response nodes, from the middle of all nodes: along the axis with the largest extent of the
+    nodes, and across along the axis with the second largest.
     """
     sets = _read_sets(path)
     functions = [each for each in sets if each["type"] == _FUNCTION and each["func_type"] in (_TIME, _RESPONSE)]
@@ -54,7 +54,7 @@ def _read_universal(path: Path, how: ResponseFormat) -> Part:
 
     def name(function: dict[str, Any], reference: float) -> Key:
         node, direction = int(function["rsp_node"]), int(function["rsp_dir"])
-        # A word, as an apparatus file names its actuator sets.
+        # A single word, like the names of actuator sets in an apparatus file.
         told = f"reference_{int(reference)}" + (f"_node_{node}" if node not in places else "")
         return told + (f"_direction_{direction}" if len(directions) > 1 else ""), places.get(node)
 
@@ -79,7 +79,7 @@ def _read_universal(path: Path, how: ResponseFormat) -> Part:
         if _kind(each) not in _QUANTITIES:
             drive = each
         elif drive is not None:
-            # Each motion belongs to the excitation before it.
+            # Each motion belongs to the excitation that precedes it.
             step = float(each["x"][1] - each["x"][0])
             key = name(each, drive["rsp_node"])
             records.append(TimeRecord(key, np.real(drive["data"]), np.real(each["data"]) / size, step))
@@ -101,14 +101,14 @@ def _read_sets(path: Path) -> list[dict[str, Any]]:
 
     try:
         read = pyuff.UFF(str(path)).read_sets()
-    # The library raises bare exceptions, and whatever its parsing meets.
+    # The library raises bare exceptions, and passes on whatever its parsing raises.
     except Exception as error:
         raise ValueError(f"{path}: cannot be read as a universal file ({error}); export it again") from error
     return [read] if isinstance(read, dict) else list(read)
 
 
 def _places(sets: list[dict[str, Any]], functions: list[dict[str, Any]]) -> dict[int, Place]:
-    """Return where the response nodes lie on the beam, from their middle; nothing without coordinates."""
+    """Return the places of the response nodes, from the middle of all nodes; empty without coordinates."""
     measured = {int(each["rsp_node"]) for each in functions}
     place = {
         int(number): [float(each[axis][i]) for axis in ("x", "y", "z")]
@@ -125,39 +125,40 @@ def _places(sets: list[dict[str, Any]], functions: list[dict[str, Any]]) -> dict
 
 
 def _size(sets: list[dict[str, Any]]) -> float:
-    """Return the file's unit of length as its number per metre; 1 where it names none."""
+    """Return how many of the file's units of length make a metre; 1 if it names no unit."""
     factors = [float(each["length"]) for each in sets if each["type"] == _UNITS]
     return factors[0] if factors and factors[0] > 0 else 1.0
 
 
 CSV_COLUMNS = ("frequency_Hz", "set", "position_mm", "real", "imag")
-"""Columns of responses as CSV; ``coherence`` and ``across_mm``, from the mid-line, may follow. Repeats follow each
-other, or stand in several files."""
+"""Columns of responses in a CSV file; ``coherence`` and ``across_mm``, from the mid-line, may follow. Repeats follow
+each other in one file or come in several files."""
 
 ROUNDING = 1e-3
-"""By how much digits that are cut off may lift a coherence above 1 [1]."""
+"""How far rounding may lift a coherence above 1 [1]."""
 
 FEWEST_SIGNED = 6
-"""Places from which some response of a beam has a negative real part."""
+"""Number of places from which some response of a beam must have a negative real part."""
 
 TIME_COLUMNS = ("time_s", "set", "position_mm", "drive", "motion")
-"""Columns of records over time as CSV, in SI units."""
+"""Columns of time records in a CSV file, drive and motion in SI units."""
 
 
 def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> FrequencyResponses:
-    """Return the velocity responses of files, all of one frequency axis.
+    """Return the velocity responses in files with a common frequency axis.
 
     Parameters
     ----------
     paths : sequence of Path
-        By their ending: ``.uff`` or ``.unv``, ``.csv``, ``.npz``, ``.lvm``, or ``.txt`` with a complex number a line.
+        The ending gives the format: ``.uff`` or ``.unv``, ``.csv``, ``.npz``, ``.lvm``, or ``.txt`` with one complex
+        number per line.
     how : ResponseFormat, optional
-        What the files do not say.
+        What the files do not state.
 
     Raises
     ------
     ValueError
-        If a file cannot be read, does not say what it holds, or does not fit the others; the message begins with its
+        If a file cannot be read, does not state its quantity, or does not match the others; the message begins with its
         path.
     """
     how = how or ResponseFormat()
@@ -178,7 +179,7 @@ def read_responses(paths: Sequence[Path], how: ResponseFormat | None = None) -> 
         _refuse_amplitudes(path, part)
         of_file: dict[Key, list[MeasuredResponse]] = {}
         for key, values, coherence in part.responses:
-            # A response without a place may be of another one in each file.
+            # Without places, responses of the same name in different files may come from different points.
             name = (f"{path.stem} {key[0]}", None) if key[1] is None and key in found else key
             velocity = as_velocity(part.frequency, np.conj(values) if how.conjugated else values, quantity)[:n_bins]
             each = MeasuredResponse(name, velocity, None if coherence is None else coherence[:n_bins])
@@ -213,7 +214,7 @@ def _quantity(path: Path, part: Part, how: ResponseFormat) -> Quantity:
 
 
 def _refuse_amplitudes(path: Path, part: Part) -> None:
-    """Refuse responses of several places none of which ever has a negative real part, as no beam's have."""
+    """Refuse responses at several places whose real parts are nowhere negative: no beam has such responses."""
     places = {key[1] for key, *_ in part.responses if key[1] is not None}
     if len(places) >= FEWEST_SIGNED and all((values.real >= 0).all() for _, values, _ in part.responses):
         raise ValueError(
@@ -225,7 +226,7 @@ def _refuse_amplitudes(path: Path, part: Part) -> None:
 def _assemble(
     path: Path, frequency: FloatArray, found: dict[Key, list[MeasuredResponse]], repeat: int, n_averages: int
 ) -> FrequencyResponses:
-    """Return a repeat as a whole: sets by positions where every set is measured everywhere, else one by one."""
+    """Return one repeat: sets by positions if every set is measured at every place, else one set per response."""
     response = {key: repeats[repeat].values for key, repeats in found.items()}
     coherence = {key: repeats[repeat].coherence for key, repeats in found.items()}
     frequency = _even_axis(path, frequency)
@@ -266,7 +267,7 @@ def _assemble(
 
 
 def _even_axis(path: Path, frequency: FloatArray) -> FloatArray:
-    """Return frequencies that are evenly spaced but for the digits that were cut off."""
+    """Return evenly spaced frequencies, rounding undone; refuse those that are not evenly spaced."""
     if frequency.size < 32:
         raise ValueError(f"{path}: it has {frequency.size} bins; at least 32 are needed")
     even = np.linspace(frequency[0], frequency[-1], frequency.size)
@@ -323,7 +324,7 @@ def _read_csv(path: Path, how: ResponseFormat) -> Part:
             ) from None
     if not read:
         raise ValueError(f"{path}: there is no line below the header")
-    # A repeat begins where the axis begins anew.
+    # A repeat begins where the axis jumps back to its start.
     repeats = [
         (key, *each)
         for key, lines in read.items()
@@ -365,7 +366,7 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
             raise ValueError(f"{'drive' if over_time else 'response'} has the form {values.shape}")
         values = values.reshape(-1, *values.shape[-3:])
         coherence = np.asarray(arrays.get("coherence", np.nan), dtype=float) * np.ones(values.shape)
-    # numpy and zipfile raise whatever damage makes them meet.
+    # A damaged file makes numpy and zipfile raise almost anything.
     except Exception as error:
         raise ValueError(
             f"{path}: cannot be read ({error}); it needs frequency [Hz] and response (sets, positions, bins), or time "
@@ -375,7 +376,7 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
     quantity = str(arrays["quantity"]) if "quantity" in arrays else None
     if quantity is not None and quantity not in QUANTITIES:
         raise ValueError(f"{path}: the quantity is '{quantity}'; allowed: {', '.join(QUANTITIES)}")
-    # Without positions the points are told apart by their number.
+    # Without positions the points are distinguished by their number.
     found = [
         ((name if place is not None else f"{name} {point + 1}", place), each[s, point], certain[s, point])
         for each, certain in zip(values, coherence, strict=True)
@@ -390,7 +391,7 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
 
 
 def _step(path: Path, time: FloatArray) -> float:
-    """Return the time between two samples; digits that are cut off may move each by less than half of it."""
+    """Return the time between two samples; rounding may move each sample by less than half of it."""
     step = float(time[-1] - time[0]) / max(time.size - 1, 1)
     off = np.abs(time - time[0] - step * np.arange(time.size)).max()
     if time.size > 1 and not off < step / 2:
@@ -402,7 +403,7 @@ def _step(path: Path, time: FloatArray) -> float:
 
 
 def _read_text(path: Path, how: ResponseFormat) -> Part:
-    """Read one complex number a line, as Python prints it, from 0 Hz on."""
+    """Read one complex number per line, as Python prints it, starting at 0 Hz."""
     if how.spacing is None:
         raise ValueError(f"{path}: it contains only numbers; give the spacing of its bins with --spacing-Hz")
     values = []

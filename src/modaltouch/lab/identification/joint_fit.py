@@ -26,10 +26,10 @@ from modaltouch.lab.identification.responses import FrequencyResponses
 
 
 def make_problem(responses: FrequencyResponses, poles: Poles, phase_at: float | None = None) -> LeastSquaresProblem:
-    """Return the least-squares problem of responses, binned for poles that are roughly known."""
+    """Return the least-squares problem for the responses, with bins grouped according to approximate poles."""
     bins = Bins.near(responses.frequency, poles.natural_frequency, poles.damping_ratio)
     noise = responses.noise
-    # One profile over frequency for all sets, so that all share their columns; a set's level scales its responses.
+    # All sets have one noise profile over frequency and hence the same columns; a set's level scales its responses.
     level = np.median(noise, axis=1)
     profile = bins.mean(np.median(noise / level[:, None], axis=0))
     weight = np.sqrt(bins.size / profile.real) * np.sqrt(2.0)
@@ -40,7 +40,7 @@ def make_problem(responses: FrequencyResponses, poles: Poles, phase_at: float | 
 
 
 def refine(problem: LeastSquaresProblem, poles: Poles, *, most: int = 60) -> tuple[Poles, Evaluation]:
-    """Return the poles and the delay of least squares, and the fit there."""
+    """Return the least-squares poles and delay, and the fit there."""
     from scipy.optimize import minimize
 
     scale = 1 / problem.highest
@@ -85,7 +85,7 @@ def refine(problem: LeastSquaresProblem, poles: Poles, *, most: int = 60) -> tup
 
 
 def _unit(evaluation: Evaluation, start: Poles) -> FloatArray:
-    """Return what a step of the search is in the parameters of the kernel, whose unit moves with the damping."""
+    """Return the search's units in those of the kernel's parameters, which change with the damping."""
     n = evaluation.n_modes
     return np.concatenate([start.damping_ratio / evaluation.damping_ratio, np.ones(n), [1.0]])
 
@@ -93,7 +93,7 @@ def _unit(evaluation: Evaluation, start: Poles) -> FloatArray:
 def find_more(
     responses: FrequencyResponses, poles: Poles, problem: LeastSquaresProblem, fit: Evaluation, most: int
 ) -> tuple[Poles, LeastSquaresProblem, Evaluation]:
-    """Return the poles with further ones where the fit leaves a peak that noise does not explain."""
+    """Add poles wherever the residual has a peak that noise does not explain, and return them with their fit."""
     poles, problem, fit = _sound_ones(responses, poles, problem, fit, SURE / 2)
     passed: list[tuple[float, float]] = []
     for _ in range(most):
@@ -112,15 +112,15 @@ def find_more(
             poles, problem, fit = refined, finer, after
         else:
             passed.append(peak)
-    # While a mode is missing the deviations of the others are those of what it leaves.
+    # Only now: while a mode is missing, its residual inflates the deviations of the others.
     return _sound_ones(responses, poles, problem, fit, SURE)
 
 
 def _sound(fit: Evaluation, highest: float, sure: float) -> NDArray[np.bool_]:
-    """Return which poles are modes, with a damping that is told from none: that of a chance in few bins is not."""
+    """Return which poles are modes: their damping differs significantly from zero, unlike a chance peak of few bins."""
     low, high = DAMPING_BOUNDS
     possible = (fit.damping_ratio > 2 * low) & (fit.damping_ratio < 0.9 * high)
-    # Of a pole beyond the band, which stands for the modes there, only the flank is seen.
+    # A pole beyond the band represents the modes there; only its flank is visible.
     beyond = fit.natural_frequency > highest
     return np.asarray(beyond | (possible & (fit.deviation[fit.n_modes : -1] < 1 / sure)))
 
@@ -128,7 +128,7 @@ def _sound(fit: Evaluation, highest: float, sure: float) -> NDArray[np.bool_]:
 def _sound_ones(
     responses: FrequencyResponses, poles: Poles, problem: LeastSquaresProblem, fit: Evaluation, sure: float
 ) -> tuple[Poles, LeastSquaresProblem, Evaluation]:
-    """Return the poles that are modes, and the fit of them; all of them where none is, for their intervals say it."""
+    """Return the poles that are modes, with their fit; all poles if none is, since their intervals then show it."""
     kept = _sound(fit, float(responses.frequency[-1]), sure)
     if kept.all() or not kept.any():
         return poles, problem, fit
@@ -141,13 +141,13 @@ def _sound_ones(
 def _left_over(
     problem: LeastSquaresProblem, fit: Evaluation, passed: Sequence[tuple[float, float]]
 ) -> tuple[float, float] | None:
-    """Return frequency and rough damping of the highest peak of what a fit leaves, but those passed over, or None."""
+    """Return frequency and rough damping ratio of the residual's highest peak not passed over before, or None."""
     n = problem.bins.start.size
     left = (fit.rest[:n] + 1j * fit.rest[n:]).T
     frequency = problem.bins.centre
     best, where = SIGNIFICANT**2, None
     for ratio in (0.004, 0.012, 0.03):
-        # Each response against the course of a mode there: what it would explain, summed over the responses.
+        # Power that a mode there would explain, summed over the responses.
         candidate = np.append(frequency[:: max(1, n // 1500)], frequency[-1] * BEYOND)
         candidate = candidate[[all(abs(own / f - 1) > max(2 * wide, NEAR) for f, wide in passed) for own in candidate]]
         course = _course(problem, candidate, ratio, fit.delay)
@@ -161,7 +161,7 @@ def _left_over(
 
 
 def _course(problem: LeastSquaresProblem, natural_frequency: FloatArray, ratio: float, delay: float) -> ComplexArray:
-    """Return the responses of modes at the centres of the bins, (n_modes, n_groups) array."""
+    """Return the responses of modes at the centres of the groups of bins, (n_modes, n_groups) array."""
     omega = 2 * np.pi * problem.bins.centre
     own = 2 * np.pi * natural_frequency[:, None]
     turn = np.exp(-1j * omega * delay)
@@ -172,25 +172,25 @@ def _course(problem: LeastSquaresProblem, natural_frequency: FloatArray, ratio: 
 
 
 WINDOW, FEWEST_IN_WINDOW = 10.0, 20
-"""Half-width of a window about a lone peak, in half-power half-bandwidths, and the least bins of one [1]."""
+"""Half-width of the window about a single peak, in units of damping ratio times frequency, and its least bins [1]."""
 
 SURE = 6.0
-"""Deviations of its damping from none from which a pole of many responses is a mode [1]."""
+"""Least ratio of a pole's damping ratio to its standard deviation for the pole to count as a mode [1]."""
 
 FAR_OFF = 100.0
-"""Misfit from which the search begins anew, at the peaks over a noise that is the same throughout [1]."""
+"""Misfit above which the search restarts from the peaks over a frequency-independent noise [1]."""
 
 BEYOND = np.array([1.02, 1.06, 1.15, 1.3])
-"""Where poles beyond the band are tried, over its highest frequency [1]."""
+"""Frequencies at which poles beyond the band are tried, relative to its upper end [1]."""
 
 NEAR = 0.01
-"""Relative distance within which a peak that was no resonance is not tried again [1]."""
+"""Relative distance from a peak that was no resonance within which no pole is tried again [1]."""
 
 MOST_PASSED = 3
-"""Peaks that are no resonances after which no more are tried."""
+"""Number of peaks that turn out to be no resonances after which no more are tried."""
 
 MOST_ADDED = 20
-"""Poles that may be added to those of the first peaks."""
+"""Largest number of poles added to those of the first peaks."""
 
 
 def identify(
@@ -202,27 +202,27 @@ def identify(
     clock_tolerance: float = 0.0,
     phase_at: float | None = None,
 ) -> Identification:
-    """Return the modes that responses show.
+    """Return the modes in the responses, from a joint fit of all of them.
 
     Parameters
     ----------
     responses : FrequencyResponses
-        Of the velocity; a conjugated response or another quantity is refused (see `first_poles`).
+        Velocity responses; conjugated ones or another quantity are refused (see `first_poles`).
     length : float, optional
         Length of the beam [m], for shapes and labels.
     start : Poles, optional
-        Where the search begins; at the peaks if not given.
+        Where the search begins; at the peaks of the responses if not given.
     most : int
-        Poles that may be added while something is left that noise does not explain.
+        Largest number of poles added where the residual has peaks that noise does not explain.
     clock_tolerance : float
-        How far the clock of the scope may be wrong, as the half-width of a 95 % interval [1].
+        Relative error of the scope's clock, as the half-width of a 95 % interval [1].
     phase_at : float, optional
-        Where the delay stands for a phase that is the same at all frequencies [Hz]: for a narrow band.
+        Frequency at which the delay is converted to one phase for all frequencies [Hz]: for a narrow band.
 
     Raises
     ------
     ValueError
-        If nothing stands out, or the responses cannot be those of a velocity.
+        If no resonance stands out, or the responses cannot be those of a velocity.
     """
     if start is None:
         responses = responses.aligned()
@@ -234,27 +234,27 @@ def identify(
 
     problem, fit = fitted(first_poles(responses, length) if start is None else start)
     if start is None and responses.coherence is not None and fit.variance > FAR_OFF:
-        # Leakage is noise that peaks as the responses do: over it their peaks vanish, or lie elsewhere.
+        # Leakage is noise that peaks where the responses do: relative to it their peaks vanish or shift.
         again = fitted(first_poles(replace(responses, coherence=None), length))
         problem, fit = min((problem, fit), again, key=lambda each: each[1].variance)
     return ModalParameters(responses, length, problem, fit, clock_tolerance).identification()
 
 
 def identify_each(responses: FrequencyResponses) -> Identification:
-    """Return the modes that responses show, each fitted in a window about its own peak.
+    """Return the modes in the responses, each fitted in a window about its own peak.
 
-    For files that do not say where their responses were measured, and may hold other motions of the structure: there
-    no shape tells one from another, and no delay is common to all. Each window has a phase of its own.
+    For files that do not give the positions of their responses and may contain other motions of the structure: no
+    shape distinguishes the modes, and no delay is common to all. Each window has its own phase.
 
     Parameters
     ----------
     responses : FrequencyResponses
-        Of the velocity.
+        Velocity responses.
 
     Raises
     ------
     ValueError
-        If nothing stands out, or the responses cannot be those of a velocity.
+        If no resonance stands out or can be fitted, or the responses cannot be those of a velocity.
     """
     responses = responses.aligned()
     poles = first_poles(responses, None)
@@ -274,7 +274,7 @@ def identify_each(responses: FrequencyResponses) -> Identification:
         start = Poles(np.array([own]), np.array([ratio]), -phase / (2 * np.pi * float(own)))
         found = identify(window, start=start, most=0, phase_at=float(own))
         mode = found.modes[0]
-        # What drifts out of its window, or has a damping that could be none, is no resonance.
+        # A pole that leaves its window, or whose damping ratio may be zero, is no resonance.
         if not low <= mode.natural_frequency.value <= high or mode.damping_ratio.low <= 0:
             continue
         magnitude = np.abs(responses.response).reshape(-1, responses.frequency.size)
@@ -291,22 +291,22 @@ def identify_each(responses: FrequencyResponses) -> Identification:
 
 
 SAME_MODE = 0.005
-"""Relative difference of natural frequencies up to which modes without a label are the same [1]."""
+"""Relative difference in natural frequency below which modes without a label are the same [1]."""
 
 
 def over_repeats(found: Identification) -> Identification:
-    """Return modes whose intervals hold their scatter over the repeats that the responses keep.
+    """Return the modes with intervals that include their scatter over the repeats of the responses.
 
-    Each repeat is fitted by itself, for the mean of responses whose frequencies wander has too much damping. A
-    parameter's interval is that of Student over the repeats, and never narrower than that of the joint fit. A mode that
-    fewer than two repeats show keeps its own.
+    Each repeat is fitted by itself, since the mean of responses whose natural frequencies wander is too broad. A
+    parameter's interval is Student's over the repeats, but never narrower than that of the joint fit. A mode found in
+    fewer than two repeats keeps the interval of the joint fit.
     """
     repeats = [_fit_repeat(found, repeat) for repeat in range(len(found.responses.repeats))]
     return replace(found, modes=tuple(_over(mode, [_same(mode, each) for each in repeats]) for mode in found.modes))
 
 
 def _fit_repeat(found: Identification, repeat: int) -> Sequence[IdentifiedMode]:
-    """Return the modes of one repeat; none where nothing can be fitted to it."""
+    """Return the modes of one repeat; none if it cannot be fitted."""
     responses = found.responses.repeats[repeat].aligned()
     try:
         if found.poles is None:
@@ -318,7 +318,7 @@ def _fit_repeat(found: Identification, repeat: int) -> Sequence[IdentifiedMode]:
 
 
 def _same(mode: IdentifiedMode, others: Sequence[IdentifiedMode]) -> IdentifiedMode | None:
-    """Return the one that is a mode again: by its label, else by its natural frequency."""
+    """Return the same mode among others: by its label, else by its natural frequency."""
     own = mode.natural_frequency.value
     alike = [
         (abs(each.natural_frequency.value / own - 1), each)
@@ -329,7 +329,7 @@ def _same(mode: IdentifiedMode, others: Sequence[IdentifiedMode]) -> IdentifiedM
 
 
 def _over(mode: IdentifiedMode, repeats: Sequence[IdentifiedMode | None]) -> IdentifiedMode:
-    """Return a mode with its intervals over its repeats."""
+    """Return a mode with intervals that include the scatter over its repeats."""
     known = [each for each in repeats if each is not None]
     if len(known) < 2:
         return mode
@@ -344,7 +344,7 @@ def _over(mode: IdentifiedMode, repeats: Sequence[IdentifiedMode | None]) -> Ide
 
 
 def _widened(joint: Estimate, repeats: Sequence[Estimate]) -> Estimate:
-    """Return the mean of repeats, with the interval of Student or the joint fit's, whichever is wider."""
+    """Return the mean of repeats with Student's interval or the joint fit's, whichever is wider."""
     from scipy.stats import t
 
     values, n = [each.value for each in repeats], len(repeats)

@@ -1,14 +1,14 @@
-r"""Least squares of many responses on common poles: residues are solved for, poles and delay searched.
+r"""Least-squares fit of many responses with common poles: linear in the residues, iterative in poles and delay.
 
 A velocity response behind a delay :math:`\tau` and a known low-pass L is
 
 .. math:: H_r(\omega) = L e^{-i\omega\tau} \Big[\sum_k \frac{i\omega R_{kr}}
           {\omega_k^2 - \omega^2 + 2 i \xi_k \omega_k \omega} + c_r + d_r \omega\Big]
 
-with real residues R, which are gain times shape, and a complex linear rest c + d w. For given poles and delay the rest
-is linear; what is left of the responses then, r = P y with the projector P, is minimised over poles and delay (variable
-projection). Its slope is exactly -P (dA/dp) x (Golub and Pereyra 1973); Gauss and Newton's second derivative follows
-from it (Kaufman 1975).
+with real residues R, which are gain times shape, and a complex linear background c + d w. For given poles and delay the
+model A x is linear in x, the residues and backgrounds, and the residual of the responses y is r = P y with a projector
+P; it is minimised over poles and delay (variable projection). Its derivative is exactly -P (dA/dp) x (Golub and Pereyra
+1973), and the Gauss-Newton Hessian follows from that (Kaufman 1975).
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ from numpy.typing import NDArray
 from modaltouch.lab.arrays import ComplexArray, FloatArray
 
 N_REST = 4
-"""Columns of the complex linear rest."""
+"""Real columns of the complex linear background."""
 
 
 @dataclass(frozen=True)
 class Bins:
-    """Neighbouring bins joined where the responses are smooth, and the model averaged over the same ones.
+    """Groups of neighbouring bins, wider where the responses are smooth, over which responses and model are averaged.
 
     Attributes
     ----------
     frequency : (n_bins,) array
-        Of every bin [Hz].
+        Frequency of every bin [Hz].
     start : (n_groups,) array
         First bin of each group.
     """
@@ -54,7 +54,7 @@ class Bins:
 
     @cached_property
     def size(self) -> FloatArray:
-        """Bins of each group, (n_groups,) array."""
+        """Number of bins in each group, (n_groups,) array."""
         return np.diff(np.append(self.start, self.frequency.size)).astype(float)
 
     @cached_property
@@ -64,12 +64,12 @@ class Bins:
 
     @cached_property
     def nodes(self) -> FloatArray:
-        r"""Where a model is computed instead of at every bin: three to each group, (n_nodes,) array [Hz].
+        r"""Frequencies at which a model is computed instead of at every bin, three per group, (n_nodes,) array [Hz].
 
-        They are those of Gauss's rule for a sum over n bins: with the moments :math:`\mu_2 = (n^2 - 1)/12` and
-        :math:`\mu_4 = \mu_2 (3 n^2 - 7)/20` of their places it is exact for polynomials of degree 5. Of a group as wide
-        as an eighth of its distance from a pole it gives the mean to 1e-8.
-        Where every group is a bin, one is enough.
+        They are the nodes of the Gauss rule for a sum over n bins, exact for polynomials of degree 5, from the moments
+        :math:`\mu_2 = (n^2 - 1)/12` and :math:`\mu_4 = \mu_2 (3 n^2 - 7)/20` of the bins. For a group as wide as an
+        eighth of its distance from a pole it gives the mean to 1e-8. Where every group is a single bin, one node is
+        enough.
         """
         if (self.size == 1).all():
             return self.frequency
@@ -85,7 +85,7 @@ class Bins:
         return np.stack([outer, 1 - 2 * outer, outer], axis=1)
 
     def mean_of_nodes(self, values: ComplexArray) -> ComplexArray:
-        """Return the mean over each group of what is known at the nodes, along the last axis."""
+        """Return the mean over each group from values at the nodes, along the last axis."""
         parts = values.reshape(*values.shape[:-1], *self.node_weight.shape)
         return np.asarray(np.einsum("...gn,gn->...g", parts, self.node_weight))
 
@@ -101,15 +101,15 @@ class LeastSquaresProblem:
     Attributes
     ----------
     bins : Bins
-        Where.
+        Groups of bins at which they are fitted.
     response : (n_groups, n_responses) complex array
-        Responses over their standard deviation, times the square root of the bins of the group.
+        Responses over their standard deviation, times the square root of the number of bins in the group.
     weight : (n_groups,) array
-        What the columns are multiplied by likewise; a response's own scale is in its residues.
+        The same factor for the model's columns; each set's own noise level is absorbed by its residues.
     bandwidth : float or None
         Corner of the known low-pass [Hz].
     phase_at : float or None
-        Where the delay stands for a phase that is the same at all frequencies [Hz]; None for a true delay.
+        Frequency at which the delay is converted to one phase for all frequencies [Hz]; None for a true delay.
     """
 
     bins: Bins
@@ -135,7 +135,7 @@ class LeastSquaresProblem:
 
     @cached_property
     def turning(self) -> FloatArray:
-        """What a delay is multiplied by for its phase, (n_nodes,) array [rad/s]."""
+        """Phase per unit of delay, (n_nodes,) array [rad/s]."""
         return self.omega if self.phase_at is None else np.full(self.omega.size, 2 * np.pi * self.phase_at)
 
     @cached_property
@@ -155,22 +155,22 @@ class Evaluation:
     natural_frequency, damping_ratio : (n_modes,) array
         The poles [Hz, 1].
     delay : float
-        Of the responses [s].
+        Delay of the responses [s].
     residue : (n_modes + 4, n_responses) array
-        Of the modes, then of the rest, in the scale of the problem's responses.
+        Residues of the modes, then coefficients of the background, in the scale of the problem's responses.
     rest : (2 n_groups, n_responses) array
-        What is left, in standard deviations.
-    slope : (2 n_groups, 2 n_modes + 1) array
-        Change of the modes' columns by natural frequency over its damping, by the logarithm of the damping ratio, less
-        what the columns can take; the last is unused.
+        Residual, in standard deviations.
+    slope : (2 n_groups, 2 n_modes) array
+        Derivatives of the modes' columns by natural frequency in units of its damping, then by the logarithm of the
+        damping ratio, less their projection on all columns.
     turned : (2 n_groups, n_modes + 4) array
-        Change of all columns by the delay, likewise.
+        Derivatives of all columns by the delay, likewise.
     basis, factor : (2 n_groups, n_modes + 4) and (n_modes + 4, n_modes + 4) array
-        The columns' orthonormal and upper triangular factors.
+        Orthonormal and upper triangular factor of the columns.
     lost : (n_modes + 4, 2 n_modes) array
-        What the columns take of the slopes: how residues follow the poles.
+        Coefficients of the derivatives' projection on the columns: how the residues follow the poles.
     lost_turned : (n_modes + 4, n_modes + 4) array
-        The same of the delay.
+        The same for the delay.
     """
 
     natural_frequency: FloatArray
@@ -192,7 +192,7 @@ class Evaluation:
 
     @cached_property
     def cost(self) -> float:
-        """Half the sum of squares."""
+        """Half the sum of squares of the residual."""
         return 0.5 * float((self.rest**2).sum())
 
     @cached_property
@@ -202,13 +202,13 @@ class Evaluation:
 
     @cached_property
     def gradient(self) -> FloatArray:
-        """Of the cost by the parameters, (2 n_modes + 1,) array."""
+        """Gradient of the cost, (2 n_modes + 1,) array."""
         own = -np.einsum("pr,pr->p", self.slope.T @ self.rest, self._own)
         return np.append(own, -float(np.sum((self.turned.T @ self.rest) * self.residue)))
 
     @cached_property
     def curvature(self) -> FloatArray:
-        """Of the cost by the parameters, (2 n_modes + 1, 2 n_modes + 1) array."""
+        """Gauss-Newton Hessian of the cost, (2 n_modes + 1, 2 n_modes + 1) array."""
         n = 2 * self.n_modes
         result = np.empty((n + 1, n + 1))
         result[:n, :n] = (self.slope.T @ self.slope) * (self._own @ self._own.T)
@@ -220,9 +220,9 @@ class Evaluation:
 
     @cached_property
     def scores(self) -> FloatArray:
-        """What each group of bins adds to the slope of the cost, over all responses, (n_groups, 2 n_modes + 1) array.
+        """Contribution of each group of bins to the gradient, over all responses, (n_groups, 2 n_modes + 1) array.
 
-        An error that is the same at all points, as one of the measured drive, adds up here.
+        An error common to all points, such as one in the measured drive, adds up here.
         """
         own = self.slope * (self.rest @ self._own.T)
         delay = (self.turned * (self.rest @ self.residue.T)).sum(axis=1)
@@ -232,19 +232,22 @@ class Evaluation:
 
     @cached_property
     def covariance(self) -> FloatArray:
-        """Of the parameters (frequency over damping, log damping, delay times scale) for responses of unit variance."""
+        """Covariance of the parameters for responses of unit variance.
+
+        The parameters are natural frequency in units of its damping, log damping ratio, and delay over scale.
+        """
         return np.asarray(np.linalg.pinv(self.curvature, hermitian=True))
 
     @property
     def variance(self) -> float:
-        """Mean square of what is left, by the degrees of freedom."""
+        """Sum of squares of the residual over the degrees of freedom."""
         return 2 * self.cost / max(self.rest.size - self.residue.size - 2 * self.n_modes - 1, 1)
 
     @cached_property
     def deviation(self) -> FloatArray:
-        """Of the parameters, in the units of the covariance, (2 n_modes + 1,) array.
+        """Standard deviation of the parameters, in the units of the covariance, (2 n_modes + 1,) array.
 
-        Of scatter that is independent from response to response, or common to all of a bin: the wider of both.
+        The larger of two: for scatter independent between responses, and for scatter common to all responses of a bin.
         """
         moved = self.scores @ self.covariance
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance) * self.variance, (moved**2).sum(axis=0))))
@@ -262,9 +265,9 @@ def evaluate(
     natural_frequency, damping_ratio : (n_modes,) array
         The poles [Hz, 1].
     delay : float
-        Of the responses [s].
+        Delay of the responses [s].
     scale : float
-        Unit of the delay among the parameters [s].
+        Unit of the delay as a parameter [s].
     """
     n_modes = natural_frequency.size
     grouped = _columns(problem, natural_frequency, damping_ratio, delay, scale) * problem.weight
@@ -293,7 +296,7 @@ def evaluate(
 
 
 def fitted(problem: LeastSquaresProblem, fit: Evaluation) -> ComplexArray:
-    """Return what a fit makes of the responses at every bin, in the problem's scale, (n_responses, n_bins) array."""
+    """Return the fitted responses at every bin, in the problem's scale, (n_responses, n_bins) array."""
     frequency = problem.bins.frequency
     every = replace(problem, bins=Bins(frequency, np.arange(frequency.size)))
     columns = _columns(every, fit.natural_frequency, fit.damping_ratio, fit.delay, 1.0)
@@ -301,10 +304,10 @@ def fitted(problem: LeastSquaresProblem, fit: Evaluation) -> ComplexArray:
 
 
 def complex_residue(problem: LeastSquaresProblem, fit: Evaluation) -> ComplexArray:
-    r"""Return residues that may be complex, of the same poles and delay, (n_modes, n_responses) array.
+    r"""Return complex residues for the same poles and delay, (n_modes, n_responses) array.
 
-    A complex conjugate pair of poles with the residues :math:`R \mp i S` over :math:`2 i \omega_d` adds
-    :math:`R + S (i\omega + \xi_k\omega_k) / \omega_d` times the mode's column: S stands in quadrature at its resonance.
+    A complex conjugate pair of poles with the residues :math:`R \mp i S` over :math:`2 i \omega_d` contributes
+    :math:`R + S (i\omega + \xi_k\omega_k) / \omega_d` times the mode's column: S is in quadrature at its resonance.
     """
     n, own, ratio = fit.n_modes, fit.natural_frequency[:, None], fit.damping_ratio[:, None]
     columns = _columns(problem, fit.natural_frequency, fit.damping_ratio, fit.delay, 1.0)[: n + N_REST] * problem.weight
@@ -317,13 +320,13 @@ def complex_residue(problem: LeastSquaresProblem, fit: Evaluation) -> ComplexArr
 def _columns(
     problem: LeastSquaresProblem, natural_frequency: FloatArray, damping_ratio: FloatArray, delay: float, scale: float
 ) -> ComplexArray:
-    """Return what the responses are made of, and how it changes, averaged over the groups of bins.
+    """Return the model's columns and their derivatives, averaged over the groups of bins.
 
     Returns
     -------
     (4 n_modes + 2 N_REST, n_groups) complex array
-        Columns of the modes and of the rest; changes of the modes' columns by natural frequency, then by damping ratio;
-        changes of all columns by the delay.
+        Columns of the modes and of the background; derivatives of the modes' columns by natural frequency, then by
+        damping ratio; derivatives of all columns by the delay.
     """
     omega = problem.omega
     turn = problem.low_pass * np.exp(-1j * problem.turning * delay)

@@ -1,4 +1,4 @@
-"""Modal parameters, read off a fit: natural frequencies, damping ratios, gains and shapes, each with its interval."""
+"""Modal parameters from a fit: natural frequencies, damping ratios and gains with their intervals, and shapes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from modaltouch.lab.identification.shapes import (
 
 @dataclass(frozen=True, eq=False)
 class ModalParameters:
-    """Modal parameters of a fit."""
+    """A fit and what is needed to compute modal parameters from it."""
 
     responses: FrequencyResponses
     length: float | None
@@ -37,7 +37,7 @@ class ModalParameters:
     clock_tolerance: float
 
     def identification(self) -> Identification:
-        """Return the modes, and what the fit makes of the responses."""
+        """Return the modes and the fitted responses."""
         fit = self.fit
         variance, deviation = fit.variance, fit.deviation
         scale = 1 / self.problem.highest
@@ -57,7 +57,7 @@ class ModalParameters:
                 variance,
             )
             for k in range(fit.n_modes)
-            # A pole beyond the band stands for all modes there, and is none of them.
+            # A pole beyond the band represents all modes there and is itself no mode.
             if fit.n_modes == 1
             or self.responses.frequency[0] <= fit.natural_frequency[k] <= self.responses.frequency[-1]
         )
@@ -120,14 +120,14 @@ class ModalParameters:
         )
 
     def _scaled(self, residue: NDArray[Any]) -> NDArray[Any]:
-        """Return residues of the problem's scale as gain times shape, (n_modes, n_sets, n_points) [m/s^2 per V]."""
+        """Convert residues from the problem's scale to gain times shape, (n_modes, n_sets, n_points) [m/s^2 per V]."""
         column = 2 * np.pi * self.fit.natural_frequency * self.fit.damping_ratio
         residue = residue.reshape(-1, *self.responses.response.shape[:2])
         return np.asarray(residue * column[:, None, None] * np.sqrt(self._level)[None, :, None])
 
     @property
     def _level(self) -> FloatArray:
-        """Noise of each set, by which the problem scales its responses, (n_sets,) array."""
+        """Noise variance of each set, by which the problem scales its responses, (n_sets,) array."""
         return np.asarray(np.median(self.responses.noise, axis=1))
 
     def _labels(self, residue: FloatArray) -> tuple[Sequence[int | None], Sequence[int | None], FloatArray]:
@@ -142,7 +142,7 @@ class ModalParameters:
         return labels, torsion, np.where([order is None for order in torsion], likeness, twisted)
 
     def _gain_deviation(self, k: int, shape: FloatArray, variance: float) -> FloatArray:
-        """Return the standard deviation of a mode's gains: of its residues, and of what moves them with the poles."""
+        """Return the standard deviation of a mode's gains, from its residues and from their change with the poles."""
         fit = self.fit
         n_sets, n_points = self.responses.response.shape[:2]
         column = 2 * np.pi * float(fit.natural_frequency[k] * fit.damping_ratio[k])
@@ -163,7 +163,7 @@ class ModalParameters:
         return np.array(spread)
 
     def _local_misfit(self, variance: float) -> FloatArray:
-        """Return the mean square of the rest about each mode, where it passes what chance makes of the whole's."""
+        """Return the residual's mean square about each mode where it is significantly above `variance`, else that."""
         n = self.problem.bins.start.size
         square = (self.fit.rest[:n] ** 2 + self.fit.rest[n:] ** 2).sum(axis=1)
         frequency = self.problem.bins.centre
@@ -171,7 +171,7 @@ class ModalParameters:
         for own, ratio in zip(self.fit.natural_frequency, self.fit.damping_ratio, strict=True):
             near = np.abs(frequency - own) <= 2 * max(ratio * own, self.responses.spacing)
             count = 2 * int(near.sum()) * self.fit.rest.shape[1]
-            # The poles' own parameters take their part of the scatter.
+            # The mode's own parameters absorb part of the scatter.
             free = max(count - self.fit.rest.shape[1] * (1 + N_REST / 4), 1.0)
             found = float(square[near].sum()) / free
             worst.append(found if found > variance * (1 + 3 * np.sqrt(2 / free)) else variance)
@@ -180,7 +180,7 @@ class ModalParameters:
     def _half_power_gain(
         self, peak: HalfPower, residue: FloatArray, shape: FloatArray | None, driver: int, point: int
     ) -> float:
-        r"""Return what a peak says of the gain: :math:`G = 2 \xi \omega |H| / \varphi` (section III-B, corrected)."""
+        r"""Return the gain from a peak: :math:`G = 2 \xi \omega |H| / \varphi` (section III-B, corrected)."""
         if shape is None or shape[point] == 0:
             return float("nan")
         sign = np.sign(residue[driver, point])

@@ -1,4 +1,4 @@
-"""Where a search for poles begins: at the peaks of the responses, with the delay that makes them real there."""
+"""First estimates of the poles: the peaks of the responses, and the delay that makes the responses real there."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from modaltouch.lab.identification.responses import FrequencyResponses, along
 from modaltouch.stimulus import mode_shapes
 
 FEWEST_BINS = 5.0
-"""Half-power bandwidth, in bins, below which its damping is worthless: up to thirty times too large [1]."""
+"""Half-power bandwidth, in bins, below which its damping ratio is worthless: up to thirty times too large [1]."""
 
 
 @dataclass(frozen=True)
 class HalfPower:
-    """What a single peak says.
+    """Estimates from a single peak by the half-power method.
 
     Attributes
     ----------
     peak_frequency : float
-        Of the highest bin [Hz].
+        Frequency of the highest bin [Hz].
     height : float
-        Of the response there [m/s per unit of excitation].
+        Magnitude of the response there [m/s per unit of excitation].
     damping_ratio : float
         Half-power bandwidth over twice the frequency [1]; NaN where the response does not fall to half its power on
         both sides before it rises again.
     n_bins : float
-        Half-power bandwidth over the distance of two bins [1].
+        Half-power bandwidth over the bin spacing [1].
     """
 
     peak_frequency: float
@@ -57,12 +57,12 @@ def half_power(frequency: FloatArray, magnitude: FloatArray, near: float, reach:
     frequency : (n_bins,) array
         Evenly spaced [Hz].
     magnitude : (n_bins,) array
-        Of one response.
+        Magnitude of one response.
     near, reach : float
         The highest bin within `reach` of `near` is the peak [Hz].
     """
     spacing = float(frequency[1] - frequency[0])
-    # A pole may lie beyond the band, whose end is then all there is of it.
+    # A pole may lie beyond the band, in which case only the end of the band shows it.
     near = float(np.clip(near, frequency[0], frequency[-1]))
     inside = np.flatnonzero(np.abs(frequency - near) <= max(reach, 1.5 * spacing))
     peak = int(inside[magnitude[inside].argmax()])
@@ -78,7 +78,7 @@ def half_power(frequency: FloatArray, magnitude: FloatArray, near: float, reach:
 
 
 def _crossing(power: FloatArray, peak: int, step: int) -> float | None:
-    """Return how many bins from a peak its power is a half, by a straight line between bins; None if it never is."""
+    """Return the distance from a peak to half its power [bins], linearly interpolated; None if it is not reached."""
     half = power[peak] / 2
     index = peak
     while 0 <= index + step < power.size:
@@ -92,31 +92,32 @@ def _crossing(power: FloatArray, peak: int, step: int) -> float | None:
 
 
 SIGNIFICANT = 7.0
-"""Height of a peak over its noise from which it counts [standard deviations of what was averaged]."""
+"""Least height of a peak above its noise [standard deviations of the averaged quantity]."""
 
 FIRST_DAMPING = 0.01
-"""Damping ratio that a peak too narrow for its half-power bandwidth is first given [1]."""
+"""Largest initial damping ratio of a peak that is too narrow for its half-power bandwidth to be used [1]."""
 
 SAME_PEAK = 0.7
-"""Distance below which two peaks count as one [larger half of their half-power bandwidths]."""
+"""Distance below which two peaks count as one [half the larger of their half-power bandwidths]."""
 
 FEWEST_LABELS = 6
-"""Shapes that the points must tell apart before the responses are told apart by them."""
+"""Least number of shapes that the points must distinguish for the responses to be separated by shape."""
 
 FEWEST_PHASES = 3
-"""Resonances from which their phases tell what was measured."""
+"""Least number of resonances whose phases reveal the measured quantity."""
 
 LEAST_ROTATION = 0.8
-"""Phase that a resonance turns through its half-power bandwidth at least, a half pi without noise [rad]."""
+"""Least phase change of a resonance across its half-power bandwidth; without noise it is pi/2 [rad]."""
 
 RESONANCE_REST, CLEARLY_LESS = 0.1, 0.6
-"""Part of the power about a peak that a resonance leaves at most, and of what the other rotation leaves [1]."""
+"""Largest residual power of a resonance fitted to a peak, relative to the power about the peak and to the residual of
+the opposite sense of rotation [1]."""
 
 WRONG_QUANTITY = 0.15
 """How much better the phases must fit another quantity than a velocity [mean cosine of twice the phase]."""
 
 DAMPING_BOUNDS = (1e-5, 0.3)
-"""Between these damping ratios a pole counts as a mode [1]."""
+"""Bounds of the damping ratio of a mode [1]."""
 
 MOST_POLES = 60
 
@@ -130,7 +131,7 @@ class Poles:
     natural_frequency, damping_ratio : (n_modes,) array
         In order of frequency [Hz, 1].
     delay : float
-        Of all responses [s].
+        Delay common to all responses [s].
     """
 
     natural_frequency: FloatArray
@@ -143,21 +144,21 @@ class Poles:
         return Poles(self.natural_frequency[order], self.damping_ratio[order], self.delay)
 
     def near(self, frequency: float, damping_ratio: float) -> int:
-        """Return how many lie within two bandwidths of a damping ratio about a frequency."""
+        """Return the number of poles within two half-power bandwidths of a frequency."""
         return int((np.abs(self.natural_frequency / frequency - 1) <= 4 * damping_ratio).sum())
 
     def and_one(self, frequency: float, damping_ratio: float) -> Poles:
-        """Return one pole more."""
+        """Return the poles with one more."""
         return Poles(
             np.append(self.natural_frequency, frequency), np.append(self.damping_ratio, damping_ratio), self.delay
         ).sorted()
 
 
 def first_poles(responses: FrequencyResponses, length: float | None) -> Poles:
-    """Return poles at the peaks of the responses, and the delay that makes them real there.
+    """Return poles at the peaks of the responses, and the delay that makes the responses real there.
 
-    Where the positions are known the responses are first told apart by the shapes of a uniform free-free beam: each
-    share then shows one peak, with the noise of all points averaged.
+    Where the positions are known, the responses are first separated by the shapes of a uniform free-free beam: each
+    share then shows one peak, with the noise averaged over all points.
 
     Parameters
     ----------
@@ -173,7 +174,7 @@ def first_poles(responses: FrequencyResponses, length: float | None) -> Poles:
         peaks += _several_peaks(responses, share) if alone else _highest_peak(responses.frequency, share)
     kept: list[_Peak] = []
     for peak in sorted(peaks, key=lambda each: -each.height):
-        # A peak on the flank of a higher one is its leakage into another share.
+        # A peak on the flank of a higher one is that one's leakage into another share.
         apart = (abs(peak.frequency - each.frequency) / max(each.width, peak.width) for each in kept)
         if all(distance > SAME_PEAK for distance in apart):
             kept.append(peak)
@@ -202,38 +203,38 @@ class _Peak:
 
     @property
     def width(self) -> float:
-        """Half its half-power bandwidth [Hz]."""
+        """Half the half-power bandwidth [Hz]."""
         return self.ratio * self.frequency
 
     @property
     def rotates(self) -> bool:
-        """Whether the phase turns through it as through a resonance, in either direction; a mere bump's does not."""
+        """Whether the phase turns as through a resonance, in either direction; that of a mere bump does not."""
         return abs(self.rotation) > LEAST_ROTATION
 
 
 def _shares(responses: FrequencyResponses, length: float | None) -> list[ComplexArray]:
-    """Return shares of the responses over their noise, each an (n, n_bins) array."""
+    """Return the responses over their noise, separated by shape if possible: a list of (n, n_bins) arrays."""
     white = responses.response / np.sqrt(responses.noise)[:, None, :]
     n_labels = along(responses.places)[0].size * 2 // 3 if responses.places else 0
     if responses.positions is None or length is None or n_labels < FEWEST_LABELS:
         return [white.reshape(-1, white.shape[-1])]
     shapes = mode_shapes(range(1, n_labels + 1), responses.positions, length)
     inverse = np.linalg.pinv(shapes.T)
-    # Rows scaled so that the noise of each share has unit variance.
+    # Scale the rows so that the noise of each share has unit variance.
     inverse = inverse / np.linalg.norm(inverse, axis=1)[:, None]
     return list(np.stack([inverse @ each for each in white], axis=1))
 
 
 def _highest_peak(frequency: FloatArray, share: ComplexArray) -> list[_Peak]:
-    """Return the highest peak of the power of a share over its noise, if it stands out."""
+    """Return the highest peak in the power of a share over its noise, if it stands out."""
     power = (np.abs(share) ** 2).mean(axis=0)
     return _found(frequency, share, power, prominence=0.7, least=1 + SIGNIFICANT**2)[:1]
 
 
 def _several_peaks(responses: FrequencyResponses, share: ComplexArray) -> list[_Peak]:
-    """Return all peaks of the power of all responses, through which the phase turns as through a resonance."""
+    """Return all peaks in the power of all responses through which the phase turns as through a resonance."""
     flat = responses.response.reshape(share.shape)
-    # Each response counts alike, whatever its level.
+    # Each response has equal weight, whatever its level.
     curve = (np.abs(flat) ** 2 / np.median(np.abs(flat) ** 2, axis=1)[:, None]).mean(axis=0)
     least = 1 + 3 * SIGNIFICANT / np.sqrt(share.shape[0])
     found = _found(responses.frequency, share, curve, prominence=0.9, least=0.0)
@@ -243,7 +244,7 @@ def _several_peaks(responses: FrequencyResponses, share: ComplexArray) -> list[_
 def _found(
     frequency: FloatArray, share: ComplexArray, curve: FloatArray, *, prominence: float, least: float
 ) -> list[_Peak]:
-    """Return the peaks of a curve, the highest first, above a least height and by a prominence of its logarithm."""
+    """Return the peaks of a curve, highest first, with a least height and a least prominence of the logarithm."""
     from scipy.signal import find_peaks, peak_widths
 
     curve = np.maximum(curve, 1e-12)
@@ -268,22 +269,22 @@ def _found(
 
 
 def _rotation(share: ComplexArray, place: int, reach: int) -> float:
-    """Return how far the phase turns through a peak, from some bins before it to some after it [rad]."""
+    """Return the phase change through a peak, from `reach` bins before it to as many after it [rad]."""
     band = share[:, max(0, place - reach) : place + reach + 1]
     return float(np.angle((np.conj(band[:, :-1]) * band[:, 1:]).sum(axis=0)).sum())
 
 
 def _ratio(width: float, frequency: float, spacing: float) -> float:
-    """Return the damping ratio that a half-power width of some bins says."""
+    """Return the damping ratio from a half-power bandwidth in bins."""
     if width < 3:
         return min(FIRST_DAMPING, spacing / frequency)
     return float(np.clip(width * spacing / (2 * frequency), 10 * DAMPING_BOUNDS[0], DAMPING_BOUNDS[1] / 2))
 
 
 def _rises(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> bool:
-    """Return whether the highest peaks are resonances of conjugated responses, and none as they are; noise is neither.
+    """Return whether the highest peaks are resonances only if the responses are conjugated; noise is neither.
 
-    A resonance and a straight line are fitted about each, of either sense of rotation.
+    A resonance of either sense of rotation and a straight line are fitted about each peak.
     """
     left = np.zeros(2)
     whole = 0.0
@@ -305,10 +306,10 @@ def _rises(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> bool:
 
 
 def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
-    """Return the delay with which the responses are real at their peaks [s].
+    """Return the delay that makes the responses real at their peaks [s].
 
-    Twice the phase counts, since a shape has both signs. Over a band about a peak the phases before and after it
-    cancel, so that its frequency need not be known well.
+    Twice the phase is used, since a shape has both signs. Over a band about a peak the phases before and after it
+    cancel, so its frequency need not be known well.
     """
     turning = sum(np.sign(peak.rotation) * np.sqrt(peak.height) for peak in peaks if peak.rotates)
     if turning > 0 and _rises(responses, peaks):
@@ -329,7 +330,7 @@ def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
         if responses.bandwidth is not None:
             own = own * (1 + 1j * responses.frequency[band] / responses.bandwidth)
         twice.append(complex((own**2).sum()) / max(float((np.abs(own) ** 2).sum()), 1e-300))
-    # Beyond a cycle of the lowest frequency nothing is unique; a step is a sixteenth of a cycle of the highest.
+    # Delays beyond half a cycle of the lowest frequency are ambiguous; the step is a sixteenth of one of the highest.
     step = 1 / (16 * frequency.max())
     reach = min(0.5 / frequency.min(), 200e-6 + 1 / frequency.max())
     tried = np.arange(-0.2 * reach, reach, step)

@@ -1,4 +1,4 @@
-"""An identification as Table I, as plain values, and as files: among them the apparatus file with the new table."""
+"""An identification as Table I, as plain values and as files, including the apparatus file with the new table."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COMMAND = "identify"
 
 
 def mode_values(mode: IdentifiedMode, sets: Sequence[str]) -> dict[str, Any]:
-    """Return what was found of a mode as plain values, units in the keys."""
+    """Return the estimates for a mode as plain values, units in the keys."""
     gains = {name: _pair(estimate, 1e3) for name, estimate in zip(sets, mode.gain, strict=False)}
     return {
         "label": mode.label,
@@ -49,10 +49,10 @@ def mode_values(mode: IdentifiedMode, sets: Sequence[str]) -> dict[str, Any]:
 
 
 def as_dict(identification: Identification) -> dict[str, Any]:
-    """Return everything as plain values, as ``modaltouch identify --json`` prints it."""
+    """Return the identification as plain values, as ``modaltouch identify --json`` prints it."""
     responses = identification.responses
     known = not math.isnan(identification.delay.value)
-    # Where no shape says which mode is which, the natural frequencies may.
+    # Without shapes to label the modes, their natural frequencies may reveal a free-free beam.
     labelled = any(mode.label for mode in identification.modes)
     beam = None if labelled else recognise([mode.natural_frequency.value for mode in identification.modes])
     return {
@@ -72,7 +72,7 @@ def as_dict(identification: Identification) -> dict[str, Any]:
 
 
 def table_rows(identification: Identification) -> list[dict[str, Any]]:
-    """Return Table I with intervals, and half-power beside the fit, as CSV."""
+    """Return Table I as rows for CSV, with intervals and with the half-power estimates beside the fit."""
     rows = []
     for mode in identification.modes:
         values = mode_values(mode, identification.responses.sets)
@@ -100,7 +100,7 @@ _ENDS = (("", "value"), ("_low", "low"), ("_high", "high"))
 
 
 def shape_rows(identification: Identification) -> list[dict[str, str]]:
-    """Return the measured shapes as the stimulus reads them, the mean over the rows of each."""
+    """Return the measured shapes as the stimulus reads them, each the mean over the rows of points."""
     places = identification.responses.places
     shapes = {mode.label: over_width(shape, places) for mode, shape in identification.shaped if mode.label}
     return [
@@ -111,7 +111,7 @@ def shape_rows(identification: Identification) -> list[dict[str, str]]:
 
 
 def map_rows(identification: Identification) -> list[dict[str, str]]:
-    """Return the measured shapes over length and width, torsion with them."""
+    """Return the measured shapes over length and width, including torsion."""
     return [
         {"position_mm": f"{place.along * 1e3:.6g}", "across_mm": f"{place.across * 1e3:.6g}"}
         | {f"mode_{mode.name}": f"{shape[index]:.6g}" for mode, shape in identification.shaped}
@@ -127,18 +127,18 @@ def write_identification(
     Parameters
     ----------
     folder : Path
-        Where they go.
+        Folder for the files.
     identification : Identification
-        What was found.
+        The modes found.
     apparatus : (str, str) or None
         Name and text of the apparatus file; None where no gains were measured.
     about : dict
-        What the manifest says besides.
+        Further entries of the manifest.
 
     Raises
     ------
     RecordError
-        If the folder holds something else, or cannot be written.
+        If the folder holds something else or cannot be written.
     """
     from modaltouch.lab.identification import figures as draw
 
@@ -169,7 +169,7 @@ def _pair(estimate: Estimate, scale: float = 1.0) -> dict[str, float | None]:
 
 
 def _number(value: float) -> float | None:
-    """Return a number that JSON has, rounded beyond what any measurement gives."""
+    """Return a number rounded to nine digits; None if it is not finite, since JSON has no such number."""
     return float(f"{value:.9g}") if math.isfinite(value) else None
 
 
@@ -179,30 +179,32 @@ SUFFIX = "_identified"
 def identified_apparatus(
     source: Source, identification: Identification, labels: Sequence[int], facts: Mapping[str, Any]
 ) -> tuple[str, str]:
-    """Return name and text of an apparatus file with the identified modes; everything else stays as it was.
+    """Return name and text of the apparatus file with the identified modes in its table.
+
+    The rest of the file is kept, except that modes now in the table are removed from the twin's unlisted ones.
 
     Parameters
     ----------
     source : Source
-        The apparatus file that the beam was measured with.
+        The apparatus file with which the beam was measured.
     identification : Identification
-        What was found.
+        The modes found.
     labels : sequence of int
-        Modes that go into the table, in order.
+        Modes of the new table, in order.
     facts : mapping
         For the section ``identified``: date, mode, source, generator, scope, method.
 
     Returns
     -------
     name : str
-        Of the file.
+        Name of the file.
     text : str
-        Of the file, which `modaltouch.protocol.Apparatus` reads.
+        Its contents, which `modaltouch.protocol.Apparatus` reads.
 
     Raises
     ------
     InputError
-        If it could not be read back.
+        If the text cannot be read back.
     """
     from ruamel.yaml import YAML
 
@@ -211,7 +213,7 @@ def identified_apparatus(
     yaml.width = 120
     document = yaml.load(source.text)
     name = str(document["apparatus"])
-    # The table is of this beam now: a second identification keeps the name.
+    # A second identification keeps the name.
     document["apparatus"] = name if name.endswith(SUFFIX) else f"{name[: 64 - len(SUFFIX)]}{SUFFIX}"
     document["modes"] = [_mode(identification.mode(label), identification.responses.sets) for label in labels]
     document.pop("identified", None)
@@ -230,7 +232,7 @@ def identified_apparatus(
 
 
 def _figures(identification: Identification) -> dict[str, Any]:
-    """Return how much was measured, and what was found that is of no single mode."""
+    """Return the extent of the measurement, and the results that belong to no single mode."""
     delay = identification.delay
     return {
         "n_points": identification.responses.n_points,
@@ -274,7 +276,7 @@ def _round(value: float, digits: int = 7) -> float:
 
 
 def _flow(values: Any) -> Any:
-    """Return values that are written on one line."""
+    """Return values that YAML writes on one line."""
     from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
     made = CommentedSeq(values) if isinstance(values, list) else CommentedMap(values)

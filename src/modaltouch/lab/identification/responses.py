@@ -20,7 +20,8 @@ QUANTITIES: tuple[Quantity, ...] = ("velocity", "displacement", "acceleration")
 
 Estimator = Literal["H1", "H2", "Hv"]
 ESTIMATORS: dict[Estimator, float] = {"H1": 0.0, "Hv": 0.5, "H2": 1.0}
-"""Power of the coherence over which H1 is each estimator: all noise at the motion, equal shares, all at the drive."""
+"""Power p of the coherence in each estimator H1/coherence^p: noise only in the motion, equal in both, only in the
+drive."""
 
 
 NO_COHERENCE = (
@@ -30,7 +31,7 @@ NO_COHERENCE = (
 
 
 class Place(NamedTuple):
-    """A point of a beam: along it from its middle, across it from its mid-line [m]."""
+    """A point of a beam: distance along it from mid-beam and across it from the mid-line [m]."""
 
     along: float
     across: float = 0.0
@@ -41,41 +42,41 @@ class Place(NamedTuple):
 
 
 Key = tuple[str, Place | None]
-"""Excitation and place of a response; no place where a file does not say it."""
+"""Excitation and place of a response; no place where the file does not give it."""
 
 NOISE_WINDOW = 33
-"""Bins over which the noise is pooled: it varies slowly where the excitation does [1]."""
+"""Bins over which the noise is pooled: like the excitation, it varies slowly with frequency [1]."""
 
 LONGEST_OFFSET = 20e-3
-"""Time offset between excitation and response up to which one is looked for [s]."""
+"""Longest time offset between excitation and response that is searched for [s]."""
 
 CLEAR_LINE = 0.5
-"""Part of the phases that must agree on a time offset [1]."""
+"""Fraction of the phases that must agree on a time offset [1]."""
 
 SAME_PLACE = 5e-6
-"""Distance within which a position that is named is a measured one [m]."""
+"""Distance within which a given position counts as a measured one [m]."""
 
 ROWS_APART = 0.2e-3
-"""Least distance over the width between two rows of points; what is less is scatter of one [m]."""
+"""Least distance across the width between two rows of points; smaller distances are scatter within one row [m]."""
 
 FEW_POINTS = 5
-"""Points below which a median over them is none."""
+"""Number of points below which their mean is used instead of their median."""
 
 
 @dataclass(frozen=True)
 class ResponseFormat:
-    """How a file is to be read where it does not say so itself.
+    """What a file does not state about its own contents, and how it is to be read.
 
     Attributes
     ----------
     quantity : str or None
-        ``velocity``, ``displacement`` or ``acceleration``; None takes the file's word.
+        ``velocity``, ``displacement`` or ``acceleration``; None to use what the file states.
     conjugated : bool
-        Whether the responses follow the time law exp(-i w t).
+        Whether the responses follow the time convention exp(-i w t).
     spacing : float or None
-        Distance of two bins of a file that holds bare numbers [Hz].
+        Bin spacing of a file of bare numbers [Hz].
     n_averages : int
-        Records behind each response, where there is a coherence; parts into which a record without impacts is cut.
+        Records behind each response that has a coherence; number of segments of a record without impacts.
     use_clipped : bool
         Whether the free decay after the last saturated sample of a motion is used.
     """
@@ -88,7 +89,7 @@ class ResponseFormat:
 
 
 class MeasuredResponse(NamedTuple):
-    """One response, in SI units of its quantity; a key that comes again is a repeat."""
+    """One response, in SI units of its quantity; another one with the same key is a repeat."""
 
     key: Key
     values: ComplexArray
@@ -96,7 +97,7 @@ class MeasuredResponse(NamedTuple):
 
 
 class Part(NamedTuple):
-    """The responses of one file, and what it says of their quantity."""
+    """The responses of one file, and their quantity where it states one."""
 
     frequency: FloatArray
     responses: list[MeasuredResponse]
@@ -106,7 +107,7 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponses:
-    """Velocity responses of points of a beam to one or more excitations.
+    """Velocity responses at points of a beam to one or more excitations.
 
     Attributes
     ----------
@@ -115,23 +116,23 @@ class FrequencyResponses:
     response : (n_sets, n_points, n_bins) complex array
         Velocity per unit of excitation [m/s per V, or per N for a hammer].
     positions : (n_points,) array or None
-        Where the velocity was measured, origin at mid-beam [m]; None where a file does not say.
+        Where the velocity was measured, origin at mid-beam [m]; None if unknown.
     sets : tuple of str
         What excited the beam: actuator sets, or the references of a file.
     coherence : (n_sets, n_points, n_bins) array or None
-        Ordinary coherence [1]; None where there was but one record, or a file does not say.
+        Ordinary coherence [1]; None for a single record, or if unknown.
     n_averages : int
-        Records that were averaged.
+        Number of records averaged.
     bandwidth : float or None
         Corner of the vibrometer's first-order low-pass, which the responses still contain [Hz].
     offset : float
-        Time between excitation and response that was taken off [s].
+        Time offset between excitation and response that has been removed [s].
     marks : tuple of str
-        What a result of them has to say, a sentence each.
+        Warnings that go with any result from these responses, a sentence each.
     repeats : tuple of FrequencyResponses
-        The measurements of which these are the mean, or one by one; none where there was but one.
+        The measurements of which these are the mean, or the responses of each file; empty if there was only one.
     across : (n_points,) array or float
-        Where each point lies across the beam, from its mid-line [m].
+        Distance of each point from the beam's mid-line [m].
     """
 
     frequency: FloatArray
@@ -148,7 +149,7 @@ class FrequencyResponses:
 
     @classmethod
     def of_rows(cls, rows: Sequence[FrequencyResponses]) -> FrequencyResponses:
-        """Return the responses of rows of points over the width of a beam as one."""
+        """Join the responses of several rows of points across the width of a beam."""
         known = [row.coherence for row in rows if row.coherence is not None]
         places = np.array([place for row in rows for place in row.places])
         return replace(
@@ -161,7 +162,7 @@ class FrequencyResponses:
 
     @classmethod
     def of_repeats(cls, repeats: Sequence[FrequencyResponses]) -> FrequencyResponses:
-        """Return the mean of measurements of the same points; where they lack a coherence, that of one to another."""
+        """Return the mean of repeated measurements; without coherences of their own, with that between the repeats."""
         first = repeats[0]
         if len(repeats) == 1:
             return first
@@ -179,7 +180,7 @@ class FrequencyResponses:
 
     @property
     def places(self) -> tuple[Place, ...]:
-        """Where the points are; none where a file does not say."""
+        """Places of the points; empty if unknown."""
         if self.positions is None:
             return ()
         across = np.broadcast_to(self.across, self.positions.shape)
@@ -187,16 +188,15 @@ class FrequencyResponses:
 
     @property
     def spacing(self) -> float:
-        """Distance of two bins [Hz]."""
+        """Bin spacing [Hz]."""
         return float(self.frequency[1] - self.frequency[0])
 
     @cached_property
     def noise(self) -> FloatArray:
-        r"""Variance of the responses' estimates, pooled over points and neighbours, (n_sets, n_bins) array.
+        r"""Variance of the estimated responses, pooled over points and neighbouring bins, (n_sets, n_bins) array.
 
-        Of n averaged records the residual power :math:`|H|^2 (1 - \gamma^2) / \gamma^2` has n - 1 degrees of freedom,
-        and the mean has 1/n of it. Without a coherence it is the scatter of the
-        second difference from bin to bin, taken as equal over the band.
+        For n averaged records it is :math:`|H|^2 (1 - \gamma^2) / (\gamma^2 (n - 1))`. Without a coherence it follows
+        from the second difference from bin to bin and is taken as equal over the band.
         """
         if self.coherence is not None and self.n_averages > 1:
             gamma = np.clip(self.coherence, 1e-9, 1.0)
@@ -210,19 +210,19 @@ class FrequencyResponses:
         pooled = np.median(variance, axis=1) if self.n_points >= FEW_POINTS else variance.mean(axis=1)
         smooth = np.array([_running_median(row, NOISE_WINDOW) for row in pooled])
         if self.coherence is None or self.n_averages < 2:
-            # At a resonance the second difference is of the course itself: what is quiet elsewhere counts.
+            # At a resonance the second difference is that of the response itself: the quiet parts of the band count.
             smooth[:] = np.percentile(smooth, 25, axis=1)[:, None]
-        # Mean over median of a gamma law of n degrees of freedom: 1/ln 2 for one.
+        # Mean over median of a gamma distribution of shape n_free: 1/ln 2 for one.
         scale = n_free / (n_free - 1 / 3 + 0.024 / n_free)
         floor = (1e-7 * np.abs(self.response).max(axis=(1, 2))) ** 2
         return np.asarray(np.maximum(smooth * scale, floor[:, None]))
 
     def aligned(self) -> FrequencyResponses:
-        r"""Return the responses without the time offset of motion against excitation that their phase slope shows.
+        r"""Return the responses without the time offset between motion and excitation that their phase slope shows.
 
-        The square of a response of real residues behind an offset has the phase :math:`\pi - 2\omega\tau` but near its
-        resonances, whatever the sign of a shape: over the whole band that phase adds up to a line at :math:`2\tau`. An
-        offset that turns the phase by less than half a cycle over the band is left for the fit's delay.
+        Away from resonances the square of a response with real residues and an offset has the phase
+        :math:`\pi - 2\omega\tau`, whatever the sign of the shape: the Fourier transform over the band has a line at
+        :math:`2\tau`. An offset that turns the phase less than half a cycle over the band is left to the fit's delay.
         """
         power = np.abs(self.response) ** 2
         squares = (self.response**2 / np.maximum(power + self.noise[:, None], 1e-300)).sum(axis=(0, 1))
@@ -238,7 +238,7 @@ class FrequencyResponses:
         return replace(self, response=turned, offset=self.offset + offset)
 
     def without(self, places: Sequence[float]) -> FrequencyResponses:
-        """Return the responses but those at some places [m], and the mark that says so."""
+        """Return the responses except those at given positions [m], with a mark that says so."""
         positions = np.array([]) if self.positions is None else self.positions
         left_out, across = np.zeros(positions.size, dtype=bool), np.broadcast_to(self.across, positions.shape)
         for place in places:
@@ -259,7 +259,7 @@ class FrequencyResponses:
         )
 
     def by(self, estimator: Estimator) -> FrequencyResponses:
-        r"""Return responses that are H1 by another estimator: :math:`H_2 = H_1 / \gamma^2`, :math:`H_v = H_1 / \gamma`.
+        r"""Convert H1 responses to another estimator: :math:`H_2 = H_1 / \gamma^2`, :math:`H_v = H_1 / \gamma`.
 
         Raises
         ------
@@ -274,7 +274,7 @@ class FrequencyResponses:
         return replace(self, response=response, repeats=tuple(each.by(estimator) for each in self.repeats))
 
     def between(self, lowest: float, highest: float) -> FrequencyResponses:
-        """Return the responses of a band [Hz]."""
+        """Return the responses within a band [Hz]."""
         kept = (self.frequency >= lowest) & (self.frequency <= highest)
         if kept.sum() < 16:
             raise ValueError(
@@ -292,7 +292,7 @@ class FrequencyResponses:
 
 
 def _running_median(values: FloatArray, width: int) -> FloatArray:
-    """Return the medians of blocks of neighbours, joined by straight lines."""
+    """Return the medians of blocks of neighbouring values, interpolated linearly."""
     n_blocks = max(1, values.size // width)
     blocks = np.array_split(values, n_blocks)
     centres = np.cumsum([block.size for block in blocks]) - np.array([(block.size + 1) / 2 for block in blocks])
@@ -300,19 +300,19 @@ def _running_median(values: FloatArray, width: int) -> FloatArray:
 
 
 def responses_of(scans: Mapping[str, Scan], bandwidth: float | None = None) -> FrequencyResponses:
-    r"""Return the H1 responses of scans of spectra: :math:`H_1 = S_{vu} / S_{uu}` by the *measured* drive u.
+    r"""Return the H1 responses of scans of spectra: :math:`H_1 = S_{vu} / S_{uu}` with the *measured* drive u.
 
     Parameters
     ----------
     scans : mapping of str to Scan
-        A complete scan of each actuator set, all at the same positions.
+        One complete scan per actuator set, all at the same positions.
     bandwidth : float, optional
         Corner of the vibrometer's low-pass [Hz].
 
     Raises
     ------
     RecordInputError
-        If a scan was stopped half way, holds cut records, or is at other positions than the first.
+        If a scan is incomplete, contains overloaded records, or has other positions than the first.
     """
     response: list[ComplexArray] = []
     coherence: list[FloatArray] = []
@@ -347,9 +347,10 @@ def responses_of(scans: Mapping[str, Scan], bandwidth: float | None = None) -> F
 
 
 def along(places: Sequence[Place]) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Return the places along a beam, those of rows beside each other once, and which of them each point has.
+    """Return the distinct positions along a beam, common to all its rows, and the index of each point's position.
 
-    Points of two rows lie beside each other within a quarter of the least spacing in a row: a scanned grid scatters.
+    Points of different rows share a position if they lie within a quarter of the least spacing in a row, since the
+    positions of a scanned grid scatter.
     """
     x, y = np.array(places).T
     row = _grouped(y, ROWS_APART)
@@ -361,7 +362,7 @@ def along(places: Sequence[Place]) -> tuple[FloatArray, NDArray[np.intp]]:
 
 
 def _grouped(values: FloatArray, apart: float) -> NDArray[np.intp]:
-    """Return a number for each value, in increasing order; one begins where the next value is further apart."""
+    """Return a group number for each value, in increasing order; values further apart begin a new group."""
     order = np.argsort(values)
     group = np.empty(values.size, dtype=np.intp)
     group[order] = np.cumsum(np.diff(values[order], prepend=values[order[0]]) > apart)
@@ -369,12 +370,12 @@ def _grouped(values: FloatArray, apart: float) -> NDArray[np.intp]:
 
 
 def as_velocity(frequency: FloatArray, response: ComplexArray, quantity: Quantity) -> ComplexArray:
-    r"""Return responses as a velocity's: :math:`i\omega` times a displacement's, an acceleration's over it.
+    r"""Return velocity responses: those of a displacement times :math:`i\omega`, those of an acceleration over it.
 
     Parameters
     ----------
     frequency : (n_bins,) array
-        A response at 0 Hz is not to be used [Hz].
+        Frequencies [Hz]; the result at 0 Hz must not be used.
     response : (..., n_bins) complex array
         In SI units.
     quantity : str

@@ -1,4 +1,4 @@
-"""What a fit leaves about a mode: how much, and whether noise, nonlinearity, drift or a missing mode is its cause."""
+"""The residual of a fit about a mode: its size, and whether noise, nonlinearity, drift or a missing mode causes it."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from modaltouch.lab.identification.kernel import Evaluation, LeastSquaresProblem
 
 SMOOTH = 0.5
-"""Correlation of neighbouring bins from which what is left is no noise [1]."""
+"""Correlation of the residual between neighbouring bins above which it is not noise [1]."""
 
 ALIKE = 0.6
-"""Squared cosine of two shapes over the responses from which one explains the other [1]."""
+"""Squared cosine between two vectors over the responses above which one explains the other [1]."""
 
 FEWEST = 8
-"""Groups of bins about a mode from which their correlation says anything."""
+"""Least number of groups of bins about a mode for their correlation to be meaningful."""
 
 REMEDIES = {
     "noise": "average more, or drive harder",
@@ -29,16 +29,16 @@ REMEDIES = {
 
 @dataclass(frozen=True)
 class Rest:
-    """What a fit leaves within two half-power half-bandwidths of a mode.
+    """The residual of a fit within one half-power bandwidth of a mode on either side.
 
     Attributes
     ----------
     share : float
-        Its amplitude beyond the noise over that of the responses [1].
+        Its amplitude beyond the noise, relative to that of the responses [1].
     smooth : float
-        The same of its part that goes smoothly over frequency, as noise does not [1].
+        The same for its part that is smooth over frequency, unlike noise [1].
     cause : str
-        The most probable, a key of `REMEDIES`.
+        The most probable cause, a key of `REMEDIES`.
     """
 
     share: float
@@ -47,10 +47,10 @@ class Rest:
 
 
 def rest_about(problem: LeastSquaresProblem, fit: Evaluation, k: int, n_sets: int) -> Rest:
-    """Return what a fit leaves about its mode `k`.
+    """Return the residual of a fit about its mode `k`, with its most probable cause.
 
-    Of a nonlinear beam it has the mode's own shape over the responses. Of a beam that drifts while its points are
-    scanned from end to end it is that shape times the position, and of a missing mode another one.
+    For a nonlinear beam the residual over the responses has the mode's own shape; for a beam that drifts while its
+    points are scanned from end to end, that shape times the position; for a missing mode, another shape.
     """
     n = problem.bins.start.size
     own = float(fit.natural_frequency[k])

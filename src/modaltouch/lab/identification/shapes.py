@@ -1,4 +1,4 @@
-"""Which mode of a free-free beam each pole is, by its shape or its frequency, and which point belies the others."""
+"""Assignment of poles to the modes of a free-free beam, by shape or frequency, and detection of a faulty point."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from modaltouch.lab.identification.responses import ROWS_APART, Place, along
 from modaltouch.stimulus import MeasuredShapes, characteristic_root, mode_shapes
 
 ALIKE = 0.5
-"""MAC of two shapes on their points from which the points cannot tell them apart [1]."""
+"""MAC of two shapes above which the points cannot distinguish them [1]."""
 
 BELONGS = 0.8
-"""Least MAC of a measured shape and a theoretical one of the same mode [1]."""
+"""Least MAC between a measured shape and the theoretical one of the same mode [1]."""
 
 
 def mac(one: FloatArray, other: FloatArray) -> FloatArray:
-    r"""Return the modal assurance criterion of shapes on equal points (Allemang 1982), (n_one, n_other) array [1].
+    r"""Return the modal assurance criterion of shapes on the same points (Allemang 1982), (n_one, n_other) array [1].
 
     .. math:: MAC = \frac{|\varphi^T \psi|^2}{(\varphi^T \varphi)(\psi^T \psi)}
 
@@ -34,7 +34,7 @@ def mac(one: FloatArray, other: FloatArray) -> FloatArray:
 
 
 def phase_collinearity(residue: ComplexArray) -> float:
-    """Return the modal phase collinearity of a shape (Juang and Pappa 1985) [1]; NaN of one point."""
+    """Return the modal phase collinearity of a shape (Juang and Pappa 1985) [1]; NaN for a single point."""
     if residue.size < 2:
         return float("nan")
     size, turned = float((np.abs(residue) ** 2).sum()), abs(complex((residue**2).sum()))
@@ -42,7 +42,7 @@ def phase_collinearity(residue: ComplexArray) -> float:
 
 
 def phase_deviation(residue: ComplexArray) -> float:
-    """Return the mean deviation of a shape's phases from their common line, by amplitude [rad] (Reynders 2012)."""
+    """Return the amplitude-weighted mean phase deviation of a shape (Reynders 2012) [rad]; NaN for a single point."""
     if residue.size < 2:
         return float("nan")
     straight = residue * np.exp(-0.5j * np.angle((residue**2).sum()))
@@ -51,21 +51,21 @@ def phase_deviation(residue: ComplexArray) -> float:
 
 
 def check_points(places: Sequence[Place], labels: Sequence[int], length: float) -> None:
-    """Refuse points on which modes look alike, or too few to draw the highest of them.
+    """Refuse points on which two modes look alike, or too few points to draw the highest mode.
 
     Parameters
     ----------
     places : sequence of Place
         Where the shapes are to be measured.
     labels : sequence of int
-        Modes to be told apart.
+        Modes to be distinguished.
     length : float
         Length of the beam [m].
 
     Raises
     ------
     ValueError
-        With the pair that looks alike, and how many points are enough.
+        With the pair that looks alike, and the number of points that suffices.
     """
     highest, positions = max(labels), along(places)[0]
     needed = int(np.ceil(1.5 * highest))
@@ -85,17 +85,17 @@ def check_points(places: Sequence[Place], labels: Sequence[int], length: float) 
 
 
 def label_shapes(shapes: FloatArray, places: Sequence[Place], length: float) -> tuple[list[int | None], FloatArray]:
-    """Return which mode of a uniform free-free beam each shape is, and its MAC with it.
+    """Return the bending mode of a uniform free-free beam that each shape is, and its MAC with that mode.
 
-    Labels increase with frequency, so that a torsion that looks like a low bending mode on the mid-line is told from
-    it; what fits no label gets none.
+    Labels increase with frequency, which excludes a torsional mode that looks like a low bending mode on the mid-line;
+    a shape that fits no label gets none.
 
     Parameters
     ----------
     shapes : (n_modes, n_points) array
         In order of frequency.
     places : sequence of Place
-        Of the points.
+        Places of the points.
     length : float
         Length of the beam [m].
     """
@@ -106,18 +106,18 @@ def label_shapes(shapes: FloatArray, places: Sequence[Place], length: float) -> 
 def label_torsion(
     shapes: FloatArray, labels: Sequence[int | None], places: Sequence[Place], length: float
 ) -> tuple[list[int | None], FloatArray]:
-    """Return which torsional mode of a uniform free-free beam each shape without a label is, and its MAC with it.
+    """Return the torsional mode of a uniform free-free beam that each shape without a label is, and its MAC with it.
 
-    On one row alone it looks like bending, and none is named.
+    On a single row torsion looks like bending, so no shape is named.
 
     Parameters
     ----------
     shapes : (n_modes, n_points) array
         In order of frequency.
     labels : sequence of (int or None)
-        Which bending mode each is.
+        Bending mode of each shape.
     places : sequence of Place
-        Of the points.
+        Places of the points.
     length : float
         Length of the beam [m].
     """
@@ -129,9 +129,10 @@ def label_torsion(
 
 
 def torsion_shapes(orders: Sequence[int], places: Sequence[Place], length: float) -> FloatArray:
-    r"""Return torsion shapes of a uniform free-free beam, of unit mean square over the points, (n_orders, n_points).
+    r"""Return torsion shapes of a uniform free-free beam, with unit mean square over the points, (n_orders, n_points).
 
-    By Saint-Venant :math:`\varphi_n \propto y \cos(n \pi (x / L + 1/2))`, here positive where x and y end.
+    Saint-Venant's :math:`\varphi_n \propto y \cos(n \pi (x / L + 1/2))`, with the sign that makes it positive at the
+    right end for y > 0.
     """
     x, y = np.array(places).T
     order = np.array(orders)[:, None]
@@ -140,8 +141,8 @@ def torsion_shapes(orders: Sequence[int], places: Sequence[Place], length: float
 
 
 def _in_order(likeness: FloatArray) -> tuple[list[int | None], FloatArray]:
-    """Return labels in increasing order, and the likeness of each shape with its own."""
-    # The most likeness in all that labels in increasing order can have.
+    """Return labels in increasing order, and the likeness of each shape to that of its label."""
+    # Dynamic programming: the largest total likeness that labels in increasing order can have.
     gain = np.where(likeness >= BELONGS, likeness**4, 0.0)
     n_modes, n_labels = likeness.shape
     best = np.zeros((n_modes + 1, n_labels + 1))
@@ -162,16 +163,16 @@ def _in_order(likeness: FloatArray) -> tuple[list[int | None], FloatArray]:
 
 
 def unit_shape(residue: FloatArray, places: Sequence[Place], label: int, length: float) -> FloatArray:
-    """Return the shape that residues of several excitations share: unit mean square, positive at the right end [1].
+    """Return the common shape in the residues of several excitations: unit mean square, positive at the right end [1].
 
     Parameters
     ----------
     residue : (n_sets, n_points) array
-        Of one mode; gain of each set times the shape, with equal noise.
+        Residues of one mode: gain of each set times the shape, with equal noise.
     places : sequence of Place
-        Of the points; the mean over rows beside each other is what has a unit mean square.
+        Places of the points; the unit mean square is that of the mean over the rows.
     label : int
-        Of the mode.
+        Label of the mode.
     length : float
         Length of the beam [m].
     """
@@ -184,19 +185,20 @@ def unit_shape(residue: FloatArray, places: Sequence[Place], label: int, length:
 
 
 def shape_scatter(shape: FloatArray, places: Sequence[Place], label: int, length: float) -> float:
-    """Return the relative standard deviation that the scatter of a shape's points gives its gain [1].
+    """Return the relative standard deviation of a mode's gain due to the scatter of its shape's points [1].
 
-    Points that lie elsewhere than stated, are exchanged or read too much scatter about the smooth course of what tells
-    the shape from theory; its second difference shows by how much. An offset that all share is no scatter.
+    The difference between a measured shape and theory is smooth along the beam; points that are misplaced, exchanged or
+    read too high or low scatter about it, and its second difference shows by how much. A position offset common to all
+    points does not count as scatter.
 
     Parameters
     ----------
     shape : (n_points,) array
-        Of unit mean square.
+        Shape of unit mean square.
     places : sequence of Place
-        Of the points.
+        Places of the points.
     label : int
-        Of the mode.
+        Label of the mode.
     length : float
         Length of the beam [m].
     """
@@ -210,33 +212,33 @@ def shape_scatter(shape: FloatArray, places: Sequence[Place], label: int, length
 
 
 def over_width(shape: FloatArray, places: Sequence[Place]) -> FloatArray:
-    """Return the mean of a shape over the rows at each place along the beam, (n_along,) array."""
+    """Return the mean of a shape over the rows at each position along the beam, (n_along,) array."""
     which = along(places)[1]
     return np.asarray(np.bincount(which, shape) / np.bincount(which))
 
 
 FEWEST_MODES = 3
-"""Modes with a shape from which a point is judged."""
+"""Least number of modes with a shape for a point to be judged."""
 
 OFF = 0.2
-"""How far the factor of a point lies from 1 at least [1]."""
+"""Least deviation of a faulty point's factor from 1 [1]."""
 
 EXPLAINED, STANDS_OUT = 0.25, 3.0
-"""What a factor leaves at most of the misfit of its point, and that misfit over the median one at least [1]."""
+"""Largest fraction of a faulty point's misfit left by its factor, and least ratio of that misfit to the median [1]."""
 
 
 def refuse_odd_point(residue: FloatArray, places: Sequence[Place], length: float, sets: Sequence[str]) -> None:
-    """Refuse responses of which one point is inverted, or too large or too small, beside the others.
+    """Refuse responses in which one point is inverted, too large or too small compared with the others.
 
-    Each point is predicted from the shapes of a uniform free-free beam that the others fit. Its responses over all
-    modes are then the prediction times one factor, by least squares.
+    Each point is predicted from the other points by means of the shapes of a uniform free-free beam. One least-squares
+    factor per set then relates its residues in all modes to the prediction.
 
     Parameters
     ----------
     residue : (n_modes, n_sets, n_points) array
         Gain times shape.
     places : sequence of Place
-        Of the points.
+        Places of the points.
     length : float
         Length of the beam [m].
     sets : sequence of str
@@ -253,7 +255,7 @@ def refuse_odd_point(residue: FloatArray, places: Sequence[Place], length: float
     factor, before, after = (np.array(column) for column in zip(*seen, strict=True))
     typical = np.median(before)
     odd = (np.abs(factor - 1) > OFF) & (after < EXPLAINED * before) & (before > STANDS_OUT * typical)
-    # A beam that drifts spoils many points, and one of them may look scaled.
+    # Drift of the beam spoils many points, one of which may look scaled.
     odd &= before == before.max(axis=0)
     if not odd.any():
         return
@@ -273,7 +275,7 @@ def refuse_odd_point(residue: FloatArray, places: Sequence[Place], length: float
 def _without(
     measured: FloatArray, places: Sequence[Place], length: float, point: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the factor of a point to each set by the others, and its misfit before and after it, (n_sets,) arrays."""
+    """Return a point's factor for each set, and its squared misfit without and with the factor, (n_sets,) arrays."""
     others = np.delete(np.arange(len(places)), point)
     common = np.array([np.linalg.svd(each[:, others], full_matrices=False)[2][0] for each in measured])
     labels, _ = label_shapes(common, [*places[:point], *places[point + 1 :]], length)
@@ -291,28 +293,28 @@ def _without(
 
 
 WITHIN = 0.005
-"""Largest deviation from the ratios of a free-free beam by which they count as recognised [1]."""
+"""Largest relative deviation of a natural frequency from that of a free-free beam [1]."""
 
 FEWEST = 3
-"""Natural frequencies that it takes to recognise a beam; one more where shear and inertia are free."""
+"""Natural frequencies needed to recognise a beam; one more if shear and rotary inertia are fitted."""
 
 
 @dataclass(frozen=True)
 class FreeFree:
-    """The free-free beam that natural frequencies fit best.
+    """The free-free beam that fits given natural frequencies best.
 
     Attributes
     ----------
     first_frequency : float
-        Of its first bending mode [Hz].
+        Natural frequency of its first bending mode [Hz].
     shear : float
-        How much shear and rotary inertia lower its modes, of the order (h/L)^2; 0 by Euler and Bernoulli [1].
+        How much shear and rotary inertia lower its natural frequencies, of order (h/L)^2; 0 for Euler-Bernoulli [1].
     mode : tuple of (int or None)
-        Bending mode of each natural frequency, from 1; None for what is none.
+        Bending mode of each natural frequency, from 1; None for other motions.
     deviation : float
-        Largest relative deviation of the natural frequencies that are bending modes [1].
+        Largest relative deviation of the natural frequencies of bending modes [1].
     recognised : bool
-        Whether they are a free-free beam's.
+        Whether the natural frequencies are those of a free-free beam.
     """
 
     first_frequency: float
@@ -333,11 +335,12 @@ class FreeFree:
 
 
 def recognise(natural_frequency: Sequence[float]) -> FreeFree | None:
-    r"""Return the free-free beam that natural frequencies fit best; None for fewer than three.
+    r"""Return the free-free beam that fits given natural frequencies best; None for fewer than three.
 
-    By Euler and Bernoulli :math:`f_n \propto \lambda_n^2`. Shear and rotary inertia lower it by a factor that is
-    :math:`1/\sqrt{1 + s \lambda_n^2}` to first order in s, the squared slenderness times a constant of the section. The
-    lowest frequency is tried as each of the first three bending modes; others may be of torsion or across.
+    For an Euler-Bernoulli beam :math:`f_n \propto \lambda_n^2`. Shear and rotary inertia lower it by a factor that is
+    :math:`1/\sqrt{1 + s \lambda_n^2}` to first order in s, which is (h/L)^2 times a constant of the cross-section. Each
+    of the three lowest frequencies is tried as each of the first three bending modes; other frequencies may belong to
+    torsion or to lateral bending.
 
     Parameters
     ----------
@@ -358,11 +361,11 @@ def recognise(natural_frequency: Sequence[float]) -> FreeFree | None:
 
 
 def _fit(measured: FloatArray, first: int, mode: int, shear: float, square: FloatArray) -> FreeFree:
-    """Return the beam of which one frequency is a given bending mode."""
+    """Return the free-free beam for which one of the measured frequencies is a given bending mode."""
     course = square / np.sqrt(1 + shear * square)
     ratio = measured[:, None] / measured[first] * course[mode] / course
     nearest = np.abs(np.log(ratio)).argmin(axis=1)
-    # The scale that suits all that fit, instead of that of one alone.
+    # Rescale by all frequencies that fit, instead of by a single one.
     fits = np.abs(ratio[np.arange(measured.size), nearest] - 1) <= WITHIN
     scale = float(np.median(measured[fits] / course[nearest[fits]]))
     off = np.abs(measured / (scale * course[nearest]) - 1)
@@ -370,7 +373,7 @@ def _fit(measured: FloatArray, first: int, mode: int, shear: float, square: Floa
     labels = [int(k) + 1 if fit else None for k, fit in zip(nearest, fits, strict=True)]
     found = [label for label in labels if label is not None]
     enough = FEWEST if shear == 0 else FEWEST + 1
-    # Successive modes, each once: many high ones match anything.
+    # Successive modes (one may be missing), each once: a selection from many high modes would match anything.
     successive = len(set(found)) == len(found) and bool(found) and max(found) - min(found) + 1 <= len(found) + 1
     deviation = float(off[fits].max()) if fits.any() else 1.0
     recognised = successive and len(found) >= enough and 2 * len(found) > measured.size
@@ -378,6 +381,6 @@ def _fit(measured: FloatArray, first: int, mode: int, shear: float, square: Floa
 
 
 def _worth(tried: FreeFree) -> tuple[bool, int, float]:
-    """Rank what was tried: recognised, with many modes, near them; shear and inertia only where they are needed."""
+    """Rank a fit: recognised, then many modes, then a small deviation; shear and inertia only where they are needed."""
     n_found = sum(mode is not None for mode in tried.mode)
     return tried.recognised, n_found, -tried.deviation - (WITHIN / 2 if tried.shear > 0 else 0.0)

@@ -1,4 +1,4 @@
-"""What is kept of a recording of a periodic excitation: its spectra, as far up as they are wanted."""
+"""What is kept of a recording of a periodic excitation: its spectra, up to a highest frequency."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from modaltouch.rig import Recording
 class LowTransform:
     r"""The lowest lines of a Fourier transform, by decimation in time.
 
-    With :math:`Y_s` the transform of every r-th sample from s on, :math:`X_k = \sum_s e^{-2\pi i k s/n} Y_s(k)`. The
-    r short transforms run side by side in the cache: a quarter of the time of the long one, of which most is not
-    wanted. Single precision adds a millionth of a converter's noise.
+    With :math:`Y_s` the transform of every r-th sample from s on, :math:`X_k = \sum_s e^{-2\pi i k s/n} Y_s(k)`. The r
+    short transforms fit into the cache and take a quarter of the time of the full one, most lines of which are not
+    needed. Single precision adds a millionth of a converter's noise.
 
     Parameters
     ----------
     n_samples : int
-        Of a record.
+        Length of a record.
     n_lines : int
-        Lines from the first on, without that at 0 Hz.
+        Number of lines, from the first one above 0 Hz.
     """
 
     def __init__(self, n_samples: int, n_lines: int) -> None:
@@ -43,16 +43,16 @@ class LowTransform:
 
 
 low_transform = lru_cache(maxsize=1)(LowTransform)
-"""That of records of one length is the same from point to point."""
+"""Cached, since the records of a scan have the same length at every point."""
 
 
 class Spectra:
-    """What is kept of each recording of a periodic excitation: powers and cross power, averaged over its records.
+    """Reduces each recording of a periodic excitation to its powers and cross power, averaged over its records.
 
     Parameters
     ----------
     highest : float
-        Frequency up to which they are kept [Hz].
+        Highest frequency kept [Hz].
     """
 
     __name__ = "spectra"
@@ -61,12 +61,12 @@ class Spectra:
         self.highest = highest
 
     def __call__(self, recording: Recording) -> Mapping[str, NDArray[Any]]:
-        """Return averaged spectra of the velocity and of the first drive."""
+        """Return the averaged spectra of the velocity and the first drive."""
         n = recording.time.size
         frequency = np.fft.rfftfreq(n, 1 / recording.sampling_rate)
         frequency = frequency[1 : int(np.searchsorted(frequency, self.highest, side="right"))]
         transform = low_transform(n, frequency.size)
-        # One record after the other: all of them together take a hundred megabytes.
+        # One record at a time: all of them together would take a hundred megabytes.
         velocity, drive = (
             np.array([transform(record) for record in records]) / n
             for records in (recording.velocity, recording.drive[:, 0])

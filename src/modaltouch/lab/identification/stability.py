@@ -1,4 +1,4 @@
-"""Poles by model order, for a stability diagram: least squares complex frequency domain (Guillaume et al. 2003)."""
+"""Poles by model order for a stability diagram: least-squares complex frequency domain (Guillaume et al. 2003)."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ HIGHEST_ORDER = 50
 """Highest order of the denominator, in each band."""
 
 BAND = 16.0
-"""Highest over lowest frequency of a band [1]: the powers of one basis cannot resolve more."""
+"""Highest over lowest frequency of a band [1]: one polynomial basis cannot resolve more."""
 
 STABLE_FREQUENCY, STABLE_DAMPING = 0.01, 0.05
-"""Relative change from one order to the next up to which a pole is stable [1]."""
+"""Largest relative changes of a stable pole from one order to the next [1]."""
 
 HIGHEST_DAMPING = 0.2
 """Damping ratio above which a pole is not shown [1]."""
 
 
 def poles_by_order(responses: FrequencyResponses) -> FloatArray:
-    """Return the poles of every model order, of all responses over their noise.
+    """Return the poles of every model order, fitted to all responses over their noise.
 
     Returns
     -------
     (4, n_poles) array
-        Order, natural frequency [Hz], damping ratio, and 0 for a new pole, 1 where the order before has one of its
-        frequency, 2 where that has its damping ratio too.
+        Order, natural frequency [Hz], damping ratio, and stability: 0 for a new pole, 1 if the previous order has a
+        pole of the same frequency, 2 if of the same damping ratio too.
     """
     frequency, white = responses.frequency, responses.response / np.sqrt(responses.noise)[:, None]
     n_bands = max(1, math.ceil(math.log(frequency[-1] / frequency[0]) / math.log(BAND)))
@@ -50,19 +50,20 @@ def poles_by_order(responses: FrequencyResponses) -> FloatArray:
 
 
 def _poles(frequency: FloatArray, white: ComplexArray) -> Iterator[FloatArray]:
-    """Yield the poles of each order of a common denominator, under numerators of the same order.
+    """Yield the poles of a common denominator of each order, with numerators of the same order.
 
-    With 1 as the highest coefficient those that are of no mode are unstable. All sums over bins are Toeplitz.
+    With the highest coefficient fixed at 1, spurious poles are unstable. All matrices of sums over bins are Toeplitz.
     """
     from scipy.linalg import toeplitz
 
     rate = float(frequency[-1] - frequency[0])
-    # Of one response numerator and denominator must not have as many coefficients as there are bins.
+    # For a single response the coefficients of numerator and denominator must remain fewer than the bins.
     orders = np.arange(min(HIGHEST_ORDER, frequency.size // 3) + 1)
     basis = np.exp(-2j * np.pi * np.outer(orders, (frequency - frequency[0]) / rate))
     alone, power = basis.sum(axis=1), basis @ (np.abs(white) ** 2).sum(axis=0)
     mixed = [toeplitz(column, row) for row, column in zip(white @ basis.T, white @ basis.conj().T, strict=True)]
-    # The factor of a lower order is the first block of that of a higher one: what numerators take adds up row by row.
+    # The Cholesky factor of a lower order is the leading block of that of a higher one: the numerators' contribution
+    # adds up row by row.
     taken = np.linalg.solve(np.linalg.cholesky(toeplitz(alone.conj(), alone)), np.array(mixed))
     left = toeplitz(power.conj(), power)
     for n in orders:

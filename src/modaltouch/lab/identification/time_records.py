@@ -1,4 +1,4 @@
-"""Frequency responses from records over time: of each impact, or averaged over a record without impacts."""
+"""Frequency responses from time records: one per impact, or an average over a record without impacts."""
 
 from __future__ import annotations
 
@@ -34,39 +34,39 @@ UNITS: dict[str, tuple[Quantity, float]] = {
     "mm": ("displacement", 1e-3),
     "um": ("displacement", 1e-6),
 }
-"""Units of motion: what they are of, and their size in SI."""
+"""Units of motion: the quantity and the unit's size in SI."""
 
 DRIVES = {"v": 1.0, "volt": 1.0, "volts": 1.0, "mv": 1e-3, "n": 1.0, "newton": 1.0, "newtons": 1.0, "kn": 1e3}
-"""Units of excitation and their size in SI, folded to small letters."""
+"""Units of excitation, in lower case, and their size in SI."""
 
 MOST_AT_END = 3
-"""Samples at its highest or lowest value up to which a record was not saturated."""
+"""Number of samples that may share the extreme value of a record that was not saturated."""
 
 CUT = 4
-"""Samples there over those at the value below it, from which it was [1]."""
+"""A record is saturated if more than this many times as many samples sit at its extreme as at the next value [1]."""
 
 STILL_MOVES = "still moves at the end of a record: record until it rests"
-"""How a mark ends of decays that were cut off."""
+"""Ending of the mark about truncated decays."""
 
 FEWEST_SAMPLES = 64
-"""Samples of a record from which it is used."""
+"""Least number of samples of a record."""
 
 HIT = 0.1
-"""Excitation over its highest from which it is a hit [1]."""
+"""Excitation relative to its maximum above which it is a hit [1]."""
 
 IMPULSIVE = 0.1
-"""Part of the samples that hits take at most, where a record is one of impacts [1]."""
+"""Largest fraction of samples within hits for a record to count as one of impacts [1]."""
 
 APART = 0.5
-"""Time between two hits over the median one, from which they are two impacts and no double one [1]."""
+"""Time between two hits, relative to the median, from which they are separate impacts and not a double hit [1]."""
 
 
 def read_lvm(path: Path, how: ResponseFormat) -> Part:
-    """Return the responses of a LabVIEW measurement: one motion and one excitation over time, in one or more parts."""
+    """Return the responses of a LabVIEW measurement: one motion and one excitation, in one or more segments."""
     pieces = path.read_text(encoding="utf-8-sig").split("***End_of_Header***")
     if len(pieces) < 2:
         raise ValueError(f"{path}: there is no ***End_of_Header***; export a LabVIEW measurement (LVM) with its header")
-    # The header of the file, then one before each part, which follows the numbers of the part before.
+    # After the file's header each segment has its own, which follows the numbers of the segment before it.
     n_heads = min(2, len(pieces) - 1)
     head = "".join(pieces[:n_heads])
     comma = re.search(r"^Decimal_Separator\t,", head, re.MULTILINE) is not None
@@ -104,23 +104,23 @@ def read_lvm(path: Path, how: ResponseFormat) -> Part:
 
 
 def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None, how: ResponseFormat) -> Part:
-    """Return the responses of records over time, as far in frequency as all of them are driven.
+    """Return the responses of time records, up to the frequency to which all of them are excited.
 
     Parameters
     ----------
     path : Path
         The file, for messages.
     records : sequence of TimeRecord
-        All of one sampling rate.
+        Records with the same sampling rate.
     quantity : str or None
-        Of the motion, where the file says it.
+        Quantity of the motion, where the file states it.
     how : ResponseFormat
-        Averages, and what to do about saturation.
+        Number of averages, and whether the free decay of a saturated record is used.
 
     Raises
     ------
     ValueError
-        If a record is too short or saturated, or all of its impacts are double.
+        If a record is too short or saturated, or all impacts are double hits.
     """
     found: list[tuple[Key, FloatArray, ComplexArray, FloatArray | None]] = []
     marks: list[str] = []
@@ -131,7 +131,7 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
         if last_drive >= 0:
             raise ValueError(f"{path}: its excitation was saturated, so no response can be computed: measure again")
         if last >= 0:
-            # Only natural frequencies and damping ratios are read off it, each mode with a phase of its own.
+            # Only natural frequencies and damping ratios are read from it, so each mode's phase is free.
             decay = np.where(np.arange(motion.size) > last, motion - motion[: _quiet(motion)].mean(), 0.0)
             frequency, _ = transfer(motion, drive, step)
             found.append((key, frequency, np.fft.rfft(np.roll(decay, -last - 1))[: frequency.size], None))
@@ -166,7 +166,7 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
 
 
 def _refuse_unusable(path: Path, drive: FloatArray, motion: FloatArray) -> None:
-    """Refuse a record that is too short, or whose excitation or motion is none."""
+    """Refuse a record that is too short, is not finite, or has a constant excitation."""
     if not FEWEST_SAMPLES <= drive.size == motion.size:
         raise ValueError(
             f"{path}: it has {drive.size} samples of the excitation and {motion.size} of the motion; both need "
@@ -179,17 +179,17 @@ def _refuse_unusable(path: Path, drive: FloatArray, motion: FloatArray) -> None:
 
 
 def impacts(drive: FloatArray, motion: FloatArray) -> tuple[list[slice] | None, int]:
-    """Return where each single impact of a record and its decay lie, all of one length, and how many hits are none.
+    """Return each single impact of a record with its decay, all of equal length, and the number of hits left out.
 
-    A hit that follows another, or is followed by one or by the end, sooner than half the usual time is left out: it is
-    of a double impact, or its decay is cut. A burst and its decay are one impact; of what never rests it is None.
+    A hit less than half the median interval after another, or before another or the end, is left out: it belongs to a
+    double impact, or its decay is cut off. A burst with its decay is one impact; a record that never rests gives None.
     """
     size = np.abs(drive - np.median(drive))
     high = np.flatnonzero(size > HIT * size.max())
     if high.size > IMPULSIVE * drive.size:
         return ([slice(0, drive.size)] if _rests(drive) and _rests(motion) else None), 0
     widest = max(part.size for part in np.split(high, np.flatnonzero(np.diff(high) > 1) + 1))
-    # What returns sooner than a hit lasts is that hit still.
+    # An excitation that returns within the duration of a hit still belongs to that hit.
     start = np.append(high[0], high[1:][np.diff(high) > max(3, widest)])
     if start.size == 1:
         return [slice(0, drive.size)], 0
@@ -202,7 +202,7 @@ def impacts(drive: FloatArray, motion: FloatArray) -> tuple[list[slice] | None, 
 
 
 def _rests(row: FloatArray) -> bool:
-    """Return whether a record ends at rest, whatever constant is added to it."""
+    """Return whether a record ends at rest, apart from a constant offset."""
     size = np.abs(row - np.median(row))
     return bool(size[-size.size // 50 :].max() < HIT * size.max())
 
@@ -210,7 +210,7 @@ def _rests(row: FloatArray) -> bool:
 def averaged(
     motion: FloatArray, drive: FloatArray, step: float, n_averages: int
 ) -> tuple[FloatArray, ComplexArray, FloatArray]:
-    """Return frequencies, H1 and coherence of a record without impacts, of Hann windows that overlap by half."""
+    """Return frequencies, H1 and coherence of a record without impacts, from Hann windows that overlap by half."""
     from scipy.signal import csd, welch
 
     how = {"fs": 1 / step, "nperseg": 2 * drive.size // (n_averages + 1)}
@@ -221,11 +221,11 @@ def averaged(
 
 
 def _last_cut(path: Path, name: str, row: FloatArray, step: float, how: ResponseFormat) -> int:
-    """Return the last sample at which a record stays at its highest or lowest value, as a converter does; else -1."""
+    """Return the last saturated sample of a record, at its highest or lowest value; -1 if it is not saturated."""
     cut = []
     for end in (each for each in (row.max(), row.min()) if abs(each) > 0.5 * np.abs(row).max()):
         at = np.flatnonzero(row == end)
-        # Of a converter's steps each holds about as many samples as the one below it.
+        # Without saturation a converter's level holds about as many samples as the level next to it.
         below = np.abs(row[(row != end) & (row / end > 0.9)])
         if at.size > max(MOST_AT_END, CUT * int((below == below.max(initial=0.0)).sum())):
             cut.append(at)
@@ -240,7 +240,7 @@ def _last_cut(path: Path, name: str, row: FloatArray, step: float, how: Response
 
 
 def _quiet(record: FloatArray) -> int:
-    """Return how many first samples count as zero."""
+    """Return the number of initial samples that define zero."""
     return max(8, record.size // 2500)
 
 
@@ -250,16 +250,16 @@ def transfer(motion: FloatArray, drive: FloatArray, step: float) -> tuple[FloatA
     Parameters
     ----------
     motion, drive : (n_samples,) array
-        Over time; their first samples, before the blow, count as zero.
+        Time series; the mean of their first samples, before the blow, is subtracted.
     step : float
-        Between samples [s].
+        Time between samples [s].
 
     Returns
     -------
     frequency : (n_bins,) array
-        As far as the drive has a hundredth of its highest spectral density [Hz].
+        Up to where the drive's amplitude spectrum, smoothed over 25 bins, falls below 5 % of its maximum [Hz].
     response : (n_bins,) complex array
-        Spectrum over spectrum.
+        Spectrum of the motion over that of the drive.
     """
     quiet = _quiet(motion)
     motion, drive = motion - motion[:quiet].mean(), drive - drive[:quiet].mean()

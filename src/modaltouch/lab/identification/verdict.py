@@ -1,4 +1,4 @@
-"""What an identification is worth: what is refused, with its most probable cause, and what is marked."""
+"""Verdicts on an identification: what is refused, with its most probable cause, and what is only reported."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ from modaltouch.lab.identification.time_records import STILL_MOVES
 from modaltouch.protocol import Apparatus
 
 LEAST_COHERENCE = 0.5
-"""Median coherence below which nothing of a mode is believed at its peak, and over the band is marked [1]."""
+"""Median coherence below which a mode is refused, at its peak, or a warning is given, over the band [1]."""
 
 MOST_LEFT = 0.1
-"""Amplitude of what the fit leaves about a mode over that of the responses, from which it is refused [1]."""
+"""Amplitude of the residual about a mode, relative to that of the responses, above which the mode is refused [1]."""
 
 AS_HIGH = 0.1
-"""Height of a peak over the median one from which it is no mere torsion or noise [1]."""
+"""Height of a peak, relative to the median peak, above which it is not mere torsion or noise [1]."""
 
 FEWEST_GAINS = 3
-"""Listed gains, or natural frequencies, from which a common factor is seen."""
+"""Least number of listed gains, or natural frequencies, for a common factor to be recognised."""
 
 MARKED = {"nonlinearity": 0.004, "drift": 0.004}
-"""The same of what goes smoothly over frequency, from which it is marked, by its cause [1]."""
+"""Amplitude of the residual's smooth part, relative to the responses, above which a warning is given, by cause [1]."""
 
 WELL_FITTED = 3.0
-"""Misfit up to which what is left is the noise alone [1]."""
+"""Misfit up to which the residual is noise alone [1]."""
 
 MARKED_ELSE = 0.02
-"""The same of any other cause [1]."""
+"""The value in place of `MARKED` for any other cause [1]."""
 
 
 def check_modes(identification: Identification, labels: Sequence[int]) -> None:
-    """Refuse an identification that lacks a mode, has seen it too weakly, or does not fit it.
+    """Refuse an identification in which a mode is missing, too weak or badly fitted.
 
     Parameters
     ----------
     identification : Identification
-        What was found.
+        The modes found.
     labels : sequence of int
-        Modes that are wanted.
+        Modes that are required.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
 
 
 def _split(modes: Sequence[IdentifiedMode]) -> str:
-    """Return what two resonances say, one of no mode's shape, within a half-power bandwidth; nothing without them."""
+    """Describe two resonances within one half-power bandwidth, at least one without a mode's shape; empty if none."""
     for one, other in pairwise(modes):
         apart = other.natural_frequency.value - one.natural_frequency.value
         width = 2 * one.natural_frequency.value * one.damping_ratio.value
@@ -84,7 +84,7 @@ def _split(modes: Sequence[IdentifiedMode]) -> str:
 
 
 def _strange(modes: Sequence[IdentifiedMode], missing: Sequence[int]) -> str:
-    """Return what high and well fitted resonances of no mode's shape say, where modes are missing; nothing without."""
+    """Describe strong, well-fitted resonances without a mode's shape where a mode is missing; empty if none."""
     labelled = [(mode.label, mode.natural_frequency.value) for mode in modes if mode.label is not None]
     least = AS_HIGH * float(np.median([mode.half_power.height for mode in modes]))
     strange = []
@@ -105,7 +105,7 @@ def _strange(modes: Sequence[IdentifiedMode], missing: Sequence[int]) -> str:
 
 
 def check_all(identification: Identification) -> None:
-    """Refuse an identification without shapes of which most modes are incoherent or badly fitted."""
+    """Refuse an identification without shapes if most of its modes are incoherent or badly fitted."""
     modes = identification.modes
     faults = [_faults(f"the mode at {mode.natural_frequency.value:.6g} Hz", mode) for mode in modes]
     if 2 * sum(bool(each) for each in faults) > len(modes):
@@ -117,36 +117,36 @@ FACTORS = {
     9.80665: "an acceleration in g was taken for m/s^2, or the other way round, or a 10 : 1 probe for 1 : 1",
     1e3: "a thousandth was taken for a whole unit",
 }
-"""Factors between units that are taken for each other, and what they mean."""
+"""Factors between units that are often confused, and what they mean."""
 
 SPREAD, ROUGHLY = 0.1, 1.0
-"""How far gains may lie from one factor that is named, and from a thousand [1]."""
+"""Relative tolerance of gains about such a factor, and about a thousand [1]."""
 
 MOST_GAINS = 0.75
-"""Part of the gains that must lie there: at the end of a band one may be of another mode than its label's [1]."""
+"""Fraction of the gains that must lie within it: at the end of the band a label may be that of another mode [1]."""
 
 
 AXES = {
     2 * np.pi: "angular frequencies [rad/s] taken for frequencies [Hz]",
     1e3: "milli or kilo taken for a whole unit",
 }
-"""Factors between frequencies that are taken for each other, and what they mean."""
+"""Factors between frequency units that are often confused, and what they mean."""
 
 
 def check_gains(identification: Identification, apparatus: Apparatus) -> None:
-    """Refuse natural frequencies, or gains of all sets or of one, that are those listed times one between two units.
+    """Refuse natural frequencies, or gains of one set or all, that differ from the listed ones by a factor of units.
 
     Parameters
     ----------
     identification : Identification
-        What was found.
+        The modes found.
     apparatus : Apparatus
-        The table of the same beam; where fewer than three of its gains were found nothing is said.
+        The table of the same beam; nothing is checked if fewer than three of its values were found.
 
     Raises
     ------
     ValueError
-        With the factor, and which units it is between.
+        With the factor and the units that were probably confused.
     """
     found = {mode.label: mode for mode in identification.modes}
     sets = identification.responses.sets
@@ -172,7 +172,7 @@ def check_gains(identification: Identification, apparatus: Apparatus) -> None:
 
 
 def _refuse_axis(ratios: Sequence[float], apparatus: Apparatus) -> None:
-    """Refuse natural frequencies over the listed ones that are one factor between units."""
+    """Refuse ratios of natural frequencies to the listed ones that are a factor between units."""
     for factor, meaning in AXES.items():
         for size in (factor, 1 / factor):
             near = np.abs(np.array(ratios) / size - 1) < SPREAD
@@ -185,7 +185,7 @@ def _refuse_axis(ratios: Sequence[float], apparatus: Apparatus) -> None:
 
 
 def _refuse_factor(listed: Sequence[tuple[float, float]], sets: Sequence[str], apparatus: Apparatus) -> None:
-    """Refuse gains over the listed ones, each with its natural frequency, that are one factor between units."""
+    """Refuse ratios of gains to the listed ones, each with its natural frequency, that are a factor between units."""
     if len(listed) < FEWEST_GAINS:
         return
     ratio, frequency = np.abs(np.array(listed)).T
@@ -196,7 +196,7 @@ def _refuse_factor(listed: Sequence[tuple[float, float]], sets: Sequence[str], a
         if power and abs(factor - 1) < SPREAD:
             meaning = "the motion is not the one that --quantity says"
         for size, units in FACTORS.items():
-            # A table that is roughly right tells a thousand.
+            # For a factor of a thousand a roughly correct table is enough.
             wide = ROUGHLY if size > 1 / SPREAD**2 and not power else SPREAD
             if abs(abs(np.log(factor)) - np.log(size)) < np.log1p(wide):
                 meaning, spread = units, wide
@@ -223,7 +223,7 @@ def _faults(name: str, mode: IdentifiedMode) -> list[str]:
 
 
 def _cause(modes: Sequence[IdentifiedMode]) -> str:
-    """Return the cause of most of what is left, and its remedy."""
+    """Return the most probable cause of the residual and its remedy."""
     weight: dict[str, float] = {}
     for mode in modes:
         weight[mode.rest.cause] = weight.get(mode.rest.cause, 0.0) + mode.rest.share
@@ -232,7 +232,7 @@ def _cause(modes: Sequence[IdentifiedMode]) -> str:
 
 
 def warnings(identification: Identification) -> list[str]:
-    """Return what has to be known of a result that is not refused, a sentence each."""
+    """Return the warnings about a result that is not refused, a sentence each."""
     responses, said = identification.responses, list(identification.responses.marks)
     if responses.offset:
         said.append(
@@ -260,14 +260,14 @@ def warnings(identification: Identification) -> list[str]:
 
 
 def misfit_verdict(identification: Identification) -> str:
-    """Return what the misfit means, in words."""
+    """Return the meaning of the misfit, in words."""
     left = max(mode.rest.share for mode in identification.modes)
     means = "the noise alone" if identification.misfit <= WELL_FITTED else "more than the noise"
     return f"misfit {identification.misfit:.3g}, {means}; at most {left:.1%} of the response around a mode is left"
 
 
 def repeatability(identification: Identification) -> str:
-    """Return what the intervals say of another measurement of the same beam, in words."""
+    """Return what the intervals say about repeating the measurement on the same beam, in words."""
     n = [mode.n_repeats for mode in identification.modes]
     if max(n) < 2:
         return "repeatability is unknown: the intervals come from one measurement; repeat it, and give all measurements"
