@@ -1,5 +1,5 @@
-"""Corrects the targets of a stimulus until the rig does at the focusing instant what was asked for.
+"""Corrects the targets of a stimulus until the rig produces the target field at the focusing instant.
 
-No record tells the time from the generator's first sample to the scope's, its trigger latency: of the shipped stimulus
-every 0.05 us that `acquisition.trigger_latency_us` misses of it leave 0.08 mm/s in a displacement.
+No record reveals the trigger latency, the time from the generator's first sample to the scope's. With the shipped
+stimulus each 0.05 us of error in `acquisition.trigger_latency_us` leaves an error of 0.08 mm/s in a displacement.
 """

@@ -1,4 +1,4 @@
-"""What calibration plays and records: bursts that identify the rig, the decay after a burst, ranges that fit."""
+"""What calibration plays and records: bursts that identify the rig, and decays after a burst in suitable ranges."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from modaltouch.rig import Acquisition, Recording, RigError
 from modaltouch.stimulus import Amplifier, BlockStates, Burst, DiagonalSystem, ModalModel, Taper, Timing
 
 SHARE = 0.6
-"""Part of the amplifier's and of the velocity limit that identification uses [1]: the table may be wrong by a third."""
+"""Fraction of the amplifier's and the velocity limit used for identification [1]: the table may be wrong by a third."""
 
 RISE, FALL = 1.0e-3, 0.05e-3
-"""Tapers of a probe: its end is steep, so that the fastest modes still ring after it [s]."""
+"""Tapers of a probe; its end is steep, so that the fastest modes still ring after it [s]."""
 
 SWEEP = 2.0e-3
 """Length of each sweep of the timing burst [s]."""
@@ -26,14 +26,14 @@ _GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
 def probe_voltage(model: ModalModel, timing: Timing, channel: int) -> FloatArray:
-    """Return voltages on one channel that ring every modelled mode at the focusing instant.
+    """Return voltages on one channel that leave every modelled mode ringing at the focusing instant.
 
-    Each mode is driven by its own decay, reversed in time, the strongest responding the least.
+    Each mode is driven by its own time-reversed decay; the more it responds, the less it is driven.
 
     Parameters
     ----------
     model : ModalModel
-        The modes, known roughly.
+        The modes, known approximately.
     timing : Timing
         Clock of the samples; nothing is played after the focusing instant.
     channel : int
@@ -42,13 +42,13 @@ def probe_voltage(model: ModalModel, timing: Timing, channel: int) -> FloatArray
     Returns
     -------
     (n_channels, n_samples) array
-        Of no particular size.
+        Voltages, arbitrarily scaled.
     """
     n_before, _ = timing.samples_until(timing.focusing_instant)
     voltage = np.zeros((model.n_channels, timing.n_samples))
     response = np.abs(model.modal_gain).max(axis=1) / -model.exponent.real
     response = np.where(response > 0, response, np.median(response[response > 0]))
-    # Phases by the golden angle keep the tones from peaking together.
+    # Phases in steps of the golden angle keep the tones from peaking together.
     amplitude = (response**-0.5 * np.exp(1j * _GOLDEN * np.arange(model.n_modes)))[None, :]
     taper = Taper.fitting(n_before, RISE * timing.sampling_rate, FALL * timing.sampling_rate)
     taper.write(amplitude, model.exponent, timing.hold, voltage[channel : channel + 1, :n_before])
@@ -56,7 +56,7 @@ def probe_voltage(model: ModalModel, timing: Timing, channel: int) -> FloatArray
 
 
 def timing_voltage(model: ModalModel, timing: Timing) -> FloatArray:
-    """Return voltages on all channels that tell the amplifier's lag at the start and at the end of a burst.
+    """Return voltages on all channels from which the delay can be measured at the start and the end of a burst.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def timing_voltage(model: ModalModel, timing: Timing) -> FloatArray:
     Returns
     -------
     (n_channels, n_samples) array
-        A sweep with soft ends within the first and within the last `SWEEP` seconds.
+        A tapered sweep in the first and in the last `SWEEP` seconds, arbitrarily scaled.
     """
     n = min(int(SWEEP * timing.sampling_rate), timing.n_samples // 2)
     time = np.arange(n) * timing.hold
@@ -91,14 +91,14 @@ def identifying_burst(
     load_factor: float,
     velocity_limit: float,
 ) -> Burst:
-    """Return a burst of voltages, as large as the limits allow with room for a table that is wrong by a third.
+    """Return a burst of given voltages, scaled as high as the limits allow if the table may be wrong by a third.
 
     Parameters
     ----------
     voltage : (n_channels, n_samples) array
-        Of any size.
+        Voltages of arbitrary scale.
     model : ModalModel
-        The modes, known roughly.
+        The modes, known approximately.
     timing : Timing
         Clock of the samples.
     amplifier : Amplifier
@@ -106,7 +106,7 @@ def identifying_burst(
     load_factor : float
         Share of the generator's open-circuit voltage that reaches the amplifier [1].
     velocity_limit : float
-        Highest velocity of the beam, and within the vibrometer's range [m/s].
+        Highest velocity allowed on the beam and within the vibrometer's range [m/s].
     """
     points = np.linspace(-0.5, 0.5, 4 * max(model.label) + 1) * model.length
     system = DiagonalSystem.of(model)
@@ -115,7 +115,7 @@ def identifying_burst(
     scale = SHARE * min(amplifier.limit / highest.max(), velocity_limit / max(speed, 1e-30))
     to_beam = amplifier.gain * load_factor
     amplitude = [timing.converter.round_amplitude(2 * float(volts) * scale / to_beam) for volts in highest]
-    # Amplitudes are rounded to the instrument's grid: codes are made for what it then plays.
+    # Amplitudes are rounded to the instrument's grid; the codes are made for the rounded ones.
     unit = np.array(amplitude) * to_beam / 2 / timing.converter.mid_code
     fitted = np.where(highest > 0, unit * timing.converter.mid_code / np.where(highest > 0, highest, 1.0), 0.0)
     codes = timing.converter.round_to_codes(voltage * fitted[:, None], unit)
@@ -130,14 +130,14 @@ def identifying_burst(
 
 
 def commanded_voltage(burst: Burst, to_beam: float, velocity: float | None = None) -> FloatArray:
-    """Return what a burst commands at the beam, (n_channels, n_samples) array [V].
+    """Return the voltages that a burst commands at the beam, (n_channels, n_samples) array [V].
 
     Parameters
     ----------
     burst : Burst
         The burst.
     to_beam : float
-        Volts at the beam per volt of the open generator, as told [1].
+        Volts at the beam per volt of the open generator, according to the apparatus file [1].
     velocity : float, optional
         Level [m/s]; the burst's own if not given.
     """
@@ -147,35 +147,35 @@ def commanded_voltage(burst: Burst, to_beam: float, velocity: float | None = Non
 
 
 MARGIN = 40e-6
-"""From the focusing instant to the first sample: drive and vibrometer have followed by then [s]."""
+"""Time from the focusing instant to the first sample, by which drive and vibrometer have settled [s]."""
 
 PER_CYCLE = 5.0
-"""Samples to a cycle of the fastest listed mode [1]."""
+"""Samples per cycle of the fastest listed mode [1]."""
 
 HEADROOM = 1.4
 """Range of the scope over the highest value seen so far [1]."""
 
 N_RECORDS = 10
-"""Records averaged at a point."""
+"""Records averaged at each point."""
 
 N_PAIRS = 4
-"""Pairs of points at equal distance from the middle: what is antisymmetric there drops out of a symmetric mode."""
+"""Pairs of points at equal distance from mid-beam: antisymmetric motion there cancels out of a symmetric mode."""
 
 
 def measuring_points(model: ModalModel) -> FloatArray:
-    """Return where to measure: pairs about the middle, of the many the one that sees the worst seen mode best.
+    """Return where to measure: pairs of points about mid-beam, chosen so that the least visible mode is seen best.
 
     Returns
     -------
     (2 * N_PAIRS,) array
-        Increasing [m].
+        Positions in increasing order [m].
     """
     half = model.length / 2
     candidates = np.arange(0.04, 0.97, 0.04) * half
     power = model.shapes(candidates) ** 2
     rng = np.random.default_rng(0)
     best, chosen = -1.0, candidates[:N_PAIRS]
-    # A few thousand draws of the thousands of choices: the best of them is as good as any.
+    # The best of a few thousand random choices is practically as good as the best of all.
     for _ in range(4000):
         some = rng.choice(candidates.size, N_PAIRS, replace=False)
         least = float(power[:, some].sum(axis=1).min())
@@ -187,28 +187,28 @@ def measuring_points(model: ModalModel) -> FloatArray:
 
 @dataclass
 class DecayRecorder:
-    """Takes records with ranges that fit, and says how far it is.
+    """Takes records in suitable ranges, and reports progress.
 
     Attributes
     ----------
     bench : Laboratory
         Generator and scope.
     model : ModalModel
-        The modes, known roughly: they set sampling rate and length of a record.
+        The modes, known approximately; they determine the sampling rate and the length of a record.
     timing : Timing
         Clock of the burst.
     highest_velocity : float
-        End of the vibrometer's range [m/s].
+        Upper end of the vibrometer's range [m/s].
     latency : float
-        From the generator's first sample to the scope's [s].
+        Trigger latency, from the generator's first sample to the scope's [s].
     progress : MeasurementProgress
-        What is called before and after each record.
+        Called before and after each record.
     name : str
-        Of the stimulus, where there are several.
+        Name of the stimulus, if there are several.
     margin : float
-        From the focusing instant to the first sample of a decay [s].
+        Time from the focusing instant to the first sample of a decay [s].
     n_taken : int
-        Records taken so far.
+        Number of records taken so far.
     """
 
     bench: Laboratory
@@ -226,18 +226,18 @@ class DecayRecorder:
     n_taken: int = field(default=0, init=False)
 
     def begin(self, step: str, n_records: int) -> None:
-        """Announce a step, and how many records it takes."""
+        """Announce a step and its number of records."""
         self._step = f"{self.name}: {step}" if self.name else step
         self._done, self._total = 0, n_records
         self.progress.show(self._step, 0, n_records)
 
     @property
     def rate(self) -> float:
-        """Samples per second [Hz]."""
+        """Sampling rate [Hz]."""
         return PER_CYCLE * float(self.model.natural_frequency.max())
 
     def wait_for(self, drive: DriveDelay) -> None:
-        """Begin the records of decays late enough for the drive to have ended at the beam."""
+        """Begin the records of decays only after the drive has ended at the beam."""
         self.margin = max(MARGIN, drive.delay + 10 * drive.lag + MARGIN / 2)
 
     def decays(
@@ -248,25 +248,25 @@ class DecayRecorder:
         Parameters
         ----------
         burst : Burst
-            Without voltage after the focusing instant.
+            A burst without voltage after the focusing instant.
         level : float
-            At which it is played [m/s].
+            Level at which it is played [m/s].
         points : (n_points,) array
-            Where [m].
+            Positions [m].
         highest : float, optional
-            Highest speed to be expected; the end of the vibrometer's range if not given [m/s].
+            Highest expected speed; the upper end of the vibrometer's range if not given [m/s].
 
         Returns
         -------
         time : (n_samples,) array
-            By the scope's clock, from the trigger [s].
+            Times by the scope's clock, from the generator's first sample [s].
         velocity : (n_points, n_samples) array
             Averaged over records [m/s].
         """
         self.bench.load(burst)
         asked = self._decay()
         time, rows = np.zeros(0), dict[int, FloatArray]()
-        # Back and forth, so that a spot that is moved by hand is moved less.
+        # Back and forth, so that a spot moved by hand travels less.
         self._forth = not self._forth
         order = np.arange(points.size)[:: 1 if self._forth else -1]
         for place in order.tolist():
@@ -296,18 +296,18 @@ class DecayRecorder:
         Parameters
         ----------
         level : float
-            At which it is played [m/s].
+            Level at which it is played [m/s].
         point : float
-            Where [m].
+            Position [m].
 
         Returns
         -------
         time : (n_samples,) array
-            By the scope's clock, from the trigger [s].
+            Times by the scope's clock, from the generator's first sample [s].
         velocity : (1, n_samples) array
             Averaged over records [m/s].
         highest : float
-            Highest speed, averaged over records [m/s].
+            Highest speed of the mean over records [m/s].
         """
         whole = replace(
             self._decay(N_RECORDS // 2),
@@ -321,29 +321,29 @@ class DecayRecorder:
         return decay.time, decay.velocity.mean(axis=0, keepdims=True), highest
 
     def drive(self, burst: Burst, volts: float) -> list[Recording]:
-        """Return the drive of both channels in the first and in the last `SWEEP` seconds of a burst.
+        """Return the drive of all channels in the first and the last `SWEEP` seconds of a burst.
 
         Parameters
         ----------
         burst : Burst
             The timing burst.
         volts : float
-            Highest voltage at the beam to be expected [V].
+            Highest expected voltage at the beam [V].
         """
         self.bench.load(burst)
         return [self.drive_from(start, burst.velocity, volts) for start in (0.0, self.timing.duration - SWEEP)]
 
     def drive_from(self, start: float, level: float, volts: float) -> Recording:
-        """Return the drive of all channels of the loaded burst for `SWEEP` seconds from an instant on.
+        """Return the drive of all channels of the loaded burst for `SWEEP` seconds from a given instant.
 
         Parameters
         ----------
         start : float
-            From the start of the burst; its own start for what lies before it [s].
+            Instant since the start of the burst; negative values count as 0 [s].
         level : float
             Level [m/s].
         volts : float
-            Highest drive that is to be expected [V].
+            Highest expected drive [V].
         """
         rate = max(self.rate, 2.0e6)
         drives = tuple(range(1, self.model.n_channels + 1))
@@ -352,7 +352,7 @@ class DecayRecorder:
         return self._within(0.0, level, asked, None)
 
     def _within(self, point: float, level: float, asked: Acquisition, highest: float | None) -> Recording:
-        """Return a record that nothing overloads; ranges are widened as far as it takes."""
+        """Return a record without overload, widening the ranges as needed."""
         if highest:
             asked = replace(asked, velocity_range=min(HEADROOM * highest, self.highest_velocity))
         for _ in range(6):

@@ -1,4 +1,4 @@
-"""``modaltouch calibrate``: which stimuli can be calibrated, at which levels, and the file that comes of it."""
+"""``modaltouch calibrate``: which stimuli can be calibrated, at which levels, and the resulting file."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from modaltouch.rig import RigError
 
 @dataclass(frozen=True)
 class CalibrationReport:
-    """A finished calibration, and the file where it is to be kept."""
+    """A finished calibration, and the file for it."""
 
     calibration: Calibration
     out: Path
 
     def write(self) -> dict[str, Any]:
-        """Write the file and return its plain values, with its path."""
+        """Write the file and return its plain values with its path."""
         write_calibration(self.out, self.calibration)
         return {**self.calibration.model_dump(mode="json"), "file": str(self.out)}
 
@@ -53,20 +53,20 @@ def calibrate(
     rig : str
         ``simulated``, or the generator's VISA address.
     person, accept
-        Who calibrates, for the file, and whether one that misses its limits is written, with a mark.
+        Who calibrates, for the file; and whether a calibration that misses its limits is written, with a mark.
     record : Path, optional
-        Folder where another scope leaves its records as files, instead of a PicoScope.
+        Folder into which another scope saves its records as files; without it a PicoScope is used.
     progress : MeasurementProgress, optional
-        What is called meanwhile.
+        Reports progress and lets the user interrupt.
 
     Raises
     ------
     InputError
-        If the protocol has faults, or a stimulus has no targets that could be corrected.
+        If the protocol has faults, or the targets of a stimulus cannot be corrected.
     RecordError
-        If the file cannot be written, or exists.
+        If the file cannot be written, or exists already.
     RigError
-        If the rig fails, is not the one of the apparatus file, or leaves more than ``calibration.limits`` allows.
+        If the rig fails or is not that of the apparatus file, or an error exceeds ``calibration.limits``.
     """
     preflight = examine(protocol, uncalibrated=True).of_untouched_beam()
     experiment, inputs_of = preflight.experiment, design_inputs_of(preflight)
@@ -94,11 +94,11 @@ def calibrate(
 
 
 N_BETWEEN = 3
-"""Levels verified between bounds within which any level may be played."""
+"""Number of levels verified between bounds within which any level may be played."""
 
 
 def design_inputs_of(preflight: Preflight) -> dict[str, DesignInputs]:
-    """Return what each stimulus of a checked protocol is designed from, by name; one alone has none."""
+    """Return the design inputs of each stimulus of a checked protocol, by name; an only stimulus has an empty name."""
     preflight.require()
     faults = {name: list(_uncorrectable(part)) for name, part in preflight.parts.items()}
     problems = [each for name, own in faults.items() for each in preflight.findings.at_stimulus(name, own)]
@@ -108,10 +108,10 @@ def design_inputs_of(preflight: Preflight) -> dict[str, DesignInputs]:
 
 
 def levels_between(protocol: Protocol) -> tuple[float, ...]:
-    """Return the levels between a protocol's bounds that are verified too, at equal ratios [mm/s].
+    """Return the levels to be verified between a protocol's bounds, at equal ratios [mm/s].
 
-    An adaptive run, or a participant whose levels are calibrated, may get any level there. Other protocols have none:
-    every level that is played is measured.
+    Adaptive runs, and sensation levels relative to a participant's threshold, may use any level there. Other protocols
+    need none, since every level that is played is measured.
     """
     if protocol.adaptive is None and protocol.conditions.sensation_levels is None:
         return ()
@@ -121,7 +121,7 @@ def levels_between(protocol: Protocol) -> tuple[float, ...]:
 
 
 def _uncorrectable(preflight: Preflight) -> Iterator[Problem]:
-    """Yield why the targets of a protocol's one stimulus cannot be corrected."""
+    """Yield the reasons why the targets of a protocol's only stimulus cannot be corrected."""
     (inputs, _), reading = preflight.sound, preflight.findings.protocol
     if reading is None:
         return

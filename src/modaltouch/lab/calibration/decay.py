@@ -1,11 +1,11 @@
-r"""The free decay after the drive has ended: common poles, and how strongly each swings at every point.
+r"""The free decay after the drive has ended: common poles, and their complex amplitudes at every point.
 
 .. math:: y_q(t) = \mathrm{Re} \sum_k R_{kq} e^{s_k t} + c_q + \text{noise}
 
-over records q (positions, bursts), with the constant c that a vibrometer's output has at rest. For given poles the
-residues R follow by linear least squares; the poles by Gauss-Newton on what is left over, the residues eliminated
-(variable projection: Golub & Pereyra 1973 with the Jacobian of Kaufman 1975). Modes that nobody listed show as lines in
-the rest; their poles are added until none stands out of the noise, so that they do not bias the others.
+over records q (positions, bursts), with the constant offset c of the vibrometer's output. For given poles the residues
+R follow from linear least squares; the poles follow from a Gauss-Newton search on the residual with the residues
+eliminated (variable projection: Golub & Pereyra 1973, with the Jacobian of Kaufman 1975). Unlisted modes appear as
+lines in the residual; their poles are added until none stands out of the noise, so that they do not bias the others.
 """
 
 from __future__ import annotations
@@ -17,41 +17,42 @@ import numpy as np
 from modaltouch.lab.arrays import ComplexArray, FloatArray
 
 _STEPS = 12
-"""Most Gauss-Newton steps: two or three settle it."""
+"""Largest number of Gauss-Newton steps; two or three usually suffice."""
 
 _SETTLED = 1e-3
-"""Step below which the poles have settled, in units of each pole's own decay rate [1]."""
+"""Step at which the poles have converged, in units of each pole's decay rate [1]."""
 
 _STANDS_OUT = 3.0
-"""Power of a line over what noise alone would show at its highest, above which it is a mode [1]."""
+"""Power of a line, relative to the highest expected from noise alone, above which it is a mode [1]."""
 
 _FIRST_DAMPING = 0.015
-"""Damping ratio with which the fit of an unlisted mode begins [1]."""
+"""Initial damping ratio of an unlisted mode [1]."""
 
 _LEAST_APART = 0.75
-"""How many decay rates an unlisted pole must lie from its neighbours: nearer, both are one line [1]."""
+"""Least distance of an unlisted pole from its neighbours, in decay rates; any closer, the two are one line [1]."""
 
 
 SLIP_NOISE = 5.0
-"""Standard errors of a mode's velocity up to which its slip may be noise: 2 for a fitted pole, 2.45 for 95 % [1]."""
+"""Slip, in standard errors of a mode's velocity, up to which it may be noise: 2 for a fitted pole times 2.45 for 95 %
+[1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Decay:
-    """Decays as they were fitted.
+    """Fitted decays.
 
     Attributes
     ----------
     pole : (n_poles,) complex array
-        Listed modes first [1/s].
+        Poles, listed modes first [1/s].
     residue : (n_poles, n_records) complex array
-        At time 0 of the clock that was given [m/s].
+        Residues at time 0 [m/s].
     spread : (n_poles,) array
-        Standard error of each residue, real or imaginary part [m/s].
+        Standard error of the real or imaginary part of each residue [m/s].
     noise : float
-        Standard deviation of what is left over [m/s].
+        Standard deviation of the residual [m/s].
     pole_error : (n_poles,) complex array
-        How far the poles of the records lie from those given, to first order; 0 where they were fitted [1/s].
+        Deviation of the records' poles from the given ones, to first order; 0 where the poles were fitted [1/s].
     """
 
     pole: ComplexArray
@@ -62,7 +63,7 @@ class Decay:
 
 
 def fit_residues(time: FloatArray, records: FloatArray, pole: ComplexArray) -> Decay:
-    """Return the decays for known poles.
+    """Fit decays with known poles.
 
     Parameters
     ----------
@@ -78,11 +79,11 @@ def fit_residues(time: FloatArray, records: FloatArray, pole: ComplexArray) -> D
 
 
 def fit_poles(time: FloatArray, records: FloatArray, pole: ComplexArray) -> Decay:
-    """Return the decays for poles that are known roughly: to about their own decay rate."""
+    """Fit decays and their poles, which must be known to within about their own decay rate."""
     best = _Projection(time, records, pole)
     for _ in range(_STEPS):
         step = best.newton_step()
-        # A pole moves by at most half its decay rate at once, and never into growth.
+        # A pole moves by at most half its decay rate per step, and so never becomes unstable.
         size = np.abs(step) / -best.pole.real
         step = step * np.minimum(1.0, 0.5 / np.maximum(size, 1e-12))
         for _ in range(5):
@@ -99,25 +100,25 @@ def fit_poles(time: FloatArray, records: FloatArray, pole: ComplexArray) -> Deca
 
 
 def missed_swing(swing: ComplexArray, spread: FloatArray, pole: ComplexArray, error: ComplexArray) -> FloatArray:
-    """Return what errors of the poles take from complex amplitudes, where noise does not explain them [m/s].
+    """Return the error of complex amplitudes due to errors of the poles, where noise does not explain those [m/s].
 
-    Averaged over the decay, a residue misses half of what its pole does.
+    It is half the slip, the mean over the decay.
     """
     slip = np.abs(swing * error / pole.real)
     return np.where(slip > SLIP_NOISE * spread, slip / 2, 0.0)
 
 
 def find_poles(time: FloatArray, records: FloatArray, listed: ComplexArray, *, most: int = 16) -> Decay:
-    """Return the decays of the listed modes, and of others as long as any stands out of the noise.
+    """Fit the decays of the listed modes, and of further modes as long as any stands out of the noise.
 
     Parameters
     ----------
     time, records
         As for `fit_residues`.
     listed : (n_listed,) complex array
-        Poles known roughly [1/s].
+        Approximate poles [1/s].
     most : int
-        Unlisted modes looked for at most.
+        Largest number of unlisted modes.
     """
     decay = fit_poles(time, records, listed)
     for _ in range(most):
@@ -129,10 +130,10 @@ def find_poles(time: FloatArray, records: FloatArray, listed: ComplexArray, *, m
 
 
 def _next_line(time: FloatArray, records: FloatArray, decay: Decay) -> complex | None:
-    """Return where the rest shows a mode that is not fitted yet."""
+    """Return the pole of a further mode that the residual shows, or None."""
     rest = _about_mean(records - (decay.residue.T @ np.exp(np.outer(decay.pole, time))).real)
     n_records, n_samples = rest.shape
-    # A decaying line is short: a window that falls with it shows it best.
+    # A decaying line is best seen through a window that decays with it.
     step = float(time[1] - time[0])
     best: tuple[float, complex] | None = None
     for length in (n_samples, n_samples // 4, n_samples // 16):
@@ -141,7 +142,7 @@ def _next_line(time: FloatArray, records: FloatArray, decay: Decay) -> complex |
         window = np.exp(-3.0 * np.arange(length) / length)
         power = (np.abs(np.fft.rfft(rest[:, :length] * window, axis=1)) ** 2).sum(axis=0)
         frequency = np.fft.rfftfreq(length, step)
-        # Without a line the power is a chi-square of two degrees a record; the median tells its scale.
+        # Noise power is chi-square distributed with two degrees of freedom per record; the median gives its scale.
         scale = float(np.median(power)) / n_records
         if scale == 0:
             continue
@@ -162,12 +163,12 @@ def _next_line(time: FloatArray, records: FloatArray, decay: Decay) -> complex |
 
 
 def _about_mean(rows: FloatArray) -> FloatArray:
-    """Return rows without their constants."""
+    """Return rows less their means."""
     return np.asarray(rows - rows.mean(axis=1, keepdims=True))
 
 
 class _Projection:
-    """The part of the records that decays at given poles, and what is left over."""
+    """The projection of records on decays with given poles, and the residual."""
 
     def __init__(self, time: FloatArray, records: FloatArray, pole: ComplexArray) -> None:
         self.pole = np.asarray(np.where(pole.real < 0, pole, -np.abs(pole.real) * 1e-3 - 1e-3 + 1j * pole.imag))
@@ -187,7 +188,7 @@ class _Projection:
         return np.asarray(np.linalg.solve(self._factor.T, np.linalg.solve(self._factor, value)))
 
     def decay(self) -> Decay:
-        """Return what was fitted."""
+        """Return the fit."""
         n = self.pole.size
         freedom = max(1, (self._time.size - 2 * n - 1) * self._records.shape[0])
         noise = np.sqrt(max(self.left, 0.0) / freedom)
@@ -202,9 +203,9 @@ class _Projection:
         )
 
     def newton_step(self) -> ComplexArray:
-        """Return the change of every pole that lessens most what is left over (Kaufman's Jacobian)."""
+        """Return the Gauss-Newton step of every pole (Kaufman's Jacobian)."""
         n = self.pole.size
-        # What moving a pole changes, less what the residues make of it: columns t cos, t (-sin), t sin, t cos.
+        # Derivatives by the poles, less their projection on the decays: columns t cos, t (-sin), t sin, t cos.
         turned = np.concatenate([-self._swing[n:], self._swing[:n]])
         moved = _about_mean(np.concatenate([self._swing, turned]) * self._time)
         cross = (self._basis @ moved.T) / self._size[:, None]

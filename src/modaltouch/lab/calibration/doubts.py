@@ -1,7 +1,7 @@
-"""What a calibration refuses to believe, and what it has proved.
+"""Plausibility checks of a calibration.
 
-Refused are drives, velocities and modes that are not those of the listed rig; a calibration whose errors are not proved
-to lie within its limits is marked, with the cause.
+Drives, velocities and modes that cannot be those of the listed rig are refused; a calibration whose errors are not
+shown to lie within its limits is marked, with the cause.
 """
 
 from __future__ import annotations
@@ -21,40 +21,41 @@ from modaltouch.rig import Recording, RigError
 from modaltouch.stimulus import ModalModel
 
 GAINS = (0.67, 1.5)
-"""Measured over commanded drive that is believed [1]: beyond, a probe or a switch is not as the file says."""
+"""Plausible range of measured over commanded drive [1]; outside, a probe or a switch is not as the file says."""
 
 SPEEDS = (0.6, 1.6)
-"""Speed of all modes over the listed one that is believed [1]: beyond, a knob is not as the file says."""
+"""Plausible range of measured over listed gain, common to all modes [1]; outside, a setting is not as the file says."""
 
 COMMON_FACTORS = (0.85, 1.15)
-"""Measured over predicted speed, common to all modes or zones, that an amplifier's tolerance may explain [1]."""
+"""Range of a common factor between measured and predicted speeds that an amplifier's tolerance may explain [1]."""
 
 ALIKE = 0.2
-"""How far most gains may lie from one factor times the listed ones that is the vibrometer's [1]."""
+"""Median relative deviation of the gains from a common factor below which the vibrometer is the cause of it [1]."""
 
 NOTHING = 0.02
-"""Measured over commanded drive below which there is none [1]."""
+"""Measured over commanded drive below which there is no drive [1]."""
 
 LARGEST_REST = 0.3
-"""Part of the measured drive that delay, lag and gain may leave unexplained [1]: noise alone leaves a twentieth."""
+"""Largest part of the measured drive left unexplained by delay, lag and gain [1]; noise alone leaves a twentieth."""
 
 LEAST_CERTAINTY = 8.0
-"""Standard errors by which a mode's swing must stand out of the noise [1]."""
+"""Least amplitude of a mode, in standard errors [1]."""
 
 FURTHEST = 0.05
-"""How far a natural frequency may lie from the listed one [1]: further, it may be another mode's."""
+"""Largest relative deviation of a natural frequency from the listed one [1]; beyond, it may be that of another mode."""
 
 MOST_LACKING = 0.5
-"""What the peaks of the measured drive may lack of the listed stimulus [1]; of the calibrated one, a hundredth."""
+"""Largest shortfall of the measured drive's peaks for the listed stimulus [1]; see `LARGEST_SHORTFALL` for the
+calibrated one."""
 
 LARGEST_STRAIN = 0.2
-"""Change of a natural frequency between two probes, over the mode's decay rate [1]."""
+"""Largest change of a natural frequency between two probes, over the mode's decay rate [1]."""
 
 LARGEST_EXCESS = 0.04
-"""Excess of the speed measured at the focus over that told by the other points, either way [1]."""
+"""Largest relative deviation of the speed at the focus from that expected from the other points [1]."""
 
 MOST_DISPROPORTION = 0.02
-"""Speed of the modes at half a level over half the speed at the level, less 1, either way [1]."""
+"""Largest relative deviation of the modes' speed at half a level from half their speed at the level [1]."""
 
 HYSTERESIS = (
     "the beam is not linear, though the amplifier is: its actuators have hysteresis; bring the levels closer "
@@ -62,20 +63,20 @@ HYSTERESIS = (
 )
 
 LARGEST_PHASE = 0.2
-"""Phase that the vibrometer's delay and lag may leave unexplained [rad]."""
+"""Largest phase left unexplained by the vibrometer's delay and lag [rad]."""
 
 LEAST_COHERENCE = 0.3
-"""Share of a velocity's power that must come again with every burst [1]."""
+"""Least fraction of a velocity's power that repeats with every burst [1]."""
 
 FAR_OFF = 6.0
-"""Standard deviations from which a sample is no noise but a gap, or a blow [1]."""
+"""Standard deviations above which a sample is not noise but a gap or a shock [1]."""
 
 MOST_FAR_OFF = 5e-5
-"""Share of such samples that is believed [1]."""
+"""Largest plausible fraction of such samples [1]."""
 
 
 def refuse_doubtful_drive(drive: DriveDelay) -> None:
-    """Refuse a measured drive that is not the commanded one behind an amplifier."""
+    """Refuse a measured drive that is not the commanded one behind the amplifier."""
     believed = drive.rest <= LARGEST_REST
     for number, gain in enumerate(drive.gain, start=1):
         if (believed or abs(gain) < NOTHING) and not GAINS[0] <= gain <= GAINS[1]:
@@ -94,11 +95,11 @@ def refuse_doubtful_drive(drive: DriveDelay) -> None:
 
 
 def refuse_changing_beam(decays: Sequence[Decay], shapes: FloatArray) -> None:
-    """Refuse a beam whose frequencies change between the probes."""
+    """Refuse a beam whose natural frequencies change between the probes."""
     n, size = len(shapes), np.sqrt((shapes**2).sum(axis=1))
     for one, other in itertools.pairwise(decays):
         moved = np.abs(one.pole_error.imag - other.pole_error.imag)[:n] / -one.pole.real[:n]
-        # Only what both probes move well tells of it.
+        # Only modes that both probes excite well show it.
         least = np.minimum(
             *(np.abs(modal_swings(each, shapes)) * size / np.maximum(each.spread[:n], 1e-30) for each in (one, other))
         )
@@ -114,7 +115,7 @@ def refuse_changing_beam(decays: Sequence[Decay], shapes: FloatArray) -> None:
 
 
 def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> None:
-    """Refuse modes that are not seen, or are not those of the table."""
+    """Refuse modes that are too weak, or are not those of the table."""
     found = plant.model
     for row, label in enumerate(listed.label):
         if not plant.certainty[row] >= LEAST_CERTAINTY:
@@ -156,7 +157,7 @@ def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> No
 
 
 def _refuse_phases(plant: Plant, margin: float) -> None:
-    """Refuse a vibrometer that is no delay and low-pass, or so late that the records begin before its signal."""
+    """Refuse a vibrometer that is not a delay and low-pass, or whose signal comes after the start of the records."""
     vibrometer = plant.vibrometer
     if vibrometer.rest > LARGEST_PHASE:
         raise RigError(
@@ -172,16 +173,16 @@ def _refuse_phases(plant: Plant, margin: float) -> None:
 
 
 def refuse_doubtful_velocity(recording: Recording) -> None:
-    """Refuse records of a decay that differ from burst to burst, as those of a loose sensor do."""
+    """Refuse records of a decay that differ from burst to burst, as with a loose sensor."""
     velocity = recording.velocity
     n_records = len(velocity)
     off = velocity - np.median(velocity, axis=0)
-    # Not by the median: within a step of the converter most samples agree.
+    # Not from the median, which is 0 if most samples agree to within one step of the converter.
     noise = float(np.quantile(np.abs(off), 0.95)) / 1.96
     power = float(np.mean(velocity**2))
     if n_records < 4 or power == 0:
         return
-    # Noise that is averaged over n records keeps an nth of its power.
+    # Averaging over n records leaves 1/n of the noise power.
     steady = (float(np.mean(velocity.mean(axis=0) ** 2)) - power / n_records) * n_records / (n_records - 1) / power
     far = float(np.mean(np.abs(off) > FAR_OFF * max(noise, 1e-12)))
     remedy = (
@@ -202,7 +203,7 @@ def refuse_doubtful_velocity(recording: Recording) -> None:
 
 
 def refuse_saturation(predicted: FloatArray, measured: FloatArray) -> None:
-    """Refuse drives [V], (n_channels, n_samples) arrays, of other outputs, or lacking too much to identify the rig."""
+    """Refuse drives [V], (n_channels, n_samples) arrays, that are exchanged between outputs or strongly saturated."""
     likeness = np.abs(measured @ predicted.T) / np.linalg.norm(predicted, axis=1)
     if len(predicted) > 1 and (likeness.argmax(axis=1) != np.arange(len(predicted))).all():
         raise RigError(
@@ -220,7 +221,7 @@ def refuse_saturation(predicted: FloatArray, measured: FloatArray) -> None:
 
 
 def refuse_disproportion(whole: ModalState, half: ModalState) -> None:
-    """Refuse a beam that a stimulus moves by another share than half at half the level."""
+    """Refuse a beam whose modes do not move half as fast at half the level."""
     off = 2 * float(half.velocity @ whole.velocity / (whole.velocity @ whole.velocity)) - 1
     if abs(off) > MOST_DISPROPORTION:
         raise RigError(
@@ -230,11 +231,11 @@ def refuse_disproportion(whole: ModalState, half: ModalState) -> None:
 
 
 def peak_shortfall(predicted: FloatArray, measured: FloatArray) -> FloatArray:
-    """Return what the peaks of a drive [V] lack against its lower half, (n_channels,) array [1]; 0 if it keeps up."""
+    """Return the relative shortfall of a drive's peaks [V] compared with its lower half, (n_channels,) array [1]."""
     lacking = np.zeros(len(predicted))
     for channel, (want, have) in enumerate(zip(predicted, measured, strict=True)):
         size = np.abs(want) / np.abs(predicted).max()
-        # Below a quarter of the range the converter's steps show.
+        # Below a quarter of the range the converter's steps are too coarse.
         if size.max() > 0.25:
             high, low = size > 0.9 * size.max(), (size < 0.5 * size.max()) & (size > 0.1 * size.max())
             gains = [float(have[part] @ want[part] / (want[part] @ want[part])) for part in (high, low)]
@@ -243,25 +244,25 @@ def peak_shortfall(predicted: FloatArray, measured: FloatArray) -> FloatArray:
 
 
 LARGEST_SHORTFALL = 0.01
-"""What the peaks of the measured drive may lack of the commanded ones [1]."""
+"""Largest shortfall of the measured drive's peaks for the calibrated stimulus [1]."""
 
 Missed = dict[str, Any]
 
 
 def mark_of(outcome: CalibrationResult, protocol: Protocol) -> dict[str, Any]:
-    """Return which limits a calibration misses, its uncertainty counted against it, and why, as its file has them.
+    """Return the limits that a calibration misses, with its uncertainty added to its errors, and the causes.
 
     Parameters
     ----------
     outcome : CalibrationResult
-        Of one stimulus.
+        The result for one stimulus.
     protocol : Protocol
-        Its ``calibration.limits``.
+        The protocol with ``calibration.limits``.
 
     Returns
     -------
     dict
-        ``missed`` and ``causes``, both empty for a calibration that has proved itself.
+        ``missed`` and ``causes``, as in the calibration file; both empty if every limit is kept.
     """
     missed = list(_missed(outcome, protocol))
     return {"missed": missed, "causes": list(_causes(outcome, protocol, missed)) if missed else []}
@@ -291,16 +292,16 @@ def _missed(outcome: CalibrationResult, protocol: Protocol) -> Iterator[Missed]:
 
 
 def _beyond(limit: str, level: float, reached: float, allowed: float) -> Iterator[Missed]:
-    # What is no number has not been proved.
+    # NaN counts as missed.
     if not reached <= allowed:
         reached = float(np.nan_to_num(reached, nan=1e9, posinf=1e9))
         yield {"limit": limit, "level_mm_s": round(level, 6), "reached": round(reached, 4), "allowed": allowed}
 
 
 def _level_error(level: Level, allowed: float, highest: float) -> float:
-    """Return a level's deviation [percent]; 0 where it may be noise, unless that is too large at the highest level.
+    """Return a level's deviation [percent]; 0 if it may be noise, unless the noise is too large for the highest level.
 
-    The noise is the vibrometer's, so that a low level is known less well: there proportion vouches for it.
+    The noise is that of the vibrometer, so low levels are known less precisely; they are trusted to be proportional.
     """
     deviation = 100 * abs(level.at_focus / level.velocity - 1)
     noise = 100 * level.spread / level.velocity
@@ -311,7 +312,7 @@ def _level_error(level: Level, allowed: float, highest: float) -> float:
 
 
 def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]) -> Iterator[str]:
-    """Yield each cause that the records show, with its remedy."""
+    """Yield the cause that the records show, with its remedy."""
     limits, last = protocol.calibration.limits, outcome.turns[-1].state
     allowed = min(limits.velocity_mm_s, limits.displacement_mm_s) * 1e-3
     noise = INTERVAL * float(outcome.best.state.spread.max())
@@ -353,13 +354,13 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]
 
 
 def _changed_frequencies(outcome: CalibrationResult) -> str:
-    """Return whether frequencies drift from record to record or change with the amplitude, and what to do.
+    """Return whether the natural frequencies drift with time or change with the amplitude, and what to do.
 
-    Over all turns they are a constant, a part in proportion to the number of records before and one in proportion to
-    the voltage squared: the larger of both is the cause.
+    Over all iterations they are fitted by a constant, a term proportional to the number of records taken and one
+    proportional to the voltage squared; the larger of these two is the cause.
     """
     turns, state = (*outcome.turns, outcome.halfway), outcome.turns[-1].state
-    # Of the modes that show it, the one whose pole moved least against its decay rate: to first order it is known best.
+    # Of the modes that show it, take that whose pole moved least against its decay rate: the first order fits it best.
     strain = state.slip / np.hypot(state.velocity, state.displacement)
     mode = int(np.argmin(np.where(state.shown_slip > 0, strain, np.inf)))
     taken = np.array([turn.n_taken for turn in turns], dtype=float)

@@ -1,4 +1,4 @@
-"""What a calibration finds, and the file that people and the session read."""
+"""The results of a calibration, and the file that people and the session read."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from modaltouch.system import commit, versions
 
 @dataclass(frozen=True)
 class Iteration:
-    """What one turn of the loop measured at the reference level.
+    """What one iteration of the loop measured.
 
     Attributes
     ----------
     number : int
-        0 is the stimulus as the apparatus file gives it.
+        0 for the stimulus designed from the apparatus file.
     state : ModalState
-        Of the modes at the focusing instant.
+        State of the modes at the focusing instant.
     errors : (float, float)
-        Largest of velocity, and of w eta [m/s].
+        Largest error of velocity, and of w eta [m/s].
     peak_voltage : float
         Highest voltage at the beam [V].
     n_taken : int
-        Records taken up to then, from the first on.
+        Number of records taken since the calibration began.
     """
 
     number: int
@@ -47,11 +47,11 @@ class Iteration:
 
     @property
     def worst(self) -> float:
-        """The larger of both errors [m/s]."""
+        """The larger of the two errors [m/s]."""
         return max(self.errors)
 
     def __str__(self) -> str:
-        """Return a line for the operator."""
+        """Return a line of text for the operator."""
         name = f"iteration {self.number}" if self.number else "before     "
         velocity, displacement = (error * 1e3 for error in self.errors)
         return (
@@ -69,19 +69,19 @@ class Level:
     velocity : float
         The level [m/s].
     factor : float
-        Of its amplitude [1].
+        Correction factor of its amplitude [1].
     amplitude : tuple of float
-        Of each output [V peak to peak, open circuit].
+        Amplitude of each output [V peak to peak, open circuit].
     at_focus : float
         Velocity at the focusing instant [m/s].
     excess : float
-        Its excess over the velocity told by the points along the beam, listed modes alone [1].
+        Relative excess of the listed modes' part of it over the velocity expected from the points along the beam [1].
     spread : float
-        Its standard error as this vibrometer shows it [m/s].
+        Standard error of `at_focus`, leaving aside the vibrometer's sensitivity [m/s].
     highest : float
-        Highest speed over the burst [m/s].
+        Highest speed during the burst [m/s].
     sensitivity_doubt : float
-        Half width of the 95 % interval of the vibrometer's sensitivity, as a part of it [1].
+        Relative half-width of the 95 % interval of the vibrometer's sensitivity [1].
     """
 
     velocity: float
@@ -95,9 +95,9 @@ class Level:
 
     @property
     def true_half_width(self) -> float:
-        """Half width of the 95 % interval of the true velocity [m/s]."""
+        """Half-width of the 95 % interval of the true velocity [m/s]."""
         noise = INTERVAL * self.spread
-        # Which is right where they disagree, the focus or the other points, nobody knows.
+        # Where the focus and the other points disagree, either may be right.
         beyond = max(abs(self.excess / (1 + self.excess) * self.at_focus) - noise, 0.0)
         return math.hypot(noise, self.sensitivity_doubt * self.at_focus, beyond)
 
@@ -117,23 +117,23 @@ class CalibrationResult:
     target : (n_modes,) array
         Target modal velocities at the reference level [m/s].
     correction : Correction
-        Targets to aim at, and factors of the levels.
+        Corrected targets, and correction factors of the levels.
     points : (n_points,) array
-        Where the beam was measured [m].
+        Positions at which the beam was measured [m].
     turns : tuple of Iteration
-        All turns, the first before any correction.
+        All iterations, the first without correction.
     best : Iteration
         The one whose targets are kept.
     levels : tuple of Level
-        As verified.
+        The verified levels.
     halfway : Iteration
-        What the modes do at another level, in the same form.
+        The same measurement at about half the reference level.
     halfway_level : float
         That level [m/s].
     drive_peak : (n_channels,) array
-        Highest voltage that each output commands at the beam at the highest level [V].
+        Highest drive predicted for each output at the highest level [V].
     drive_shortfall : (n_channels,) array
-        What the measured drive lacks there [1].
+        Relative shortfall of the measured drive's peaks there [1].
     """
 
     inputs: DesignInputs
@@ -152,14 +152,14 @@ class CalibrationResult:
 
 
 CERTAIN = 3.0
-"""Standard errors below which a deviation may be noise, and is not corrected [1]."""
+"""Standard errors below which a deviation may be noise and is not corrected [1]."""
 
 DIGITS = 6
-"""Decimals of a target in mm/s that the file keeps: a thousandth of what noise leaves."""
+"""Decimals of a target in mm/s in the file: a thousandth of what noise leaves."""
 
 
 def significant(state: ModalState, target: FloatArray) -> FloatArray:
-    """Return how far the states are from their targets, less what may be noise, (2, n_modes) array [m/s].
+    """Return the deviations of a state from its targets, less what may be noise, (2, n_modes) array [m/s].
 
     A deviation of a few standard errors is corrected in part, a smaller one not at all, so that the loop does not
     chase the noise of its own measurements.
@@ -167,7 +167,7 @@ def significant(state: ModalState, target: FloatArray) -> FloatArray:
     Parameters
     ----------
     state : ModalState
-        As measured.
+        The measured state.
     target : (n_modes,) array
         Target modal velocities [m/s].
     """
@@ -177,13 +177,13 @@ def significant(state: ModalState, target: FloatArray) -> FloatArray:
 
 
 def corrected_inputs(inputs: DesignInputs, refined: Apparatus, correction: Correction) -> DesignInputs:
-    """Return what a stimulus is designed from on an identified rig."""
+    """Return the design inputs of a stimulus with the identified rig and a correction."""
     used = inputs.apparatus.model_copy(update={"modes": refined.modes, "amplifier": refined.amplifier})
     return replace(inputs, apparatus=used, correction=correction)
 
 
 def refined_apparatus(apparatus: Apparatus, plant: Plant) -> Apparatus:
-    """Return an apparatus with modes and amplifier as identified, with the digits that the calibration file keeps."""
+    """Return an apparatus with modes and amplifier as identified, rounded to the digits of the calibration file."""
     channel = {name: actuators.channel - 1 for name, actuators in apparatus.actuator_sets.items()}
     modes = []
     for row, mode in enumerate(apparatus.modes):
@@ -228,18 +228,18 @@ def calibration_of(
     made: datetime,
     marks: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Calibration:
-    """Return a finished calibration in the form and the units of its file.
+    """Return a finished calibration in the form and units of its file.
 
     Parameters
     ----------
     outcomes : mapping of str to CalibrationResult
-        What came of each stimulus, by name, on one rig; of one alone, under an empty name.
+        The result for each stimulus on one rig, by name; an only stimulus has an empty name.
     protocol : str
         Name of the protocol.
     apparatus : Apparatus
-        As its file gives it.
+        As in its file.
     generator, scope : str
-        Their identities.
+        Identities of the instruments.
     mode : str
         ``simulated`` or ``real``.
     person : str
@@ -247,7 +247,7 @@ def calibration_of(
     made : datetime
         When, with its offset from UTC.
     marks : mapping of str to mapping, optional
-        ``missed`` and ``causes`` of each stimulus; none of what has been proved.
+        ``missed`` and ``causes`` of each stimulus; empty for one within its limits.
     """
     marks = marks or {}
     change = commit()
@@ -268,7 +268,7 @@ def calibration_of(
 
 
 def _of_rig(outcome: CalibrationResult) -> dict[str, Any]:
-    """Return what holds for the rig, whichever stimulus."""
+    """Return the results for the rig, common to all stimuli."""
     plant, refined = outcome.plant, outcome.refined
     return {
         "amplifier": {
@@ -287,7 +287,7 @@ def _of_rig(outcome: CalibrationResult) -> dict[str, Any]:
 
 
 def _own(outcome: CalibrationResult) -> dict[str, Any]:
-    """Return what holds for one stimulus."""
+    """Return the results for one stimulus."""
     return {
         "stimulus": outcome.inputs.section,
         "focus_centre_mm": outcome.inputs.centre_mm,
@@ -343,19 +343,19 @@ def _modes(outcome: CalibrationResult) -> list[dict[str, Any]]:
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration file in one step; an existing one is not overwritten.
+    """Write a calibration file atomically; an existing file is not overwritten.
 
     Parameters
     ----------
     path : Path
-        Where it goes; its folder is made.
+        The file; its folder is created.
     calibration : Calibration
-        What it holds.
+        The calibration.
 
     Raises
     ------
     RecordError
-        If there is a file already, or it cannot be written.
+        If the file exists already or cannot be written.
     """
     prepare_file(path)
     text = HEAD + yaml_text(calibration.model_dump(mode="json"))

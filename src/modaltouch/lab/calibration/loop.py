@@ -1,4 +1,4 @@
-"""The loop: identify, aim, measure, correct the targets, until nothing is left that the noise does not explain."""
+"""The loop: identify, design, measure and correct the targets until only noise is left."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ from modaltouch.rig import RigError
 from modaltouch.stimulus import Burst, Correction, Stimulus
 
 MOST_ITERATIONS = 4
-"""Turns of the loop at most; two settle it."""
+"""Largest number of iterations; two usually suffice."""
 
 LEAST_CHANGE = 2e-4
-"""Correction, as a part of the reference level, that is not worth another turn [1]."""
+"""Correction, relative to the reference level, below which no further iteration is worthwhile [1]."""
 
 LEAST_TRIM = 5e-3
-"""Deviation of a level below which its amplitude is left as it is [1]."""
+"""Relative deviation of a level below which its amplitude is not corrected [1]."""
 
 
 def calibrate_each(
@@ -67,27 +67,28 @@ def calibrate_each(
     progress: MeasurementProgress = UNTOLD,
     between: Sequence[float] = (),
 ) -> dict[str, CalibrationResult]:
-    """Return the targets and amplitudes that make each of several stimuli true on the rig at a bench, by name.
+    """Return the targets and amplitudes that make each of several stimuli accurate on a rig, by name.
 
-    The rig is identified once, with the clock of the first: amplifier, modes and vibrometer are those of all.
+    The rig is identified once, with the sample clock of the first stimulus: amplifier, modes and vibrometer are the
+    same for all.
 
     Parameters
     ----------
     bench : Laboratory
         Generator and scope.
     apparatus : Apparatus
-        As its file gives it.
+        As in its file.
     inputs_of : mapping of str to DesignInputs
-        The stimuli, without any calibration; one, without a name, of a protocol that has one alone.
+        The stimuli by name, without any calibration; a protocol's only stimulus has an empty name.
     progress : MeasurementProgress, optional
-        Whom to tell.
+        Reports progress and lets the user interrupt.
     between : sequence of float
-        Levels to verify besides the protocol's own [mm/s].
+        Levels to verify in addition to the protocol's own [mm/s].
 
     Raises
     ------
     RigError, ValueError
-        As `calibrate` does.
+        As for `calibrate`.
     """
     found: dict[str, CalibrationResult] = {}
     plant: Plant | None = None
@@ -108,7 +109,7 @@ def calibrate(
     between: Sequence[float] = (),
     name: str = "",
 ) -> CalibrationResult:
-    """Return the targets and amplitudes that make a stimulus true on the rig at a bench.
+    """Return the targets and amplitudes that make a stimulus accurate on a rig.
 
     Parameters
     ----------
@@ -117,18 +118,18 @@ def calibrate(
     inputs : DesignInputs
         The stimulus, without any calibration.
     progress : MeasurementProgress, optional
-        Whom to tell.
+        Reports progress and lets the user interrupt.
     plant : Plant, optional
-        The rig, where it has been identified already.
+        The rig, if it has already been identified.
     between : sequence of float
-        Levels to verify besides the protocol's own [mm/s].
+        Levels to verify in addition to the protocol's own [mm/s].
     name : str
-        Of the stimulus, where there are several.
+        Name of the stimulus, if there are several.
 
     Raises
     ------
     RigError
-        If the rig fails, or the stimulus needs more than its amplifier gives.
+        If the rig fails, or the stimulus needs more voltage than the amplifier's limit.
     ValueError
         If the stimulus cannot be designed for the identified rig.
     """
@@ -167,11 +168,11 @@ class _Loop:
         )
 
     def run(self, known: Plant | None) -> CalibrationResult:
-        """Identify what is not known, correct, verify."""
+        """Identify the rig unless it is known, correct the targets, and verify the levels."""
         plant = known or self._identify()
         self._recorder.wait_for(plant.drive)
         refined = refined_apparatus(self._apparatus, plant)
-        # What is listed commands volts of the listed amplifier.
+        # The listed stimulus assumes the listed amplifier gain.
         self._refuse_beyond_limit(float(self._listed.peak_voltage.max()) * max(plant.drive.gain))
         turns = [self._measure(0, self._listed, plant)]
         refuse_saturation(*self._drives("drive before", self._listed, plant))
@@ -196,7 +197,7 @@ class _Loop:
                 break
             best, kept = turns[-1], corrected_target
         if not self._name and turns[0].worst < best.worst:
-            # What several stimuli share, the rig as identified, is not that of the file.
+            # No correction helped: keep the listed rig. Several stimuli share the identified one and cannot do so.
             best, kept, refined = turns[0], listed_target, self._apparatus
         correction = self._correction(kept)
         levels = self._levels(plant, refined, correction, best.state)
@@ -231,9 +232,9 @@ class _Loop:
             )
 
     def _identify(self) -> Plant:
-        """Identify amplifier and clock by the drive, modes and vibrometer by the decays after a probe of each output.
+        """Identify amplifier and clock from the drive, modes and vibrometer from the decays after a probe per output.
 
-        Delay and lag come first: a delay of a few microseconds that the loop does not know makes it diverge.
+        Delay and lag come first, since an unknown delay of a few microseconds makes the loop diverge.
         """
         listed, timing, knobs = self._listed, self._timing, self._apparatus.acquisition
         n_channels, to_beam = listed.model.n_channels, listed.amplifier.gain * listed.load_factor
@@ -287,12 +288,12 @@ class _Loop:
         return design_to_fit(corrected_inputs(self._inputs, refined, correction), release="free")
 
     def _correction(self, corrected_target: FloatArray) -> Correction:
-        """Return targets with the digits that the file keeps."""
+        """Return targets rounded to the digits that the file keeps."""
         velocity, displacement = (np.round(each * 1e3, DIGITS) * 1e-3 for each in corrected_target)
         return Correction(velocity, displacement, self._reference)
 
     def _measure(self, number: int, stimulus: Stimulus, plant: Plant) -> Iteration:
-        """Play a stimulus at the reference level and return what the modes do at the focusing instant."""
+        """Play a stimulus at the reference level and return the modal state at the focusing instant."""
         self._recorder.begin("before" if number == 0 else f"iteration {number}", self._points.size)
         turn = self._turn(number, stimulus, plant, self._reference)
         self._progress.say(str(turn))
@@ -313,7 +314,7 @@ class _Loop:
         )
 
     def _drives(self, name: str, stimulus: Stimulus, plant: Plant) -> tuple[FloatArray, FloatArray]:
-        """Return the drive of the loaded stimulus about its peak at the highest level, predicted and measured [V]."""
+        """Return predicted and measured drive of the loaded stimulus about its peak at the highest level [V]."""
         level, listed = self._asked[-1], self._listed
         commanded = commanded_voltage(stimulus.burst, listed.amplifier.gain * listed.load_factor, level)
         highest = np.abs(commanded).max(axis=0)
@@ -325,7 +326,7 @@ class _Loop:
     def _levels(
         self, plant: Plant, refined: Apparatus, correction: Correction, reached: ModalState
     ) -> tuple[Level, ...]:
-        """Measure every level at the focus, with amplitudes in proportion and then, where that is off, as measured."""
+        """Measure every level at the focus, amplitudes in proportion, and if any is off again with corrected ones."""
         stimulus = self._corrected(refined, correction)
         self._bench.load(stimulus.burst)
         self._recorder.begin("levels", 2 * len(self._asked))
@@ -361,9 +362,9 @@ class _Loop:
 
 
 def _trim(level: Level) -> float:
-    """Return the factor of a level's amplitude: 1 where the noise may explain the deviation."""
+    """Return the correction factor of a level's amplitude: 1 if noise may explain the deviation."""
     if abs(level.at_focus - level.velocity) < max(LEAST_TRIM * level.velocity, 3 * level.spread):
         return 1.0
     factor = level.velocity / level.at_focus if level.at_focus > 0 else float("inf")
-    # A rig that is off by so much is no trim's to mend: the level misses its limit.
+    # A larger deviation is not for a trim to mend: the level misses its limit.
     return round(factor, 6) if 0.5 < factor < 2 else 1.0

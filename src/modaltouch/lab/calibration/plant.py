@@ -1,8 +1,9 @@
-r"""The rig as a calibration identifies it: amplifier, clock, vibrometer and modes; and states read off free decays.
+r"""The rig as a calibration identifies it: amplifier, clock, vibrometer and modes; and modal states from free decays.
 
-The drive measured at the beam is the commanded one behind an amplifier of first order,
-:math:`T \dot u = g v(t - \tau) - u`, sampled by a clock that may run fast. The vibrometer is a delay and a lag too,
-:math:`V(s) = e^{-s \tau} / (1 + s T)`: a mode's response to a known drive, but for a real gain, has its phase.
+The drive measured at the beam is the commanded one behind a first-order amplifier,
+:math:`T \dot u = g v(t - \tau) - u`, sampled by a clock that may run fast. The vibrometer too is a delay and a lag,
+:math:`V(s) = e^{-s \tau} / (1 + s T)`; since modal gains are real, it explains the phases that remain in the modes'
+responses to a known drive.
 """
 
 from __future__ import annotations
@@ -18,16 +19,17 @@ from modaltouch.rig import Recording
 from modaltouch.stimulus import Amplifier, DiagonalSystem, ModalModel, Timing
 
 LONGEST = 100e-6
-"""Longest delay, and lag, that is looked for [s]."""
+"""Longest delay, and lag, that is searched for [s]."""
 
 INTERVAL = 1.96
-"""Half width of a 95 % interval, in standard errors [1]."""
+"""Half-width of a 95 % interval, in standard errors [1]."""
 
 DISAGREEMENT = 1.3
-"""Standard error by what eight points disagree by over that of the noise, up to which it may be noise (95 %) [1]."""
+"""Standard error from the disagreement of eight points over that from the noise, up to which noise explains it (95 %)
+[1]."""
 
 SHORTEST_LAG = 20e-9
-"""Lag below which the amplifier counts as following at once [s]."""
+"""Lag below which the amplifier counts as instantaneous [s]."""
 
 
 @dataclass(frozen=True)
@@ -37,15 +39,15 @@ class DriveDelay:
     Attributes
     ----------
     gain : tuple of float
-        Of each channel, relative to what the apparatus file says [1].
+        Gain of each channel, relative to that in the apparatus file [1].
     delay : float
-        From the generator's output to the beam [s].
+        Delay from the generator's output to the beam [s].
     lag : float
         Time constant of the amplifier [s].
     clock : float
-        By what part the scope's clock runs fast against the generator's [1].
+        Relative amount by which the scope's clock runs faster than the generator's [1].
     rest : float
-        Root mean square of measured less predicted drive, over that of the drive [1].
+        Root mean square of measured less predicted drive, relative to that of the measured drive [1].
     """
 
     gain: tuple[float, ...]
@@ -56,7 +58,7 @@ class DriveDelay:
 
     @property
     def bandwidth(self) -> float | None:
-        """Corner of the amplifier's pole [Hz]; None where it follows at once."""
+        """Corner frequency of the amplifier [Hz]; None if it is instantaneous."""
         return None if self.lag <= SHORTEST_LAG else 1 / (2 * np.pi * self.lag)
 
 
@@ -66,9 +68,9 @@ def fit_drive(recordings: list[Recording], commanded: FloatArray, timing: Timing
     Parameters
     ----------
     recordings : list of Recording
-        Each with a drive to every commanded channel; the further apart in time, the better the clock is told.
+        Each with the drive of every commanded channel; the further apart in time, the better the clock is determined.
     commanded : (n_channels, n_samples) array
-        Voltages at the beam that the burst commands, by the apparatus file's gain [V].
+        Voltages at the beam that the burst commands, with the gain in the apparatus file [V].
     timing : Timing
         Clock of the samples.
     """
@@ -114,16 +116,16 @@ def fit_drive(recordings: list[Recording], commanded: FloatArray, timing: Timing
 
 
 def predicted_drive(drive: DriveDelay, commanded: FloatArray, time: FloatArray, timing: Timing) -> FloatArray:
-    """Return the drive to be measured where the amplifier is linear, (n_channels, n_times) array [V].
+    """Return the drive expected at the beam if the amplifier is linear, (n_channels, n_times) array [V].
 
     Parameters
     ----------
     drive : DriveDelay
-        How it follows what is commanded.
+        How the drive follows the commanded one.
     commanded : (n_channels, n_samples) array
-        Voltages at the beam, by the apparatus file's gain [V].
+        Voltages at the beam, with the gain in the apparatus file [V].
     time : (n_times,) array
-        By the scope's clock, from the generator's first sample [s].
+        Times by the scope's clock, from the generator's first sample [s].
     timing : Timing
         Clock of the samples.
     """
@@ -143,7 +145,7 @@ class _Lagged:
         self._before = lfilter([0.0, -np.expm1(-hold / self._lag)], [1.0, -kept], self._target)
 
     def at(self, time: FloatArray) -> FloatArray:
-        """Return the voltages at instants since the first sample arrived, (n_channels, n_times) array [V]."""
+        """Return the voltages at times since the first sample's arrival, (n_channels, n_times) array [V]."""
         index = np.clip((time / self._hold).astype(np.intp), 0, self._target.shape[1] - 1)
         faded = np.exp(-np.maximum(time - index * self._hold, 0.0) / self._lag)
         target = self._target[:, index]
@@ -161,9 +163,9 @@ class VibrometerDelay:
     lag : float
         Time constant of its low-pass [s].
     rest : float
-        Root mean square of the phases that delay and lag leave unexplained, each weighted by its certainty [rad].
+        Root mean square of the phases that delay and lag leave unexplained, weighted by their certainty [rad].
     covariance : (2, 2) array
-        Of delay and lag, by the fit and what it leaves over [s^2].
+        Covariance of delay and lag, from the fit and its residual [s^2].
     """
 
     delay: float
@@ -172,42 +174,42 @@ class VibrometerDelay:
     covariance: FloatArray = field(default_factory=lambda: np.zeros((2, 2)), compare=False)
 
     def response(self, pole: ComplexArray) -> ComplexArray:
-        """Return what the vibrometer makes of a decay e^{st}, (n_poles,) complex array [1]."""
+        """Return the vibrometer's response to a decay e^{st}, (n_poles,) complex array [1]."""
         return np.asarray(np.exp(-pole * self.delay) / (1 + pole * self.lag))
 
     def spread(self, pole: ComplexArray) -> FloatArray:
-        """Return the standard error of the response, as a part of it, (n_poles,) array [1]."""
+        """Return the relative standard error of the response, (n_poles,) array [1]."""
         slope = np.stack([-pole, -pole / (1 + pole * self.lag)], axis=1)
         variance = np.einsum("ki,ij,kj->k", slope, self.covariance, slope.conj()).real
         return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
 
 
 DATA_SHEET = 0.2
-"""Part by which a vibrometer's corner may differ from its data sheet, one standard deviation [1]."""
+"""Relative standard deviation of a vibrometer's corner frequency from its data sheet [1]."""
 
 
 def fit_vibrometer(
     pole: ComplexArray, ratio: ComplexArray, spread: FloatArray, sign: FloatArray, bandwidth: float | None = None
 ) -> VibrometerDelay:
-    """Return the vibrometer's delay and lag from responses that without it would be real.
+    """Return the vibrometer's delay and lag from ratios that would be real without it.
 
     Parameters
     ----------
     pole : (n_modes,) complex array
         Poles [1/s].
     ratio : (n_modes, n_channels) complex array
-        Measured response over the response to the same drive of a mode of unit gain [m/s^2 per V].
+        Measured response over that of a mode of unit gain to the same drive [m/s^2 per V].
     spread : (n_modes, n_channels) array
-        Their standard errors; infinite where there is none [m/s^2 per V].
+        Standard errors of the ratios; infinite where nothing was measured [m/s^2 per V].
     sign : (n_modes, n_channels) array
-        Sign of the gain as listed; 0 where it is not known.
+        Sign of the listed gain; 0 where it is unknown.
     bandwidth : float, optional
-        Corner of its low-pass by its data sheet, without which phases hardly tell lag from delay [Hz].
+        Corner of its low-pass from the data sheet [Hz]; without it, phases hardly distinguish lag from delay.
     """
     from scipy.optimize import least_squares
 
     size = np.maximum(np.abs(ratio), 1e-30)
-    # No response is known better than a thousandth: what the fit leaves out is larger.
+    # No response is known to better than a thousandth, since the model itself is no better.
     weight = 1 / np.hypot(spread, 1e-3 * size + 1e-30)
 
     def turned(values: FloatArray) -> ComplexArray:
@@ -221,7 +223,7 @@ def fit_vibrometer(
         return np.append((turned(values).imag * weight).ravel(), (abs(values[1]) - expected) / doubt)
 
     def astray(delay: float) -> float:
-        # A signal that is inverted as a whole is no later for it.
+        # A signal inverted as a whole must not count as delayed.
         straight = turned(np.array([delay, 0.0]))
         straight = straight * np.sign(np.sum(np.where(sign != 0, sign * straight.real / size, 0.0)))
         known = sign != 0
@@ -229,7 +231,7 @@ def fit_vibrometer(
 
     tried = np.arange(0.0, LONGEST * 1e6, 0.2)
     together = tried[int(np.argmin([astray(float(delay)) for delay in tried]))]
-    # Delay and lag differ in the third power of lag times frequency only: a search from one lag may not see it.
+    # Delay and lag differ only in the third order of lag times frequency: a search from a single lag may miss it.
     starts = [(max(together - lag, 0.0), lag) for lag in np.arange(0.05, min(together, 5.0) + 0.1, 0.25)]
     each = [least_squares(rest, start, x_scale=[0.1, 0.1], xtol=1e-12, ftol=1e-12) for start in starts]
     found = min(each, key=lambda one: float(one.cost))
@@ -243,7 +245,7 @@ def fit_vibrometer(
 
 @dataclass(frozen=True, eq=False)
 class ModalState:
-    """What the modelled modes do at an instant.
+    """The state of the modelled modes at an instant.
 
     Attributes
     ----------
@@ -254,16 +256,18 @@ class ModalState:
     spread : (n_modes,) array
         Standard error of each, from the noise of the records [m/s].
     half_width : (n_modes,) array
-        Of the 95 % interval of each as this vibrometer shows it: noise, or what the points disagree by where noise does
-        not explain that, with what vibrometer, trigger and natural frequencies leave unknown, in quadrature [m/s].
+        Half-width of the 95 % interval of each, leaving aside the vibrometer's sensitivity: noise, or the disagreement
+        of the points where noise does not explain it, in quadrature with the uncertainties of vibrometer, trigger and
+        natural frequencies [m/s].
     change : (n_modes,) array
-        How far the natural frequencies lie from the identified ones, as a part of them [1].
+        Relative deviation of the natural frequencies from the identified ones [1].
     disagreement : (n_modes,) array
-        Standard error of each by what the points disagree by [m/s].
+        Standard error of each, from the disagreement of the points [m/s].
     slip : (n_modes,) array
-        What that, and another damping, do to each: swing times error of the pole, over its decay rate [m/s].
+        Effect of changed natural frequency and damping on each: amplitude times error of the pole, over the decay rate
+        [m/s].
     sensitivity_doubt : float
-        Half width of the 95 % interval of the vibrometer's sensitivity, as a part of it [1].
+        Relative half-width of the 95 % interval of the vibrometer's sensitivity [1].
     """
 
     velocity: FloatArray
@@ -277,7 +281,7 @@ class ModalState:
 
     @property
     def true_half_width(self) -> FloatArray:
-        """Half widths of the 95 % intervals of the true velocity and w eta, (2, n_modes) array [m/s]."""
+        """Half-widths of the 95 % intervals of the true velocity and w eta, (2, n_modes) array [m/s]."""
         return np.hypot(self.half_width, self.sensitivity_doubt * np.stack([self.velocity, self.displacement]))
 
     @property
@@ -286,7 +290,7 @@ class ModalState:
         return np.maximum(self.slip - SLIP_NOISE * self.spread, 0.0)
 
     def error(self, target: FloatArray) -> tuple[float, float]:
-        """Return the largest errors of velocity and of w eta against target velocities and rest [m/s]."""
+        """Return the largest errors of the velocities from their targets, and of w eta from zero [m/s]."""
         return float(np.abs(self.velocity - target).max()), float(np.abs(self.displacement).max())
 
 
@@ -297,21 +301,21 @@ class Plant:
     Attributes
     ----------
     model : ModalModel
-        Modes, with gains per volt at the beam of the strongest channel's amplifier.
+        Modes, with gains per volt at the beam, referred to the amplifier gain of the strongest channel.
     amplifier : Amplifier
-        As identified; its limit holds for the voltage that really reaches the beam.
+        As identified; its limit applies to the voltage that actually reaches the beam.
     drive : DriveDelay
-        How the drive follows what is commanded.
+        How the drive follows the commanded one.
     vibrometer : VibrometerDelay
         How the vibrometer follows the motion.
     unlisted : (n_unlisted,) complex array
-        Poles of modes that the table lacks [1/s].
+        Poles of modes that are not in the table [1/s].
     certainty : (n_modes,) array
-        How far each mode's swing stood out of the noise when it was identified, in standard errors [1].
+        Amplitude of each mode over its standard error when it was identified [1].
     latency_doubt : float
-        Half width of the 95 % interval of the time from the generator's first sample to the scope's [s].
+        Half-width of the 95 % interval of the trigger latency [s].
     sensitivity_doubt : float
-        The same of the vibrometer's sensitivity, as a part of it [1].
+        Relative half-width of the 95 % interval of the vibrometer's sensitivity [1].
     """
 
     model: ModalModel
@@ -325,11 +329,11 @@ class Plant:
 
     @property
     def pole(self) -> ComplexArray:
-        """Poles of all modes, the listed first, (n_modes + n_unlisted,) complex array [1/s]."""
+        """Poles of all modes, listed ones first, (n_modes + n_unlisted,) complex array [1/s]."""
         return np.concatenate([self.model.exponent, self.unlisted])
 
     def decay_time(self, recording_time: FloatArray, timing: Timing) -> FloatArray:
-        """Return times since the focusing instant by the generator's clock, of instants by the scope's [s]."""
+        """Convert times by the scope's clock to times since the focusing instant by the generator's clock [s]."""
         return recording_time / (1 + self.drive.clock) - timing.focusing_instant
 
     def state(self, decay: Decay, shapes: FloatArray) -> ModalState:
@@ -338,7 +342,7 @@ class Plant:
         Parameters
         ----------
         decay : Decay
-            Fitted with the poles of `pole`, at time 0 of `decay_time`.
+            Fitted with the poles in `pole`, over the times of `decay_time`.
         shapes : (n_modes, n_records) array
             Mode shapes at the points of its records [1].
         """
@@ -350,7 +354,7 @@ class Plant:
         by_points = np.sqrt(disagreement / (2 * max(1, shapes.shape[1] - 1))) / size
         shown = np.where(by_points > DISAGREEMENT * spread, by_points, spread)
         either = np.hypot(shown, np.abs(swing) * self.vibrometer.spread(pole))
-        # Another time of the trigger turns velocity into displacement and back.
+        # An error in trigger latency turns velocity into displacement and vice versa.
         late = self.model.angular_frequency * np.abs(swing) * self.latency_doubt
         error = decay.pole_error[:n]
         turned = self.model.angular_frequency * swing / pole
@@ -368,17 +372,17 @@ class Plant:
 
 
 def modal_swings(decay: Decay, shapes: FloatArray) -> ComplexArray:
-    """Return each listed mode's complex amplitude over all points, by least squares, (n_modes,) array [m/s]."""
+    """Return the least-squares complex amplitude of each listed mode over all points, (n_modes,) array [m/s]."""
     n = shapes.shape[0]
     return np.asarray((decay.residue[:n] * shapes).sum(axis=1) / (shapes**2).sum(axis=1))
 
 
 def unit_responses(model: ModalModel, drive: DriveDelay, voltage: FloatArray, timing: Timing) -> ComplexArray:
-    """Return what a mode of unit gain would swing with after a burst, extrapolated back to the focusing instant."""
+    """Return the complex amplitudes of modes of unit gain after a burst, extrapolated back to the focusing instant."""
     unit = replace(model, modal_gain=np.ones_like(model.modal_gain))
     amplifier = Amplifier(gain=1.0, limit=1.0, bandwidth=drive.bandwidth, delay=drive.delay)
     system = DiagonalSystem.of(unit, amplifier)
-    # Late enough for the last of the drive to have passed.
+    # Late enough for the drive to have ended.
     later = drive.delay + 20 * drive.lag + timing.hold
     instant = min(timing.focusing_instant + later, timing.duration)
     state = system.states_by_channel(voltage, timing, instant)[:, : model.n_modes].T
@@ -396,26 +400,26 @@ def identify_plant(
     timing: Timing,
     vibrometer_bandwidth: float | None = None,
 ) -> Plant:
-    """Return the rig behind the decays of probes, one on each channel.
+    """Return the rig identified from the decays after probe bursts, one on each channel.
 
     Parameters
     ----------
     model : ModalModel
-        As listed; its shapes are kept.
+        Listed modes; their shapes are kept.
     amplifier : Amplifier
         As listed.
     drive : DriveDelay
         From the measured drive.
     decay : Decay
-        Of all probes together, probe after probe.
+        Joint fit of the records of all probes, one probe after the other.
     shapes : (n_modes, n_points) array
-        Mode shapes at the points of every probe's records [1].
+        Mode shapes at the points of each probe's records [1].
     voltages : list of (n_channels, n_samples) arrays
-        What each probe commands at the beam [V]; one channel in each.
+        Voltages that each probe commands at the beam, on one channel [V].
     timing : Timing
         Clock of the samples.
     vibrometer_bandwidth : float, optional
-        Corner of the vibrometer's low-pass by its data sheet [Hz].
+        Corner of the vibrometer's low-pass from the data sheet [Hz].
     """
     n_modes, n_points = shapes.shape
     pole = decay.pole[:n_modes]
@@ -437,7 +441,7 @@ def identify_plant(
     strongest = max(drive.gain)
     gain = (ratio / vibrometer.response(pole)[:, None]).real
     return Plant(
-        # What is identified is per commanded volt; the model counts real ones.
+        # Identified gains are per commanded volt, those of the model per actual volt.
         model=replace(refined, modal_gain=gain / strongest),
         amplifier=replace(amplifier, gain=amplifier.gain * strongest, bandwidth=drive.bandwidth, delay=drive.delay),
         drive=drive,
