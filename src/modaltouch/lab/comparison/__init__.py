@@ -1,1 +1,1 @@
-"""The laws of this program beside their rivals: one beam, one voltage limit, the same recordings to learn from."""
+"""The laws of this program and their rivals: the same beam, the same voltage limit, the same recordings."""

@@ -1,4 +1,4 @@
-"""``modaltouch compare``: the drive laws beside their rivals, on one page."""
+"""``modaltouch compare``: the drive laws and their rivals on one page."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True)
 class Criterion:
-    """Something that methods are compared by.
+    """A criterion by which methods are compared.
 
     Attributes
     ----------
     key : str
-        Of the value in a method's row.
+        Key of the value in a method's row.
     name : str
-        As it is printed, without its unit.
+        Printed name, without the unit.
     unit : str
-        Empty for a pure number.
+        Empty for a dimensionless number.
     best : str
-        ``low``, ``high``, ``level`` (close to the target) or ``none``.
+        ``low``, ``high``, ``level`` (close to the level) or ``none``.
     digits : int
-        Decimals that are printed.
+        Number of decimals printed.
     """
 
     key: str
@@ -58,7 +58,7 @@ class Criterion:
     digits: int = 1
 
     def winners(self, rows: Sequence[Row], level: float) -> list[Row]:
-        """Return the rows that are best, several where what is printed is equal."""
+        """Return the best rows, several if their printed values are equal."""
         known = [row for row in rows if row[self.key] is not None]
         if self.best == "none" or not known:
             return []
@@ -71,12 +71,12 @@ class Criterion:
         return value if self.best == "low" else -value
 
     def printed(self, row: Row) -> str:
-        """Return a row's value as it is printed."""
+        """Return a row's printed value."""
         return say_number(row[self.key], decimals=self.digits)
 
 
 def criteria(rows: Sequence[Row]) -> list[Criterion]:
-    """Return what methods are compared by; the contrasts are those of the protocol's pairs."""
+    """Return the criteria of the comparison; the contrasts are those of the protocol's pairs."""
     pairs = [(key, "") for key in rows[0] if key.startswith("contrast_")]
     pairs += [(key, " under fingers 10 mm wide") for key in rows[0] if key.startswith("finger_contrast_")]
     return [
@@ -104,17 +104,17 @@ def criteria(rows: Sequence[Row]) -> list[Criterion]:
 
 
 def _pair(key: str) -> str:
-    """Return the zones that a contrast's key ends in, as they are printed."""
+    """Return the pair of zones at the end of a contrast's key, as printed."""
     return f"({', '.join(key.split('_')[-2:])})"
 
 
 def _wanted(rows: Sequence[Row], key: str) -> str:
-    """More contrast is better where one of the two zones is the focus; two others are to move alike."""
+    """Return which contrast is best: a high one if either zone is the focus; other pairs are not ranked."""
     return "high" if rows[0]["focus"] in key.split("_")[-2:] else "none"
 
 
 def rows_of(contest: Contest) -> list[Row]:
-    """Return the figures of every method."""
+    """Return the key figures of every method."""
     limit = contest.known.amplifier.limit
     n_channels, n_points = contest.known.responses.response.shape[:2]
     parts = zip(contest.designed, contest.verdicts, contest.changed, strict=True)
@@ -161,7 +161,7 @@ COLUMNS = 3
 
 
 def draw_fields(contest: Contest) -> Figure:
-    """Return the true field at the focusing instant of every method, and the target field."""
+    """Draw the true field of every method at the focusing instant, and the target field."""
     n_rows = -(-len(contest.designed) // COLUMNS)
     with house_style(7.6, 2.1 * n_rows + 0.5, n_rows, COLUMNS, sharex=True, sharey=True) as (figure, panels):
         for axes, designed, verdict in zip(panels.ravel(), contest.designed, contest.verdicts, strict=False):
@@ -182,7 +182,7 @@ def draw_fields(contest: Contest) -> Figure:
 
 
 def draw_drives(contest: Contest) -> Figure:
-    """Return the voltages of every method, one scale for each: their sizes stand in the table."""
+    """Draw the voltages of every method, each on its own scale; their sizes are in the table."""
     timing = contest.known.timing
     n_channels = contest.designed[0].voltage.shape[0]
     every = max(1, timing.n_samples // 12_500)
@@ -207,7 +207,7 @@ def draw_drives(contest: Contest) -> Figure:
 
 
 def draw_price(rows: Sequence[Row], limit: float) -> Figure:
-    """Return distance from the target field against peak voltage, and contrast against energy, of every method."""
+    """Draw the distance from the target field over peak voltage, and the contrast over energy, of every method."""
     pairs = [key for key in rows[0] if key.startswith("contrast_")]
     with house_style(7.6, 3.1, 1, 2) as (figure, [[left, right]]):
         for row, marker in zip(rows, MARKERS * 2, strict=False):
@@ -229,7 +229,7 @@ def draw_price(rows: Sequence[Row], limit: float) -> Figure:
 
 
 def draw_robustness(contest: Contest) -> Figure:
-    """Return what other beams make of every drive: each beam a dot, the learned one a line."""
+    """Draw the effects of every drive on other beams: a dot for each beam, a line for the measured one."""
     names = [each.method.name for each in contest.designed]
     with house_style(7.6, 0.42 * len(names) + 1.1, 1, 3, sharey=True) as (figure, [panels]):
         pair = contest.task.pairs[0]
@@ -265,9 +265,9 @@ class ComparisonReport:
     contest : Contest
         The comparison.
     about : dict
-        Title, protocol, apparatus, seed, records at each point (``n_records``) and commit, plain values.
+        Title, protocol, apparatus, seed, records at each point (``n_records``) and commit, as plain values.
     folder : Path
-        Where the files go.
+        Folder for the results.
     """
 
     contest: Contest
@@ -276,12 +276,12 @@ class ComparisonReport:
 
     @cached_property
     def rows(self) -> list[Row]:
-        """The figures of every method."""
+        """The key figures of every method."""
         return rows_of(self.contest)
 
     @property
     def table(self) -> list[dict[str, Any]]:
-        """A line to each criterion, with a cell to each method and whether it is the best."""
+        """One line per criterion, with a cell for each method and whether it is the best."""
         lines = []
         for each in criteria(self.rows):
             best = each.winners(self.rows, self.level)
@@ -293,11 +293,11 @@ class ComparisonReport:
 
     @property
     def level(self) -> float:
-        """Velocity asked for at the focus [mm/s]."""
+        """Level: the target velocity at the focus [mm/s]."""
         return self.contest.task.target_field.velocity * 1e3
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain values."""
+        """Return the comparison as plain values."""
         return {
             **self.about,
             "mode": "simulated",
@@ -362,7 +362,7 @@ def compare(
     seed: int = 1,
     progress: MeasurementProgress = UNTOLD,
 ) -> ComparisonReport:
-    """Design a drive by every method from the same recordings, and judge them all by the twin's true beam.
+    """Design a drive by every method from the same recordings, and judge all drives by the twin's true beam.
 
     Parameters
     ----------
@@ -371,20 +371,21 @@ def compare(
     out : Path, optional
         Folder for page, figures and tables; ``comparison/<protocol>`` if not given.
     scan : Path, optional
-        Folder that keeps the recordings, so that an interrupted comparison continues there.
+        Folder for the recordings, in which an interrupted comparison continues.
     points, averages : int
         Control points along the beam, and records at each.
     beams, seed : int
-        Other beams that the drives are played on, and the seed of the first of them; the next ones follow.
+        Number of other beams on which the drives are played, and the seed of the first; the others have the following
+        seeds.
     progress : MeasurementProgress, optional
-        What is called meanwhile.
+        Reports progress and lets the user interrupt.
 
     Raises
     ------
     InputError
-        If the protocol has faults.
+        If the protocol has faults, or no pairs of zones.
     TooFewPointsError
-        If the points cannot tell the modelled modes apart.
+        If the points are too few to distinguish the modelled modes.
     RecordError
         If a folder holds something else, or cannot be written.
     RigError
@@ -415,7 +416,7 @@ def compare(
 
 
 def _table_rows(rows: Sequence[Row]) -> Any:
-    # How long it took is this machine's, and would make other bytes each time.
+    # The computing time depends on the machine and would make the file different each time.
     left_out = ("computing_time_s", "zone_peak_mm_s")
     flat = [
         {key: value for key, value in row.items() if key not in left_out}

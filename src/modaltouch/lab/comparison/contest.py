@@ -1,6 +1,6 @@
-"""The comparison: learn the beam, design every drive, play it, and let the twin's true beam judge.
+"""The comparison: measure the beam, design every drive, play it, and judge it by the twin's true beam.
 
-No method sees what the judge reads.
+No method has access to the true values by which it is judged.
 """
 
 from __future__ import annotations
@@ -33,28 +33,28 @@ POINTS = 201
 """Points along the beam at which a field is judged."""
 
 REST = 0.02
-"""Share of the level below which a target counts as rest: a Gaussian never ends [1]."""
+"""Fraction of the level below which the target counts as rest, since a Gaussian never reaches zero [1]."""
 
 FINGER = 0.01
-"""Width of what a finger touches [m]."""
+"""Width of a finger's contact area [m]."""
 
 FINGER_POINTS = 5
-"""Points under a finger at which its highest speed is looked for."""
+"""Points under a finger among which the highest speed is found."""
 
 PLACES = 41
-"""Points along the beam at which the highest speed anywhere is looked for."""
+"""Points along the beam among which the highest speed anywhere is found."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """What a drive is judged by.
+    """The task by which a drive is judged.
 
     Attributes
     ----------
     target_field : TargetField
         The target field, at its level.
     instant : float
-        The focusing instant asked for, from the start of the burst [s].
+        The required focusing instant, from the start of the burst [s].
     zones : dict of str to float
         Zones and their centres [m].
     focus : str
@@ -62,7 +62,7 @@ class Task:
     pairs : tuple of (str, str)
         Zones that two fingers touch together.
     selected : callable
-        Returns the field that the selected modes would make of the target field at positions [m], in m/s.
+        Returns the target field projected on the selected modes, at positions [m], in m/s.
     """
 
     target_field: TargetField
@@ -75,14 +75,14 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class DriveAssessment:
-    """What a drive did.
+    """The effect of a drive.
 
     Attributes
     ----------
     position, field : (POINTS,) arrays
         The true field at the focusing instant [m, m/s].
     row : dict
-        The figures, by the names that they have in the tables; plain values.
+        The key figures by their names in the tables; plain values.
     """
 
     position: FloatArray
@@ -91,19 +91,19 @@ class DriveAssessment:
 
 
 def judge(rig: Simulator, task: Task, *, everywhere: bool = True) -> DriveAssessment:
-    """Return what a beam does under what a generator sends, repeated for long.
+    """Return the effect on a beam of what a generator sends, in the steady state of repeated bursts.
 
-    The focusing instant is that at which what was sent by then has passed the amplifier: its true lag, which no
-    method was told, delays every drive alike, and nobody feels a microsecond.
+    The field is taken later than the focusing instant by the amplifier's true delay and lag. No method knows these,
+    they delay every drive alike, and no participant feels a microsecond.
 
     Parameters
     ----------
     rig : Simulator
         True beam, amplifier, and what the generator sends.
     task : Task
-        What was asked for.
+        The task by which the drive is judged.
     everywhere : bool
-        Whether the highest speed is looked for along the whole beam, which takes longest.
+        Whether to find the highest speed along the whole beam and under the fingers, which takes longest.
     """
     twin, playbacks = rig.twin, rig.playbacks
     half = twin.beam.table.length / 2
@@ -139,13 +139,13 @@ def _contrasts(peak: dict[str, float], task: Task, name: str) -> dict[str, float
 
 
 def true_delay(rig: Simulator) -> float:
-    """Return by how much the amplifier holds a drive back: its delay, and that of its pole [s]."""
+    """Return the amplifier's total delay: its pure delay plus the lag of its pole [s]."""
     bandwidth = rig.twin.amplifier.bandwidth
     return rig.twin.amplifier.delay + (0.0 if bandwidth is None else 1 / (2 * math.pi * bandwidth))
 
 
 def _finger_peaks(rig: Simulator, task: Task) -> dict[str, float]:
-    """Return the highest speed that a whole finger meets at each zone [m/s]."""
+    """Return the highest speed under a finger on each zone [m/s]."""
     half = rig.twin.beam.table.length / 2
     under = np.linspace(-FINGER / 2, FINGER / 2, FINGER_POINTS)
     places = np.clip([centre + under for centre in task.zones.values()], -half, half)
@@ -154,7 +154,7 @@ def _finger_peaks(rig: Simulator, task: Task) -> dict[str, float]:
 
 
 VOLTAGE = 10.0
-"""Peak of the chirp at the beam [V]."""
+"""Peak of the excitation at the beam [V]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,9 +164,9 @@ class Contest:
     Attributes
     ----------
     task : Task
-        What was asked of all.
+        The task of all methods.
     known : TrainingData
-        What each was given.
+        The data that each was given.
     delay : float
         Of the recordings, identified and taken out of what rivals are given [s].
     identification : tuple of str
@@ -174,9 +174,9 @@ class Contest:
     designed : tuple of MethodDrive
         Their drives.
     verdicts : tuple of DriveAssessment
-        What each did on the beam that was learned.
+        Effect of each drive on the measured beam.
     changed : tuple of tuple of DriveAssessment
-        What each drive did on every other beam, drawn around the one that was learned.
+        Effect of each drive on every other beam, drawn at random around the measured one.
     """
 
     task: Task
@@ -196,20 +196,20 @@ def contest(
     seed: int = 1,
     progress: MeasurementProgress = UNTOLD,
 ) -> Contest:
-    """Return the comparison.
+    """Identify the modes from responses, and return the comparison.
 
     Parameters
     ----------
     preflight : Preflight
         The protocol, examined.
     responses : FrequencyResponses
-        What every method learns from, as `learn` returns it.
+        Responses from which every method learns, as `learn` returns them.
     n_beams : int
-        Further beams that the drives are played on.
+        Number of further beams on which the drives are played.
     seed : int
-        Of the first of them; the next ones follow.
+        Seed of the first of them; the others have the following seeds.
     progress : MeasurementProgress, optional
-        What is called meanwhile.
+        Reports progress and lets the user interrupt.
 
     Raises
     ------
@@ -245,7 +245,7 @@ def contend(
     seed: int = 1,
     progress: MeasurementProgress = UNTOLD,
 ) -> Contest:
-    """Return what every method makes of what is known: its drive played on the twin, and judged."""
+    """Design a drive by every method from the training data, play it on the twin, and judge it."""
     apparatus, stimulus = preflight.experiment.apparatus, preflight.stimulus
     centre = without_mismatch(apparatus)
     designed = design_all(known, stimulus.release, stimulus.load_factor)
@@ -271,7 +271,7 @@ def contend(
 
 
 def without_mismatch(apparatus: Apparatus) -> Apparatus:
-    """Return an apparatus whose twin has the parameters of the table, and all else as it is."""
+    """Return an apparatus whose twin has the parameters of the table, with everything else unchanged."""
     centred = apparatus.twin.model_copy(
         update={
             "natural_frequency_mismatch": 0.0,
@@ -291,11 +291,10 @@ def learn(
     folder: Path | None = None,
     progress: MeasurementProgress = UNTOLD,
 ) -> FrequencyResponses:
-    """Return the responses that every method learns from, measured with a chirp on each actuator set.
+    """Return the responses from which every method learns, measured with a multisine on each actuator set.
 
-    The beam that is learned is the centre of the others: the apparatus with the mismatch of its ``twin`` left out,
-    with its modes that no table lists, its amplifier, vibrometer and scope as they are. So no method is nearer to
-    the other beams than another.
+    The measured beam is the centre of the others: the apparatus without the mismatch of its ``twin``, but with its
+    unlisted modes, amplifier, vibrometer and scope. So no method has an advantage on the other beams.
 
     Parameters
     ----------
@@ -304,9 +303,9 @@ def learn(
     n_points, n_records : int
         Control points along the beam, and records at each.
     folder : Path, optional
-        Where the recordings are kept; a scan that was stopped goes on there.
+        Folder for the recordings; an interrupted scan is resumed there.
     progress : MeasurementProgress, optional
-        What is called meanwhile.
+        Reports progress and lets the user interrupt.
     """
     apparatus, source = without_mismatch(preflight.experiment.apparatus), preflight.experiment.sources.apparatus
     highest = highest_needed(apparatus)
@@ -335,7 +334,7 @@ def identified_model(found: Identification, apparatus: Apparatus) -> ModalModel:
 
 
 def for_rivals(responses: FrequencyResponses, delay: float, apparatus: Apparatus) -> TransferFunctions:
-    """Return the responses by generator output, within the band that the chirp excited, their delay taken out."""
+    """Return the responses by generator output, windowed to the band of the listed modes, with their delay removed."""
     table = apparatus.modal_model()
     frequencies = table.natural_frequency
     window = band(responses.frequency, float(frequencies.min()) / 2, 1.1 * float(frequencies.max()))
@@ -351,7 +350,7 @@ def for_rivals(responses: FrequencyResponses, delay: float, apparatus: Apparatus
 def _play(
     apparatus: Apparatus, designed: list[MethodDrive], velocity: float, progress: MeasurementProgress
 ) -> list[Simulator]:
-    """Return a rig that sends every drive as the generator did, played through its driver at the level."""
+    """Play every drive at the level through the driver, and return for each a twin that sends it likewise."""
     sent: list[Simulator] = []
     with open_laboratory(apparatus) as laboratory:
         if laboratory.simulator is None:

@@ -1,23 +1,24 @@
-r"""The methods that are compared, each from the same training data to the voltages of a burst.
+r"""The methods compared; each turns the same training data into the voltages of a burst.
 
 **Time reversal.** Each output plays its own impulse response at the focus backwards. With :math:`h_c(x_0, t)` the
-velocity at the focus after an impulse of output c, the drive :math:`v_c(t) = A\, h_c(x_0, t_F - t)` makes
+velocity at the focus after an impulse from output c, the drive :math:`v_c(t) = A\, h_c(x_0, t_F - t)` produces
 
 .. math:: \dot w(x, t_F) = A \sum_c \int h_c(x, \tau)\, h_c(x_0, \tau)\, d\tau
 
-at the focusing instant: at the focus all add up as an autocorrelation, elsewhere they do not. It is the matched
-filter: no drive of equal energy makes more velocity there. Nothing is asked of the other points. The 1-bit variant
-plays the sign alone: more velocity per volt of peak, at the price of a coarser field.
+at the focusing instant: at the focus all contributions add up as an autocorrelation, elsewhere they do not. It is the
+matched filter: no drive of equal energy produces more velocity there. The other points are not constrained. The 1-bit
+variant plays only the sign: more velocity per volt of peak, at the price of a coarser field.
 
-**Inverse filter.** At every frequency the responses of the M control points to the C outputs are a matrix H, the target
-velocities a vector U. The drives are those of Tikhonov's regularised inverse, :math:`V = (H^* H + \beta I)^{-1} H^* U`,
-brought back into time. The target is a pulse in the shape of the target field at the focusing instant, and rest
-at every other time: a few outputs are asked for more than they can do, and the whole becomes a compromise.
+**Inverse filter.** At every frequency the responses of the M control points to the C outputs form a matrix H, the
+target velocities a vector U. The drives are given by the Tikhonov-regularised inverse,
+:math:`V = (H^* H + \beta I)^{-1} H^* U`, transformed back into time. The target is a pulse in the shape of the target
+field at the focusing instant, and rest at every other time; a few outputs cannot achieve all of that, and the result is
+a compromise.
 
 **Inverse filter at one instant.** With R the recorded responses at the focusing instant to a volt in each step before
-it, the drive is :math:`v = R^T (R R^T + \beta I)^{-1} f`, the least energy that makes the target field at the control
-points, but for what :math:`\beta` gives up. It is the exact law without a model: what moves at that instant between and
-beyond the points, or is at rest with a displacement, is not asked for.
+it, the drive :math:`v = R^T (R R^T + \beta I)^{-1} f` produces the target field at the control points with the least
+energy, up to the error that :math:`\beta` allows. It is the exact law without a model: motion between and beyond the
+points, and displacement at that instant, are not constrained.
 
 References
 ----------
@@ -50,26 +51,26 @@ from modaltouch.stimulus import (
 
 
 def time_reversal(known: TrainingData) -> FloatArray:
-    """Return the recorded impulse responses at the focus alone, reversed, as voltages at the level or limit [V]."""
+    """Return the recorded impulse responses at the focus, reversed, as voltages at the level or the limit [V]."""
     return known.to_level(known.towards[:, known.focus, ::-1])
 
 
 def one_bit_reversal(known: TrainingData) -> FloatArray:
-    """Return the signs of the reversed impulse responses, as `time_reversal`."""
+    """Return the signs of the voltages of `time_reversal`, at the level or the limit [V]."""
     return known.to_level(np.sign(known.towards[:, known.focus, ::-1]))
 
 
 PULSES = (44e-6, 88e-6, 176e-6, 352e-6)
-"""Widths of the target pulse that are tried, raised cosines; 88 us stay above 90 % as long as the paper's focus [s]."""
+"""Widths of the raised-cosine target pulse that are tried; 88 us stay above 90 % as long as the paper's focus [s]."""
 
 STRENGTHS = 10.0 ** np.arange(-5.0, 0.01, 0.5)
-"""Regularisations that are tried, over the largest squared singular value [1]."""
+"""Regularisations that are tried, relative to the largest squared singular value [1]."""
 
 ABOVE_NOISE = 10.0
-"""How many times the noise a direction must be to count in the inverse filter at one instant [1]."""
+"""Least strength of a direction used by the inverse filter at one instant, relative to the noise [1]."""
 
 STRONGER = 8
-"""How often that is raised tenfold at most."""
+"""Number of values tried for that threshold, each ten times the last."""
 
 ENDS = 1e-3
 """Length of the taper at either end of a burst [s]."""
@@ -78,9 +79,9 @@ ENDS = 1e-3
 def inverse_filter(known: TrainingData) -> FloatArray:
     """Return the drives of the inverse filter at the level or the limit, (n_channels, n_samples) array at the beam [V].
 
-    Of the pulses in `PULSES` and the regularisations in `STRENGTHS` those which come closest to the target field at
-    the focusing instant, by the recordings, among those within the voltage limit; where none are, those that need
-    the least.
+    Of the pulses in `PULSES` and the regularisations in `STRENGTHS`, those are used that according to the recordings
+    come closest to the target field at the focusing instant within the voltage limit; if none stays within the limit,
+    those that need the lowest voltage.
     """
     step, n_before = known.step, known.n_before
     n_after = (known.timing.n_samples - n_before * known.stride) // known.stride
@@ -108,9 +109,9 @@ def inverse_filter(known: TrainingData) -> FloatArray:
 
 
 def _pulse(frequency: FloatArray, width: float, instant: float) -> ComplexArray:
-    """Return the spectrum of a raised cosine of height 1 and some width at an instant, (n_bins,) array [1/Hz]."""
+    """Return the spectrum of a raised cosine of height 1 and given width at an instant, (n_bins,) array [1/Hz]."""
     turns = frequency * width
-    # Of a raised cosine: a sinc and its two neighbours.
+    # The spectrum of a raised cosine is a sinc plus two shifted ones.
     height = width / 2 * (np.sinc(turns) + 0.5 * np.sinc(turns - 1) + 0.5 * np.sinc(turns + 1))
     return np.asarray(height * np.exp(-2j * np.pi * frequency * instant))
 
@@ -126,17 +127,17 @@ def regularised_inverse(response: ComplexArray, target: ComplexArray, strength: 
 
 
 def inverse_filter_at_instant(known: TrainingData) -> FloatArray:
-    r"""Return the drives of least energy that make the target field at the focusing instant, at the level or the limit.
+    r"""Return the least-energy drives for the target field at the focusing instant, at the level or the limit.
 
-    Noise adds to :math:`R R^T` what is known of it from record to record, on the average on its diagonal alone: that
-    is the regularisation. Directions that do not stand ABOVE_NOISE out of it are left out, since a drive that leans on
-    them leans on noise; more are where it would pass the voltage limit.
+    On average, noise adds to :math:`R R^T` only on its diagonal; its size, known from the scatter of the records, is
+    the regularisation. Directions not above the noise by the factor `ABOVE_NOISE` are left out, since a drive that
+    relies on them relies on noise; more of them are left out while the drive exceeds the voltage limit.
     """
     noise = float(known.responses.noise_towards(known.step).sum()) * known.n_before
     target, towards = known.target(), known.towards
     strength, direction = np.linalg.eigh(np.einsum("cmj,cnj->mn", towards, towards, optimize=True))
     for floor in noise * ABOVE_NOISE * 10.0 ** np.arange(STRONGER):
-        # The strongest direction is kept whatever the noise.
+        # The strongest direction is always kept.
         kept = direction[:, (strength > floor) | (strength == strength.max())]
         steps = least_energy(towards, target, noise, kept)[:, ::-1]
         reached = float(known.expected(steps)[known.focus])
@@ -155,9 +156,9 @@ def least_energy(towards: FloatArray, target: FloatArray, beta: float, kept: Flo
     target : (n_points,) array
         f [m/s].
     beta : float
-        What is given up for energy [(m/s per V)^2].
+        Regularisation, which trades accuracy for energy [(m/s per V)^2].
     kept : (n_points, n_kept) array, optional
-        Orthonormal directions in which the field is made; all, if not given [1].
+        Orthonormal directions in which the field is controlled; all if not given [1].
     """
     kept = np.eye(target.size) if kept is None else kept
     within = np.einsum("mk,cmj->ckj", kept, towards, optimize=True)
@@ -167,7 +168,7 @@ def least_energy(towards: FloatArray, target: FloatArray, beta: float, kept: Flo
 
 
 def _taper(n: int, n_end: int) -> FloatArray:
-    """Return ones with raised-cosine ends, (n,) array [1]."""
+    """Return a window of ones with raised-cosine ends, (n,) array [1]."""
     window = np.ones(n)
     ramp = 0.5 - 0.5 * np.cos(np.pi * (np.arange(n_end) + 0.5) / max(1, n_end))
     window[:n_end], window[n - n_end :] = ramp, ramp[::-1]
@@ -175,19 +176,19 @@ def _taper(n: int, n_end: int) -> FloatArray:
 
 
 SMALLEST_AMPLITUDE = 0.02
-"""What a silent output is set to [V peak to peak]."""
+"""Amplitude of a silent output [V peak to peak]."""
 
 
 @dataclass(frozen=True)
 class Method:
-    """A way from what is known to the voltages.
+    """A method of computing the voltages from the training data.
 
     Attributes
     ----------
     key : str
-        Short name, for tables and JSON.
+        Short name for tables and JSON.
     name : str
-        As it is printed.
+        Printed name.
     idea : str
         What it does and where it comes from, in a sentence.
     needs : str
@@ -204,11 +205,11 @@ class Method:
     design: Callable[[TrainingData, Release], FloatArray]
 
     def recordings(self, n_points: int, n_channels: int) -> int:
-        """Return how many recordings must have been made before the first focus."""
+        """Return the number of recordings needed for the first focus."""
         return n_channels * (1 if self.needs == "focus" else n_points)
 
     def further_recordings(self, n_channels: int) -> int:
-        """Return how many more each further focus costs."""
+        """Return the number of additional recordings for each further focus."""
         return n_channels if self.needs == "focus" else 0
 
 
@@ -217,7 +218,7 @@ def _by_law(law: Law) -> Callable[[TrainingData, Release], FloatArray]:
         stimulus = design_stimulus(
             known.model, known.target_field, known.timing, known.amplifier, law=law, release=release, rounding="plain"
         )
-        # As for the rivals: what needs more than the limit is played at the limit.
+        # As for the rivals, a drive beyond the voltage limit is scaled down to it.
         return stimulus.voltage * min(1.0, known.amplifier.limit / float(stimulus.peak_voltage.max()))
 
     return design
@@ -271,7 +272,7 @@ METHODS = (
         lambda known, _: inverse_filter_at_instant(known),
     ),
 )
-"""In the order of every table and figure."""
+"""The methods, in the order of every table and figure."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,13 +282,13 @@ class MethodDrive:
     Attributes
     ----------
     method : Method
-        Whose it is.
+        The method.
     voltage : (n_channels, n_samples) array
-        At the beam, before rounding [V].
+        Voltages at the beam, before rounding [V].
     burst : Burst
-        As the generator plays it.
+        The burst as the generator plays it.
     computing_time : float
-        From the knowledge to the voltages [s].
+        Time to compute the voltages from the training data [s].
     """
 
     method: Method
@@ -297,12 +298,12 @@ class MethodDrive:
 
     @property
     def peak_voltage(self) -> float:
-        """Highest voltage of any channel, either sign [V]."""
+        """Highest absolute voltage of any channel [V]."""
         return float(np.abs(self.voltage).max())
 
     @property
     def energy(self) -> float:
-        """Integral of the squared voltages over the burst [V^2 s]."""
+        """Integral of the squared voltages over the burst, summed over the channels [V^2 s]."""
         hold = self.burst.duration / int(self.voltage.shape[1])
         return float((self.voltage**2).sum()) * hold
 
@@ -313,13 +314,13 @@ def design_all(known: TrainingData, release: Release, load_factor: float) -> lis
     Parameters
     ----------
     known : TrainingData
-        What each of them is given.
+        The data given to each of them.
     release : str
-        What the laws do after the focus; the rivals have ways of their own.
+        What the drive laws do after the focusing instant; it does not affect the rivals.
     load_factor : float
-        Share of the generator's open-circuit voltage that reaches the amplifier's input [1].
+        Fraction of the generator's open-circuit voltage that reaches the amplifier's input [1].
     """
-    # What methods share is computed before the clock starts: it belongs to the recordings.
+    # Shared by the rivals and part of the recordings, so computed before the timing starts.
     _ = known.towards
     designed = []
     for method in METHODS:
@@ -331,7 +332,7 @@ def design_all(known: TrainingData, release: Release, load_factor: float) -> lis
 
 
 def as_burst(voltage: FloatArray, known: TrainingData, load_factor: float) -> Burst:
-    """Return voltages as the generator plays them."""
+    """Return voltages as a burst of the generator."""
     to_beam, converter = known.amplifier.gain * load_factor, known.timing.converter
     least = (2 * max(float(np.abs(row).max()) / to_beam, SMALLEST_AMPLITUDE / 2) for row in voltage)
     amplitude = tuple(converter.full_scale(each, (1.0,)) for each in least)

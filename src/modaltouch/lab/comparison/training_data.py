@@ -1,4 +1,4 @@
-"""What every method may know of the beam: its responses as recorded, and the modes identified from them."""
+"""What every method may know about the beam: the recorded responses, and the modes identified from them."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from scipy.signal import CZT
 
 STEP = 0.8e-6
-"""How long rivals hold a voltage at least: 14 steps to a period of the highest mode of Table I [s]."""
+"""Approximate time for which rivals hold a voltage: 14 steps per period of the highest mode of Table I [s]."""
 
 
 @lru_cache(maxsize=4)
 def _transform(n_bins: int, n: int, begin: float, turn: float) -> CZT:
-    """Return the chirp z-transform of bins at instants whose phases begin at one and turn by another [rad]."""
+    """Return the chirp z-transform from bins to n instants, with the phase of the first and the phase step [rad]."""
     from scipy.signal import CZT
 
     return CZT(n_bins, n, w=np.exp(1j * turn), a=np.exp(-1j * begin))
@@ -29,18 +29,18 @@ def _transform(n_bins: int, n: int, begin: float, turn: float) -> CZT:
 
 @dataclass(frozen=True, eq=False)
 class TransferFunctions:
-    """Frequency responses of points of the beam to each generator output.
+    """Frequency responses at points of the beam to each generator output.
 
     Attributes
     ----------
     frequency : (n_bins,) array
         Evenly spaced, increasing [Hz].
     response : (n_channels, n_points, n_bins) complex array
-        Velocity per volt at the beam, 0 outside the band that was excited [m/s per V].
+        Velocity per volt at the beam, 0 outside the band of the modes [m/s per V].
     position : (n_points,) array
         Control points, origin at mid-beam [m].
     variance : (n_channels, n_bins) array
-        Of the noise in `response` [(m/s per V)^2].
+        Variance of the noise in `response` [(m/s per V)^2].
     """
 
     frequency: FloatArray
@@ -50,23 +50,23 @@ class TransferFunctions:
 
     @property
     def spacing(self) -> float:
-        """Distance of two bins [Hz]."""
+        """Bin spacing [Hz]."""
         return float(self.frequency[1] - self.frequency[0])
 
     def in_time(self, spectrum: ComplexArray, first: float, step: float, n: int) -> FloatArray:
         r"""Return the real signal of a one-sided spectrum at evenly spaced instants.
 
-        :math:`h(t) = 2 \Delta f \,\mathrm{Re} \sum_b H_b e^{i 2 \pi f_b t}`, by the chirp z-transform: the instants
+        :math:`h(t) = 2 \Delta f \,\mathrm{Re} \sum_b H_b e^{i 2 \pi f_b t}`, by the chirp z-transform: the time step
         need not divide the period of the bins.
 
         Parameters
         ----------
         spectrum : (..., n_bins) complex array
-            On `frequency` [unit per Hz].
+            Spectrum at `frequency` [unit per Hz].
         first, step : float
-            First instant, and from one to the next [s].
+            First instant and time step [s].
         n : int
-            Instants.
+            Number of instants.
         """
         turn = 2 * np.pi * self.spacing
         transform = _transform(self.frequency.size, n, turn * first, turn * step)
@@ -74,13 +74,13 @@ class TransferFunctions:
         return np.asarray(2 * self.spacing * (carrier * transform(spectrum)).real)
 
     def noise_towards(self, step: float) -> FloatArray:
-        """Return the mean square of what noise adds to each number of `TrainingData.towards`, (n_channels,) array."""
+        """Return the noise variance of each element of `TrainingData.towards`, (n_channels,) array [(m/s per V)^2]."""
         return np.asarray(2 * self.spacing**2 * self.variance.sum(axis=1) * step**2)
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingData:
-    """All that a method is given.
+    """All the data that a method is given.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class TrainingData:
     timing : Timing
         Clock of the burst.
     amplifier : Amplifier
-        Its limit holds for all.
+        The amplifier, whose limit applies to all methods.
     """
 
     model: ModalModel
@@ -104,31 +104,32 @@ class TrainingData:
 
     @property
     def stride(self) -> int:
-        """Samples for which rivals hold a voltage, such that the focusing instant is the end of one."""
+        """Samples for which rivals hold a voltage; one of these steps ends at the focusing instant."""
         return max(1, round(STEP / self.timing.hold))
 
     @property
     def step(self) -> float:
-        """How long rivals hold a voltage [s]."""
+        """Time for which rivals hold a voltage [s]."""
         return self.stride * self.timing.hold
 
     @property
     def n_before(self) -> int:
-        """Steps before the focusing instant."""
+        """Number of steps before the focusing instant."""
         return self.timing.samples_until(self.timing.focusing_instant)[0] // self.stride
 
     @cached_property
     def towards(self) -> FloatArray:
-        """What a volt of each step before the focus leaves at the control points there, the latest step first.
+        """Velocity at the control points at the focusing instant per volt in each step before it, latest step first.
 
-        (n_channels, n_points, n_before) array [m/s per V]: the impulse response at the middle of each step, times it.
+        (n_channels, n_points, n_before) array [m/s per V]: the impulse response at the middle of each step times the
+        step.
         """
         step, responses = self.step, self.responses
         return responses.in_time(responses.response, step / 2, step, self.n_before) * step
 
     @property
     def focus(self) -> int:
-        """The control point at the focus."""
+        """Index of the control point nearest to the focus."""
         return int(np.abs(self.responses.position - self.target_field.centre).argmin())
 
     def target(self) -> FloatArray:
@@ -136,7 +137,7 @@ class TrainingData:
         return self.target_field.velocity * self.target_field.profile(self.responses.position)
 
     def expected(self, steps: FloatArray) -> FloatArray:
-        """Return the field that voltages are to leave at the focusing instant by the recordings, (n_points,) array.
+        """Return the field at the focusing instant that the recordings predict for voltages, (n_points,) array [m/s].
 
         Parameters
         ----------
@@ -146,19 +147,19 @@ class TrainingData:
         return np.asarray(np.einsum("cmj,cj->m", self.towards, steps[:, ::-1]))
 
     def to_level(self, steps: FloatArray, after: FloatArray | None = None) -> FloatArray:
-        """Return voltages of the whole burst that reach the level at the focus by the recordings, or the limit.
+        """Scale voltages to reach the level at the focus according to the recordings, or else the voltage limit.
 
         Parameters
         ----------
         steps : (n_channels, n_before) array
-            Voltages before the focusing instant, of any size [V].
+            Voltages before the focusing instant, of arbitrary scale [V].
         after : (n_channels, n_after) array, optional
-            Those after it, of the same size; none, if not given [V].
+            Voltages after it, of the same scale; 0 V if not given [V].
 
         Returns
         -------
         (n_channels, n_samples) array
-            At the beam; 0 V in the first and last sample, where the generator idles [V].
+            Voltages of the whole burst at the beam; 0 V in the first and last sample, where the generator idles [V].
         """
         whole = steps if after is None else np.concatenate([steps, after], axis=1)
         reached = float(self.expected(steps)[self.focus])
@@ -169,7 +170,7 @@ class TrainingData:
         factor = float(np.sign(factor)) * min(abs(factor), self.amplifier.limit / highest)
         voltage = np.zeros((whole.shape[0], self.timing.n_samples))
         held = np.repeat(whole * factor, self.stride, axis=1)[:, : self.timing.n_samples]
-        # The steps end at the focusing instant, whatever is left over before the first.
+        # The steps end at the focusing instant; any remaining samples come before the first.
         start = max(0, self.timing.samples_until(self.timing.focusing_instant)[0] - self.n_before * self.stride)
         held = held[:, : self.timing.n_samples - start]
         voltage[:, start : start + held.shape[1]] = held
@@ -178,14 +179,14 @@ class TrainingData:
 
 
 def band(frequency: ArrayLike, lowest: float, highest: float) -> FloatArray:
-    """Return a window over frequency that rises from half the lowest to it, and falls from the highest by a tenth [1].
+    """Return a window over frequency with raised-cosine flanks [1].
 
     Parameters
     ----------
     frequency : array_like
-        Where [Hz].
+        Frequencies [Hz].
     lowest, highest : float
-        Between which it is 1 [Hz].
+        The window is 1 between them; it rises from half of `lowest`, and falls to 0 at 1.1 times `highest` [Hz].
     """
     f = np.asarray(frequency, dtype=float)
     rise = np.clip((f - lowest / 2) / (lowest / 2), 0, 1)

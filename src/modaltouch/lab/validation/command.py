@@ -1,4 +1,4 @@
-"""``modaltouch validate``: the drive of both laws recorded, evaluated, and shown on one page."""
+"""``modaltouch validate``: records the drive of both laws, evaluates it, and shows it on one page."""
 
 from __future__ import annotations
 
@@ -40,24 +40,25 @@ COMMAND = "validate"
 """The command that owns the folder."""
 
 MAP_CSV_STEP = 10e-6
-"""From one instant of the map's table to the next [s]."""
+"""Time step of the map's table [s]."""
 
 
 @dataclass(frozen=True, eq=False)
 class ValidationReport:
-    """What the drive laws were seen to do.
+    """The measured effects of the drive laws.
 
     Attributes
     ----------
     evidences : sequence of Evidence
-        Of each law.
+        The evidence for each law.
     pairs : sequence of (str, str)
         Zones that two fingers touch together.
     context : dict
-        What was validated, plain values: ``title`` and ``protocol`` (its file), ``apparatus``, ``mode``, ``generator``,
-        ``scope``, ``limit`` (highest voltage at the beam [V]), ``calibration`` (its file or None) and ``commit``.
+        Plain values on what was validated: ``title`` and ``protocol`` (its file), ``apparatus``, ``mode``,
+        ``generator``, ``scope``, ``limit`` (highest voltage at the beam [V]), ``calibration`` (its file or None) and
+        ``commit``.
     folder : Path
-        Where the files go.
+        Folder for the results.
     """
 
     evidences: Sequence[Evidence]
@@ -72,7 +73,7 @@ class ValidationReport:
 
     @property
     def table(self) -> list[dict[str, Any]]:
-        """The laws side by side: a quantity, its unit, and a cell to each law."""
+        """The laws side by side: a quantity, its unit, and one cell per law."""
         return summary(self.figures)
 
     def as_dict(self) -> dict[str, Any]:
@@ -83,7 +84,7 @@ class ValidationReport:
             "measurement_lag_us": self.evidences[0].lag * 1e6,
             "laws": list(self.figures),
         }
-        # What lies below a millionth of a unit is no measurement.
+        # Anything below a millionth of a unit is not significant.
         return dict(rounded(values, 6))
 
     def write(self) -> dict[str, Any]:
@@ -92,7 +93,7 @@ class ValidationReport:
         Raises
         ------
         RecordError
-            If the folder holds something else, or cannot be written.
+            If the folder holds something else or cannot be written.
         """
         refuse_other(self.folder, COMMAND)
         values = self.as_dict()
@@ -142,25 +143,25 @@ def validate(
     out : Path, optional
         Folder for page, figures and tables; ``validation/<protocol>`` if not given.
     scan : Path, optional
-        Folder that keeps the recordings: a scan that was stopped goes on there, a complete one needs no rig.
+        Folder for the recordings: an interrupted scan is resumed there, a complete one needs no rig.
     points, averages : int
         Points along the beam, and records at each.
     rows : int
-        Rows of points over the width that are measured, an odd number; from 3 on torsion shows. Of a complete scan
-        all that are there are read.
+        Rows of points across the width to measure, an odd number; three or more reveal torsion. Of a complete scan,
+        every row is read.
     record : Path, optional
-        Folder where another scope leaves its records as files, instead of a PicoScope.
+        Folder into which another scope saves its records as files; without it a PicoScope is used.
     progress : MeasurementProgress, optional
-        What is called meanwhile.
+        Reports progress and lets the user interrupt.
 
     Raises
     ------
     InputError
         If the protocol or its calibration has faults.
     TooFewPointsError
-        If the points cannot tell the modelled modes apart.
+        If the points are too few to distinguish the modelled modes.
     RecordError
-        If a folder holds something else, or cannot be written.
+        If a folder holds something else or cannot be written.
     RigError
         If the rig fails.
     """
@@ -184,7 +185,7 @@ def _observe(
     record: Path | None,
     progress: MeasurementProgress,
 ) -> list[Observation]:
-    """Return what was recorded, now or before."""
+    """Return the recordings, made now or earlier."""
     experiment, (inputs, stimulus) = preflight.experiment, preflight.sound
     if folder is not None and complete(folder, rows):
         return read_laws(inputs, folder)
@@ -218,7 +219,7 @@ def _context(preflight: Preflight, protocol: Path, field: Scan) -> dict[str, Any
 
 
 def _draw(evidences: Sequence[Evidence], limit: float) -> dict[str, tuple[Figure, str]]:
-    """Return each figure with its caption, by its file's name."""
+    """Return each figure with its caption, by file name."""
     drawn = {
         "fig_2": (
             draw_decomposition(evidences[0]),
@@ -341,5 +342,5 @@ def _spectrum_lines(evidence: Evidence) -> list[dict[str, Any]]:
 
 
 def _round(value: float) -> float | None:
-    """Return a velocity in mm/s to the micrometre per second; None where it is not known."""
+    """Return a velocity in mm/s, rounded to 1 um/s; None if it is unknown."""
     return None if not np.isfinite(value) else round(float(value) * 1e3, 3)

@@ -1,4 +1,4 @@
-"""What the recordings of one drive law show: coefficients, field, spot, duration, speeds, contrast."""
+"""What the recordings of one drive law show: coefficients, field, spot width, duration, speeds, contrast."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from modaltouch.stimulus import mode_shapes
 
 
 def spot_width(position: FloatArray, field: FloatArray, centre: float, fraction: float) -> float:
-    """Return how wide a field is, around its focus, at a fraction of its value there [m].
+    """Return the width of a field around its focus, at a fraction of its value there [m].
 
     Parameters
     ----------
     position : (n_positions,) array
-        Where the field is given, increasing [m].
+        Positions at which the field is given, increasing [m].
     field : (n_positions,) array
-        Velocity field, straight lines between the points; its sign at the centre counts as positive [m/s].
+        Velocity field, interpolated linearly; its sign at the centre counts as positive [m/s].
     centre : float
         The focus [m].
     fraction : float
-        Of the velocity at the centre [1].
+        Fraction of the velocity at the centre [1].
 
     Returns
     -------
     float
-        NaN where the field is zero at the centre; up to the end of the field where it does not fall below.
+        NaN if the field is zero at the centre; measured to the end of the field if it does not fall so far.
     """
     at_centre = float(np.interp(centre, position, field))
     if at_centre == 0:
@@ -46,7 +46,7 @@ def spot_width(position: FloatArray, field: FloatArray, centre: float, fraction:
 
 
 def _first_below(place: FloatArray, height: FloatArray, fraction: float) -> float:
-    """Return where straight lines, followed from the first point, first fall to a fraction."""
+    """Return where a linearly interpolated height, followed from the first point, first falls to a fraction."""
     below = np.flatnonzero(height < fraction)
     if below.size == 0:
         return float(place[-1])
@@ -57,12 +57,12 @@ def _first_below(place: FloatArray, height: FloatArray, fraction: float) -> floa
 
 
 def root_mean_square(values: FloatArray) -> float:
-    """Return the root of the mean of the squares, in the unit of the values."""
+    """Return the root mean square, in the unit of the values."""
     return math.sqrt(float(np.mean(np.square(values))))
 
 
 def contrast(one: float, other: float) -> float:
-    """Return how many times the faster of two speeds is the slower [1]; infinite beside a zone at rest."""
+    """Return the ratio of the faster of two speeds to the slower [1]; infinite if one zone is at rest."""
     slower, faster = sorted((abs(one), abs(other)))
     return faster / slower if slower > 0 else math.inf
 
@@ -71,7 +71,7 @@ LAGS = np.arange(-5e-6, 25e-6, 0.25e-6)
 """Delays of the measurement that are tried [s]."""
 
 COMPARED = 0.25e-3
-"""Around the focusing instant, where a delay shows most [s]."""
+"""Time before and after the focusing instant, where a delay shows most, over which they are compared [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +81,11 @@ class Prediction:
     Attributes
     ----------
     time : (n_times,) array
-        From the start of a burst [s].
+        Time since the start of a burst [s].
     field : (n_positions, n_times) array
-        Along the beam [m/s].
+        Velocity along the beam [m/s].
     course : (n_zones, n_times) array
-        At the centres of the zones [m/s].
+        Velocity at the centres of the zones [m/s].
     """
 
     time: FloatArray
@@ -102,7 +102,7 @@ class Prediction:
         return cls(time, played[: places.size], played[places.size :])
 
     def around(self, first: float, last: float) -> Callable[[FloatArray], FloatArray]:
-        """Return what gives the field, (n_positions, n_instants) array [m/s], at instants of a stretch of time [s]."""
+        """Return a function that gives the field, (n_positions, n_instants) [m/s], at instants in an interval [s]."""
         from scipy.interpolate import CubicSpline
 
         near = (self.time >= first) & (self.time <= last)
@@ -111,10 +111,10 @@ class Prediction:
 
 
 def measurement_delay(observations: Sequence[Observation], predictions: Sequence[Prediction]) -> float:
-    """Return the delay by which the measurement follows the prediction best, by least squares [s].
+    """Return the delay at which the measurement fits the prediction best, by least squares [s].
 
-    Vibrometer, amplifier and trigger each come late by microseconds, which the highest selected mode turns into a
-    large part of its period: without taking the delay out, no field at the focusing instant can be told.
+    Vibrometer, amplifier and trigger each add microseconds, a large part of the period of the highest selected mode:
+    unless the delay is removed, the field at the focusing instant cannot be determined.
     """
     missed = np.zeros(LAGS.size)
     for observation, prediction in zip(observations, predictions, strict=True):
@@ -135,24 +135,24 @@ def measurement_delay(observations: Sequence[Observation], predictions: Sequence
 
 
 FINE = 401
-"""Points at which smooth fields are drawn and sized."""
+"""Points at which smooth fields are drawn and their widths taken."""
 
 FURTHER_LABELS = 2
-"""Modes fitted beyond the highest that is modelled, so that their motion is not taken for another's."""
+"""Modes fitted beyond the highest modelled one, so that their motion is not attributed to others."""
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What one drive law was seen to do, beside target and prediction; all at the level that was played.
+    """The measured effect of one drive law, with target and prediction; all at the level that was played.
 
     Attributes
     ----------
     observation : Observation
-        What was recorded.
+        The recordings.
     prediction : Prediction
-        Of the identified beam.
+        The prediction for the identified beam.
     lag : float
-        By which the measurement comes after the prediction, taken out of every time here [s].
+        Delay of the measurement behind the prediction, subtracted from all times here [s].
     """
 
     observation: Observation
@@ -171,28 +171,28 @@ class Evidence:
 
     @property
     def centre(self) -> float:
-        """Where the field is centred [m]."""
+        """Centre of the target field [m]."""
         return self.observation.stimulus.target_field.centre
 
     @property
     def target(self) -> FloatArray:
-        """Coefficients of the selected modes, (n_modes,) array, 0 for the others [m/s]."""
+        """Target coefficients of the modelled modes, 0 for those not selected, (n_modes,) array [m/s]."""
         stimulus = self.observation.stimulus
         return stimulus.target * (self.observation.velocity / stimulus.target_field.velocity)
 
     @cached_property
     def target_coefficient(self) -> FloatArray:
-        """Coefficients of the target field on modes 1 to the last that it is decomposed on [m/s]."""
+        """Coefficients of the target field on all modes of its decomposition, from mode 1 [m/s]."""
         return self.observation.stimulus.projection.decomposition * self.observation.velocity
 
     @cached_property
     def predicted_coefficient(self) -> FloatArray:
-        """Coefficients that the codes make on the identified beam, (n_modes,) array [m/s]."""
+        """Coefficients predicted for the codes on the identified beam, (n_modes,) array [m/s]."""
         return self.observation.stimulus.achieved(self.observation.velocity)[0]
 
     @cached_property
     def position(self) -> FloatArray:
-        """Where smooth fields are given, (FINE,) array [m]."""
+        """Positions of the smooth fields, (FINE,) array [m]."""
         half = self.observation.stimulus.model.length / 2
         return np.linspace(-half, half, FINE)
 
@@ -208,12 +208,12 @@ class Evidence:
 
     @cached_property
     def predicted_field(self) -> FloatArray:
-        """The field that the codes make on the identified beam, (FINE,) array [m/s]."""
+        """The field predicted for the codes on the identified beam, (FINE,) array [m/s]."""
         return self.predicted_coefficient @ self.observation.stimulus.model.shapes(self.position)
 
     @cached_property
     def snapshots(self) -> FloatArray:
-        """Field at the focusing instant, record by record, (n_records, n_positions) array [m/s]."""
+        """Field at the focusing instant in each record, (n_records, n_positions) array [m/s]."""
         return self._at_focus(self.observation.field)
 
     def _at_focus(self, scan: Scan) -> FloatArray:
@@ -230,42 +230,42 @@ class Evidence:
 
     @cached_property
     def rows(self) -> list[Scan]:
-        """The field's scans on the mid-line and, where there are more, on rows beside it, from edge to edge."""
+        """Scans of the field on the mid-line and any further rows, from edge to edge."""
         return sorted((self.observation.field, *self.observation.rows), key=lambda scan: scan.across)
 
     @cached_property
     def field_over_width(self) -> FloatArray:
-        """Velocity of each row at the focusing instant, record by record, (n_rows, n_records, n_positions) [m/s]."""
+        """Velocity of each row at the focusing instant in each record, (n_rows, n_records, n_positions) array [m/s]."""
         return np.array([self._at_focus(scan) for scan in self.rows])
 
     @cached_property
     def speed_over_width(self) -> FloatArray:
-        """Highest speed of each row within the field's scan, (n_rows, n_positions) array [m/s]."""
+        """Highest speed of each row during the scan of the field, (n_rows, n_positions) array [m/s]."""
         return np.array([np.abs(scan.velocity.mean(axis=1)).max(axis=1) for scan in self.rows])
 
     @property
     def torsion(self) -> FloatArray:
-        """What grows in proportion across the beam, by least squares over the rows: that of the outer rows [m/s].
+        """Velocity of the outer rows due to torsion in each record, (n_records, n_positions) array [m/s].
 
-        Record by record, (n_records, n_positions) array.
+        It is the least-squares part of the velocity that is proportional to the distance from the mid-line.
         """
         across = np.array([scan.across for scan in self.rows])
         return np.asarray(np.tensordot(across, self.field_over_width, 1) * (across[-1] / (across @ across)))
 
     @property
     def points_error(self) -> FloatArray:
-        """Standard error of `measured_points` from record to record, (n_positions,) array [m/s]."""
+        """Standard error of `measured_points` from the scatter of the records, (n_positions,) array [m/s]."""
         return standard_error(self.snapshots)
 
     @cached_property
     def fitted_labels(self) -> tuple[int, ...]:
-        """Labels of the modes that the measured field is projected on: more than are modelled, as points allow."""
+        """Labels of the modes fitted to the measured field: the modelled ones and as many more as the points allow."""
         stimulus = self.observation.stimulus
         most = min(max(stimulus.model.label) + FURTHER_LABELS, self.observation.field.positions.size * 2 // 3)
         return tuple(sorted({*stimulus.model.label, *range(1, most + 1)}))
 
     def _shapes(self, position: FloatArray) -> FloatArray:
-        """Return the shapes of the fitted modes: the model's own where it has them, else theory's."""
+        """Return the shapes of the fitted modes: those of the model where it has them, else theoretical ones."""
         model = self.observation.stimulus.model
         shapes = mode_shapes(self.fitted_labels, position, model.length)
         shapes[[self.fitted_labels.index(label) for label in model.label]] = model.shapes(position)
@@ -288,12 +288,12 @@ class Evidence:
 
     @property
     def coefficient_error(self) -> FloatArray:
-        """Standard error of `achieved_coefficient` from record to record, (n_modes,) array [m/s]."""
+        """Standard error of `achieved_coefficient` from the scatter of the records, (n_modes,) array [m/s]."""
         return np.asarray(standard_error(self._projections)[self._modelled])
 
     @property
     def unmodelled_motion(self) -> float:
-        """Largest coefficient of the measured field on a mode that is not modelled [m/s]."""
+        """Largest coefficient of the measured field on a fitted mode that is not modelled [m/s]."""
         others = np.delete(self._projections.mean(axis=0), self._modelled)
         return float(np.abs(others).max(initial=0.0))
 
@@ -304,7 +304,7 @@ class Evidence:
 
     @cached_property
     def map_time(self) -> FloatArray:
-        """Instants of `velocity_map`, the lag taken out [s]."""
+        """Times of `velocity_map`, less the lag [s]."""
         return self.observation.field.time - self.lag
 
     @cached_property
@@ -314,7 +314,7 @@ class Evidence:
 
     @cached_property
     def course_time(self) -> FloatArray:
-        """Instants of `course`, the lag taken out [s]."""
+        """Times of `course`, less the lag [s]."""
         return self.observation.course.time - self.lag
 
     @cached_property
@@ -333,9 +333,9 @@ class Evidence:
 
     @property
     def time_above_90(self) -> tuple[float, float]:
-        """How long the velocity at the focus stays above 90 % of its peak near the focusing instant [s].
+        """Time for which the velocity at the focus stays above 90 % of its peak near the focusing instant [s].
 
-        As measured, and on the identified beam.
+        As measured, and as predicted.
         """
         predicted = self._above_90(self.prediction.time, self.prediction.course[self._focus_row])
         return self._above_90(self.course_time, self.focus_course), predicted
@@ -352,33 +352,33 @@ class Evidence:
 
     @cached_property
     def predicted_zone_peak(self) -> dict[str, float]:
-        """The same on the identified beam [m/s]."""
+        """Highest predicted speed at the centre of each zone throughout the burst [m/s]."""
         peaks = np.abs(self.prediction.course).max(axis=1).tolist()
         return dict(zip(self.observation.zones, peaks, strict=True))
 
 
 AROUND_PEAK = 0.1e-3
-"""Around the focusing instant, where the peak is looked for [s]."""
+"""Time before and after the focusing instant within which the peak is searched for [s]."""
 
 
 def standard_error(records: FloatArray) -> FloatArray:
-    """Return the standard error of the mean over the records; NaN of a single one."""
+    """Return the standard error of the mean over the records; NaN for a single record."""
     n = records.shape[0]
     return np.asarray(records.std(axis=0, ddof=1) / np.sqrt(n)) if n > 1 else np.full(records.shape[1:], np.nan)
 
 
 def evaluate(observations: Sequence[Observation]) -> list[Evidence]:
-    """Return what recordings show, one delay of the measurement taken out of them all.
+    """Return the evidence from recordings, with their common measurement delay removed.
 
     Parameters
     ----------
     observations : sequence of Observation
-        What was recorded with the same instruments.
+        Recordings made with the same instruments.
 
     Raises
     ------
     RecordInputError
-        If no delay makes the recordings like the predictions.
+        If the recordings do not match the predictions at any delay.
     """
     predictions = [Prediction.of(each) for each in observations]
     lag = measurement_delay(observations, predictions)

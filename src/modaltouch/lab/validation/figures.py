@@ -1,4 +1,4 @@
-"""The paper's Fig. 2 and 5 to 8, the zones and the drive, for both laws; legible without colour."""
+"""The paper's Fig. 2 and 5 to 8, the zones and the drive, for both laws; readable without colour."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PAPER_WORST = 6.0
 
 
 def draw_decomposition(evidence: Evidence) -> Figure:
-    """Return the coefficients of the target field, in the form of Fig. 2: which modes it needs, which are selected."""
+    """Draw the coefficients of the target field as in Fig. 2: which modes it contains, and which are selected."""
     stimulus, wished = evidence.observation.stimulus, evidence.target_coefficient * 1e3
     labels = np.arange(1, wished.size + 1)
     kinds: tuple[tuple[str, Any, dict[str, Any]], ...] = (
@@ -49,7 +49,7 @@ def draw_decomposition(evidence: Evidence) -> Figure:
 
 
 def draw_coefficients(evidences: Sequence[Evidence]) -> Figure:
-    """Return target and achieved coefficients of each law, in the form of Fig. 6, and their difference."""
+    """Draw target and achieved coefficients of each law as in Fig. 6, and their difference."""
     with house_style(
         7.6, 2.3 * len(evidences) + 0.5, len(evidences), 2, width_ratios=(3, 2), sharex=True, sharey="col"
     ) as (figure, panels):
@@ -97,7 +97,7 @@ def _draw_errors(axes: Axes, lines: list[dict[str, Any]]) -> None:
 
 
 def draw_fields(evidences: Sequence[Evidence]) -> Figure:
-    """Return the field at the focusing instant against the target, in the form of Fig. 7, and how far it is off."""
+    """Draw the field at the focusing instant and the target as in Fig. 7, and their difference."""
     with house_style(7.6, 4.6, 2, len(evidences), sharex=True, sharey="row", height_ratios=(5, 2)) as (figure, panels):
         for column, evidence in zip(panels.T, evidences, strict=True):
             _draw_field(column[0], evidence)
@@ -149,7 +149,7 @@ def _draw_difference(axes: Axes, evidence: Evidence) -> None:
 
 
 def draw_over_width(evidences: Sequence[Evidence]) -> Figure:
-    """Return velocity at the focus, the highest speed around it, and torsion, over length and width, as in Fig. 7."""
+    """Draw velocity at the focusing instant, highest speed around it and torsion, over length and width."""
     fields = [_over_width(each) for each in evidences]
     highest = np.array([[float(np.abs(values).max()) * 1e3 for values in each] for each in fields]).max(axis=0)
     with house_style(7.6, 4.4, 3, len(evidences), sharex=True, sharey=True) as (figure, panels):
@@ -174,35 +174,35 @@ def _over_width(evidence: Evidence) -> tuple[FloatArray, FloatArray, FloatArray]
 
 
 WINDOW = 4e-3
-"""Length of the Hann window: a mode of 229 Hz swings about once within it [s]."""
+"""Length of the Hann window: about one period of a mode at 229 Hz [s]."""
 
 FINER = 4
-"""Frequencies given for each that a window tells apart, so that the picture is smooth."""
+"""Factor of zero padding, which makes the picture smooth along frequency."""
 
 STEP = 0.2e-3
-"""From one window to the next [s]."""
+"""Time between two windows [s]."""
 
 
 def spectrogram(time: FloatArray, velocity: FloatArray, highest: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the amplitude of a velocity by frequency and time.
+    """Return the amplitude of a velocity over frequency and time.
 
     Parameters
     ----------
     time : (n,) array
-        Evenly spaced instants [s].
+        Evenly spaced times [s].
     velocity : (n,) array
         The velocity [m/s].
     highest : float
-        Highest frequency that is kept [Hz].
+        Highest frequency kept [Hz].
 
     Returns
     -------
     time : (n_times,) array
-        Middles of the windows [s].
+        Centres of the windows [s].
     frequency : (n_frequencies,) array
-        From 0 [Hz].
+        Frequencies from 0 [Hz].
     amplitude : (n_frequencies, n_times) array
-        Of the sine at each frequency [m/s].
+        Amplitude of the sine at each frequency [m/s].
 
     Raises
     ------
@@ -226,7 +226,7 @@ def spectrogram(time: FloatArray, velocity: FloatArray, highest: float) -> tuple
 
 
 MAP_STEP = 2e-6
-"""From one drawn instant of a map to the next: a sixth of the shortest period [s]."""
+"""Time step of a drawn map: a sixth of the shortest period [s]."""
 
 LOWEST = 150.0
 """Lowest frequency of the spectrogram [Hz]."""
@@ -236,7 +236,7 @@ _DECIBELS = 60.0
 
 
 def draw_maps(evidences: Sequence[Evidence]) -> Figure:
-    """Return velocity by position and time around the focus, in the form of Fig. 5."""
+    """Draw velocity over position and time around the focus as in Fig. 5."""
     highest = max(float(np.abs(each.velocity_map).max()) for each in evidences) * 1e3
     with house_style(7.6, 4.4, 1, len(evidences), sharex=True, sharey=True) as (figure, [panels]):
         for axes, evidence in zip(panels, evidences, strict=True):
@@ -259,7 +259,7 @@ def draw_maps(evidences: Sequence[Evidence]) -> Figure:
 
 
 def around_focus(evidence: Evidence, step: float) -> tuple[FloatArray, FloatArray]:
-    """Return instants around the focus about a step apart [s], and the velocity map there, (n_positions, n_times)."""
+    """Return times around the focusing instant, about a step apart [s], and the velocities, (n_positions, n_times)."""
     every = max(1, round(step / (evidence.map_time[1] - evidence.map_time[0])))
     near = np.flatnonzero(np.abs(evidence.map_time - evidence.instant) <= AROUND)[::every]
     return evidence.map_time[near], evidence.velocity_map[:, near]
@@ -272,12 +272,12 @@ def spectrogram_of(evidence: Evidence) -> tuple[FloatArray, FloatArray, FloatArr
 
 
 def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
-    """Return the spectrogram of the velocity at the focus, in the form of Fig. 8."""
+    """Draw the spectrogram of the velocity at the focus as in Fig. 8."""
     found = [spectrogram_of(each) for each in evidences]
     top = 20 * np.log10(max(float(amplitude.max()) for *_, amplitude in found) * 1e3)
     with house_style(7.6, 3.6, 1, len(evidences), sharex=True, sharey=True) as (figure, [panels]):
         for axes, evidence, (time, frequency, amplitude) in zip(panels, evidences, found, strict=True):
-            # Evenly in octaves: other rows would fall onto the same lines of a logarithmic scale.
+            # Logarithmically spaced: further rows would fall onto the same lines of the picture.
             wanted = np.searchsorted(frequency, np.geomspace(LOWEST, frequency[-1], 400))
             rows = np.unique(wanted.clip(1, frequency.size - 1))
             decibels = 20 * np.log10(np.maximum(amplitude[rows] * 1e3, 1e-9))
@@ -308,7 +308,7 @@ def _mark_modes(axes: Axes, evidence: Evidence) -> None:
 
 
 def draw_zones(evidence: Evidence) -> Figure:
-    """Return the velocity at every zone over time: its envelope throughout the burst, itself around the focus."""
+    """Draw the velocity at every zone over time: its envelope throughout the burst, and in detail around the focus."""
     observation, time = evidence.observation, evidence.course_time
     reach = 1.12 * float(np.abs(evidence.course).max()) * 1e3
     with house_style(
@@ -340,7 +340,7 @@ def draw_zones(evidence: Evidence) -> Figure:
 
 
 def _envelope(time: FloatArray, course: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return middles of stretches of 0.2 ms [s], and the lowest and the highest velocity within each."""
+    """Return the centres of intervals of 0.2 ms [s], and the lowest and the highest velocity within each."""
     n = max(1, round(0.2e-3 / (time[1] - time[0])))
     n_parts = time.size // n
     parts = course[:, : n_parts * n].reshape(len(course), n_parts, n)
@@ -348,7 +348,7 @@ def _envelope(time: FloatArray, course: FloatArray) -> tuple[FloatArray, FloatAr
 
 
 def draw_drives(evidences: Sequence[Evidence], limit: float) -> Figure:
-    """Return the voltages measured at the beam, and the amplifier's limit [V]."""
+    """Draw the voltages measured at the beam, and the amplifier's limit [V]."""
     n_channels = evidences[0].observation.stimulus.model.n_channels
     with house_style(7.6, 1.5 * n_channels + 0.6, n_channels, len(evidences), sharex=True, sharey=True) as (
         figure,

@@ -1,4 +1,4 @@
-"""The evidence as plain values in the units of their keys, in one table, and in sentences."""
+"""The evidence as plain values with units in their keys, as a table, and in sentences."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from modaltouch.report import say_number
 
 
 def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[str, Any]:
-    """Return what one drive law was seen to do.
+    """Return the key figures of one drive law.
 
     Parameters
     ----------
     evidence : Evidence
-        Of the law.
+        The evidence for the law.
     pairs : sequence of (str, str)
         Zones that two fingers touch together.
     """
@@ -69,7 +69,7 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
 
 
 def coefficients(evidence: Evidence) -> list[dict[str, Any]]:
-    """Return the coefficients of the modelled modes: target field, selected, predicted, achieved [mm/s]."""
+    """Return the coefficients of the modelled modes: of the target field, selected, predicted and achieved [mm/s]."""
     labels = evidence.observation.stimulus.model.label
     columns = zip(
         labels,
@@ -113,7 +113,7 @@ def _distance(one: FloatArray, other: FloatArray) -> dict[str, float]:
 
 
 def _torsion(evidence: Evidence) -> dict[str, float | None]:
-    """Return the torsion of the outer rows at the focusing instant, and what noise alone would show of it."""
+    """Return the torsion on the outer rows at the focusing instant, and that expected from noise alone [mm/s]."""
     measured, noise = evidence.torsion.mean(axis=0), standard_error(evidence.torsion)
     return {"rms": root_mean_square(measured) * 1e3, "noise": finite(root_mean_square(noise) * 1e3)}
 
@@ -146,7 +146,7 @@ Figures = dict[str, Any]
 
 
 def summary(figures: Sequence[Figures]) -> list[dict[str, Any]]:
-    """Return the rows of the table of `key_figures`, law beside law: a quantity, its unit, a cell to each law."""
+    """Return the table of `key_figures`: each row has a quantity, its unit, and one cell per law."""
     rows: list[tuple[str, str, Callable[[Figures], str]]] = [
         ("velocity at the focus, at the focusing instant", "mm/s", lambda f: f"{f['velocity_at_focus_mm_s']:.1f}"),
         (
@@ -192,7 +192,7 @@ def summary(figures: Sequence[Figures]) -> list[dict[str, Any]]:
 
 
 def findings(figures: Sequence[Figures]) -> list[str]:
-    """Return what the `key_figures` of the laws say, in sentences made from them."""
+    """Return the findings from the `key_figures` of the laws, in sentences."""
     said = [_reached(f) for f in figures]
     if len(figures) > 1:
         said.append(_compared(figures))
@@ -227,7 +227,7 @@ def _compared(figures: Sequence[Figures]) -> str:
 
 def _doubtful_drives(f: Figures) -> Iterator[str]:
     for output, peak in f["peak_drive_V"].items():
-        # An output without a drive shows the noise of its probe.
+        # An output without drive shows only the noise of its probe.
         if not GAINS[0] * peak["predicted"] <= peak["measured"] <= GAINS[1] * max(peak["predicted"], 1.0):
             yield (
                 f"The drive of output {output} by law “{f['law']}” was measured as {peak['measured']:.0f} V, and "

@@ -1,4 +1,4 @@
-"""Plays the drive of each law and records what the paper shows: the field around the focus, the zones throughout."""
+"""Plays the drive of each law and records, as in the paper, the field around the focus and the zones throughout."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ from modaltouch.stimulus import Law, Stimulus
 LAWS: tuple[Law, ...] = ("exact", "paper")
 
 WHAT = ("field", "course")
-"""What is scanned of each law, in this order; each scan has a folder ``<law>_<what>``, with its row if off mid-line."""
+"""The scans of each law, in this order; each has a folder ``<law>_<what>``, with its row if off the mid-line."""
 
 AROUND = 1.0e-3
-"""How much is shown before and after the focusing instant: 24 to 26 ms in Fig. 5 [s]."""
+"""Time shown before and after the focusing instant: 24 to 26 ms in Fig. 5 [s]."""
 
 MARGIN = 0.05e-3
-"""How much more is recorded, since the measurement lags [s]."""
+"""Additional time recorded at either end, since the measurement lags [s]."""
 
 FIELD_RATE = 2.5e6
-"""Samples per second of the field around the focus: 28 to a period of the highest mode of Table I [Hz]."""
+"""Sampling rate of the field around the focus: 28 samples per period of the highest mode of Table I [Hz]."""
 
 COURSE_RATE = 1.25e6
-"""Samples per second of the whole burst at the zones [Hz]."""
+"""Sampling rate of the whole burst at the zones [Hz]."""
 
 HEADROOM = 1.3
-"""Range of the measurement over the highest speed predicted [1]."""
+"""Range of the measurement over the highest predicted speed [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What was recorded of one drive law.
+    """The recordings of one drive law.
 
     Attributes
     ----------
     stimulus : Stimulus
-        What was played.
+        The stimulus that was played.
     velocity : float
         The level at which it was played [m/s].
     zones : dict of str to float
@@ -60,7 +60,7 @@ class Observation:
     course : Scan
         Velocity at the centres of the zones throughout the burst.
     rows : tuple of Scan
-        The field on further rows over the width.
+        The field on further rows across the width.
     """
 
     stimulus: Stimulus
@@ -75,14 +75,14 @@ class Observation:
 def plans(
     inputs: DesignInputs, stimulus: Stimulus, velocity: float, n_points: int, n_records: int
 ) -> tuple[ScanPlan, ScanPlan]:
-    """Return what is scanned of a stimulus: the field around the focus, and the zones throughout.
+    """Return the scans of a stimulus: the field around the focusing instant, and the zones throughout the burst.
 
     Parameters
     ----------
     inputs : DesignInputs
-        What the stimulus was designed from.
+        Inputs from which the stimulus was designed.
     stimulus : Stimulus
-        What is played.
+        The stimulus to be played.
     velocity : float
         Level [m/s].
     n_points : int
@@ -112,7 +112,7 @@ def plans(
 
 
 def keep_velocities(recording: Recording) -> dict[str, NDArray[Any]]:
-    """Keep every record of the velocity [m/s], and the mean over the records of the drive [V]."""
+    """Keep every record of the velocity [m/s], but only the mean over the records of the drive [V]."""
     return {
         "time": recording.time,
         "velocity": recording.velocity.astype(np.float32),
@@ -132,12 +132,12 @@ def record_laws(
     source: Source | None = None,
     progress: MeasurementProgress = UNTOLD,
 ) -> list[Observation]:
-    """Return what each law does on a rig, recorded.
+    """Play the drive of each law on a rig, and return the recordings.
 
     Parameters
     ----------
     inputs : DesignInputs
-        What the stimuli are designed from.
+        Inputs from which the stimuli are designed.
     laboratory : Laboratory
         Generator and scope, open.
     velocity : float
@@ -145,13 +145,13 @@ def record_laws(
     n_points, n_records : int
         Points along the beam, and records at each.
     rows : sequence of float
-        Where the field is scanned off the mid-line too [m].
+        Distances from the mid-line of the further rows on which the field is scanned [m].
     folder : Path, optional
-        Where the scans are kept, each in a folder of its own; one that was stopped goes on.
+        Parent of one folder per scan; an interrupted scan is resumed.
     source : Source, optional
         The apparatus file.
     progress : MeasurementProgress, optional
-        What is called between positions.
+        Called between positions.
     """
     observed = []
     for law in LAWS:
@@ -175,19 +175,19 @@ def record_laws(
 
 
 def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
-    """Return what each law did, from the scans in a folder, on all rows that are there; no rig is touched.
+    """Return the recordings of each law from the scans in a folder, with all rows found there, without a rig.
 
     Parameters
     ----------
     inputs : DesignInputs
-        What the stimuli were designed from.
+        Inputs from which the stimuli were designed.
     folder : Path
-        Where `record_laws` kept the scans.
+        Folder in which `record_laws` kept the scans.
 
     Raises
     ------
     RecordInputError
-        If a scan is missing or was stopped, or another stimulus was played.
+        If a scan is missing or incomplete, or another stimulus was played.
     """
     observed = []
     beside = kept_rows(folder, "_".join((LAWS[0], WHAT[0])))[1:]
@@ -209,12 +209,12 @@ def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
 
 
 def _folders(folder: Path, law: Law, rows: Sequence[str]) -> list[Path]:
-    """Return where the scans of a law lie: field and course of the mid-line, then the field on further rows."""
+    """Return the folders of a law's scans: field and course on the mid-line, then the field on further rows."""
     return [folder / f"{law}_{what}" for what in (*WHAT, *(f"{WHAT[0]}{row}" for row in rows))]
 
 
 def complete(folder: Path, rows: Sequence[float] = ()) -> bool:
-    """Return whether a folder holds every scan, so that no rig is needed."""
+    """Return whether a folder holds every scan in full, so that no rig is needed."""
     try:
         beside = [row_name("", across) for across in rows]
         return all(read_scan(place).complete for law in LAWS for place in _folders(folder, law, beside))
