@@ -1,4 +1,4 @@
-"""Generator and scope together, simulated or real: the outputs are on only while a record is taken."""
+"""Generator and scope together, simulated or real; the outputs are on only while a record is taken."""
 
 from __future__ import annotations
 
@@ -31,29 +31,29 @@ if TYPE_CHECKING:
 Mode = Literal["simulated", "real"]
 
 SIMULATED = "simulated"
-"""What stands in a rig's place for the digital twin."""
+"""Address that stands for the twin."""
 
 ATTEMPTS = 3
-"""How often a record is taken that a stall of the computer spoils."""
+"""How often a record is tried if the computer stalls."""
 
 BEAT_PERIOD = 0.1
-"""Time between two signs of life for the watchdog while a record is taken [s]."""
+"""Time between two heartbeats for the watchdog while a record is taken [s]."""
 
 SETTLING_TIME = 0.5
-"""From the first burst until the beam repeats itself: 30 times the decay of a mode of 20 Hz bandwidth [s]."""
+"""Time from the first burst until the motion is periodic: 30 decay times of a mode of 20 Hz bandwidth [s]."""
 
 
 def quiet(*_: object, **__: object) -> None:
-    """Take anything and do nothing."""
+    """Accept any arguments and do nothing."""
 
 
 class TooFewPointsError(ValueError):
-    """Points along the beam that cannot tell the modelled modes apart, or rows over its width without the mid-line."""
+    """Too few points along the beam to distinguish the modelled modes, or rows across it without the mid-line."""
 
     @classmethod
     def check(cls, points: int, labels: tuple[int, ...]) -> None:
-        """Refuse fewer points from end to end than two to each half wave of the highest mode."""
-        # Mode k has k - 1 nodes; as many points as modes up to it, and half as many again against noise.
+        """Refuse fewer points from end to end than one and a half times the highest label."""
+        # Mode k has k - 1 nodes: at least as many points as modes up to it, and half as many again against noise.
         least = -(-3 * max(labels) // 2)
         if points < least:
             raise cls(
@@ -64,16 +64,16 @@ class TooFewPointsError(ValueError):
 
 @dataclass(frozen=True)
 class MeasurementProgress:
-    """What a measurement reports and asks for while it lasts; what is not given is not reported.
+    """Callbacks of a running measurement; those not given do nothing.
 
     Attributes
     ----------
     show : callable
-        Called with what is being done, how much of it is done, and how much there is.
+        Called with the name of a step, how much of it is done, and its total.
     say : callable
         Called with a line of text.
     aim : callable
-        Called with a place, along the beam from its middle and across it from its mid-line [m]; returns when the
+        Called with a place, along the beam from mid-beam and across it from the mid-line [m]; returns when the
         vibrometer's spot is there.
     check : callable
         Called between records; may raise to stop.
@@ -86,36 +86,36 @@ class MeasurementProgress:
 
     @contextmanager
     def interruptible(self) -> Iterator[MeasurementProgress]:
-        """Yield the same, stopped between two records by a signal."""
+        """Yield the same callbacks, with a `check` that raises after a signal."""
         with Interruption() as interruption:
             yield replace(self, check=interruption.check)
 
 
 UNTOLD = MeasurementProgress()
-"""Tells nobody, and waits for nobody."""
+"""Reports nothing and waits for nothing."""
 
 
 @dataclass(frozen=True, eq=False)
 class Laboratory:
-    """A rig and what measures it.
+    """A rig and the instruments that measure it.
 
     Attributes
     ----------
     apparatus : Apparatus
-        What is on the table.
+        The apparatus, from its file.
     rig : Rig
         The generator, with amplifier and beam behind it.
     scope : Scope
         Vibrometer and scope.
     mode : str
-        ``simulated`` as soon as one of them is, else ``real``.
+        ``simulated`` if the generator is, else ``real``.
     aim : callable
-        Brings the vibrometer's spot to a place, along the beam from its middle and across it from its mid-line [m], and
+        Moves the vibrometer's spot to a place, along the beam from mid-beam and across it from the mid-line [m], and
         returns when it is there; called with the outputs off.
     settling_time : float
         Wait between the first burst and the first record [s].
     simulator : Simulator or None
-        The twin, which knows the truth: to judge results by, never to measure with.
+        The twin, which knows the true values: for judging results, never for measuring.
     """
 
     apparatus: Apparatus
@@ -127,28 +127,28 @@ class Laboratory:
     simulator: Simulator | None = None
 
     def load(self, burst: Burst) -> None:
-        """Load a burst into the generator, verified; the outputs are off."""
+        """Load a burst into the generator and verify it; the outputs are off."""
         self.rig.load(burst)
 
     def record(self, position: float, velocity: float, acquisition: Acquisition, across: float = 0.0) -> Recording:
-        """Return velocity and drive at a position while the loaded burst repeats; the outputs are off again then.
+        """Record velocity and drive at a position while the loaded burst repeats; afterwards the outputs are off.
 
         Parameters
         ----------
         position : float
-            Where, origin at mid-beam [m].
+            Position along the beam, origin at mid-beam [m].
         velocity : float
             Level at which the burst is played [m/s].
         acquisition : Acquisition
-            What is asked of the scope.
+            Settings of the scope.
         across : float
-            Where across the beam, from its mid-line [m].
+            Distance from the beam's mid-line [m].
 
         Raises
         ------
         RigError
             If the rig fails, or the generator does not confirm before and after the record what it plays. A record
-            spoilt by a stall of this computer is taken again, three times at most.
+            spoilt by a stall of this computer is repeated, up to `ATTEMPTS` in all.
         """
         self.scope.configure(acquisition)
         self.aim(position, across)
@@ -168,7 +168,7 @@ class Laboratory:
     def _record_once(
         self, position: float, across: float, velocity: float, acquisition: Acquisition
     ) -> tuple[Recording | None, Firing | None]:
-        """Return a record, None if the bursts ended within it, and what was played."""
+        """Return a record, or None if the bursts stopped during it, and what was played."""
         firing = self.rig.fire(velocity)
         if not firing.started:
             raise RigError(
@@ -187,7 +187,7 @@ class Laboratory:
 
     @contextmanager
     def _alive(self, longest: float) -> Iterator[None]:
-        """Tell the watchdog that this process lives while the scope keeps it waiting, but not for ever."""
+        """Send heartbeats to the watchdog while the scope blocks this process, but no longer than `longest` [s]."""
         ended, failures = threading.Event(), list[RigError]()
         deadline = time.monotonic() + longest
 
@@ -221,23 +221,23 @@ def open_laboratory(
     scope: Scope | None = None,
     **options: Any,
 ) -> Iterator[Laboratory]:
-    """Open generator and scope; on every way out the outputs are off.
+    """Open generator and scope; however the context ends, the outputs are off.
 
     Parameters
     ----------
     apparatus : Apparatus
-        What is on the table.
+        The apparatus, from its file.
     address : str
-        ``simulated``, or the generator's VISA address; beside a real one a PicoScope is opened unless `scope` is given.
+        ``simulated``, or the generator's VISA address; with a real one a PicoScope is opened unless `scope` is given.
     seed : int, optional
-        Of the twin, instead of that in its apparatus file.
+        Seed of the twin, instead of that in its apparatus file.
     repetition : str, optional
-        ``continuous``: one record after the other without a gap, as for a periodic chirp; None for what the
-        apparatus says, as in a session.
+        ``continuous`` plays one burst after the other without a gap, as for a periodic excitation; None uses the
+        setting of the apparatus, as in a session.
     aim : callable
-        Brings the vibrometer's spot to a position [m from mid-beam]; the twin's needs nobody.
+        Moves the vibrometer's spot to a place, as `Laboratory.aim`; not called for the twin.
     scope : Scope, optional
-        What measures, instead of the twin's scope or a PicoScope; closed here.
+        Scope to use instead of the twin's or a PicoScope; closed here.
     **options
         Further arguments of `modaltouch.rig.Generator`.
 
@@ -255,14 +255,14 @@ def open_laboratory(
         if address == SIMULATED:
             from modaltouch.rig import Simulator
 
-            # The twin's beam is computed in this very process, which would keep a real clock waiting.
+            # The twin's beam is computed in this process, which would delay a real clock.
             clock = VirtualClock(SYSTEM_CLOCK.now())
             simulator = stack.enter_context(Simulator(apparatus, seed, clock=clock))
             scope = stack.enter_context(scope or simulator.scope())
             rig = open_generator(simulator.address, **simulator.driver_options)
             yield Laboratory(apparatus, rig, scope, "simulated", simulator=simulator)
             return
-        # The scope first: without it there is nothing to play for.
+        # The scope first: without it nothing needs to be played.
         scope = stack.enter_context(scope or Scope.open(apparatus))
         rig = open_generator(address)
         mode: Mode = "simulated" if instrument_of(apparatus).is_simulated(rig.identity) else "real"

@@ -1,4 +1,4 @@
-"""What the files of the lab's commands share."""
+"""Colours, maps and plain values shared by the outputs of the lab's commands."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ if TYPE_CHECKING:
     from matplotlib.collections import Collection
 
 DARK, MIDDLE, LIGHT = "#0b3c8c", "#5bb8e8", "#dbe3ee"
-"""Measured, predicted, asked for: far apart in lightness, so that they differ without colour."""
+"""Colours of measured, predicted and target: far apart in lightness, so that they differ without colour."""
 
 SIGNED = "cividis"
-"""Colours of signed values: lightness rises evenly with the value, for every kind of colour vision."""
+"""Colour map of signed values: lightness rises evenly with the value, for every kind of colour vision."""
 
 
 def draw_map(axes: Axes, along: FloatArray, across: FloatArray, values: FloatArray, highest: float) -> Collection:
-    """Draw values at points of the beam [m] over its length and width [mm], and return what a colour bar reads."""
+    """Draw values at points of the beam [m] over its length and width [mm], and return the artist for a colour bar."""
     look: dict[str, Any] = {"cmap": SIGNED, "vmin": -highest, "vmax": highest, "rasterized": True}
     drawn = axes.tripcolor(along * 1e3, across * 1e3, values, shading="gouraud", **look)
     axes.set(xlim=(along.min() * 1e3, along.max() * 1e3), ylim=(across.min() * 1e3, across.max() * 1e3))
@@ -26,7 +26,7 @@ def draw_map(axes: Axes, along: FloatArray, across: FloatArray, values: FloatArr
 
 
 def rounded(value: Any, digits: int) -> Any:
-    """Plain values with every number to some decimals."""
+    """Return plain values with every float rounded to some decimals."""
     if isinstance(value, dict):
         return {key: rounded(each, digits) for key, each in value.items()}
     if isinstance(value, list):
@@ -35,7 +35,7 @@ def rounded(value: Any, digits: int) -> Any:
 
 
 def yaml_text(values: dict[str, Any]) -> str:
-    """Plain values as YAML, their innermost lists and mappings on one line."""
+    """Return plain values as YAML, with innermost lists and mappings on one line."""
     import io
 
     from ruamel.yaml import YAML

@@ -1,15 +1,16 @@
-"""Records that another scope writes as files, each when it is asked for: an acquisition like any other.
+"""Records that another scope writes as files on request, used like those of a PicoScope.
 
-``wanted.json`` in the folder says which record is awaited now; the lab's scope, or its operator, writes it as CSV::
+``wanted.json`` in the folder describes the record that is awaited; the lab's scope, or its operator, writes it as CSV::
 
     time_s,velocity_V,drive_1_V,drive_2_V
     0.02504,0.1873,-31.2,14.6
     0.0250422,0.1871,-31.4,14.1
 
-A record begins wherever the time begins anew; there are as many as are asked for. Time 0 is the trigger at the start of
-the burst. ``velocity_V`` is the vibrometer's output, which ``acquisition.sensitivity_mm_s_per_V`` turns into a
-velocity; ``velocity_m_s`` may stand instead. ``drive_1_V`` is the voltage at the beam, the probe's attenuation counted.
-An NPZ file holds arrays of these names, (n_samples,) or (n_records, n_samples).
+A new record begins wherever the time jumps back; the file has as many records as requested. Time 0 is the trigger at
+the start of the burst. ``velocity_V`` is the vibrometer's output, which ``acquisition.sensitivity_mm_s_per_V`` converts
+to a velocity; a column ``velocity_m_s`` may replace it. ``drive_1_V`` is the voltage at the beam itself, with the
+probe's attenuation already taken into account. An NPZ file holds arrays of these names, (n_samples,) or
+(n_records, n_samples).
 """
 
 from __future__ import annotations
@@ -33,13 +34,13 @@ from modaltouch.record import replace_file
 from modaltouch.rig import Acquisition, Recording, RigError, Scope
 
 POLL = 0.5
-"""Between two looks for a file, which is whole once it has not changed from one to the next [s]."""
+"""Polling interval; a file is complete once it has not changed from one poll to the next [s]."""
 
 MOST_OVERSAMPLED = 50.0
-"""Sampling rate of a file over the one that is asked for, at most [1]."""
+"""Largest sampling rate of a file, relative to the requested one [1]."""
 
 CUT = 4
-"""Samples at the highest value over those at the next one, from which a record was cut [1]."""
+"""Samples at a record's extreme, relative to those at the next value, above which the record is clipped [1]."""
 
 REMEDY = "move it away, or give another folder with --record"
 
@@ -50,7 +51,7 @@ FORM = "save it as UTF-8, with commas between columns and points in decimals"
 def open_measurement(
     apparatus: Apparatus, rig: str, record: Path | None, progress: MeasurementProgress
 ) -> Iterator[tuple[Laboratory, MeasurementProgress]]:
-    """Open generator and scope, or the folder in which records arrive; a signal ends it between two records."""
+    """Open generator and scope, or the folder in which records arrive; a signal stops it between two records."""
     with progress.interruptible() as heard:
         scope = RecordedFiles(record, apparatus, heard) if record else None
         with open_laboratory(apparatus, rig, aim=heard.aim, scope=scope) as laboratory:
@@ -63,11 +64,11 @@ class RecordedFiles(Scope):
     Parameters
     ----------
     folder : Path
-        Where they are written; those that are there already are left alone.
+        Folder in which they are written; earlier files there are left alone.
     apparatus : Apparatus
-        Its section ``acquisition`` says what a volt of the vibrometer stands for.
+        Its section ``acquisition`` gives the vibrometer's sensitivity and range.
     progress : MeasurementProgress
-        Told which file is awaited, and why one is refused; may stop the wait.
+        Receives messages about the file awaited and why one is refused; may stop the wait.
     """
 
     slowest = 1800.0
@@ -86,16 +87,16 @@ class RecordedFiles(Scope):
 
     @property
     def identity(self) -> str:
-        """Where the records come from."""
+        """Origin of the records."""
         return f"records in {self._folder}"
 
     def configure(self, acquisition: Acquisition) -> Acquisition:
-        """Note what the next records must hold."""
+        """Store the settings that the next records must match."""
         self._asked = acquisition
         return acquisition
 
     def measure(self, position: float, across: float = 0.0) -> Recording:
-        """Ask for a record, and return it as soon as a file holds what is asked for."""
+        """Request a record, and return it as soon as a valid file arrives."""
         taken = [int(each.stem) for each in self._folder.iterdir() if each.stem.isdecimal()]
         name = f"{max(taken, default=0) + 1:04d}"
         self._ask(name, position, across)
@@ -103,10 +104,10 @@ class RecordedFiles(Scope):
         deadline = time.monotonic() + self.slowest
         while time.monotonic() < deadline:
             self._progress.check()
-            # Scopes that number their files may write the ending in capitals.
+            # Scopes may write the file name's ending in capitals.
             found = [each for each in self._folder.iterdir() if each.stem == name and each.suffix.lower() in READERS]
             seen = []
-            # What has just been taken away is looked for again.
+            # A file that vanishes meanwhile is looked for again.
             with suppress(OSError):
                 seen = [(each, each.stat().st_size, each.stat().st_mtime_ns) for each in sorted(found)]
             if seen and seen == before != refused:
@@ -124,11 +125,11 @@ class RecordedFiles(Scope):
         )
 
     def close(self) -> None:
-        """Await nothing more."""
+        """Withdraw the request for a record."""
         (self._folder / "wanted.json").unlink(missing_ok=True)
 
     def _ask(self, name: str, position: float, across: float, refused: str = "") -> None:
-        """Say on the screen and in ``wanted.json`` what is awaited."""
+        """Announce the awaited record on the screen and in ``wanted.json``."""
         asked = self._asked
         first, last = asked.start, asked.start + (asked.n_samples - 1) / asked.sampling_rate
         highest = asked.velocity_range or self._highest
@@ -156,7 +157,7 @@ class RecordedFiles(Scope):
             )
 
     def _recording(self, path: Path, *others: Path, position: float) -> Recording:
-        """Return what the only file of a name holds, cut to what is asked for."""
+        """Return the recording in a file, cut to the requested window; refuse further files of the same name."""
         if others:
             raise ValueError(f"{path}: {others[0].name} is there too; delete one of them")
         asked, table = self._asked, READERS[path.suffix.lower()](path)
@@ -188,7 +189,7 @@ class RecordedFiles(Scope):
         )
 
     def _refuse_former(self, path: Path, velocity: FloatArray) -> None:
-        """Refuse a record that was there before: two bursts never have the same noise."""
+        """Refuse a record identical to an earlier one, since two bursts never have the same noise."""
         marks = [hashlib.blake2b(record.tobytes(), digest_size=16).digest() for record in velocity]
         if len(marks) > len(set(marks)) == 1:
             raise ValueError(f"{path}: its {len(marks)} records are one and the same; record {len(marks)} bursts")
@@ -199,13 +200,13 @@ class RecordedFiles(Scope):
 
 
 def _window(path: Path, time_s: FloatArray, asked: Acquisition) -> tuple[float, float, int, int]:
-    """Return the first instant that is kept and the time between samples [s], its sample, and how many are kept."""
+    """Return the first kept instant and the time step [s], the index of that sample, and the number of samples kept."""
     n_records, n = time_s.shape
     if n_records != asked.n_records or n < 2:
         raise ValueError(
             f"{path}: it contains {n_records} records of {n} samples; {asked.n_records} records were asked for"
         )
-    # Files print few digits: all samples together tell the instants better than any of them.
+    # Files contain few digits: all samples together give the instants more accurately than any single one.
     order = np.arange(n) - (n - 1) / 2
     step = float((time_s @ order).mean() / (order @ order))
     uneven = np.abs(time_s - time_s.mean() - step * order) > max(step / 4, LARGEST_SHIFT)
@@ -233,7 +234,7 @@ def _window(path: Path, time_s: FloatArray, asked: Acquisition) -> tuple[float, 
 
 
 def _place(path: Path, faulty: NDArray[np.bool_]) -> str:
-    """Return where the first faulty sample of (n_records, n_samples) stands in a file."""
+    """Return the location in a file of the first faulty sample of an (n_records, n_samples) array."""
     record, sample = np.unravel_index(int(faulty.argmax()), faulty.shape)
     if path.suffix == ".csv":
         return f"{path}:{2 + record * faulty.shape[1] + sample}"
@@ -241,7 +242,7 @@ def _place(path: Path, faulty: NDArray[np.bool_]) -> str:
 
 
 def _is_cut(velocity: FloatArray) -> bool:
-    """Return whether more samples lie at the end of a range than the next value lets expect."""
+    """Return whether a record is clipped: far more samples sit at its extreme than at the next value."""
     for values in (velocity, -velocity):
         counts = np.unique(values, return_counts=True)[1]
         if counts.size > 1 and counts[-1] > CUT * (counts[-2] + 1):
@@ -251,7 +252,7 @@ def _is_cut(velocity: FloatArray) -> bool:
 
 def _read_csv(path: Path) -> dict[str, FloatArray]:
     """Return the columns of a CSV file, (n_records, n_samples) arrays."""
-    # A byte that is no UTF-8 is told as the cell that it spoils.
+    # A byte that is not UTF-8 is reported with the cell that contains it.
     header, *rows = path.read_text(encoding="utf-8-sig", errors="replace").splitlines() or [""]
     names = [name.strip() for name in header.split(",")]
     if "time_s" not in names:
@@ -262,7 +263,7 @@ def _read_csv(path: Path) -> dict[str, FloatArray]:
     time_s = values[:, names.index("time_s")]
     if not np.isfinite(time_s).all():
         raise ValueError(f"{_place(path, ~np.isfinite(time_s)[np.newaxis])}: time_s is not a finite number")
-    # A record begins wherever the time begins anew.
+    # A record begins wherever the time jumps back.
     begins = np.append(np.flatnonzero(np.diff(time_s, prepend=math.inf) <= 0), time_s.size)
     lengths = np.diff(begins)
     if np.ptp(lengths):
@@ -295,10 +296,10 @@ def _read_npz(path: Path) -> dict[str, FloatArray]:
             if any(each.ndim > 2 for each in arrays.values()):
                 raise ValueError("an array has more than 2 dimensions")
         return dict(zip(arrays, np.broadcast_arrays(*arrays.values()), strict=True))
-    # numpy and zipfile raise whatever damage makes them meet.
+    # A damaged file makes numpy and zipfile raise almost anything.
     except Exception as error:
         raise ValueError(f"{path}: cannot be read ({error}); it needs arrays named like the columns of a CSV") from None
 
 
 READERS = {".csv": _read_csv, ".npz": _read_npz}
-"""How files are read, by their ending."""
+"""Readers of files, by ending."""

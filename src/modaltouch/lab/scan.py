@@ -1,6 +1,6 @@
-"""A scan: what is to be played and where, taken position by position, each on the disk before the next.
+"""A scan: a burst recorded position by position, each saved to disk before the next.
 
-``scan.json`` says what was played, one ``position_<n>.npz`` holds each position; a scan that was stopped goes on::
+``scan.json`` describes what was played, one ``position_<n>.npz`` holds each position; an interrupted scan is resumed::
 
     plan = ScanPlan(burst, velocity=0.2, positions=np.linspace(-0.05, 0.05, 41), acquisition=Acquisition(...))
     with open_laboratory(apparatus) as laboratory:
@@ -36,7 +36,7 @@ SCHEMA = "modaltouch scan 1"
 DESCRIPTION = "scan.json"
 
 LARGEST_SHIFT = 20e-9
-"""Difference between the samples' instants of two records up to which they count as the same [s]."""
+"""Largest difference between the sampling instants of two records that count as the same [s]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +46,13 @@ class Scan:
     Attributes
     ----------
     facts : dict
-        What ``scan.json`` says: what was played, apparatus, instruments, acquisition, mode.
+        Contents of ``scan.json``: what was played, apparatus, instruments, acquisition, mode.
     positions : (n_positions,) array
-        Where it was recorded, origin at mid-beam [m]; a scan that was stopped has fewer than were planned.
+        Recorded positions, origin at mid-beam [m]; fewer than planned if the scan was interrupted.
     arrays : tuple of dict
-        What was kept at each position; with whole records ``time``, ``velocity`` and ``drive``.
+        Arrays kept at each position; for whole records ``time``, ``velocity`` and ``drive``.
     overloaded : tuple of tuple of str
-        What reached the end of its range, at each position.
+        Inputs that reached the end of their range, at each position.
     """
 
     facts: Mapping[str, Any]
@@ -67,7 +67,7 @@ class Scan:
 
     @property
     def across(self) -> float:
-        """Where the row of positions lies across the beam, from its mid-line [m]."""
+        """Distance of the row of positions from the beam's mid-line [m]."""
         return float(self.facts["settings"].get("across_mm", 0.0)) * 1e-3
 
     @property
@@ -77,12 +77,12 @@ class Scan:
 
     @property
     def time(self) -> FloatArray:
-        """From the trigger, by the scope's clock, (n_samples,) array [s]."""
+        """Time since the trigger by the scope's clock, (n_samples,) array [s]."""
         return np.asarray(self.arrays[0]["time"], dtype=float)
 
     @cached_property
     def velocity(self) -> FloatArray:
-        """Of each position, (n_positions, n_records, n_samples) array [m/s]."""
+        """Velocity at each position, (n_positions, n_records, n_samples) array [m/s]."""
         return self.stacked("velocity")
 
     @cached_property
@@ -91,7 +91,7 @@ class Scan:
         return self.stacked("drive")
 
     def stacked(self, name: str) -> FloatArray:
-        """Return what was kept under a name, position after position."""
+        """Return the arrays kept under a name, stacked over the positions."""
         return np.stack([np.asarray(each[name], dtype=float) for each in self.arrays])
 
     def require_complete(self) -> Scan:
@@ -100,7 +100,7 @@ class Scan:
         Raises
         ------
         RecordInputError
-            If it was stopped half way.
+            If the scan was interrupted.
         """
         planned = len(self.facts["settings"]["positions_mm"])
         if not self.complete:
@@ -111,12 +111,12 @@ class Scan:
         return self
 
     def refuse_overloaded(self) -> Scan:
-        """Return the scan itself if nothing reached the end of its range.
+        """Return the scan itself if no input reached the end of its range.
 
         Raises
         ------
         RecordInputError
-            If something did, with where.
+            If one did; the message says which and where.
         """
         for position, names in zip(self.positions, self.overloaded, strict=True):
             if names:
@@ -127,12 +127,12 @@ class Scan:
         return self
 
     def refuse_other_instants(self) -> Scan:
-        """Return the scan itself if its last position was sampled when the first was, as far as it keeps instants.
+        """Return the scan itself if its last position has the sampling instants of the first, where these are kept.
 
         Raises
         ------
         RecordInputError
-            If it was not: positions are compared sample by sample.
+            If they differ, since positions are compared sample by sample.
         """
         first, last = (np.asarray(each.get("time", 0.0)) for each in (self.arrays[0], self.arrays[-1]))
         if first.shape != last.shape or np.abs(last - first).max() > LARGEST_SHIFT:
@@ -144,12 +144,12 @@ class Scan:
 
 
 def position_file(folder: Path, index: int) -> Path:
-    """Return where a position's arrays lie."""
+    """Return the file of a position's arrays."""
     return folder / f"position_{index:03}.npz"
 
 
 def read_facts(folder: Path) -> dict[str, Any]:
-    """Return what ``scan.json`` says.
+    """Return the contents of ``scan.json``.
 
     Raises
     ------
@@ -187,24 +187,24 @@ def read_position(path: Path, position: float) -> dict[str, NDArray[Any]]:
 
 
 def read_scan(folder: Path) -> Scan:
-    """Return a scan, complete or not, as far as its first positions are recorded.
+    """Return a scan, complete or not, up to the first position that is missing.
 
     Parameters
     ----------
     folder : Path
-        Where it lies.
+        Folder of the scan.
 
     Raises
     ------
     RecordError
-        If it is no scan, or damaged.
+        If the folder holds no scan, or a damaged one.
     """
     facts = read_facts(folder)
     return assemble(facts, _recorded(folder, facts))
 
 
 def assemble(facts: Mapping[str, Any], kept: list[dict[str, NDArray[Any]]]) -> Scan:
-    """Return the scan of what was kept at the first positions."""
+    """Return a scan made of the arrays kept at its first positions."""
     return Scan(
         facts=facts,
         positions=np.array(facts["settings"]["positions_mm"][: len(kept)], dtype=float) * 1e-3,
@@ -214,13 +214,13 @@ def assemble(facts: Mapping[str, Any], kept: list[dict[str, NDArray[Any]]]) -> S
 
 
 Reduction = Callable[[Recording], Mapping[str, NDArray[Any]]]
-"""What is kept of a recording: arrays by name."""
+"""Reduces a recording to the arrays that are kept, by name."""
 
 _REMEDY = "move it away, or give another"
 
 
 def keep_records(recording: Recording) -> dict[str, NDArray[Any]]:
-    """Keep whole records: ``time`` [s], ``velocity`` [m/s] and ``drive`` [V], in single precision but for the time."""
+    """Keep whole records: ``time`` [s], and in single precision ``velocity`` [m/s] and ``drive`` [V]."""
     return {
         "time": recording.time,
         "velocity": recording.velocity.astype(np.float32),
@@ -229,7 +229,7 @@ def keep_records(recording: Recording) -> dict[str, NDArray[Any]]:
 
 
 def _arrays(recording: Recording, reduction: Reduction) -> dict[str, NDArray[Any]]:
-    """Return what is saved of a position."""
+    """Return the arrays that are saved for a position."""
     return {
         "position": np.array(recording.position),
         "sampling_rate": np.array(recording.sampling_rate),
@@ -248,33 +248,34 @@ def take_scan(
     on_progress: Callable[[int, int], None] = quiet,
     check: Callable[[], None] = quiet,
 ) -> Scan:
-    """Return a scan, from the start or from where it was interrupted.
+    """Take a scan, from the start or from where it was interrupted, and return it.
 
     Parameters
     ----------
     laboratory : Laboratory
         Generator and scope, open.
     plan : ScanPlan
-        What is played, where and how it is recorded.
+        What is played, and where and how it is recorded.
     folder : Path, optional
-        Where each position is saved once it is recorded, and where a stopped scan is found; else nothing is written.
+        Folder in which each position is saved at once, and from which an interrupted scan is resumed; without it
+        nothing is written.
     source : Source, optional
         The apparatus file, kept in the description.
     reduction : callable
-        What is kept of each recording; whole records if not given.
+        Reduces each recording to what is kept; whole records if not given.
     on_progress : callable
-        Called with (recorded, planned) positions, first before anything is recorded.
+        Called with (recorded, planned) positions, the first time before anything is recorded.
     check : callable
-        Called between positions; may raise to stop the scan, of which everything recorded is kept.
+        Called between positions; may raise to stop the scan, and the positions recorded so far are kept.
 
     Raises
     ------
     RigError
-        If the rig fails; the outputs are off and what was recorded is kept.
+        If the rig fails; the outputs are off, and the positions recorded so far are kept.
     RecordInputError
-        If a record is clipped, or sampled at other instants than the first; it is not kept.
+        If a record is clipped, or has other sampling instants than the first; it is not kept.
     RecordError
-        If the folder holds a scan of other settings, something else, or cannot be written.
+        If the folder holds a scan with other settings or something else, or cannot be written.
     """
     facts = _describe(laboratory, plan, source, reduction)
     places = np.array(facts["settings"]["positions_mm"]) * 1e-3
@@ -298,7 +299,7 @@ def take_scan(
 
 
 def _way_on(folder: Path | None, n_kept: int, n_planned: int) -> str:
-    """Return what is kept of a scan that is interrupted, and how it goes on."""
+    """Return what is kept of an interrupted scan, and how to continue it."""
     if folder is None:
         return "nothing measured is kept; to keep it, give a folder with --scan"
     return f"{n_kept} of {n_planned} points are kept in {folder}; run the same command again to continue"
@@ -315,7 +316,7 @@ def _describe(laboratory: Laboratory, plan: ScanPlan, source: Source | None, red
     return {
         "schema": SCHEMA,
         "mode": laboratory.mode,
-        # As it is read back from JSON, so that both can be compared.
+        # In the form that is read back from JSON, so that the two can be compared.
         "settings": json.loads(json.dumps(settings)),
         "apparatus": None if source is None else source.as_dict(),
         "begun": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
@@ -325,7 +326,7 @@ def _describe(laboratory: Laboratory, plan: ScanPlan, source: Source | None, red
 
 
 def _begin(folder: Path, facts: dict[str, Any], plan: ScanPlan) -> list[dict[str, NDArray[Any]]]:
-    """Return what is recorded already, or describe a new scan in its folder."""
+    """Return the positions recorded already, or write the description of a new scan into its folder."""
     if (folder / DESCRIPTION).exists():
         found = read_facts(folder)
         _refuse_other(folder, found["settings"], facts["settings"])
@@ -344,7 +345,7 @@ def _begin(folder: Path, facts: dict[str, Any], plan: ScanPlan) -> list[dict[str
 
 
 def _recorded(folder: Path, facts: Mapping[str, Any]) -> list[dict[str, NDArray[Any]]]:
-    """Return what is kept at the first positions of a scan."""
+    """Return the arrays kept at the first positions of a scan."""
     kept = []
     for index, place in enumerate(facts["settings"]["positions_mm"]):
         path = position_file(folder, index)
@@ -355,7 +356,7 @@ def _recorded(folder: Path, facts: Mapping[str, Any]) -> list[dict[str, NDArray[
 
 
 def _refuse_other(folder: Path, found: dict[str, Any], asked: dict[str, Any]) -> None:
-    """Refuse to go on with a scan under other settings, naming what differs."""
+    """Refuse to continue a scan with other settings, naming the differences."""
     before, now = _flat(found), _flat(asked)
     different = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
     if different:
@@ -376,7 +377,7 @@ def _flat(values: Mapping[str, Any], before: str = "") -> dict[str, Any]:
 
 
 def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays as an npz file in one step: whole or not at all."""
+    """Write arrays as an npz file atomically."""
     buffer = io.BytesIO()
     np.savez(buffer, **dict(arrays))  # type: ignore[arg-type]
     replace_file(path, buffer.getvalue(), _REMEDY)

@@ -1,4 +1,4 @@
-"""What a scan plays and where: positions along the beam, in rows over its width."""
+"""What a scan plays and where it records: positions along the beam, in rows across its width."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ class ScanPlan:
     Attributes
     ----------
     burst : Burst
-        What the generator repeats.
+        The burst that the generator repeats.
     velocity : float
         Level at which it is played [m/s].
     positions : sequence of float
-        Where velocity is recorded, in this order, origin at mid-beam [m].
+        Positions at which velocity is recorded, in this order, origin at mid-beam [m].
     acquisition : Acquisition
-        What is asked of the scope at each of them.
+        Settings of the scope at each position.
     about : mapping
-        What else is to be known of the scan, plain values: the name of the stimulus, the actuator set, ...
+        Further facts about the scan, plain values: the name of the stimulus, the actuator set, ...
     across : float
-        Where the row of positions lies across the beam, from its mid-line [m].
+        Distance of the row of positions from the beam's mid-line [m].
     """
 
     burst: Burst
@@ -43,7 +43,7 @@ class ScanPlan:
     across: float = 0.0
 
     def settings(self) -> dict[str, Any]:
-        """Return everything that must stay the same when a scan continues, as plain values."""
+        """Return everything that must stay the same when a scan is resumed, as plain values."""
         return {
             "about": dict(self.about),
             "burst": {
@@ -62,16 +62,16 @@ class ScanPlan:
 
 
 EDGE = 0.5e-3
-"""From the long edges of the beam to the outer rows [m]."""
+"""Distance from the long edges of the beam to the outer rows [m]."""
 
 
 def rows_over(apparatus: Apparatus, n_rows: int) -> tuple[float, ...]:
-    """Return where rows of positions lie across a beam, evenly from edge to edge; one lies on the mid-line [m].
+    """Return the distances of rows of positions from the mid-line, evenly from edge to edge, 0 among them [m].
 
     Raises
     ------
     TooFewPointsError
-        If their number is even, so that none does.
+        If their number is not odd and positive, so that none would lie on the mid-line.
     """
     if n_rows < 1 or n_rows % 2 == 0:
         raise TooFewPointsError(
@@ -82,10 +82,10 @@ def rows_over(apparatus: Apparatus, n_rows: int) -> tuple[float, ...]:
 
 
 def row_name(name: str, across: float) -> str:
-    """Return the name of a row's folder; that of the mid-line is the name that is given."""
+    """Return the name of a row's folder, which for the mid-line is the given name itself."""
     return f"{name}_{across * 1e3:+g}_mm" if across else name
 
 
 def kept_rows(folder: Path, name: str) -> list[str]:
-    """Return what the folders of the rows that were measured have after a name: nothing first, for the mid-line."""
+    """Return the suffixes of a name for the rows kept in a folder; the first is empty, for the mid-line."""
     return ["", *sorted(path.name.removeprefix(name) for path in folder.glob(f"{name}_*_mm"))]

@@ -50,7 +50,7 @@ class IdentifiedMode:
     Attributes
     ----------
     label : int or None
-        As in the paper; None for what is no bending mode, or where no shape was measured.
+        As in the paper; None for torsion and other motions, or where no shape was measured.
     natural_frequency, damping_ratio : Estimate
         Undamped natural frequency [Hz], damping ratio [1].
     gain : tuple of Estimate

@@ -85,7 +85,7 @@ def check_points(places: Sequence[Place], labels: Sequence[int], length: float) 
 
 
 def label_shapes(shapes: FloatArray, places: Sequence[Place], length: float) -> tuple[list[int | None], FloatArray]:
-    """Return the bending mode of a uniform free-free beam that each shape is, and its MAC with that mode.
+    """Return the label of each shape among the modes of a uniform free-free beam, and its MAC with that mode.
 
     Labels increase with frequency, which excludes a torsional mode that looks like a low bending mode on the mid-line;
     a shape that fits no label gets none.
@@ -115,7 +115,7 @@ def label_torsion(
     shapes : (n_modes, n_points) array
         In order of frequency.
     labels : sequence of (int or None)
-        Bending mode of each shape.
+        Label of each shape.
     places : sequence of Place
         Places of the points.
     length : float

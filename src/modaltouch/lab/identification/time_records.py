@@ -43,7 +43,7 @@ MOST_AT_END = 3
 """Number of samples that may share the extreme value of a record that was not saturated."""
 
 CUT = 4
-"""A record is saturated if more than this many times as many samples sit at its extreme as at the next value [1]."""
+"""Samples at a record's extreme, relative to those at the next value, above which the record is saturated [1]."""
 
 STILL_MOVES = "still moves at the end of a record: record until it rests"
 """Ending of the mark about truncated decays."""

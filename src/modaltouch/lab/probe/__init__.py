@@ -1,1 +1,1 @@
-"""Probes fingers on a beam: what is played and recorded, and the file of what was found."""
+"""Probes fingers on a beam: excitation, recordings, and the file of the fingers found."""

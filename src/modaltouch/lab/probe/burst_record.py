@@ -1,4 +1,4 @@
-"""A burst as the vibrometer sees it: its spectrum at a few frequencies, beside that of the voltages that made it."""
+"""A burst as the vibrometer sees it: its spectrum at selected frequencies, and that of the voltages behind it."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from modaltouch.rig import Acquisition, Recording, RigError
 from modaltouch.stimulus import Probe, Stimulus
 
 OVERSAMPLING = 2
-"""Samples of the scope, over those of a probe: images of the generator's lie beyond what the beam follows."""
+"""Scope samples per generator sample of a probe; the images of the generator's samples are beyond the beam's band."""
 
 RINGS, LISTENS = 0.3, 0.9
-"""Parts of the silence after a burst until which the beam may ring on, and until which noise is recorded [1]."""
+"""Fractions of the silence after a burst up to which the beam may ring, and up to which the noise is recorded [1]."""
 
 N_CLOCKS = 1000
-"""Lengths that are tried until both clocks have whole samples."""
+"""Number of record lengths tried for the one closest to whole samples of both clocks."""
 
 
 @dataclass(frozen=True, eq=False)
 class BurstRecord:
-    """The first burst of a trial, to be recorded.
+    """A recording of the first burst of a trial.
 
     Attributes
     ----------
     stimulus : Stimulus
-        Whose burst it is.
+        The stimulus of the burst.
     velocity : float
         Level at which it is played [m/s].
     near : (n_modes,) array
-        Frequencies of the modes, about which it is looked at [Hz].
+        Natural frequencies about which its spectrum is evaluated [Hz].
     """
 
     stimulus: Stimulus
@@ -42,27 +42,27 @@ class BurstRecord:
     near: FloatArray
 
     def acquisition(self, fastest: float) -> Acquisition:
-        """What is asked of the scope; the point is expected to move at up to a speed [m/s]."""
+        """Return the settings of the scope for a highest expected speed [m/s]."""
         rate = OVERSAMPLING * RATE
         n_samples = int(rate * self._until(LISTENS))
         return Acquisition(sampling_rate=rate, n_samples=n_samples, drives=(), velocity_range=HEADROOM * fastest)
 
     def probe(self, recording: Recording, bandwidth: float | None) -> Probe:
-        """What the record says of the beam.
+        """Return the record as a probe of the beam.
 
         Parameters
         ----------
         recording : Recording
-            The burst, from rest, and the silence after it.
+            Record of the burst, starting at rest, and the silence after it.
         bandwidth : float or None
             Corner of the vibrometer's low-pass [Hz].
 
         Raises
         ------
         ValueError
-            If the silence is too short to tell the noise.
+            If the silence is too short to measure the noise.
         RigError
-            If the velocity passed the range.
+            If the velocity exceeded the range.
         """
         from scipy.fft import rfft
 
@@ -94,12 +94,12 @@ class BurstRecord:
         return Probe(recording.position, frequency, drive.T, rfft(seen)[bins] / rate * passed, deviation)
 
     def _until(self, part: float) -> float:
-        """Time from the start of the burst to a part of the silence after it [s]."""
+        """Return the time from the start of the burst to a fraction of the silence after it [s]."""
         timing = self.stimulus.timing
         return timing.duration + part * (1 / timing.repetition_rate - timing.duration)
 
     def _bins(self, span: float) -> NDArray[np.intp]:
-        """Frequencies that are looked at, over one turn in a span of time [s], increasing."""
+        """Return the evaluated frequencies in cycles per span of time [s], increasing."""
         near = np.outer(self.near, np.linspace(0.96, 1.04, 17)).ravel()
         wanted = np.concatenate([np.geomspace(LOWEST, FURTHEST, 5 * N_SPREAD), near[near < FURTHEST]])
         return np.unique(np.round(wanted * span).astype(np.intp))

@@ -1,4 +1,4 @@
-"""``modaltouch fingers probe``: hands off, hands on, and the file of the fingers that lie on the beam."""
+"""``modaltouch fingers probe``: hands off, hands on, and the file of the fingers on the beam."""
 
 from __future__ import annotations
 
@@ -25,28 +25,29 @@ HEAD = """\
 """
 
 Laid = dict[str, tuple[str, Finger]]
-"""Zone and values of fingers, by their names."""
+"""Zone and values of fingers, by name."""
 
 PLACE_ERROR = 2e-3
-"""How far from the centres of their zones fingers lie on the twin, standard deviation [m]."""
+"""Standard deviation of the twin's fingers from their expected positions [m]."""
 
 
 @dataclass(frozen=True)
 class ProbeReport:
-    """What was found at each placement.
+    """The results of every placement.
 
     Attributes
     ----------
     placements : list of dict
-        Plain values of each: its fingers, the misfit, and the level at the focus with its interval.
+        Plain values of each placement: its fingers, the misfit, and the level at the focus with its interval.
     fingers : dict
         Values of each finger, by hand.
     text : str
-        The file of them.
+        Contents of the file of fingers.
     out : Path
-        Where it goes.
+        The file.
     sensitivity_percent : float
-        Half width of the 95 % interval of the vibrometer's sensitivity, common to all levels and in no interval [%].
+        Half-width of the 95 % interval of the vibrometer's sensitivity, common to all levels and not included in their
+        intervals [%].
     """
 
     placements: list[dict[str, Any]]
@@ -91,23 +92,23 @@ def probe_fingers(
     pair : str
         Zones under the fingers, such as ``A-C``; the protocol's first pair if empty.
     hand : str, optional
-        Hand that is used in ``one_hand``, instead of the protocol's.
+        Hand to use in ``one_hand``, instead of the protocol's.
     laser, speed : float
-        Where the vibrometer aims [m], by itself near the end of the beam that is farther from fingers, and the highest
-        speed there and under fingers [m/s].
+        Position of the vibrometer's spot [m], by default near the end of the beam farther from the fingers, and the
+        highest speed there and under the fingers [m/s].
     seed : int, optional
-        Of the simulated rig and its fingers, instead of its own.
+        Seed of the simulated rig and its fingers, instead of its own.
     progress : MeasurementProgress, optional
-        What is called meanwhile.
+        Reports progress and lets the user interrupt.
     lay : callable
-        Called with what hands are to do; returns when they have. The twin's need nobody.
+        Called with an instruction on what to do with the hands; returns when it is done. Not called for the twin.
 
     Raises
     ------
     ValueError
-        If the protocol has faults, the table lacks modes, or a probe is refused.
+        If the protocol has faults, modes are missing in the table, or a probe is refused.
     RecordError
-        If the file is there already, or cannot be written.
+        If the file exists already or cannot be written.
     RigError
         If the rig fails.
     """
@@ -122,7 +123,7 @@ def probe_fingers(
 
 
 class _Plan:
-    """What is probed and where, checked before anything is opened."""
+    """What is probed and where; checked before anything is opened."""
 
     def __init__(self, file: Path, pair: str, hand: Literal["left", "right"] | None, seed: int | None) -> None:
         preflight = examine(file)
@@ -158,13 +159,13 @@ class _Plan:
 
     @property
     def fingers(self) -> list[list[Finger]]:
-        """Those that are expected under each condition."""
+        """Expected fingers of each finger condition."""
         return [[finger for _, finger in expected.values()] for expected in self.conditions.values()]
 
     def carried_out(
         self, prober: Prober, bench: Laboratory, show: Callable[[int, int], None], lay: Callable[[str], None], out: Path
     ) -> ProbeReport:
-        """What was found, and the file of it; of a finger that lay on the beam twice, the first time counts."""
+        """Probe all placements and return the report; for a finger measured more than once, the first counts."""
         self.lay(bench, {}, lay, "Take all hands off the beam")
         prober.hands_off()
         hands: dict[str, dict[str, Any]] = {}

@@ -1,9 +1,8 @@
-"""What a probe plays and records: sines of both outputs at once, each at its own frequencies, and their responses.
+"""What a probe plays and records: sines from all outputs at once, each at its own frequencies, and their responses.
 
-Some frequencies are spread evenly over the logarithm, the others lie about the resonances. The outputs take them in
-turn, so that one record tells both apart, and the noise is what is found between them. Responses are those to what the
-outputs are told, so that the error of a generator's or an amplifier's gain is found as one of the beam's, and a design
-makes up for it.
+Some frequencies are spaced evenly on a logarithmic scale, the others lie about the resonances. The outputs take turns,
+so that one record separates them; the noise is measured at the bins between. Responses are relative to the commanded
+voltages, so an error in the gain of generator or amplifier appears as one of the beam, and a design compensates for it.
 """
 
 from __future__ import annotations
@@ -22,37 +21,37 @@ from modaltouch.rig import Acquisition, Recording, RigError, instrument_of
 from modaltouch.stimulus import Burst, DiagonalSystem, Finger, ModalModel, Probe
 
 N_SAMPLES = 65_536
-"""Samples of a period, held at `RATE`: 0.131 s."""
+"""Samples per period, played at `RATE`: 0.131 s."""
 
 SPACING = RATE / N_SAMPLES
-"""Distance of two bins [Hz]."""
+"""Bin spacing [Hz]."""
 
 LOWEST, HIGHEST, N_SPREAD = 60.0, 100e3, 60
-"""Where the frequencies that are spread evenly begin and end [Hz], and how many they are."""
+"""Lowest and highest of the logarithmically spaced frequencies [Hz], and their number."""
 
 NEAR = (0.96, 0.98, 0.99, 1.0, 1.01, 1.02, 1.04)
-"""Where they lie about a resonance, over its frequency [1]."""
+"""Frequencies about a resonance, relative to its natural frequency [1]."""
 
 FURTHEST = 115e3
 """Highest frequency of all [Hz]."""
 
 N_RECORDS = 2
-"""Periods that are recorded one by one: a finger that moves makes them differ."""
+"""Periods recorded one by one; they differ if a finger moves."""
 
 GAP = 4
-"""Bins between two frequencies: so far the windowed records of an unlike clock keep them apart."""
+"""Bins between two frequencies, enough to separate them in windowed records despite the difference of the clocks."""
 
 EVEN = 0.75
-"""Power of the response by which its drive is lowered: 1 moves the beam alike at all frequencies [1]."""
+"""Exponent of the response by which the drive is divided; with 1 the beam moves alike at all frequencies [1]."""
 
 N_SILENT = 25
-"""Neighbouring bins that nothing plays, of whose powers the median tells the noise [1]."""
+"""Neighbouring silent bins over whose powers the median gives the noise [1]."""
 
 ROOM = 0.8
-"""Part of the amplifier's limit that a probe may use [1]."""
+"""Fraction of the amplifier's limit that a probe may use [1]."""
 
 HEADROOM = 1.5
-"""Range of scope and vibrometer over what is predicted [1]."""
+"""Range of scope and vibrometer over the predicted peak [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +63,11 @@ class Excitation:
     burst : Burst
         One period, as the generator plays it.
     bins : (n_lines,) array of int
-        Frequencies, over that of the period, increasing.
+        Frequencies in units of `SPACING`, increasing.
     channel : (n_lines,) array of int
         Output that plays each, from 0.
     line : (n_lines,) complex array
-        Voltage at the beam at each frequency, half of its amplitude [V].
+        Voltage at the beam at each frequency, as half the complex amplitude [V].
     """
 
     burst: Burst
@@ -85,25 +84,25 @@ class Excitation:
         laser: float,
         speed: float,
     ) -> Excitation:
-        """Sines that move the beam at no more than a speed, with and without fingers.
+        """Return sines that keep the speed of the beam within a limit, with and without fingers.
 
         Parameters
         ----------
         apparatus : Apparatus
             Amplifier and generator.
         model : ModalModel
-            The beam, known roughly.
+            The beam, known approximately.
         placements : sequence of sequences of Finger
-            Those that are expected, of each placement.
+            Expected fingers of each placement.
         laser : float
-            Where the vibrometer aims [m].
+            Position of the vibrometer's spot [m].
         speed : float
-            Highest at the fingers and at the laser [m/s].
+            Highest speed at the fingers and at the spot [m/s].
         """
         bins, channel = _lines(model)
         places = [laser, *dict.fromkeys(finger.position for fingers in placements for finger in fingers)]
         responses = [_responses(model.touched(tuple(fingers)), places, bins) for fingers in ((), *placements)]
-        # Where the beam moves much it is driven less: all frequencies come out of the noise.
+        # The more the beam responds, the less it is driven, so that all frequencies stand out of the noise.
         size = np.abs(responses[0][0][channel, np.arange(bins.size)]) ** -EVEN
         line = size * np.exp(1j * np.pi * np.arange(bins.size) ** 2 / bins.size)
         own = np.where(channel == np.arange(model.n_channels)[:, None], line, 0)
@@ -114,10 +113,10 @@ class Excitation:
                 for place in beam
             ]
         )
-        # Each output moves the beam as much as the other.
+        # Every output moves the beam equally.
         share = 1 / np.abs(moved).max(axis=(0, 2))
         voltage = np.stack([_wave(1.0, row, bins) for row in own]) * share[:, None]
-        # A generator begins and ends at zero: a period begins where that costs the least.
+        # The generator begins and ends at zero, so the period begins where that changes the least.
         quietest = int((np.abs(voltage) + np.abs(np.roll(voltage, 1, axis=1))).max(axis=0).argmin())
         voltage = np.roll(voltage, -quietest, axis=1)
         highest = float(np.abs(np.tensordot(share, moved, (0, 1))).max())
@@ -127,23 +126,23 @@ class Excitation:
         return cls(burst, bins, channel, _commanded(apparatus, burst, bins)[channel, np.arange(bins.size)])
 
     def probe(self, laboratory: Laboratory, laser: float, speed: float, bandwidth: float | None) -> list[Probe]:
-        """Responses of a point of the beam, each period by itself.
+        """Return the responses at a point of the beam, one probe per period.
 
         Parameters
         ----------
         laboratory : Laboratory
             Generator and scope.
         laser : float
-            Where the vibrometer aims [m].
+            Position of the vibrometer's spot [m].
         speed : float
-            Highest that is to be expected there [m/s].
+            Highest expected speed there [m/s].
         bandwidth : float or None
             Corner of the vibrometer's low-pass [Hz].
 
         Raises
         ------
         RigError
-            If the rig fails, or something was overloaded in its widest range.
+            If the rig fails, or an input was overloaded.
         """
         rate = OVERSAMPLING * RATE
         asked = Acquisition(
@@ -175,21 +174,21 @@ class Excitation:
         return Probe(recording.position, frequency, drive, velocity[self.bins] * per_volt, deviation)
 
     def _noise(self, spectrum: ComplexArray) -> FloatArray:
-        """Root mean square of the noise at each frequency, from the bins that nothing plays, (n_lines,) array."""
+        """Return the root mean square of the noise at each frequency, from the silent bins, (n_lines,) array."""
         near = self.bins[:, None] + np.arange(1 - GAP, GAP)
         silent = np.setdiff1d(np.arange(GAP, int(self.bins[-1]) + 2 * N_SILENT), near)
         return noise_level(spectrum, silent, self.bins)
 
 
 def noise_level(spectrum: ComplexArray, silent: NDArray[np.intp], places: FloatArray | NDArray[np.intp]) -> FloatArray:
-    """Root mean square of the noise of a spectrum at places between its bins, from those that hold nothing else."""
+    """Return the root mean square of a spectrum's noise at fractional bins, interpolated from its silent bins."""
     near = silent[: silent.size // N_SILENT * N_SILENT].reshape(-1, N_SILENT)
     power = np.median(np.abs(spectrum[near]) ** 2, axis=1) / np.log(2)
     return np.asarray(np.sqrt(np.interp(places, near.mean(axis=1), power)))
 
 
 def _lines(model: ModalModel) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Bins that are played, increasing, and which output plays each."""
+    """Return the bins that are played, increasing, and the output that plays each."""
     near = np.outer(model.natural_frequency, NEAR).ravel()
     wanted = np.concatenate([np.geomspace(LOWEST, HIGHEST, N_SPREAD), near[(near > LOWEST) & (near < FURTHEST)]])
     n = model.n_channels
@@ -198,7 +197,7 @@ def _lines(model: ModalModel) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def _responses(model: ModalModel, places: Sequence[float], bins: NDArray[np.intp]) -> ComplexArray:
-    """Velocity per volt, (n_places, n_channels, n_lines) array."""
+    """Return the velocity per volt, (n_places, n_channels, n_lines) array [m/s per V]."""
     system, s = DiagonalSystem.of(model), 2j * np.pi * SPACING * bins
     read = model.shapes(places).T @ system.velocity
     parts = [
@@ -212,14 +211,14 @@ def _responses(model: ModalModel, places: Sequence[float], bins: NDArray[np.intp
 
 
 def _wave(response: ComplexArray | float, line: ComplexArray, bins: NDArray[np.intp]) -> FloatArray:
-    """One period of sines behind a response."""
+    """Return one period of sines multiplied by a response."""
     spectrum = np.zeros(N_SAMPLES // 2 + 1, dtype=complex)
     spectrum[bins] = response * line
     return np.asarray(np.fft.irfft(spectrum, N_SAMPLES))
 
 
 def _commanded(apparatus: Apparatus, burst: Burst, bins: NDArray[np.intp]) -> ComplexArray:
-    """Voltage at the beam that the codes ask for, held from sample to sample, (n_channels, n_lines) array [V]."""
+    """Return the voltage that the codes command at the beam, with sample and hold, (n_channels, n_lines) array [V]."""
     to_beam = apparatus.amplifier.gain_V_per_V * apparatus.generator.load_factor
     unit = np.array(burst.amplitude) * to_beam / 2 / burst.converter.mid_code
     spectrum = np.fft.rfft(burst.converter.signed(burst.codes) * unit[:, None])[:, bins] / N_SAMPLES

@@ -1,4 +1,4 @@
-"""Measures the fingers that lie on a beam: with hands off, and under each placement."""
+"""Measures the fingers on a beam: first with hands off, then at each placement."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from modaltouch.preflight import DesignInputs
 from modaltouch.stimulus import Finger, ModalModel, Probe, Stimulus
 
 SPEED = 15e-3
-"""Highest that the beam is moved at under fingers and laser, if nothing else is asked for [m/s]."""
+"""Default of the highest speed of the beam under fingers and the vibrometer's spot [m/s]."""
 
 FROM_END = 1e-3
-"""From the end of the beam to the vibrometer's spot: there every mode moves [m]."""
+"""Distance of the vibrometer's spot from the end of the beam, where every mode moves [m]."""
 
 
 class Prober:
-    """What measures fingers, with one excitation wherever they lie.
+    """Measures fingers, with the same excitation for all placements.
 
     Parameters
     ----------
     laboratory : Laboratory
         Generator and scope.
     placements : sequence of sequences of Finger
-        Those that are expected, of each placement.
+        Expected fingers of each placement.
     laser : float, optional
-        Where the vibrometer aims [m from mid-beam]; near the end that is farther from the first placement if not given.
+        Position of the vibrometer's spot [m from mid-beam]; near the end farther from the first placement if not given.
     speed : float
-        Highest under fingers and laser [m/s].
+        Highest speed under fingers and spot [m/s].
     """
 
     def __init__(
@@ -59,11 +59,11 @@ class Prober:
 
     @property
     def fingers(self) -> tuple[Finger, ...]:
-        """Those on the beam, as they were found."""
+        """The fingers on the beam, as found."""
         return self._beam.model.fingers
 
     def hands_off(self) -> dict[str, Any]:
-        """Measure the beam that nobody touches, and return its misfit and its modes.
+        """Measure the untouched beam, and return the misfit and the modes.
 
         Raises
         ------
@@ -91,18 +91,18 @@ class Prober:
         Parameters
         ----------
         expected : mapping of str to (str, Finger)
-            Zone and rough values of each finger, by its name.
+            Zone and approximate values of each finger, by name.
 
         Returns
         -------
         dict
-            ``fingers``, the keys of each in a file of fingers and its ``zone``, by its name; their ``covariance``, as a
-            file of fingers has it; ``misfit``; and ``modes``, those of the beam.
+            ``fingers``: for each, by name, its ``zone`` and its keys in a file of fingers; ``covariance``: theirs, as
+            in a file of fingers; ``misfit``; and ``modes``: those of the beam.
 
         Raises
         ------
         ValueError
-            If the fingers moved, none is felt, or no impedance describes what is.
+            If the fingers moved, none is detected, or no impedance describes them.
         RigError
             If the rig fails.
         """
@@ -116,14 +116,14 @@ class Prober:
         }
 
     def predict(self, inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
-        """What a stimulus does on the beam and under the fingers as they were found.
+        """Return the predicted effect of a stimulus on the beam with the fingers as found.
 
         Returns
         -------
         dict
-            ``asked_mm_s``, the highest level; ``level_mm_s``, that at the focus at the focusing instant, and
-            ``interval_mm_s``, its 95 % interval; ``below_1_kHz_mm_s``, the peak at the focus of what swings slower than
-            that; ``finger_peak_mm_s`` and ``finger_interval_mm_s``, peak speeds under the fingers, from the left end of
+            ``asked_mm_s``, the highest level; ``level_mm_s``, the velocity at the focus at the focusing instant, and
+            ``interval_mm_s``, its 95 % interval; ``below_1_kHz_mm_s``, the peak at the focus below that frequency;
+            ``finger_peak_mm_s`` and ``finger_interval_mm_s``, the peak speeds under the fingers, from the left end of
             the beam, and their intervals.
         """
         model, figures = self._beam.model, self._figures(inputs, stimulus, self._beam.model)
@@ -142,14 +142,14 @@ class Prober:
         return dict(rounded(values, 6))
 
     def arm(self, inputs: DesignInputs, stimulus: Stimulus, level: float) -> None:
-        """Have the vibrometer record the next burst, after `predict`; nothing is waited for.
+        """Arm the scope to record the next burst, after `predict`; returns at once.
 
         Parameters
         ----------
         inputs, stimulus
-            What is played, and what it was designed from.
+            The stimulus to be played, and the inputs from which it was designed.
         level : float
-            At which it is played [mm/s].
+            Level at which it is played [mm/s].
 
         Raises
         ------
@@ -164,13 +164,13 @@ class Prober:
         self._armed = burst, inputs, level / inputs.reference
 
     def delivered(self) -> dict[str, Any]:
-        """What the burst that the scope was armed for says of the fingers while it was played.
+        """Return the fingers during the burst for which the scope was armed.
 
         Returns
         -------
         dict
-            ``fingers``, ``misfit`` and ``modes`` as of `hands_on`; ``half_width_mm_s``, half the 95 % interval of the
-            peak speed under the finger on each zone.
+            ``fingers``, ``misfit`` and ``modes`` as from `hands_on`; ``half_width_mm_s``, the half-width of the 95 %
+            interval of the peak speed under the finger on each zone.
 
         Raises
         ------
@@ -190,9 +190,9 @@ class Prober:
     def _figures(
         self, inputs: DesignInputs, stimulus: Stimulus, near: ModalModel
     ) -> Callable[[ModalModel], FloatArray]:
-        """What returns the level at the focus and the peak speeds under the fingers of beams near one [mm/s]."""
+        """Return a function from a model near a given one to its level at the focus and finger peak speeds [mm/s]."""
         unit, played = stimulus.volts_per_code(inputs.reference * 1e-3), replace(stimulus.touched(()), model=near)
-        # A peak is flat: how it changes shows at its instant.
+        # A peak is flat in time, so its change is that of the velocity at its instant.
         peaks = played.peak_instants([finger.position for finger in near.fingers], unit)
         instants = [stimulus.timing.focusing_instant, *peaks.tolist()]
 
@@ -203,7 +203,7 @@ class Prober:
         return figures
 
     def _found(self, model: ModalModel, misfit: float) -> dict[str, Any]:
-        """Misfit; fingers as found, with their zones, by their names; modes of the beam."""
+        """Return the misfit, the fingers with their zones by name, and the modes of the beam."""
         zones, fingers = self._laboratory.apparatus.zones, {}
         for (name, zone), finger in zip(self._laid.items(), model.fingers, strict=True):
             fingers[name] = {"zone": zone, **_section(finger, zones[zone].centre_mm)}
@@ -213,7 +213,7 @@ class Prober:
         return Probe.averaged(self._excitation.probe(self._laboratory, self.laser, self.speed, self._bandwidth))
 
     def _modes(self, model: ModalModel) -> list[dict[str, Any]]:
-        """Values of each mode as found, by the keys of an apparatus file, to seven digits."""
+        """Return the values of each mode by the keys of an apparatus file, to seven digits."""
         sets = self._laboratory.apparatus.actuator_sets
         return [
             {
@@ -230,7 +230,7 @@ class Prober:
 
 
 def _section(finger: Finger, centre_mm: float) -> dict[str, Any]:
-    """Keys of a finger on a zone with its centre at a place of the beam, to five digits."""
+    """Return the values of a finger by the keys of a file of fingers, to five digits; the offset is from its zone."""
     values = {
         "mass_g": finger.mass * 1e3,
         "damping_N_s_per_m": finger.damping,
