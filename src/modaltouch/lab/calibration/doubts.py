@@ -30,7 +30,7 @@ COMMON_FACTORS = (0.85, 1.15)
 """Range of a common factor between measured and predicted speeds that an amplifier's tolerance may explain [1]."""
 
 ALIKE = 0.2
-"""Median relative deviation of the gains from a common factor below which the vibrometer is the cause of it [1]."""
+"""Median relative deviation of the gains from a common factor below which that is attributed to the vibrometer [1]."""
 
 NOTHING = 0.02
 """Measured over commanded drive below which there is no drive [1]."""
@@ -360,7 +360,7 @@ def _changed_frequencies(outcome: CalibrationResult) -> str:
     proportional to the voltage squared; the larger of these two is the cause.
     """
     turns, state = (*outcome.turns, outcome.halfway), outcome.turns[-1].state
-    # Of the modes that show it, take that whose pole moved least against its decay rate: the first order fits it best.
+    # Of the modes that show it, the one whose pole moved least against its decay rate: the first order fits it best.
     strain = state.slip / np.hypot(state.velocity, state.displacement)
     mode = int(np.argmin(np.where(state.shown_slip > 0, strain, np.inf)))
     taken = np.array([turn.n_taken for turn in turns], dtype=float)

@@ -66,7 +66,7 @@ class IdentifiedMode:
     coherence : float
         Median over the points at the peak, for the excitation that drives the mode most [1]; NaN if unknown.
     rest : Rest
-        What the fit leaves about the mode.
+        Residual of the fit about the mode.
     residue : (n,) complex array
         Complex residues at the points for the excitation that drives the mode most, or of all responses where the
         points are unknown [m/s^2 per V].

@@ -135,7 +135,7 @@ class Campaign:
     voltage : float
         Peak of the excitation at the beam [V].
     highest : float
-        Highest frequency [Hz].
+        Upper end of the excitation's band [Hz].
     sets : tuple of str
         Actuator sets, one after the other.
     excitation : str

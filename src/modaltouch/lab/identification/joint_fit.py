@@ -1,4 +1,4 @@
-"""The joint fit of all responses: natural frequencies, damping ratios, gains and shapes, each with its interval."""
+"""The joint fit of all responses: the search for poles and delay, and intervals over repeated measurements."""
 
 from __future__ import annotations
 
@@ -217,7 +217,7 @@ def identify(
     clock_tolerance : float
         Relative error of the scope's clock, as the half-width of a 95 % interval [1].
     phase_at : float, optional
-        Frequency at which the delay is converted to one phase for all frequencies [Hz]: for a narrow band.
+        Frequency that turns the delay into a phase equal at all frequencies [Hz], for a narrow band.
 
     Raises
     ------

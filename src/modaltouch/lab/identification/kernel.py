@@ -109,7 +109,7 @@ class LeastSquaresProblem:
     bandwidth : float or None
         Corner of the known low-pass [Hz].
     phase_at : float or None
-        Frequency at which the delay is converted to one phase for all frequencies [Hz]; None for a true delay.
+        Frequency that turns the delay into a phase equal at all frequencies [Hz]; None for a true delay.
     """
 
     bins: Bins

@@ -181,7 +181,8 @@ def identified_apparatus(
 ) -> tuple[str, str]:
     """Return name and text of the apparatus file with the identified modes in its table.
 
-    The rest of the file is kept, except that modes now in the table are removed from the twin's unlisted ones.
+    The apparatus gets a new name and a section ``identified``, and modes now in the table are removed from the twin's
+    unlisted ones; the rest is kept.
 
     Parameters
     ----------

@@ -20,8 +20,7 @@ QUANTITIES: tuple[Quantity, ...] = ("velocity", "displacement", "acceleration")
 
 Estimator = Literal["H1", "H2", "Hv"]
 ESTIMATORS: dict[Estimator, float] = {"H1": 0.0, "Hv": 0.5, "H2": 1.0}
-"""Power p of the coherence in each estimator H1/coherence^p: noise only in the motion, equal in both, only in the
-drive."""
+"""Exponent p of each estimator H1 / coherence^p: 0 if only the motion is noisy, 1 if only the drive, 1/2 if both."""
 
 
 NO_COHERENCE = (
@@ -37,7 +36,7 @@ class Place(NamedTuple):
     across: float = 0.0
 
     def __str__(self) -> str:
-        """Return it in millimetres, as messages name it."""
+        """Return the place in millimetres, for messages."""
         return f"{self.along * 1e3:.6g} mm" + (f", {self.across * 1e3:.6g} mm across" if self.across else "")
 
 

@@ -381,6 +381,6 @@ def _fit(measured: FloatArray, first: int, mode: int, shear: float, square: Floa
 
 
 def _worth(tried: FreeFree) -> tuple[bool, int, float]:
-    """Rank a fit: recognised, then many modes, then a small deviation; shear and inertia only where they are needed."""
+    """Rank a fit: recognised, then many modes, then a small deviation; shear and inertia only if they are needed."""
     n_found = sum(mode is not None for mode in tried.mode)
     return tried.recognised, n_found, -tried.deviation - (WITHIN / 2 if tried.shear > 0 else 0.0)

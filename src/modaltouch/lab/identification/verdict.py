@@ -19,7 +19,7 @@ MOST_LEFT = 0.1
 """Amplitude of the residual about a mode, relative to that of the responses, above which the mode is refused [1]."""
 
 AS_HIGH = 0.1
-"""Height of a peak, relative to the median peak, above which it is not mere torsion or noise [1]."""
+"""Height of a peak, relative to the median peak, above which it is more than weak torsion or noise [1]."""
 
 FEWEST_GAINS = 3
 """Least number of listed gains, or natural frequencies, for a common factor to be recognised."""
