@@ -4,7 +4,7 @@
 
     plan = ScanPlan(burst, velocity=0.2, positions=np.linspace(-0.05, 0.05, 41), acquisition=Acquisition(...))
     with open_laboratory(apparatus) as laboratory:
-        scan = take_scan(laboratory, plan, folder, source=load_source(path))
+        scan = take_scan(laboratory, plan, folder, source=Source.find("apparatus", path))
 
 Without a folder nothing is written.
 """

@@ -168,7 +168,7 @@ class Contest:
     known : TrainingData
         The data that each was given.
     delay : float
-        Of the recordings, identified and taken out of what rivals are given [s].
+        Identified delay of the recordings, removed from the responses given to the rivals [s].
     identification : tuple of str
         How well the modes were identified, a sentence each.
     designed : tuple of MethodDrive
@@ -216,7 +216,7 @@ def contest(
     RigError
         If the twin's generator does not confirm a drive.
     ValueError
-        If a mode of the table was not found or is not fitted well: its parameters would be those of the true beam.
+        If a mode of the table was not found or is not fitted well; the table's values would be those of the true beam.
     """
     apparatus, stimulus = preflight.experiment.apparatus, preflight.stimulus
     progress.show("modes identified", 0, 1)
@@ -320,7 +320,7 @@ def learn(
 
 
 def identified_model(found: Identification, apparatus: Apparatus) -> ModalModel:
-    """Return the modes of the table, all of which must have been found, with the values that were identified."""
+    """Return the modes of the table, all of which must have been found, with the identified values."""
     table = apparatus.modal_model()
     frequency, ratio = np.empty(len(table.label)), np.empty(len(table.label))
     gain = table.modal_gain.copy()
