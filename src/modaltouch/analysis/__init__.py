@@ -1,9 +1,9 @@
-"""Answers of sessions or of a CSV go in; counts, exact statistics, figures and a report come out.
+"""Analysis of the answers of sessions or of a CSV file: counts, exact statistics, figures and a report.
 
-`read_responses` gives the answers as one tidy table, `Responses.count` their counts. `analyse` writes everything to a
-folder, for adaptive sessions the thresholds of their runs; `analyse_responses` writes nothing. The tests are exact, or
-Monte Carlo with a stated seed; planning calls those of `STATISTICS` on batches of simulated experiments.
-Needs neither instrument nor screen.
+`read_responses` returns the answers as one tidy table, `Responses.count` their counts. `analyse` writes everything to a
+folder, including the thresholds of adaptive runs; `analyse_responses` writes nothing. The tests are exact, or Monte
+Carlo with a stated seed; planning runs those in `STATISTICS` on batches of simulated experiments. Neither instrument
+nor screen is needed.
 """
 
 from __future__ import annotations

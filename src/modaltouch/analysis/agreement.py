@@ -1,7 +1,6 @@
 """How far participants agree with each other: Gwet's AC1, and the share of participants who show an effect.
 
-Kappa is left out on purpose: at 95 % agreement in one category it is negative, and with full agreement
-undefined.
+Kappa is deliberately not used: it is negative at 95 % agreement in one category, and undefined at full agreement.
 
 References
 ----------
@@ -25,15 +24,15 @@ FloatArray = NDArray[np.float64]
 _SEED, _DRAWS, _TAIL = 20080501, 1999, (1 - CONFIDENCE) / 2
 
 _LEVEL = 0.05
-"""Level of the tests within participants [1]."""
+"""Significance level of the tests within participants [1]."""
 
 
 def ac1_interval(answers: ArrayLike) -> Interval:
-    """Return AC1 between participants, with an interval over them; from -1 to 1 with fewer than three.
+    """Return AC1 between participants with its interval, which is -1 to 1 for fewer than three participants.
 
-    As for a bounded mean, one more participant joins: for the lower bound one who gives the answer that is rarest with
-    each item, for the upper bound the most frequent; those that tie share in one. The bounds are quantiles over random
-    weights of all participants, the same whatever their order. Coverage is shown by simulation alone.
+    As for a `BoundedMean`, one participant is added: for the lower bound, one who gives the rarest answer to each item,
+    for the upper bound the most frequent; tied answers share one. The bounds are quantiles over random weights of all
+    participants and do not depend on their order. The coverage is known from simulation only.
 
     Parameters
     ----------
@@ -63,9 +62,9 @@ def ac1_interval(answers: ArrayLike) -> Interval:
 
 
 def agreement_between(answers: ArrayLike, weights: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Return the agreement of two different participants, and AC1, by each of some weightings of participants [1].
+    """Return the agreement between two different participants [1], and AC1 [1], for each weighting of participants.
 
-    Of several answers to an item each counts as a part of one.
+    Several answers of a participant to one item count as fractions of one answer.
 
     Parameters
     ----------
@@ -77,7 +76,7 @@ def agreement_between(answers: ArrayLike, weights: ArrayLike) -> tuple[FloatArra
     Returns
     -------
     agreement, ac1 : (..., n_weightings) array
-        Not a number where no two participants answered one item.
+        NaN if no item was answered by two participants.
     """
     table, weight = np.asarray(answers, dtype=float), np.asarray(weights, dtype=float)
     n_given = table.sum(axis=-1, keepdims=True)
@@ -96,7 +95,7 @@ def agreement_between(answers: ArrayLike, weights: ArrayLike) -> tuple[FloatArra
 
 
 def prevalence(n_positive: int, n_participants: int) -> float:
-    """Return the likeliest share of the population that would show an effect within its own data.
+    """Return the most likely share of the population whose own data would show an effect.
 
     Parameters
     ----------

@@ -15,30 +15,29 @@ from modaltouch.analysis.scale import VELOCITY, scale_of
 from modaltouch.protocol import Problem
 
 _MOST_MISSING = 0.25
-"""A participant who lacks so many of the design's answers did another design, or gave up [1]."""
+"""Share of missing answers from which a participant must have done another design, or given up [1]."""
 
 
 _FEWEST_TIMES = 4
-"""Different reaction times that are no coincidence when all of them come again."""
+"""Fewest different reaction times whose repetition, all of them, is no coincidence."""
 
 
 def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True) -> tuple[list[Problem], int]:
     """Return duplicate rows, missing cells and surplus answers, and how many answers most cells have.
 
-    Single answers may be missing; a cell that nobody answered may not, nor a quarter of those of a participant.
+    Single answers may be missing, but not a cell for all participants, nor a quarter of one participant's answers.
 
-    The design is every finger condition with every zone pair at every level that occurs. Rows of the same
-    participant and cell are repetitions where a column ``repetition`` tells them apart, or where all cells have
-    the same number of them.
+    The design crosses every finger condition with every zone pair and every level that occurs. Several rows of one
+    participant and cell are repetitions if a column ``repetition`` numbers them, or if all cells have equally many.
 
     Parameters
     ----------
     table : Table
-        The file, for the places of the faults.
+        The file, for the positions of the faults.
     frame : DataFrame
         Its rows, indexed by their lines.
     is_crossed : bool
-        Whether the design is that; else every trial has a row, and only doubled ones are told.
+        Whether the design is crossed like this; if not, every trial has a row, and only duplicate rows are reported.
     """
     if frame["n"].sum() == 0:
         return [Problem(table.file, 1, 1, "", "no answers", "at least one answer that is not practice", "")], 0
@@ -83,14 +82,14 @@ def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True)
 
 
 def say_doubled(table: Table) -> list[str]:
-    """Return a note where every row of a table stands there several times, which repetitions alone seldom do."""
+    """Return a note if every row of a table occurs several times, which repetitions alone seldom cause."""
     times = math.gcd(*pd.util.hash_pandas_object(table.fields, index=False).value_counts().tolist())
     said = f"every row occurs {times} times, taken as repetitions: if the table was pasted together, remove the copies"
     return [said] if times > 1 else []
 
 
 def check_unit(table: Table, frame: pd.DataFrame, design: Mapping[str, Any]) -> list[Problem]:
-    """Return levels that are all below 1 mm/s, as those in m/s are, unless the protocol has such levels."""
+    """Return a problem if all levels are below 1 mm/s, as if given in m/s, unless the protocol has such levels."""
     planned = (design.get("conditions") or {}).get("peak_velocities_mm_s") or (1.0,)
     highest = frame[VELOCITY.column].max() if VELOCITY.column in frame else math.inf
     if not highest < 1 <= max(planned):
@@ -101,7 +100,7 @@ def check_unit(table: Table, frame: pd.DataFrame, design: Mapping[str, Any]) -> 
 
 
 def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:
-    """Return rows that say the same thing twice: one repetition, or one count, given again."""
+    """Return duplicate rows: one repetition, or one count, given twice."""
     told = [name for name, column in (("repetition", "repetition"), ("response", "n")) if column in table.fields]
     keys = [*keys_of(frame.columns), *told, *({"session"} & set(frame.columns) if told else ())]
     again = frame[frame.duplicated(keys, keep=False)] if told else frame[:0]
@@ -117,7 +116,7 @@ def _doubled(table: Table, frame: pd.DataFrame) -> list[Problem]:
 
 
 def _copied(table: Table, frame: pd.DataFrame) -> list[Problem]:
-    """Return participants whose every trial is there twice, or has another's answer, in the very same time."""
+    """Return participants all of whose trials occur twice, or equal another's in answer and reaction time."""
     timed = frame.dropna(subset=["response_time"]) if "response_time" in frame else frame[:0]
     seen: dict[tuple[Any, ...], Any] = {}
     problems = []
@@ -126,7 +125,7 @@ def _copied(table: Table, frame: pd.DataFrame) -> list[Problem]:
         if rows["response_time"].nunique() < _FEWEST_TIMES:
             continue
         other = seen.setdefault(tuple(sorted(map(str, rows.itertuples(index=False)))), participant)
-        # Coarse times repeat by chance, but not each as often as a table that stands there several times.
+        # Coarse times coincide by chance, but not every row equally often, as in a table that was pasted several times.
         twice = math.gcd(*rows.value_counts().tolist()) > 1
         if twice or other != participant:
             given = (

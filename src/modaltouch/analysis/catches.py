@@ -1,6 +1,6 @@
 """Catch trials, in which nothing was driven, and the answer none: false alarms and misses.
 
-A false alarm is a catch trial in which something was felt; a miss is a trial with a stimulus in which nothing was.
+A false alarm is a catch trial in which something was felt; a miss is a trial with a stimulus in which nothing was felt.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.responses import Responses
 
 _ABSENT = "none"
-"""Stands for the answer that nothing was felt where none says it."""
+"""Stands for the answer that nothing was felt if no answer says so."""
 
 
 @dataclass(frozen=True)
 class CatchRow:
-    """What one participant answered where nothing was driven, and how often none where something was.
+    """One participant's answers to catch trials, and misses in trials with a stimulus.
 
     Attributes
     ----------
     participant : str
-        Who; ``all`` for the sum.
+        Name; ``all`` for the sum.
     n_catch : int
         Catch trials.
     answers : dict of str to int
         Answers to them, by word.
     n_driven, n_missed : int
-        Answers to trials with a stimulus, and those of them that nothing was felt.
+        Answers to trials with a stimulus, and how many of them were that nothing was felt.
     nothing : str
-        Name of that answer.
+        Name of the answer that nothing was felt.
     """
 
     participant: str
@@ -51,7 +51,7 @@ class CatchRow:
 
     @property
     def false_alarms(self) -> str:
-        """Number and share of the false alarms, in words."""
+        """Number of false alarms out of all catch trials, in words."""
         return f"{self.n_false_alarms} of {self.n_catch}" if self.n_catch else "–"
 
     def as_dict(self) -> dict[str, Any]:
@@ -62,7 +62,7 @@ class CatchRow:
 
 
 def catch_rows(responses: Responses) -> tuple[CatchRow, ...]:
-    """Return a row for each participant and one for all; empty where there is neither catch trial nor answer none."""
+    """Return a row for each participant and one for all; empty if there are neither catch trials nor an answer none."""
     nothing = responses.answers.naming()
     if not responses.catches and nothing is None:
         return ()
@@ -79,7 +79,7 @@ def catch_rows(responses: Responses) -> tuple[CatchRow, ...]:
 
 
 def catch_findings(responses: Responses) -> Iterator[Finding]:
-    """Yield the rates of false alarms and misses; estimates over participants, no p."""
+    """Yield the rates of false alarms and misses: estimates over participants, without p."""
     if responses.answers.naming() is None:
         return
     *own, total = catch_rows(responses)

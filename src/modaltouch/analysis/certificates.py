@@ -1,4 +1,4 @@
-"""How often tests and intervals err in simulated populations, as ``make certify`` counted it, and why so often."""
+"""Error rates of tests and intervals in simulated populations, counted by ``make certify``, and why some exceed 5 %."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ _OF_NAMES = {
     "threshold over": ("mean threshold",),
     "PSE over": ("mean PSE",), "JND over": ("mean JND",), "exponent of": ("mean exponent",),
 }  # fmt: skip
-"""Certificates of what stands in no family of `STATISTICS`, by a part of its name; the first that fits counts.
+"""Certificates of findings outside the families of `STATISTICS`, by a part of their name; the first match counts.
 
-Nothing is told where nothing was counted, such as of sign flips of criteria or of ratings.
+Empty where no errors were counted, as for sign flips of criteria or of ratings.
 """
 
 
 @lru_cache(maxsize=1)
 def certificates() -> dict[str, tuple[float, float, str]]:
-    """Return the mean and worst error rate of each, and why one is certainly above 5 %, if it is."""
+    """Return the mean and the worst error rate by name, and the reason if one is certainly above 5 %."""
     held: dict[str, Any] = json.loads(files(__package__).joinpath("certificates.json").read_text(encoding="utf-8"))
     return {name: (mean, worst, why) for name, (mean, worst, why) in held.items()}
 
 
 def why_not_95(name: str) -> str:
-    """Return why an interval is none of 95 %, as what was counted of it shows; empty where nothing shows that."""
+    """Return why an interval is not a 95 % interval, as its counted errors show; empty if they do not show that."""
     return certificates().get(name, (0.0, 0.0, ""))[2]
 
 
 def certificates_of(finding: Finding) -> tuple[str, ...]:
-    """Return the names of the certificates of a test and its interval; none of what is not certified."""
+    """Return the names of the certificates of a test and its interval; empty if there are none."""
     known = (names for part, names in _OF_NAMES.items() if part in finding.name)
     return (finding.family,) if finding.family in STATISTICS else next(known, ())
 
 
 def say_certificates(names: Iterable[str]) -> str:
-    """Return rates of errors in words, of what was counted."""
+    """Return the error rates that were counted, in words."""
     known = ((name, *certificates()[name]) for name in names if name in certificates())
     return "; ".join(
         f"{name} {100 * mean:.3g} %, at worst {100 * worst:.3g} %{f', so not a 95 % interval: {why}' if why else ''}"

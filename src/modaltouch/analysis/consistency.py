@@ -27,7 +27,7 @@ PAIRED = "paired difference in a cell, interval of a bounded mean over participa
 
 
 def consistency_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield question e, agreement between participants and how many of them show the effect by themselves."""
+    """Yield question e: agreement between participants, and how many of them show the effect by themselves."""
     n = answers.n_participants
     for f, q, scope in answers.pair_cells:
         pair, own = answers.pairs[q], answers.counts[:, f, q]
@@ -42,7 +42,7 @@ def consistency_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def effect_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield question f, every proportion over levels, and every paired difference cell by cell."""
+    """Yield question f: every share over levels, and every paired difference, cell by cell."""
     for f, q, scope in answers.pair_cells:
         labelled = answers.labelled(answers.pairs[q])
         own = answers.counts[:, f, q]
@@ -59,7 +59,7 @@ def effect_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def _say_missing(shares: Shares) -> list[str]:
-    """Return, of each share, what missing answers could change at worst; nothing without any."""
+    """Return for each share how far missing answers could change it at worst; empty if none are missing."""
     n_missing = shares.asked * shares.given[0].size - int(shares.answered[0].sum())
     if not n_missing:
         return []
@@ -94,14 +94,14 @@ def _paired_cells(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def shows_dominance(first: IntArray, second: IntArray) -> NDArray[np.bool_]:
-    """Return whose answers lean to the first zone significantly, by a sign test of each participant's answers."""
+    """Return which participants name the first zone significantly more often, by a sign test of their own answers."""
     pairs, which = np.unique(np.stack([first, second], axis=-1).reshape(-1, 2), axis=0, return_inverse=True)
     own = [a > b and bool(sign_flip_test([1] * a + [-1] * b).p <= ALPHA) for a, b in pairs.tolist()]
     return np.array(own)[which].reshape(first.shape)
 
 
 def _prevalence(answers: AnswerCounts, first: IntArray, second: IntArray, scope: str, zone: str) -> Finding:
-    """Return the share of participants whose own answers show dominance, and that of the population."""
+    """Return the share of participants whose own answers show dominance, and its prevalence in the population."""
     n, quantity = answers.n_participants, f"share showing {zone}"
     least = 2.0 ** (1 - answers.n_answers)
     if least > ALPHA:

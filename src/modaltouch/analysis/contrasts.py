@@ -1,4 +1,4 @@
-"""Shares of answers against each other: whether anybody differs, whether people differ on average, or are alike."""
+"""Tests between shares of answers: whether any participant's differ, whether they differ on average, or are alike."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class FamilyResult:
-    """What a family of tests, corrected together by Holm's method, finds in an experiment or a batch of them.
+    """Results of a family of tests, corrected together by Holm's method, for an experiment or a batch of them.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class FamilyResult:
     n : array of int, optional
         Participants that each test rests on, of the same shape; by default all.
     notes : callable
-        The notes of a test of a single experiment, by its place.
+        The notes on a test of a single experiment, from the test's index.
     """
 
     scopes: Sequence[str]
@@ -47,22 +47,22 @@ class FamilyResult:
 
 @dataclass(frozen=True, eq=False)
 class MeanScores:
-    """A bounded score of each participant in some tests, whose mean is asked for.
+    """A bounded score of each participant in each of some tests, to be averaged over participants.
 
     Attributes
     ----------
     scopes, quantities : sequence of str
         As in `FamilyResult`.
     scores : (..., n_tests, n_participants) array
-        Scores from -scale to scale; not a number for those without one.
+        Scores from -scale to scale; NaN for participants without one.
     scale : float
         Largest score.
     shares : Shares
         The answers that the scores rest on.
     lowest, highest : array
-        The scores if all missing answers had fallen one way, and the other.
+        The scores if all missing answers had gone one way, and the other.
     notes : callable
-        The notes of a test of a single experiment, by its place.
+        As in `FamilyResult`.
     """
 
     scopes: Sequence[str]
@@ -76,11 +76,11 @@ class MeanScores:
 
     @property
     def mean(self) -> BoundedMean:
-        """Their mean."""
+        """Mean of the scores over participants."""
         return BoundedMean(self.scores, -self.scale, self.scale)
 
     def say(self, place: int) -> list[str]:
-        """Return the notes of a test, with how many answers are missing and what they could change at worst."""
+        """Return the notes on a test, with the number of missing answers and what they could change at worst."""
         answered = self.shares.answered[place]
         n_asked = answered.size * self.shares.asked
         n_missing = n_asked - int(answered.sum())
@@ -88,7 +88,7 @@ class MeanScores:
             return [*self.notes(place)]
         means = [BoundedMean(each[place], -self.scale, self.scale) for each in (self.lowest, self.highest)]
         low, high = (mean.interval() for mean in means)
-        # Fallen one way and the other, they may leave a mean of zero in between.
+        # If the two extremes have means of opposite sign, some missing answers would give a mean of zero.
         p = 1.0 if low.estimate <= 0 <= high.estimate else max(float(mean.test().p) for mean in means)
         return [
             *self.notes(place),
@@ -99,7 +99,7 @@ class MeanScores:
 
 @dataclass(frozen=True, eq=False)
 class Contrast:
-    """One share against another, participant by participant, in some tests.
+    """Two shares of each participant, to be tested against each other, in each of some tests.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class Contrast:
 
     @property
     def scores(self) -> MeanScores:
-        """Difference of the two shares, mean over the levels with answers to both [1]."""
+        """Difference of the two shares, averaged over the levels with answers to both [1]."""
         first, second = self.first, self.second
         return MeanScores(
             self.scopes,
@@ -132,7 +132,7 @@ class Contrast:
 
 
 def signs_of(contrast: Contrast | None) -> FamilyResult | None:
-    """Return exact tests that no participant's answers differ: their two shares could be exchanged.
+    """Return exact tests of the null hypothesis that each participant's two shares are exchangeable.
 
     Repetitions have no natural partner, so every pairing of answers to the same level counts.
     """
@@ -147,7 +147,7 @@ def signs_of(contrast: Contrast | None) -> FamilyResult | None:
 
 
 def means_of(scores: MeanScores | None) -> FamilyResult | None:
-    """Return tests that participants do not differ on average, with the intervals that invert them."""
+    """Return tests of the null hypothesis of no difference on average, with the intervals that invert them."""
     if scores is None:
         return None
     mean = scores.mean
@@ -155,7 +155,7 @@ def means_of(scores: MeanScores | None) -> FamilyResult | None:
 
 
 def equivalence_of(scores: MeanScores | None, margin: float | None) -> FamilyResult | None:
-    """Return tests that participants differ by less than a margin on average; None without one."""
+    """Return equivalence tests: participants differ by less than a margin on average; None without a margin."""
     if scores is None or margin is None:
         return None
     mean = scores.mean

@@ -1,8 +1,8 @@
 """Tail probabilities of sums of independent integers, by convolution.
 
-Small problems add shifted copies, where every term is positive and relative accuracy holds to the last digit.
-Large ones multiply transforms; there the distribution is first tilted so that its centre lies at the tail asked
-for, which keeps the *relative* error of even the smallest p near 1e-10 (transforms alone lose all below 1e-16).
+Small problems are solved by adding shifted copies: all terms are positive, so relative accuracy holds to the last
+digit. Large ones are solved by multiplying transforms, after the distribution has been tilted so that its centre lies
+at the tail; this keeps the *relative* error of even the smallest p near 1e-10 (transforms alone lose all below 1e-16).
 
 References
 ----------
@@ -22,10 +22,10 @@ IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
 DIRECT_COST = 100_000_000
-"""Up to how many additions shifted copies are added; about 0.15 s."""
+"""Most additions for which shifted copies are added; about 0.15 s."""
 
 _STEEPEST = 50.0
-"""Tilt under which a sum of whole numbers keeps to its end [1]."""
+"""Tilt at which a sum of integers stays at the end of its range [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Kernel:
     Attributes
     ----------
     distribution : (steps, weights)
-        Values the score takes, increasing, and their probabilities [1].
+        Values of the score, increasing, and their probabilities [1].
     count : int
         Number of participants.
     """
@@ -97,7 +97,7 @@ def _tilted_tail(kernels: Sequence[Kernel], bound: int, side: int) -> float:
     tilt = _tilt_towards(parts, target)
     mean, deviation = _moments(parts, tilt)
     span = max(int(steps.max() - steps.min()) for steps, _, _ in parts)
-    # Under the tilt next to nothing lies this far from the mean, so a window may stand for the whole range.
+    # Under the tilt almost no probability lies this far from the mean, so a window can replace the whole range.
     margin = 14 * deviation + 40 * span
     last = min(top, math.ceil(mean + margin))
     size = 1 << max(last - min(target, math.floor(mean - margin)), span + 1).bit_length()

@@ -24,18 +24,18 @@ PAPER_CONDITIONS = ("one_hand", "two_hands")
 
 @dataclass(frozen=True)
 class Pair:
-    """The zones under one to three fingers, mostly two.
+    """The zones under one to three fingers, usually two.
 
     Attributes
     ----------
     left, right : str
         Zones under the left and the right finger; the right one is empty for one finger.
     dominant : str
-        Zone whose choice counts as the effect: the focus where it is touched, else the left one.
+        Zone whose choice counts as the effect: the focus if it is touched, else the left one.
     focused : bool
-        Whether the focus is one of them.
+        Whether the focus is one of the zones.
     between : str
-        Zone under the finger between these two; empty for fewer than three.
+        Zone under the finger between these two; empty for fewer than three fingers.
     """
 
     left: str
@@ -101,23 +101,23 @@ class AnswerCounts:
     pairs : tuple of Pair
         Zone pairs along the third axis.
     levels : tuple of float
-        Levels along the fourth axis, on `scale`: peak velocities [mm/s] or multiples of the own threshold.
+        Levels along the fourth axis, on `scale`: peak velocities [mm/s] or multiples of each participant's threshold.
     counts : (..., n_participants, n_finger_conditions, n_pairs, n_levels, n_answers) array of int
-        Counts of the `answers`; of a batch of experiments, along axes before these.
+        Counts of the `answers`; the axes of a batch of experiments come before these.
     n_repetitions : int
-        Answers that each participant was asked for in each cell; what `counts` lacks is missing.
+        Answers asked of each participant in each cell; if `counts` has fewer, the rest are missing.
     focus : str
         Zone of the focus; empty if unknown.
     scale : LevelScale
-        What the levels are.
+        Scale of the levels.
     mirrored : frozenset of str
         Participants who sat at the beam turned end to end: what is left here was on their right.
     answers : AnswerList
-        What could be answered.
+        The answers that could be given.
     margin : float or None
         Difference of shares within which finger conditions count as alike [1], fixed in the protocol.
     guesses_evenly : bool
-        Whether who guesses gives each answer as often as any other.
+        Whether a participant who guesses gives all answers equally often.
     """
 
     participants: tuple[str, ...]
@@ -140,7 +140,7 @@ class AnswerCounts:
 
     @property
     def compares(self) -> bool:
-        """Whether each finger could be named alone: then a pair has a dominant zone."""
+        """Whether each finger could be named alone, so that a pair has a dominant zone."""
         return self.answers.compares
 
     @property
@@ -151,16 +151,16 @@ class AnswerCounts:
 
     @property
     def felt(self) -> list[int]:
-        """Places of the answers other than that nothing was felt."""
+        """Indices of all answers but that nothing was felt."""
         return [place for place, answer in enumerate(self.answers) if not answer.says_nothing_felt]
 
     @property
     def both_place(self) -> int | None:
-        """Place of the answer that names both fingers, if any."""
+        """Index of the answer that names both fingers, if any."""
         return self._place("left", "right")
 
     def labelled(self, pair: Pair) -> tuple[tuple[str, int], ...]:
-        """Return the labels of all answers to a pair and their places in the counts, in the order of the paper.
+        """Return the labels of all answers to a pair and their indices in the counts, in the order of the paper.
 
         Parameters
         ----------
@@ -184,9 +184,9 @@ class AnswerCounts:
         return (*own, *rest)
 
     def effects(self, pair: Pair) -> tuple[tuple[str, int], ...]:
-        """Return the answers whose share is the effect, with their places: the dominant zone, then "both" if offered.
+        """Return the answers whose share is the effect, with their indices: the dominant zone, then "both" if offered.
 
-        Where no zone is dominant, all answers but the last, whose share is what the others leave.
+        If no zone is dominant, all answers but the last, whose share follows from the others.
 
         Parameters
         ----------
@@ -200,11 +200,11 @@ class AnswerCounts:
         return ((pair.dominant, self.dominant_place(pair)), *both)
 
     def dominant_place(self, pair: Pair) -> int:
-        """Return the place of the answer that names the dominant zone of a pair."""
+        """Return the index of the answer that names the dominant zone of a pair."""
         return self._found(pair.dominant_side)
 
     def other_place(self, pair: Pair) -> int:
-        """Return the place of the answer that names the other zone of a pair."""
+        """Return the index of the answer that names the other zone of a pair."""
         return self._found(pair.other_side)
 
     def _found(self, side: Literal["left", "right"]) -> int:
@@ -221,7 +221,7 @@ class AnswerCounts:
 
     @property
     def pair_cells(self) -> list[tuple[int, int, str]]:
-        """Places of every finger condition and pair, in the order of the tests, and what the two are called."""
+        """Indices of finger condition and pair, and their names, for all combinations in the order of the tests."""
         named = product(enumerate(self.finger_conditions), enumerate(self.pairs))
         return [(f, q, f"{condition} {pair.label}") for (f, condition), (q, pair) in named]
 
@@ -232,12 +232,12 @@ class AnswerCounts:
 
     @property
     def facing(self) -> NDArray[np.int64]:
-        """One for each participant: 1 where left was left, -1 where the beam was turned."""
+        """For each participant 1, or -1 if the beam was turned end to end."""
         return np.array([-1 if name in self.mirrored else 1 for name in self.participants], dtype=np.int64)
 
     @property
     def n_answers(self) -> int:
-        """Answers of each participant to one pair under one finger condition."""
+        """Answers asked of each participant for one pair under one finger condition."""
         return self.n_repetitions * len(self.levels)
 
     @cached_property
@@ -248,31 +248,31 @@ class AnswerCounts:
 
     @cached_property
     def dominant(self) -> NDArray[np.int64]:
-        """Counts of the dominant zone, shaped as those of effects."""
+        """Counts of the dominant zone, shaped like each of `of_effects`."""
         return self._picked([self.dominant_place(pair) for pair in self.pairs])
 
     @cached_property
     def other(self) -> NDArray[np.int64]:
-        """Counts of the other zone, shaped as those of effects."""
+        """Counts of the other zone, shaped like each of `of_effects`."""
         return self._picked([self.other_place(pair) for pair in self.pairs])
 
     def _picked(self, places: Sequence[int]) -> NDArray[np.int64]:
-        """Return the counts of one answer of each pair, participants behind the pairs."""
+        """Return the counts of one answer to each pair, with the participants' axis after that of the pairs."""
         own = [np.moveaxis(self.counts[..., q, :, place], -3, -2) for q, place in enumerate(places)]
         return np.stack(own, axis=-3)
 
     @cached_property
     def answered(self) -> NDArray[np.int64]:
-        """Counts of all answers, shaped as those of effects."""
+        """Counts of all answers, shaped like each of `of_effects`."""
         return np.moveaxis(self.counts.sum(axis=-1), -4, -2)
 
     def shares(self, given: NDArray[np.int64]) -> Shares:
-        """Return the shares of counts that are shaped as those of effects."""
+        """Return the shares of counts that are shaped like each of `of_effects`."""
         return Shares(given, self.answered, self.n_repetitions)
 
     @cached_property
     def missing(self) -> list[tuple[str, str, int]]:
-        """Participant, cell and number of the answers that are missing in a single experiment."""
+        """Participant, cell and number of missing answers of a single experiment."""
         lacks = self.n_repetitions - self.counts.sum(axis=-1)
         return [
             (
@@ -293,7 +293,7 @@ class AnswerCounts:
         Raises
         ------
         ValueError
-            If one of these three was no answer.
+            If one of these three was not offered.
         """
         if self.both_place is None:
             raise ValueError(f"no answer names both fingers: the answers are {', '.join(self.answers.names)}")
@@ -301,7 +301,7 @@ class AnswerCounts:
 
     @cached_property
     def n_modal(self) -> NDArray[np.int64]:
-        """Participants by their most frequent answer in each cell, `counts` without their axis; ties are left out."""
+        """Participants by their most frequent answer, `counts` without the participants' axis; ties are left out."""
         most = self.counts == self.counts.max(axis=-1, keepdims=True)
         return np.asarray((most & (most.sum(axis=-1, keepdims=True) == 1)).sum(axis=-5))
 
@@ -328,16 +328,16 @@ def count_answers(
     focus : str
         Zone of the focus; guessed by `find_focus` if empty.
     offered : AnswerList, optional
-        What could be answered; by default the paper's answers, with none where the table knows that word.
+        The answers that could be given; by default the paper's, with ``none`` if it occurs in the table.
     margin : float, optional
-        As the attribute of `AnswerCounts`.
+        As in `AnswerCounts`.
     asked : int, optional
-        Answers that each participant was asked for in each cell; by default the most that any cell holds.
+        Answers asked of each participant in each cell; by default the most that any cell holds.
 
     Raises
     ------
     ValueError
-        If a response is none of the answers.
+        If a response is not one of the answers.
     """
     participants = sorted(map(str, frame["participant"].unique()), key=_natural)
     conditions = _ordered_conditions([str(name) for name in frame["finger_condition"].unique()])
@@ -375,7 +375,7 @@ def count_answers(
 
 
 def _offered(responses: pd.Series, offered: AnswerList | None) -> AnswerList:
-    """Return what could be answered; refuse a response that is none of it."""
+    """Return the answers that could be given; refuse a response that is not one of them."""
     if offered is None:
         words = responses.astype("category").cat.categories
         offered = AnswerList.of_words(("none",) if "none" in words else ())
@@ -385,7 +385,7 @@ def _offered(responses: pd.Series, offered: AnswerList | None) -> AnswerList:
 
 
 def find_focus(zones: Sequence[tuple[str, ...]]) -> str:
-    """Return the zone that most pairs share; where no one zone leads, C if it is touched, else none.
+    """Return the zone that most pairs share; if several do, C if it is touched, else an empty name.
 
     Examples
     --------
@@ -409,7 +409,7 @@ def _natural(name: str) -> tuple[tuple[int, int, str], ...]:
 
 
 def _codes(column: pd.Series, words: Sequence[str]) -> NDArray[np.int64]:
-    """Return the place of each row's word among some words."""
+    """Return the index of each row's word in a list of words."""
     return np.asarray(pd.Categorical(column, categories=list(words)).codes, dtype=np.int64)
 
 

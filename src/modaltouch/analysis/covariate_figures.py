@@ -1,4 +1,4 @@
-"""Figures of what might bend the answers: order, time, and the speeds under the two fingers."""
+"""Figures of covariates of the answers: trial order, reaction time, and the speeds under the two fingers."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from modaltouch.protocol import AnswerList
 from modaltouch.report import FAINT, INK, house_style, quiet_grid
 
 MOST_TRIALS = 40
-"""Orders beyond this many are averaged in groups, so that the points stay apart."""
+"""With more trials than this, they are averaged in groups, so that the points stay apart."""
 
 
 def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
-    """Return the share of dominant answers over the session.
+    """Draw the share of the dominant zone over the session.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
     Returns
     -------
     Figure or None
-        None where the table does not tell the order.
+        None if the table does not give the order of trials.
     """
     if not has_values(frame, "trial"):
         return None
@@ -91,12 +91,11 @@ def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
 
 
 def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
-    """Return the shares of the answers against the predicted ratio of speeds; None where the table holds none."""
+    """Draw the shares of the answers against the predicted ratio of speeds; None without speeds under two fingers."""
     sides = ("speed_left_mm_s", "speed_right_mm_s")
     if "zone_between" in frame.columns or not all(has_values(frame, side) for side in sides):
         return None
-    # Each pair has the median of its placements; pairs whose ratios are alike share their points: a tenth of an octave
-    # is told apart.
+    # A pair takes the median over its placements; pairs whose ratios agree to a tenth of an octave share a point.
     octaves = (frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).astype(float).transform(np.log2)
     cells = [frame[name].astype(str) for name in ("finger_condition", "zone_left", "zone_right")]
     ratio = 2 ** octaves.groupby(cells).transform("median").to_numpy(dtype=float).round(1)

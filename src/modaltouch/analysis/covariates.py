@@ -24,11 +24,11 @@ IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
 ANTICIPATION = 0.15
-"""Answers earlier than this cannot be answers to the stimulus [s]; they are left out of reaction times."""
+"""Answers earlier than this cannot be responses to the stimulus [s]; they are left out of reaction times."""
 
 
 def secondary_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
-    """Yield the further findings for which the table has the data.
+    """Yield the further findings for which the table has data.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def secondary_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[F
         Counts of the answers.
     frame : DataFrame
         Tidy answers; columns ``trial`` (order), ``response_time`` [s], ``speed_left_mm_s`` and
-        ``speed_right_mm_s`` (predicted peak speeds under the fingers) are used where they are there.
+        ``speed_right_mm_s`` (predicted peak speeds under the fingers) are used if present.
     """
     if answers.compares:
         yield from side_findings(answers)
@@ -50,7 +50,7 @@ def secondary_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[F
 
 
 def has_values(frame: pd.DataFrame, column: str) -> bool:
-    """Return whether a numeric column is there and filled for single answers."""
+    """Return whether a table of single answers has a numeric column without gaps."""
     single = bool((frame["n"] == 1).all()) if "n" in frame.columns else True
     return column in frame.columns and single and bool(frame[column].notna().all())
 
@@ -80,7 +80,7 @@ def _mean_finding(
 
 
 def focused_pairs(answers: AnswerCounts) -> tuple[list[int], list[int]]:
-    """Return the places of the pairs with the focus under the left finger, and under the right one."""
+    """Return the indices of the pairs with the focus under the left finger, and under the right one."""
     sides = ("left", "right")
     left, right = (
         [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_side == side] for side in sides
@@ -89,7 +89,7 @@ def focused_pairs(answers: AnswerCounts) -> tuple[list[int], list[int]]:
 
 
 def _aliased_side_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield the side preference in pairs without the focus, which mirrored placement alone can show."""
+    """Yield the side preference in pairs without the focus, which only mirrored placement can show."""
     if not answers.mirrored or len(answers.mirrored) == answers.n_participants:
         return
     for f, q, scope in answers.pair_cells:
@@ -107,7 +107,7 @@ def _aliased_side_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
-    """Yield whether answers drift over the session, and whether the first finger condition differs."""
+    """Yield whether answers drift over the session, and whether they differ between first and second condition."""
     ranked = ranked_answers(answers, frame)
     scores = ranked.groupby("participant", observed=True)["drift"].sum().to_numpy()
     largest = float(ranked.groupby("participant", observed=True)["reach"].sum().max())
@@ -121,7 +121,7 @@ def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
     starts, shares = (getattr(parts[name], how)().unstack() for name, how in (("trial", "min"), ("dominant", "mean")))
     if len(starts.columns) < 2:
         return
-    lead = np.sign(starts.iloc[:, 1] - starts.iloc[:, 0])  # 0 where both begin alike: the table does not tell
+    lead = np.sign(starts.iloc[:, 1] - starts.iloc[:, 0])  # 0 if both begin with the same trial: order unknown
     led = [int((lead == sign).sum()) for sign in (1, -1)]
     if not any(led):
         return
@@ -134,11 +134,11 @@ def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
 
 
 def time_findings(answers: AnswerCounts, frame: pd.DataFrame, n_untimed: int = 0) -> Iterator[Finding]:
-    """Yield whether reaction times differ between pairs: medians within participants, sign flips over them."""
+    """Yield whether reaction times differ between pairs: sign flips over the medians of the participants."""
     kept = frame[frame["response_time"] >= ANTICIPATION]
     dropped, known = len(frame) - len(kept), known_to(frame)
     for condition in answers.finger_conditions:
-        # Where every answer to a pair came too early, there is no median to compare.
+        # If every answer to a pair came too early, there is no median to compare.
         pairs = [pair.label for pair in answers.pairs]
         medians, all_medians = (_medians(table, condition).reindex(columns=pairs) for table in (kept, frame))
         for first, second in combinations(answers.pairs, 2):
@@ -157,12 +157,12 @@ def time_findings(answers: AnswerCounts, frame: pd.DataFrame, n_untimed: int = 0
 
 
 def centre_interval(seconds: FloatArray) -> Interval:
-    """Return the centres, to a millisecond, about which the sign-flip test does not reject symmetry; mean as estimate.
+    """Return the mean, and the centres about which the sign-flip test does not reject symmetry, to a millisecond.
 
     Parameters
     ----------
     seconds : (n,) array
-        One value a participant [s].
+        One value per participant [s].
 
     References
     ----------
@@ -181,14 +181,14 @@ def centre_interval(seconds: FloatArray) -> Interval:
 
 
 def known_to(frame: pd.DataFrame) -> float:
-    """Return how far off 95 % of the reaction times can be at most [s]; 0 where the table does not say."""
+    """Return the 95th percentile of the uncertainty of reaction times [s]; 0 if the table does not give it."""
     if not has_values(frame, "response_uncertainty"):
         return 0.0
     return float(frame["response_uncertainty"].quantile(0.95))
 
 
 def _rounded(interval: Interval, known: float) -> Interval:
-    """Return an interval without digits that nobody knows."""
+    """Return an interval rounded to the digits that are known."""
     if not known > 0:
         return interval
     digits = max(0, -math.ceil(math.log10(known)))
@@ -197,10 +197,10 @@ def _rounded(interval: Interval, known: float) -> Interval:
 
 
 def speed_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
-    """Yield whether answers name the finger with the higher predicted speed, a share of each participant.
+    """Yield whether answers name the finger with the higher predicted speed, as one share per participant.
 
-    An answer counts by the octaves between the speeds, 1 if it names the faster finger, -1 the slower and 0 both; one
-    that names no finger is left out.
+    An answer counts 1 if it names the faster finger, -1 the slower and 0 both, weighted by the octaves between the
+    speeds; answers that name no finger are left out.
     """
     ratio = (frame["speed_right_mm_s"] / frame["speed_left_mm_s"]).astype(float)
     octaves = ratio.where((ratio > 0) & np.isfinite(ratio)).transform(np.log2)

@@ -1,7 +1,7 @@
-"""A table in a text file -> columns of words that know their line.
+"""Tables in text files, read as columns of words with the line of each row.
 
-Commas, semicolons and tabs separate; a byte-order mark, any line ends and blank lines are taken as they come.
-Every column is a pandas categorical, so memory stays a few bytes a field.
+Fields are separated by commas, semicolons or tabs; a byte-order mark, any line endings and blank lines are accepted.
+Every column is a pandas categorical, so a field takes only a few bytes of memory.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from modaltouch.protocol import InputError, Problem, suggest
 
 SEPARATORS = (",", ";", "\t")
 MOST_LISTED = 20
-"""How many faults of one kind are listed one by one before the rest is only counted."""
+"""Faults of one kind that are listed one by one; the rest are only counted."""
 
 Fault = TypeVar("Fault")
 
@@ -33,15 +33,15 @@ class Table:
     Attributes
     ----------
     file : str
-        File as it was named.
+        Path as it was given.
     fields : DataFrame
         Fields without surrounding space, as categorical columns in the file's order; the index is each row's line.
     separator : str
-        What separates the fields.
+        Character between fields.
     sha256 : str
         Hash of the file's bytes.
-    text: str
-        The file itself.
+    text : str
+        Contents of the file, whatever its line endings with newlines alone.
     """
 
     file: str
@@ -51,7 +51,7 @@ class Table:
     text: str
 
     def problem(self, line: int, column: str, given: str, allowed: str, remedy: str = "") -> Problem:
-        """Return a problem at the place of one field."""
+        """Return a problem at the position of one field."""
         character = self._character(line, self.fields.columns.tolist().index(column))
         return Problem(self.file, line, character, column, given, allowed, remedy)
 
@@ -65,11 +65,11 @@ class Table:
         column : Series
             A column of `fields`, or some of its rows.
         is_sound : callable
-            Whether a word may stand there.
+            Whether a word is allowed.
         allowed : str
             What is allowed.
         say : callable
-            What was given and what to do, of a word.
+            For a word, what was given and what to do.
         """
         counts = column.value_counts(sort=False)
         faulty = [(str(word), n) for word, n in counts[counts > 0].items() if not is_sound(str(word))]
@@ -105,7 +105,7 @@ def list_faults(
 
 
 def read_table(path: Path, required: Sequence[str]) -> Table:
-    """Return the table in a file.
+    """Read a table from a file.
 
     Parameters
     ----------
@@ -117,8 +117,7 @@ def read_table(path: Path, required: Sequence[str]) -> Table:
     Raises
     ------
     InputError
-        If the file cannot be read as text, is empty, lacks columns, or has rows of another length than the
-        header.
+        If the file cannot be read as text, is empty, lacks columns, or has rows that are not as long as the header.
     """
     data, text = _read_text(path)
     file = str(path)
@@ -204,7 +203,7 @@ def _check_header(file: str, line: int, header: list[str], required: Sequence[st
 def _read_fields(
     file: str, header: list[str], rows: Iterable[tuple[int, list[str]]], separator: str
 ) -> tuple[pd.DataFrame, list[Problem]]:
-    """Return the fields of all rows as long as the header, and a problem for every other."""
+    """Return the fields of all rows that are as long as the header, and a problem for every other row."""
     columns: list[list[str]] = [[] for _ in header]
     lines: list[int] = []
     wrong: list[tuple[int, int]] = []
@@ -224,5 +223,5 @@ def _read_fields(
         return Problem(file, line, 1, "", f"{found} fields", f"{len(header)} fields, as in the header", remedy)
 
     problems = list_faults(file, wrong, "rows of a wrong length", problem, f"{len(header)} fields in every row")
-    coded = {name: pd.Categorical(columns.pop(0)) for name in header}  # so that each list of words ends with its turn
+    coded = {name: pd.Categorical(columns.pop(0)) for name in header}  # pop: each list of words is freed in turn
     return pd.DataFrame(coded, index=lines), problems

@@ -1,4 +1,4 @@
-"""What a design measures of each participant besides counts: sensitivity, psychometric functions, ratings, groups."""
+"""What a design measures in each participant besides counts: sensitivity, psychometric functions, ratings; groups."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ _CERTIFICATES = {
     "d'": "d' of one", "threshold": "threshold of one", "PSE": "PSE of one", "JND": "JND of one",
     "exponent": "exponent of one",
 }  # fmt: skip
-"""Certificates of one participant's intervals, by a part of the model or the name; the first that fits counts.
+"""Certificates of one participant's intervals, by a part of the model's or measure's name; the first match counts.
 
-Nothing is told where nothing was counted.
+Empty where no errors were counted.
 """
 
 
@@ -41,21 +41,21 @@ class DesignAnalysis:
     Attributes
     ----------
     values : tuple of Own
-        Every participant's own values.
+        The values of each participant.
     fits : tuple of FittedCell
-        Their psychometric functions.
+        The psychometric functions of each participant.
     findings : tuple of Finding
-        What was found over participants and between groups, not yet corrected.
+        Findings over participants and between groups, not yet corrected.
     catches : tuple of CatchRow
-        What they answered where nothing was driven.
+        Answers to catch trials.
     scale : LevelScale
-        What the levels are.
+        Scale of the levels.
     groups : dict of str to str
-        Group of each participant; empty where there is one alone.
+        Group of each participant; empty if there is only one.
     limits : tuple of str
-        What the design cannot tell, in words.
+        What the design cannot show, in words.
     shared : tuple of Own
-        The values of the cells that all groups met.
+        Values from the cells that all groups met.
     """
 
     values: tuple[Own, ...]
@@ -69,12 +69,12 @@ class DesignAnalysis:
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """The values as rows of the table ``measures.csv``."""
+        """The values as rows of ``measures.csv``."""
         return [each.as_dict(self.scale, self.groups) for each in self.values]
 
     @property
     def certified(self) -> str:
-        """How often the intervals of one participant err, of those that are told."""
+        """Error rates of those intervals of single participants that are reported, in words."""
         bounded = (each for each in self.values if not math.isnan(each.interval.low))
         told = dict.fromkeys(f"{each.note} {each.measure.name}" for each in bounded)
         names = (next((name for part, name in _CERTIFICATES.items() if part in each), "") for each in told)
@@ -82,7 +82,7 @@ class DesignAnalysis:
 
 
 def analyse_design(responses: Responses) -> DesignAnalysis:
-    """Return what a design measures of each participant besides counts.
+    """Return what a design measures in each participant besides counts.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def analyse_design(responses: Responses) -> DesignAnalysis:
 
 
 def _measures(responses: Responses, fits: tuple[FittedCell, ...]) -> Iterator[Own]:
-    """Yield every participant's own values."""
+    """Yield the values of each participant."""
     task, frame = responses.task, responses.frame
     yield from sensitivities(responses, task)
     yield from measures_of_fits(fits, task, scale_of(frame.columns))
@@ -116,7 +116,7 @@ def _measures(responses: Responses, fits: tuple[FittedCell, ...]) -> Iterator[Ow
 
 
 def _shared(responses: Responses, groups: Sequence[str], values: tuple[Own, ...]) -> tuple[Own, ...]:
-    """Return the values of some groups, of all answers, as those of the cells that each of these groups met."""
+    """Return values from the cells that each of some groups met; the given values, of all answers, if that is all."""
     met = responses.met_by(groups)
     if len(met.frame) == responses.frame["group"].isin(groups).sum():
         return values
@@ -124,7 +124,7 @@ def _shared(responses: Responses, groups: Sequence[str], values: tuple[Own, ...]
 
 
 def _limits(responses: Responses, task: TrialTask, fits: Sequence[FittedCell]) -> Iterator[str]:
-    """Yield what has no test or estimate here, and where the answers are for one's own."""
+    """Yield what is not tested or estimated here, and where the answers are for other analyses."""
     if task.n_intervals > 1 and not (task.named or task.different):
         yield (
             "No answer says which interval it names, or same or different (answers.intervals), so neither d' nor a "
@@ -143,7 +143,7 @@ def _limits(responses: Responses, task: TrialTask, fits: Sequence[FittedCell]) -
 
 
 def _shares(responses: Responses) -> Iterator[Own]:
-    """Yield the share of each effect of each participant in each cell."""
+    """Yield each participant's share of each effect in each cell."""
     chosen = responses.by_choice()
     counts = chosen.count()
     for cell, part in cells(chosen.frame, counts.scale, by_level=True):

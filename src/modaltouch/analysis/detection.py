@@ -1,4 +1,4 @@
-"""d' and criterion of each participant: felt or not, in which interval, same or different."""
+"""d' and criterion of each participant, from answers that say felt or not, in which interval, or same or different."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ D_PRIME = Measure("d'", "sensitivity d'", "sensitivity", null=0.0)
 CRITERION = Measure("criterion", "criterion c", "sensitivity")
 
 FEWEST = 4
-"""Answers of each participant in each cell from which on every level has a d' of its own."""
+"""Fewest answers of each participant in each cell for which every level has its own d'."""
 
 
 def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
     """Yield d' and criterion of each participant, if the design determines them.
 
-    Of one interval the answer that nothing was felt tells them, with catch trials, or which of two fingers is on the
-    focus; of several, which one an answer names, or that they are the same or differ.
+    With one interval they follow from the answer that nothing was felt, together with catch trials, or from which of
+    two fingers is named as on the focus; with several, from the interval named, or from the answers same and different.
 
     Parameters
     ----------
     responses : Responses
         The answers.
     task : TrialTask
-        What they mean.
+        What the answers mean.
     """
     left, right = (responses.answers.naming(side) for side in ("left", "right"))
     if left and right and len(responses.answers) == 2 and responses.focus:
-        # Two alternatives in space: the finger on the focus, in place of an interval.
+        # Two alternatives in space: the finger on the focus takes the place of the interval.
         focus = responses.frame.get("focus", responses.focus)
         place = sum(k * (responses.frame[f"zone_{side}"] == focus) for k, side in ((1, "left"), (2, "right")))
         frame = responses.frame.assign(interval=place, zone_left="", zone_right="")
@@ -65,10 +65,10 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
                 yield from _untold(cell, why, part) if why else _told(cell, _of_intervals(part, task, cell[-1]), part)
     elif responses.answers.naming() is not None:
         nothing = [each.name for each in responses.answers if each.says_nothing_felt]
-        if responses.answers.compares:  # which finger it was is asked, so that all felt is one thing
+        if responses.answers.compares:  # asked for is the finger, so felt or not is pooled over fingers and zones
             frame, by_level = frame.assign(finger_condition="all", zone_left="", zone_right=""), False
         for cell, part in cells(frame, scale, by_level=by_level):
-            # A false alarm under other fingers, or before a training, tells nothing of the criterion here.
+            # False alarms with other fingers, or before a training, say nothing about the criterion here.
             caught = responses.caught(cell[0], cell[1], kind_of(part))
             alarms = caught.total() - sum(caught[word] for word in nothing), caught.total()
             if caught:
@@ -78,7 +78,7 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
 
 
 def _of_intervals(part: pd.DataFrame, task: TrialTask, level: float) -> SignalDetection:
-    """Return how well the answers of a cell name the right interval."""
+    """Return the sensitivity with which the answers of a cell name the right interval."""
     place, named = part["interval"].astype(int), part["response"].map(task.named).astype(int)
     if task.turns(level):
         place = 3 - place
@@ -91,11 +91,11 @@ def _of_intervals(part: pd.DataFrame, task: TrialTask, level: float) -> SignalDe
 
 
 def _of_differences(frame: pd.DataFrame, task: TrialTask) -> Iterator[Own]:
-    """Yield what same and different tell, level by level; trials whose comparison is the standard are the same."""
+    """Yield d' from the answers same and different, by level; trials whose comparison is the standard are the same."""
     scale = scale_of(frame.columns)
     is_same = task.is_same(frame, scale.column)
     alike = frame[is_same]
-    # The same fingers on the same zones; where the standard takes it over from the comparison, the level or stimulus.
+    # Equal are fingers and zones, and the level or stimulus if the standard takes it from the comparison.
     keys = ["participant", "finger_condition", *zones_of(frame.columns), "session_kind"]
     keys += [scale.column] * math.isnan(task.standard) + ["stimulus"] * (not task.stimulus)
     keys = [name for name in keys if name in frame.columns]

@@ -1,7 +1,7 @@
 """Exact tests for few participants: the multinomial test and sign flips, one test or a batch of them.
 
-Cost grows with the range of the score and never with 2^N. Scores are integers, which leaves no doubt about ties. Every
-test also tells the smallest p its data could give.
+The cost grows with the range of the score, never with 2^N. Scores are integers, so ties are exact. Every test also
+reports the smallest p that its data could give.
 
 References
 ----------
@@ -27,18 +27,18 @@ IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]
 
 _EXACT_UP_TO = 40
-"""Signs of so many participants give p in steps that rounding can tell apart."""
+"""Up to this many participants, the steps of p are coarse enough to round to."""
 
 
 class ExactTest:
-    """A two-sided exact test, or a batch of them: then each attribute is an array.
+    """A two-sided exact test, or a batch of them, with arrays as attributes.
 
     Parameters
     ----------
     statistic : float or array
         Value of the test statistic.
     p, p_min : float or array, or callable
-        As the attributes; what is called is called when it is asked for.
+        As the attributes, or functions that return them, called at first use.
     n_informative : int or array
         Participants (or answers, in the multinomial test) that could move the statistic.
     quick_p : callable, optional
@@ -53,7 +53,7 @@ class ExactTest:
 
     @cached_property
     def p(self) -> Any:
-        """Probability, if the null hypothesis holds, of a statistic at least as extreme [1]."""
+        """Probability of a statistic at least as extreme under the null hypothesis [1]."""
         return _bounded(self._p)
 
     @cached_property
@@ -63,7 +63,7 @@ class ExactTest:
 
     @cached_property
     def quick_p(self) -> Any:
-        """`p` to within 1e-13, for counting significant tests by the thousand [1]."""
+        """`p` to within 1e-13, fast enough to count significant tests by the thousand [1]."""
         return self.p if self._quick_p is None else _bounded(self._quick_p)
 
     def __getitem__(self, place: int) -> ExactTest:
@@ -73,12 +73,12 @@ class ExactTest:
 
 
 def _bounded(value: Any) -> Any:
-    # No outcome is impossible: what is too small for a float is printed as the smallest normal one.
+    # No outcome is impossible: a p too small for a float is given as the smallest normal float.
     return np.clip(value() if callable(value) else value, sys.float_info.min, 1.0)
 
 
 def sum_test(sums: Sums, observed: ArrayLike) -> ExactTest:
-    """Return tests whose statistic is a sum over participants, less its mean.
+    """Return tests whose statistic is a sum over participants, less its mean under the null hypothesis.
 
     Parameters
     ----------
@@ -105,9 +105,9 @@ def count_each(values: IntArray, kinds: ArrayLike) -> IntArray:
     Parameters
     ----------
     values : (..., n_participants) array of int
-        One value a participant.
+        One value per participant.
     kinds : (n_kinds,) array of int
-        Which are counted.
+        The values to count.
 
     Returns
     -------
@@ -121,7 +121,7 @@ def count_each(values: IntArray, kinds: ArrayLike) -> IntArray:
 def sign_flip_test(scores: ArrayLike) -> ExactTest:
     """Return the exact test that scores are symmetric about zero; the statistic is their sum.
 
-    Under the null hypothesis every participant's score could as well have had the other sign.
+    Under the null hypothesis, every participant's score could just as well have had the other sign.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def sign_flip_test(scores: ArrayLike) -> ExactTest:
 
 
 def _stepped(test: ExactTest) -> FloatArray:
-    """Return the quick p of sign flips, which for few participants is a known whole number of known steps."""
+    """Return the quick p of sign flips, for few participants rounded to a whole number of steps of 2^-n."""
     n = np.asarray(test.n_informative)
     steps = 2.0 ** np.minimum(n, _EXACT_UP_TO)
     p = np.where(n <= _EXACT_UP_TO, np.rint(test.quick_p * steps) / steps, test.quick_p)
@@ -153,7 +153,7 @@ def _stepped(test: ExactTest) -> FloatArray:
 
 
 def sign_test(scores: ArrayLike) -> ExactTest:
-    """Return the exact sign test: how many participants, the statistic, lean to the positive side, zeros left out.
+    """Return the exact sign test; the statistic is the number of positive scores, zeros are left out.
 
     Parameters
     ----------
@@ -169,8 +169,8 @@ def sign_test(scores: ArrayLike) -> ExactTest:
 def multinomial_test(counts: ArrayLike) -> ExactTest:
     """Return the exact test that all categories are equally likely.
 
-    The statistic is twice the logarithm of the likelihood ratio. Every possible outcome is enumerated, the more extreme
-    the larger its ratio; of outcomes that are alike under the null hypothesis, one stands for all.
+    The statistic is twice the logarithm of the likelihood ratio; outcomes with a larger ratio are more extreme. All
+    possible outcomes are enumerated, those that are equivalent under the null hypothesis only once.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def multinomial_test(counts: ArrayLike) -> ExactTest:
         statistic[here] = shares[rows[here]].sum(axis=1)
         # The ratio is convex in the counts, so the most extreme outcome has all answers in one category.
         extremes = np.append(statistic[here], shares[n])
-        least = extremes - 1e-9 * np.maximum(1.0, np.abs(extremes))  # rounding allowed for
+        least = extremes - 1e-9 * np.maximum(1.0, np.abs(extremes))  # allows for rounding
         if math.comb(n + k - 1, n) <= _KEPT:
             values, tails = _ranked_outcomes(n, k)
             chances = tails[np.searchsorted(values, least)]
@@ -214,21 +214,21 @@ def multinomial_test(counts: ArrayLike) -> ExactTest:
 
 
 _KEPT = 10_000
-"""Up to how many outcomes are kept for the next experiment of a study that is planned; 2,000 answers have 2e6."""
+"""Most outcomes that are cached for the next simulated experiment; 2,000 answers of three kinds have 2e6."""
 
 
 @lru_cache(maxsize=1024)
 def _ranked_outcomes(n: int, k: int) -> tuple[FloatArray, FloatArray]:
-    """Return the statistic of every outcome, increasing, and the probability of that outcome and all after it."""
+    """Return the statistic of every outcome, increasing, and the probability of a statistic at least as large."""
     value, mass = (np.concatenate(each) for each in zip(*_weighed_outcomes(n, k), strict=True))
     order = np.argsort(value)
     return value[order], np.cumsum(mass[order][::-1])[::-1]
 
 
 def _weighed_outcomes(n: int, k: int) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield the statistic of outcomes and their probability, by the counts of all but the last two categories.
+    """Yield the statistics and probabilities of outcomes, grouped by the counts of all but the last two categories.
 
-    Counts of these that differ in their order alone come once, with how many orders they have.
+    Of groups whose counts differ only in order, one is yielded, with the probability of all.
     """
     log_factorial = np.concatenate([[0.0], np.cumsum(np.log(np.arange(1, n + 1)))])
     shares, whole = _shares(n, k), log_factorial[n] - n * math.log(k)
@@ -246,7 +246,7 @@ def _shares(n: int, k: int) -> FloatArray:
 
 
 def _heads(n: int, length: int, most: int) -> Iterator[tuple[int, ...]]:
-    """Yield counts that add up to n at most, none above its neighbour and the first no more than a number."""
+    """Yield non-increasing counts that add up to n at most, the first no larger than `most`."""
     if length == 0:
         yield ()
         return

@@ -12,19 +12,19 @@ from modaltouch.report import CONDITION_COLOURS, FAINT, INK, house_style, quiet_
 
 
 def draw_fields(start: dict[str, Any], stimulus: str = "") -> Figure | None:
-    """Return the target and the predicted field at the highest level, and the peak speeds at the zones.
+    """Draw the target and the predicted field at the highest level, and the peak speeds at the zones.
 
     Parameters
     ----------
     start : dict
         Start record of a session.
     stimulus : str
-        Which of several stimuli; empty where there is one.
+        Name of the stimulus; empty if there is only one.
 
     Returns
     -------
     Figure or None
-        None without a record, and where this version can no longer read the protocol of one that keeps no field.
+        None without a record, or if the record keeps no field and this version cannot read its protocol.
     """
     if not start.get("sources"):
         return None
@@ -46,7 +46,7 @@ def _of(stimulus: str, recorded: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _predict_again(start: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the fields of a record that keeps none, designed from its texts; none where they cannot be read."""
+    """Return the fields of a record that keeps none, designed again from its texts; empty if they cannot be read."""
     from modaltouch.preflight import examine_findings
     from modaltouch.protocol import Findings, InputError
 

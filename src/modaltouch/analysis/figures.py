@@ -1,4 +1,4 @@
-"""The figures of the answers: bars as in Fig. 10 and Fig. 11."""
+"""Figures of the answers: bars as in Fig. 10 and Fig. 11."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ FINGERS = {
 }
 PAIRS_PER_ROW = 3
 LEVEL_SIZE, ANSWER_SIZE, LONG_ANSWER_SIZE = 6.2, 9.5, 7.5
-"""Sizes of type below the bars: levels, answers, and answers that are too long for one line [points]."""
+"""Type sizes below the bars: levels, answers, and answers that are too long for one line [points]."""
 MOST_LINES = 3
-"""Lines of an answer's name below its bars, if fewer pairs in a row can help."""
+"""Most lines of an answer's name below its bars; a longer one gets more room by fewer pairs in a row."""
 BAR_WIDTH, ANSWER_GAP, PAIR_GAP = 1.0, 1.1, 2.2
-"""A bar, and what lies between the bars of two answers and of two pairs, on the horizontal axis [1]."""
+"""Width of a bar, and gaps between the bars of two answers and of two pairs, on the horizontal axis [1]."""
 ROW_WIDTH = 6.9
 """Width of a row of bars [inch]."""
 LETTER = 0.6 / 72
-"""Mean width of a letter over the size of its type [inch/point]."""
+"""Mean width of a letter relative to its type size [inch/point]."""
 
 
 def draw_counts(table: pd.DataFrame, finger_condition: str, n_participants: int | None = None) -> Figure:
-    """Return the answers of one finger condition as bars, in the form of Fig. 10 and Fig. 11.
+    """Draw the answers of one finger condition as bars, in the form of Fig. 10 and Fig. 11.
 
     Parameters
     ----------
@@ -54,14 +54,14 @@ def draw_counts(table: pd.DataFrame, finger_condition: str, n_participants: int 
     finger_condition : str
         Named in the title.
     n_participants : int, optional
-        With several answers of each participant in a cell: intervals as if each had given one, the most cautious
-        reading. By default every answer is another participant's.
+        If each participant gave several answers in a cell: intervals as if each had given one, the most cautious
+        reading. By default, every answer counts as that of a different participant.
 
     Returns
     -------
     Figure
-        Bars with exact 95 % intervals (Clopper-Pearson); the labels say pair, answer and level, so nothing
-        hangs on colour alone.
+        Bars with exact 95 % intervals (Clopper-Pearson); labels give pair, answer and level, so nothing depends on
+        colour alone.
     """
     pairs = list(dict.fromkeys(table.index.get_level_values("pair")))
     colours = pair_colours(pairs)
@@ -146,7 +146,7 @@ class _Names:
     n_lines: int = 1
 
     def written(self, name: str) -> str:
-        """Return a name in lines, cut behind an underscore or hyphen where there is one."""
+        """Return a name in lines, broken after an underscore or hyphen if it has one."""
         if len(name) <= self.n_letters:
             return name
         lines = textwrap.wrap(name.replace("_", "_ "), self.n_letters)
@@ -154,7 +154,7 @@ class _Names:
 
 
 def _lay_out_names(table: pd.DataFrame) -> _Names:
-    """Return names in one line if they fit, else in several, with as many pairs in a row as leave room for them."""
+    """Return names on one line if they fit, else on several, with as many pairs in a row as leave room for them."""
     labels = [str(answer) for _, answer in table.index]
     n_all, n_levels = len({pair for pair, _ in table.index}), len(table.columns)
     n_answers = len(labels) // n_all

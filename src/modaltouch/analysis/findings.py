@@ -15,7 +15,7 @@ from modaltouch.analysis.exact import ExactTest
 from modaltouch.analysis.intervals import Interval
 
 ALPHA = 0.05
-"""Level of significance that `note` refers to."""
+"""Significance level that `note` refers to."""
 
 COLUMNS = (
     "question",
@@ -47,21 +47,21 @@ class Finding:
     name : str
         The test or estimate.
     scope : str
-        Finger condition, pair and level it is about.
+        Finger condition, pair and level that it is about.
     quantity : str
         What `estimate`, `low` and `high` are.
     estimate, low, high : float
-        Estimate with its 95 % interval; not a number where there is none.
+        Estimate with its 95 % interval; NaN if there is none.
     n : int
-        Participants (or answers, where `name` says so) it rests on.
+        Participants (or answers, if `name` says so) that it rests on.
     statistic, p, p_min : float
-        Test statistic, its p, and the smallest p these data could have given; not a number without a test.
+        Test statistic, its p, and the smallest p these data could have given; NaN without a test.
     family : str
-        Tests corrected together by Holm's method; empty where none is.
+        Tests corrected together by Holm's method; empty outside families.
     note : str
         What a reader must know.
     p_holm : float
-        Holm's p within the family; not a number outside families.
+        Holm's p within the family; NaN outside families.
     """
 
     question: str
@@ -81,7 +81,7 @@ class Finding:
 
     @property
     def role(self) -> str:
-        """What it may support: a confirmatory test a claim, an exploratory one none; or an estimate without test."""
+        """Confirmatory for tests of a family, which may support a claim; exploratory for others; else an estimate."""
         return "confirmatory" if self.family else "estimate" if math.isnan(self.p) else "exploratory"
 
 
@@ -97,13 +97,13 @@ def finding_of(
     family: str = "",
     notes: Sequence[str] = (),
 ) -> Finding:
-    """Return a finding from an interval and, if any, a test; it says if the data contain no information."""
+    """Return a finding from an interval and perhaps a test; its note says if the data contain no information."""
     words = [note for note in notes if note]
     if test is not None and test.p_min > ALPHA:
         whose = f"only {int(test.n_informative)} could move the statistic" if test.n_informative else "nothing varies"
         words.insert(0, f"no information: {whose}, and in either direction p could not fall below {test.p_min:.2g}")
     values = (interval.estimate, interval.low, interval.high)
-    # What rounding leaves of zero is none.
+    # Rounding errors about zero become zero.
     estimate, low, high = (0.0 if abs(each) < 1e-12 else float(each) for each in values)
     row = Finding(question, name, scope, quantity, estimate, low, high, n, family=family, note="; ".join(words))
     if test is None:
@@ -114,7 +114,7 @@ def finding_of(
 def correct(findings: Iterable[Finding]) -> list[Finding]:
     """Return the findings with Holm's p within each family.
 
-    All tests of a family count, also those that could not have become significant; these are named in the note.
+    All tests of a family count, even those that could not have become significant; their note says so.
     """
     rows = list(findings)
     for family in dict.fromkeys(row.family for row in rows if row.family):

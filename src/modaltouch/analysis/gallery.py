@@ -31,14 +31,14 @@ FIGURES = {
         "further",
     ),
 }
-"""Caption and section of the report of each figure that is drawn where it is asked for."""
+"""Caption and section of the report of each figure that is drawn only on request."""
 
 INTERVALS = "Error bars: exact 95 % intervals (Clopper-Pearson) over participants."
 OF_SEVERAL = "Error bars: Clopper and Pearson's 95 % intervals, as if each participant had given one answer."
 
 
 def draw_all(answers: AnswerCounts, responses: Responses, asked: Collection[str] = ()) -> tuple[ReportFigure, ...]:
-    """Return Fig. 10 and Fig. 11, and of the figures that are asked for those that the answers allow.
+    """Draw Fig. 10 and Fig. 11, and those of the requested figures that the answers allow.
 
     Parameters
     ----------

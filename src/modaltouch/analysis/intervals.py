@@ -31,7 +31,7 @@ class Interval:
     estimate, low, high : float or array
         Estimate and bounds.
     n_effective : float or array
-        Independent answers the interval is worth.
+        Effective number of independent answers.
     """
 
     estimate: Any
@@ -41,14 +41,14 @@ class Interval:
 
     @property
     def half_width(self) -> Any:
-        """Half the distance of the bounds."""
+        """Half the distance between the bounds."""
         return (self.high - self.low) / 2
 
     def __getitem__(self, place: int | slice) -> Interval:
         return Interval(*(np.asarray(value)[place] for value in vars(self).values()))
 
     def changed(self, change: Callable[[Any], Any]) -> Interval:
-        """Return the interval with its estimate and bounds as a rising function gives them."""
+        """Return the interval with an increasing function applied to its estimate and bounds."""
         return Interval(change(self.estimate), change(self.low), change(self.high), self.n_effective)
 
     @classmethod
@@ -59,19 +59,19 @@ class Interval:
 
 
 def clopper_pearson(successes: ArrayLike, n: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
-    """Return the exact interval of a proportion; 0 to 1 about NaN where n is zero.
+    """Return the exact interval of a proportion; 0 to 1 with NaN as the estimate where n is zero.
 
     Parameters
     ----------
     successes, n : float or arrays
-        Successes out of n; need not be whole, as a design effect may have scaled both.
+        Successes out of n; not always whole, as a design effect may have scaled both.
     confidence : float
         Confidence of the interval [1].
 
     Raises
     ------
     ValueError
-        If there are more successes than n, or fewer than none.
+        If successes are negative or more than n.
 
     Examples
     --------
@@ -92,7 +92,7 @@ def clopper_pearson(successes: ArrayLike, n: ArrayLike, confidence: float = CONF
 
 
 def wilson(successes: float, n: float) -> Interval:
-    """Return the score interval of a proportion, as used for Monte Carlo shares.
+    """Return Wilson's score interval of a proportion, used for Monte Carlo shares.
 
     Parameters
     ----------
@@ -107,12 +107,12 @@ def wilson(successes: float, n: float) -> Interval:
 
 
 def student_interval(values: FloatArray) -> Interval:
-    """Return the t interval of a mean; without bounds where the values do not vary.
+    """Return the t interval of a mean; without bounds if the values do not vary.
 
     Parameters
     ----------
     values : (n,) array
-        One value a participant.
+        One value per participant.
     """
     n = values.size
     if n < 2 or np.ptp(values) == 0:
@@ -145,7 +145,7 @@ def matched_odds_ratio(only_first: int, only_second: int) -> Interval:
     Returns
     -------
     Interval
-        0 to infinity, with an estimate that is not a number, where no pair is discordant.
+        0 to infinity, with NaN as the estimate, if no pair is discordant.
     """
     share = clopper_pearson(only_first, only_first + only_second)
 

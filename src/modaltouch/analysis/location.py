@@ -1,7 +1,7 @@
-"""Where numbers of participants lie, one number of each: tests, and the intervals of what they do not reject.
+"""Location of one number per participant: tests, and the intervals of the locations that they do not reject.
 
-Over participants a number has the centre about which sign flips do not reject symmetry, of ratings by signed ranks;
-between groups the labels of the participants are shuffled.
+Over participants, symmetry about a centre is tested by sign flips, for ratings by signed ranks; between groups, the
+labels of the participants are shuffled.
 
 References
 ----------
@@ -34,7 +34,7 @@ def flip_test(values: FloatArray) -> ExactTest:
     Parameters
     ----------
     values : (..., n) array
-        One value a participant.
+        One value per participant.
     """
     return sign_flip_test(np.rint(values / _unit(values) * 1000).astype(np.int64))
 
@@ -45,18 +45,18 @@ def _unit(values: FloatArray) -> float:
 
 
 def by_flips(values: FloatArray) -> Located:
-    """Return the test by sign flips, and the centres that it does not reject, of values as `flip_test` takes them."""
+    """Return the sign-flip test of values, as in `flip_test`, and the centres that it does not reject."""
     unit = _unit(values)
     return flip_test(values), centre_interval(values / unit).changed(lambda scaled: scaled * unit)
 
 
 def rank_test(values: FloatArray) -> ExactTest:
-    """Return Wilcoxon's exact test of signed ranks; zeros are left out, equal sizes share their rank.
+    """Return Wilcoxon's exact signed-rank test; zeros are left out, ties share their mean rank.
 
     Parameters
     ----------
     values : (..., n) array
-        One value a participant.
+        One value per participant.
 
     Examples
     --------
@@ -69,14 +69,14 @@ def rank_test(values: FloatArray) -> ExactTest:
 
 
 def by_ranks(values: FloatArray) -> Located:
-    """Return the test of signed ranks, and the median of the averages of two values with its exact interval.
+    """Return the signed-rank test, and the Hodges-Lehmann estimate (median of pairwise averages) with its interval.
 
     Parameters
     ----------
     values : (..., n) array
-        One value a participant.
+        One value per participant.
     """
-    # Means that are equal may differ in their last bit, and then would have ranks of their own.
+    # Equal means may differ in their last bit, which would give them different ranks.
     values, n = values.round(9), values.shape[-1]
     first, second = np.triu_indices(n)
     averages = np.sort((values[..., first] + values[..., second]) / 2)
@@ -91,21 +91,21 @@ def by_ranks(values: FloatArray) -> Located:
 
 
 _MOST_ORDERS = 20_000
-"""Ways to share out the participants up to which all are counted; beyond, as many are drawn."""
+"""Up to this many ways to divide the participants, all are counted; of more, this many are drawn."""
 
 _AT_ONCE = 4_000_000
 """Entries of the largest temporary array."""
 
 
 def group_test(first: FloatArray, second: FloatArray) -> Located:
-    """Return the permutation test that two groups have one distribution, and the shifts that it does not reject.
+    """Return the permutation test that two groups have the same distribution, and the shifts that it does not reject.
 
     Parameters
     ----------
     first, second : (n,) arrays
-        One value a participant; the statistic is the difference of the means, first less second.
+        One value per participant; the statistic is the difference of the means, first less second.
     """
-    first, second = np.sort(first), np.sort(second)  # so that names do not matter to the orders drawn
+    first, second = np.sort(first), np.sort(second)  # so that the orders drawn do not depend on names
     test, values = shuffle_test(first, second), np.concatenate([first, second])
     observed, far = float(test.statistic), 2 * float(np.ptp(values)) + 1e-9
     weights, _ = _weights(first.size, values.size)
@@ -120,7 +120,7 @@ def group_test(first: FloatArray, second: FloatArray) -> Located:
 
 
 def shuffle_test(first: FloatArray, second: FloatArray) -> ExactTest:
-    """Return the permutation test that two groups have one distribution.
+    """Return the permutation test that two groups have the same distribution.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def shuffle_test(first: FloatArray, second: FloatArray) -> ExactTest:
 
 @lru_cache(maxsize=4)
 def _weights(n: int, size: int) -> tuple[FloatArray, bool]:
-    """Return what turns values into differences of means, an order a row, the given one first; and whether all are."""
+    """Return weights from values to differences of means, one order per row, the given first; and whether all are."""
     is_first = np.arange(size) < n
     is_exact = math.comb(size, n) <= _MOST_ORDERS
     if is_exact:
@@ -155,7 +155,7 @@ def _weights(n: int, size: int) -> tuple[FloatArray, bool]:
 
 
 def _last_kept(p: Callable[[float], float], kept: float, rejected: float) -> float:
-    """Return the farthest shift that is not rejected; infinite where none is."""
+    """Return the farthest shift that is not rejected; infinite if none is rejected."""
     if p(rejected) > 1 - CONFIDENCE:
         return math.copysign(math.inf, rejected - kept)
     for _ in range(40):

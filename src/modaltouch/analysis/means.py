@@ -1,9 +1,10 @@
 """The mean of a bounded score over participants: its interval, and the tests that the interval inverts.
 
-One more participant, at the far end of the scale, joins those who came; weights drawn evenly from all that add up to
-one then give the distribution of the mean that the sample supports (Gaffke 2005). A lower bound takes that participant
-at the low end, an upper bound at the high end. Only the ends of the scale are assumed, neither symmetry nor a shape, so
-the bounds hold where few participants differ. For scores at the two ends alone they are those of Clopper and Pearson.
+One more participant, at an end of the scale, is added to the sample; weights drawn uniformly from all that add up to
+one then give the distribution of the mean that the sample supports (Gaffke 2005). That participant is at the low end
+for a lower bound, at the high end for an upper bound. Only the ends of the scale are assumed, neither symmetry nor
+shape, so the bounds hold even if few participants differ. If all scores are at the two ends, they are the bounds of
+Clopper and Pearson.
 
 References
 ----------
@@ -26,19 +27,19 @@ from modaltouch.analysis.intervals import CONFIDENCE, Interval
 FloatArray = NDArray[np.float64]
 
 MOST_DROPPED = 250
-"""Participants up to which scores are dropped one by one, whose cost grows with their square."""
+"""Most participants for which scores are dropped one by one, at a cost that grows with their number squared."""
 
 _MOST_STEPS = 60
-"""Steps to a bound; about eight are taken."""
+"""Most steps to a bound; about eight are needed."""
 
 
 class BoundedMean:
-    """The mean of one bounded score for each participant, of one experiment or a batch.
+    """The mean over participants of a bounded score, for one experiment or a batch.
 
     Parameters
     ----------
     scores : (..., n_participants) array
-        Scores between `low` and `high`; those that are not a number are left out.
+        Scores between `low` and `high`; NaN are left out.
     low, high : float
         Ends of the scale.
 
@@ -52,24 +53,24 @@ class BoundedMean:
     def __init__(self, scores: ArrayLike, low: float = -1.0, high: float = 1.0) -> None:
         values = np.clip(np.asarray(scores, dtype=float), low, high)
         self.low, self.high, self.shape = low, high, values.shape[:-1]
-        # Scores that are not a number come last.
+        # NaN are sorted to the end.
         self._rows = np.sort(values.reshape(math.prod(self.shape), values.shape[-1]), axis=-1)
         self._n = np.isfinite(self._rows).sum(axis=-1)
 
     @property
     def n(self) -> NDArray[np.int64]:
-        """Participants with a score, by test."""
+        """Number of participants with a score, for each test."""
         return np.asarray(self._n.reshape(self.shape)[()])
 
     @property
     def estimate(self) -> FloatArray:
-        """Mean score; not a number without any."""
+        """Mean score; NaN without any."""
         total = np.nansum(self._rows, axis=-1)
         mean = np.divide(total, self._n, out=np.full(total.shape, math.nan), where=self._n > 0)
         return np.asarray(np.clip(mean, self.low, self.high).reshape(self.shape)[()])
 
     def p_above(self, mean: ArrayLike) -> FloatArray:
-        """Return p of the one-sided tests that the mean is not above a value [1]."""
+        """Return one-sided p of the null hypothesis that the mean is not above a value [1]."""
         values = np.broadcast_to(np.asarray(mean, dtype=float), self.shape).reshape(-1)
         p = np.ones(len(self._rows))
         for n in np.unique(self._n).tolist():
@@ -78,12 +79,12 @@ class BoundedMean:
         return np.asarray(p.reshape(self.shape)[()])
 
     def p_below(self, mean: ArrayLike) -> FloatArray:
-        """Return p of the one-sided tests that the mean is not below a value [1]."""
+        """Return one-sided p of the null hypothesis that the mean is not below a value [1]."""
         return self.mirrored.p_above(-np.asarray(mean, dtype=float))
 
     @property
     def mirrored(self) -> BoundedMean:
-        """The same scores with the other sign."""
+        """The same scores with the opposite sign."""
         return BoundedMean(-self._rows.reshape(*self.shape, -1), -self.high, -self.low)
 
     def test(self, mean: ArrayLike = 0.0) -> ExactTest:
@@ -94,7 +95,7 @@ class BoundedMean:
         return ExactTest(self.estimate - np.asarray(mean), both, np.minimum(1.0, least), self.n)
 
     def equivalence(self, margin: float) -> ExactTest:
-        """Return the two one-sided tests that the mean is no farther from zero than a margin; the larger p counts.
+        """Return the two one-sided tests that the mean lies within a margin of zero, with the larger p.
 
         References
         ----------
@@ -112,7 +113,7 @@ class BoundedMean:
 
     def _bound(self, tail: float) -> FloatArray:
         """Return the lowest means that the one-sided test does not reject."""
-        # The n-th root of p is nearly straight, so the false position with halved weights (Illinois) is there soon.
+        # The n-th root of p is nearly linear in the mean, so the Illinois false-position method converges fast.
         power = 1 / np.maximum(self.n, 1)
         low, high = np.full(self.shape, self.low), np.where(self.n > 0, self.estimate, self.low)
         below, above = -(tail**power), self.p_above(high) ** power - tail**power
@@ -122,7 +123,7 @@ class BoundedMean:
             found = self.p_above(bound) ** power - tail**power
             is_low = found < 0
             low, high = np.where(is_low, bound, low), np.where(is_low, high, bound)
-            # An end that stays twice running counts half, which is what draws it in.
+            # An end that stays twice in a row counts half, which draws it in.
             half = 1.0 if was_low is None else np.where(is_low == was_low, 0.5, 1.0)
             below, above = np.where(is_low, found, half * below), np.where(is_low, half * above, found)
             was_low = is_low
@@ -132,19 +133,19 @@ class BoundedMean:
 
 
 def _weighted_tail(rows: FloatArray, low: float, values: FloatArray) -> FloatArray:
-    """Return the chance that a randomly weighted mean of sorted scores and of `low` is not above a value.
+    """Return the probability that a randomly weighted mean of sorted scores and of `low` is not above a value.
 
-    Of the lowest and the highest score one is dropped at a time, by the recursion of integrated B-splines (de Boor
-    1972), whose terms are all positive; of many participants the characteristic function is inverted instead.
+    The lowest or the highest score is dropped, one at a time, by the recursion of integrated B-splines (de Boor 1972),
+    whose terms are all positive; for many participants, the characteristic function is inverted instead.
 
     Parameters
     ----------
     rows : (n_tests, n_participants) array
         Scores, increasing.
     low : float
-        Score of the participant who joins them.
+        Score of the added participant.
     values : (n_tests,) array
-        Values.
+        Values of the mean.
     """
     if rows.shape[-1] > MOST_DROPPED:
         chance, is_small = _inverted(rows, low, values)
@@ -155,10 +156,10 @@ def _weighted_tail(rows: FloatArray, low: float, values: FloatArray) -> FloatArr
 
 
 def _inverted(rows: FloatArray, low: float, values: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Return the same from the characteristic function, and where that has not faded enough for 1e-13.
+    """Return the same from the characteristic function, and where that has not decayed enough for 1e-13.
 
-    The weighted mean is not above a value where the sum of exponential variates times what scores are above it is not
-    above zero. Equal scores count together, so that the cost hardly grows with the participants.
+    The weighted mean is not above a value if the sum of the scores less that value, each times an exponential variate,
+    is not above zero. Equal scores are pooled, so that the cost hardly grows with the number of participants.
 
     References
     ----------
@@ -175,7 +176,7 @@ def _inverted(rows: FloatArray, low: float, values: FloatArray) -> tuple[FloatAr
     size = np.exp(-0.5 * np.einsum("tkj,tj->tk", np.log1p(scaled**2), counts))
     turn = np.einsum("tkj,tj->tk", np.arctan(scaled), counts)
     chance = 0.5 - (size * np.sin(turn) / angle).sum(axis=1) * 0.2 / math.pi
-    # Angles a fifth apart tell sums apart that lie within 31 times their spread, and no farther.
+    # Angles 0.2 apart resolve sums only within 2 pi / 0.2 = 31 times their spread.
     drift = np.abs((counts * above).sum(axis=1))
     is_small = (size[:, -1] > 1e-14) | (chance < 1e-9) | (drift > 20 * spread[:, 0, 0])
     return np.asarray(np.clip(chance, 0.0, 1.0)), np.asarray(is_small)
@@ -189,6 +190,6 @@ def _dropped(rows: FloatArray, low: float, values: FloatArray) -> FloatArray:
     for dropped in range(1, knots.shape[-1]):
         least, most = knots[:, :-dropped], knots[:, dropped:]
         share = np.divide(most - at, most - least, out=np.zeros(least.shape), where=most > least)
-        share = np.clip(share, 0.0, 1.0)  # outside both ends all are alike, and rounding must not be blown up
+        share = np.clip(share, 0.0, 1.0)  # beyond both ends the terms are equal, and rounding must not be amplified
         chance = share * chance[:, 1:] + (1 - share) * chance[:, :-1]
     return np.asarray(chance[:, 0])

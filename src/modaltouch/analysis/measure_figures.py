@@ -26,12 +26,12 @@ _THIN = "Thin: each participant. Bold: mean over participants with its interval,
 
 
 def draw_design(design: DesignAnalysis) -> Iterator[ReportFigure]:
-    """Yield the figures: one of each measure, one of the psychometric functions, one of the groups.
+    """Yield the figures: one for each measure, one for the psychometric functions, one for the groups.
 
     Parameters
     ----------
     design : DesignAnalysis
-        What each participant tells.
+        Results of each participant.
     """
     scale, groups = design.scale, design.groups
     if design.fits:
@@ -49,16 +49,16 @@ def draw_design(design: DesignAnalysis) -> Iterator[ReportFigure]:
 
 
 def draw_measure(values: Sequence[Own], scale: LevelScale, groups: Mapping[str, str]) -> Figure:
-    """Return a measure against the level, or the finger condition; a panel for each pair of zones.
+    """Draw a measure against the level, or the finger condition; a panel for each pair of zones.
 
-    Groups that met other cells than each other have a line each.
+    Groups that met different cells have a line each.
 
     Parameters
     ----------
     values : sequence of Own
-        Its values.
+        Values of the measure.
     scale : LevelScale
-        What the levels are.
+        Scale of the levels.
     groups : mapping of str to str
         Group of each participant.
     """
@@ -76,7 +76,7 @@ def draw_measure(values: Sequence[Own], scale: LevelScale, groups: Mapping[str, 
 
 
 def draw_groups(values: Sequence[Own], groups: Mapping[str, str]) -> Figure:
-    """Return each measure by group; a participant is a dot, the mean over conditions and levels.
+    """Draw each measure by group, each participant's mean over conditions and levels as a dot.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def draw_groups(values: Sequence[Own], groups: Mapping[str, str]) -> Figure:
 
 
 def _draw(panels: Mapping[str, Mapping[str, list[Own]]], quantity: str = "", scale: LevelScale | None = None) -> Figure:
-    """Return panels of series of values: over the levels where they have any, else side by side."""
+    """Draw panels of series of values, against the level if they have any, else side by side."""
     with _panels(max(len(panels), 1), sharey=bool(quantity)) as (figure, places):
         for axes, (title, series) in zip(places, panels.items(), strict=False):
             every = [each for own in series.values() for each in own]
@@ -120,7 +120,7 @@ def _draw(panels: Mapping[str, Mapping[str, list[Own]]], quantity: str = "", sca
 
 
 def _draw_people(axes: Axes, label: str, own: Sequence[Own], k: int) -> None:
-    """Draw each participant thinly, and the mean with its interval at each level, or at a place of its own."""
+    """Draw each participant with a thin line, and the mean with its interval, at each level or side by side."""
     colour, has_levels = CONDITION_COLOURS[k % 4], not math.isnan(own[0].level)
     places: dict[float, list[Own]] = {}
     for each in own:
@@ -146,14 +146,14 @@ def _draw_people(axes: Axes, label: str, own: Sequence[Own], k: int) -> None:
 
 
 def draw_functions(fits: Sequence[FittedCell], scale: LevelScale) -> Figure:
-    """Return the psychometric functions of all participants, a panel for each finger condition and pair of zones.
+    """Draw the psychometric functions of all participants, a panel for each finger condition and pair of zones.
 
     Parameters
     ----------
     fits : sequence of FittedCell
         The functions.
     scale : LevelScale
-        What the levels are.
+        Scale of the levels.
     """
     kinds = list(dict.fromkeys(each.cell[1:3] for each in fits))
     levels = sorted({float(level) for each in fits for level in each.levels})
@@ -176,7 +176,7 @@ def draw_functions(fits: Sequence[FittedCell], scale: LevelScale) -> Figure:
 
 @contextmanager
 def _panels(number: int, *, sharey: bool = False) -> Iterator[tuple[Figure, list[Axes]]]:
-    """Yield a figure with panels in rows; those that stay empty are switched off."""
+    """Yield a figure with panels in rows; unused ones are hidden."""
     columns = min(number, PANELS_PER_ROW)
     rows = math.ceil(number / columns)
     width = max(2.5 * columns + 0.3, 4.6)

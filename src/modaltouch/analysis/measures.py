@@ -1,6 +1,6 @@
-"""One number per participant, such as a d', a threshold or a mean rating; then over participants and groups.
+"""One number per participant, such as a d', a threshold or a mean rating, and its tests over participants and groups.
 
-The participant is the unit: what is tested is one number of each, never the pooled trials.
+The participant is the unit of inference: tests take one number of each, never pooled trials.
 """
 
 from __future__ import annotations
@@ -31,24 +31,24 @@ Cell = tuple[str, str, str, float]
 
 @dataclass(frozen=True)
 class Measure:
-    """What a number of a participant is.
+    """What is measured in each participant.
 
     Attributes
     ----------
     name : str
         Its name.
     quantity : str
-        The same with its unit, for tables and axes.
+        Name with unit, for tables and axes.
     question : str
-        Question of the report under which it stands.
+        Question of the report that it belongs to.
     null : float or None
-        Value that means no effect, which the mean over participants is tested against; None for a description.
+        Value that means no effect, against which the mean over participants is tested; None if it is not tested.
     is_ratio : bool
-        Whether its values are compared by their ratios: means are geometric.
+        Whether its values are compared as ratios, so that means are geometric.
     is_ranked : bool
         Whether its values are compared by their ranks, as ratings are.
     ends : (float, float) or None
-        Lowest and highest value that there can be; then a mean has the interval of a bounded one.
+        Lowest and highest possible value, for the interval of a `BoundedMean`; None if there are none.
     """
 
     name: str
@@ -67,19 +67,19 @@ class Own:
     Attributes
     ----------
     measure : Measure
-        What it is.
+        What is measured.
     participant, finger_condition, pair : str
-        Whose, and of which answers.
+        Whose value it is, and from which answers.
     level : float
-        Of which level; not a number for all levels together.
+        Level of these answers; NaN for all levels together.
     interval : Interval
-        The value with its 95 % interval, as far as there is one.
+        The value with its 95 % interval, if it has one.
     n : int
         Answers that it rests on.
     note : str
-        Why it cannot be told, or what a reader must know.
+        Why there is no value, or what a reader must know.
     tested : float or None
-        What is tested in its place, as its own expectation is not that of no effect where there is none.
+        Number that is tested in its place if, without an effect, the expectation of the value is not the null value.
     """
 
     measure: Measure
@@ -93,7 +93,7 @@ class Own:
     tested: float | None = None
 
     def as_dict(self, scale: LevelScale, groups: Mapping[str, str]) -> dict[str, Any]:
-        """Return it as a row of the table ``measures.csv``."""
+        """Return it as a row of ``measures.csv``."""
         group = {"group": groups.get(self.participant, "")} if groups else {}
         return {
             "measure": self.measure.name,
@@ -120,9 +120,9 @@ def over_participants(measure: Measure, own: Sequence[Own]) -> Located:
     Parameters
     ----------
     measure : Measure
-        What it is.
-    own : iterable of Own
-        Its values.
+        What is measured.
+    own : sequence of Own
+        The values of the participants.
     """
     null = 0.0 if measure.null is None else math.log(measure.null) if measure.is_ratio else measure.null
     values = np.array(list(_known(own).values()))
@@ -130,7 +130,7 @@ def over_participants(measure: Measure, own: Sequence[Own]) -> Located:
     interval = interval.changed(lambda shifted: shifted + null)
     if measure.ends and values.size:
         interval = BoundedMean(values, *measure.ends).interval()
-    # Where nobody has a bound, people who agree give the mean none.
+    # If no participant's value is bounded on a side, neither is the mean, however well they agree.
     if all(each.interval.low == -math.inf for each in own):
         interval = replace(interval, low=-math.inf)
     if all(each.interval.high == math.inf for each in own):
@@ -142,7 +142,7 @@ def over_participants(measure: Measure, own: Sequence[Own]) -> Located:
 
 
 def mean_findings(values: Sequence[Own], scale: LevelScale, groups: Mapping[str, str]) -> Iterator[Finding]:
-    """Yield the mean of each measure over participants, tested where there is a value that means no effect."""
+    """Yield the mean of each measure over participants, tested if the measure has a value that means no effect."""
     names = dict.fromkeys(groups.values())
     for measure, scope, own in _by_scope(values, scale):
         test, interval = over_participants(measure, own)
@@ -183,9 +183,9 @@ def contrast_findings(values: Sequence[Own]) -> Iterator[Finding]:
             if sum(differ) != 1 or (measure.question == "shares" and any(differ[:2])):
                 continue
             if first.keys().isdisjoint(second):
-                continue  # other participants, as of groups
+                continue  # different participants, as in groups
             gaps: dict[str, list[float]] = {}
-            for who, level in sorted(first.keys() & second.keys()):  # a sum may hang on its order
+            for who, level in sorted(first.keys() & second.keys()):  # sums may depend on the order
                 gap = first[who, level] - second[who, level]
                 if math.isfinite(gap):
                     gaps.setdefault(who, []).append(gap)
@@ -202,7 +202,7 @@ def contrast_findings(values: Sequence[Own]) -> Iterator[Finding]:
 
 
 def _factors(finger_condition: str, place: str) -> tuple[str, ...]:
-    """Return what two values are compared in, one at a time: fingers, zones, and what `label_places` tells beside."""
+    """Return the factors in which values are compared, one at a time: fingers, zones, others from `label_places`."""
     return finger_condition, *place.split(" ")
 
 
@@ -214,7 +214,7 @@ def group_findings(
     Parameters
     ----------
     values, shared : sequence of Own
-        All values; and those of the cells that both groups met, which alone are compared.
+        All values; and those from cells that both groups met, which alone are compared.
     groups : mapping of str to str
         Group of each participant.
     names : (str, str)
@@ -245,7 +245,7 @@ def group_findings(
 
 
 def label_places(frame: pd.DataFrame) -> pd.Series:
-    """Return pair, stimulus, kind of session and focus of each row in words, where there are several, in order."""
+    """Return pair and, if there are several, stimulus, kind of session and focus of each row in words, ordered."""
     zones = label = label_zones(frame)
     named = [name for name in ("stimulus", "session_kind") if name in frame.columns and frame[name].nunique() > 1]
     for name in named:
@@ -258,7 +258,7 @@ def label_places(frame: pd.DataFrame) -> pd.Series:
 
 
 def kind_of(part: pd.DataFrame) -> str:
-    """Return the kind of session of a cell's answers; empty where there are none."""
+    """Return the kind of session of a cell's answers; empty if the table has no kinds."""
     return str(part["session_kind"].iloc[0]) if "session_kind" in part.columns else ""
 
 
@@ -270,9 +270,9 @@ def cells(frame: pd.DataFrame, scale: LevelScale, *, by_level: bool) -> Iterator
     frame : DataFrame
         Tidy answers.
     scale : LevelScale
-        What the levels are.
+        Scale of the levels.
     by_level : bool
-        Whether each level is a cell of its own; else all are together, at a level that is not a number.
+        Whether each level is a cell of its own; if not, all are pooled, and the level is NaN.
     """
     keys = [frame["participant"].astype(str), frame["finger_condition"].astype(str), label_places(frame)]
     levels = [frame[scale.column]] if by_level else []
@@ -288,7 +288,7 @@ _CLAIMS = {
     "PSE": "the PSE is not the standard",
     "": "{family} is not zero",
 }
-"""What the families of tests of measures claim, by how they end."""
+"""Claims of the families of tests of measures, by the end of the family's name."""
 
 
 def claim_of(family: str, claim: str) -> str:
@@ -316,7 +316,7 @@ def _by_scope(values: Iterable[Own], scale: LevelScale) -> Iterator[tuple[Measur
 
 
 def _known(own: Iterable[Own]) -> dict[str, float]:
-    """Return the mean of each participant's values, as they are compared; of those who have any."""
+    """Return the mean of each participant's values, as `linear` gives them, for participants who have any."""
     known: dict[str, list[float]] = {}
     for each in own:
         value = linear(each)
@@ -326,13 +326,13 @@ def _known(own: Iterable[Own]) -> dict[str, float]:
 
 
 def of_participants(own: Sequence[Own]) -> list[Own]:
-    """Return the mean of each participant's values of a measure as one value, of those who have any."""
+    """Return the mean of each participant's values of a measure as one value, for participants who have any."""
     whole = [(who, as_told(own[0].measure, Interval.point(mean, 1))) for who, mean in _known(own).items()]
     return [Own(own[0].measure, who, "", "", math.nan, interval, 1) for who, interval in whole]
 
 
 def linear(own: Own) -> float:
-    """Return a value as it is compared: of ratios the logarithm."""
+    """Return a value as it is compared: the logarithm if the measure is a ratio."""
     value = float(own.interval.estimate)
     if own.measure.is_ratio:
         return math.log(value) if value > 0 else math.nan
@@ -340,7 +340,7 @@ def linear(own: Own) -> float:
 
 
 def as_told(measure: Measure, interval: Interval) -> Interval:
-    """Return an interval of what is compared as it is told: of ratios no logarithm."""
+    """Return an interval of compared values as it is reported: for ratios, not as logarithms."""
     return interval.changed(np.exp) if measure.is_ratio else interval
 
 

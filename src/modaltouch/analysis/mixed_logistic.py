@@ -1,4 +1,4 @@
-"""The mixed logistic model of choosing the dominant zone, by statsmodels; refused where answers are separated."""
+"""The mixed logistic model of choosing the dominant zone, by statsmodels; not fitted if the answers are separated."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ _NAME = "mixed logistic model, Laplace approximation"
 
 
 def model_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
-    """Yield the coefficients of the mixed logistic model of choosing the dominant zone; never a p.
+    """Yield the coefficients of the mixed logistic model of choosing the dominant zone, without p.
 
-    Where the predictors separate the answers there is no finite estimate, and none is given.
+    If the predictors separate the answers, there is no finite estimate, and none is given.
 
     References
     ----------
@@ -61,7 +61,7 @@ def model_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
 
 
 def _separation(predictors: NDArray[np.float64], chosen: NDArray[np.int64], names: list[str]) -> str:
-    """Return which predictors separate the answers; empty where none do."""
+    """Return which predictors separate the answers; empty if none do."""
     from scipy.optimize import linprog
 
     if np.ptp(chosen) == 0:

@@ -1,6 +1,6 @@
-"""Mixed models that a reviewer asks for: the tidy table, their formula, and a script that fits them in R.
+"""Mixed models, as reviewers ask for them: a tidy table, the formula, and a script that fits them in R.
 
-Those of zones take answers that name each finger alone; the tidy ones any answers, and ratings.
+Models of zones need answers that name each finger alone; tidy models take any answers, and ratings.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 
 def model_table(answers: AnswerCounts, frame: pd.DataFrame, asked: Sequence[Question] = ()) -> pd.DataFrame:
-    """Return one row for each answer: who, where, at which level, which zone, if it named any, and what was rated.
+    """Return one row for each answer: participant, condition, level, the zone that it names, if any, and ratings.
 
     Parameters
     ----------
     answers : AnswerCounts
-        Counts of the answers, each finger of which can be named alone.
+        Counts of the answers, which can name each finger alone.
     frame : DataFrame
         Tidy answers.
     asked : sequence of Question
@@ -60,7 +60,7 @@ def model_table(answers: AnswerCounts, frame: pd.DataFrame, asked: Sequence[Ques
 
 
 def terms_of_model(answers: AnswerCounts) -> list[str]:
-    """Return the columns of the table that differ, as the terms of a formula."""
+    """Return the columns of the table that vary, as the terms of a formula."""
     several = {"pair": answers.pairs, "finger_condition": answers.finger_conditions, "level": answers.levels}
     return [name for name, values in several.items() if len(values) > 1]
 

@@ -1,4 +1,4 @@
-"""What an analysis found, as one value."""
+"""The results of an analysis, as one value."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """What an analysis found, and where it wrote it.
+    """The results of an analysis, and where they were written.
 
     Attributes
     ----------
@@ -35,9 +35,9 @@ class Analysis:
     files : dict of str to Path
         Files written, by name.
     design : DesignAnalysis, optional
-        What they tell of each participant, beside counts.
+        Results of each participant, besides counts.
     registration : Registration
-        The preregistration that it was held against.
+        The preregistration that it was checked against.
     """
 
     responses: Responses
@@ -49,14 +49,14 @@ class Analysis:
 
     @classmethod
     def of(cls, responses: Responses, *, model: bool = False) -> Self:
-        """Return what answers to a crossed design at fixed levels have to say.
+        """Return the results of answers to a crossed design at fixed levels.
 
         Parameters
         ----------
         responses : Responses
             The answers.
         model : bool
-            Whether the mixed logistic model is fitted, too.
+            Whether to fit the mixed logistic model as well.
 
         Raises
         ------
@@ -84,11 +84,11 @@ class Analysis:
 
     @property
     def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
-        """The tests that are corrected in families, as a `RegisteredAnalysis` has them."""
+        """The tests that are corrected in families, as in `RegisteredAnalysis`."""
         return [("", self.answers, row) for row in self.findings if row.family]
 
     def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
-        """Return what a preregistration fixes of it, by name."""
+        """Return the terms that a preregistration fixes, by name."""
         return terms_of(self.answers, tests)
 
     @property

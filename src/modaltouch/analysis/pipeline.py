@@ -45,23 +45,24 @@ def analyse(
     path : Path or str
         A tidy CSV, or a tree of recorded sessions.
     out : Path or str, optional
-        Folder for what is written; by default ``analysis`` in the tree, or ``<name>_analysis`` beside the CSV.
+        Folder for the results; by default ``analysis`` in the tree, or ``<name>_analysis`` beside the CSV.
     labs : sequence of Path or str
-        Trees of other labs that ran the same protocol, compared as groups are; `out` is needed then.
+        Trees of other labs that ran the same protocol, compared like groups; `out` is then required.
     mode : {"real", "pilot", "simulated"}, optional
         Which sessions of a tree to take.
     stimulus : str, optional
-        Whose trials to take, of sessions with several stimuli and fixed levels; by default those of all.
+        Stimulus whose trials to take, if sessions at fixed levels have several; by default all.
     table_format : TableFormat, optional
-        What could be answered, how it is written and the margin of equivalence, for a CSV; sessions tell it themselves.
+        The answers that could be given, how they are written and the margin of equivalence, for a CSV; recorded
+        sessions contain them.
     figures : collection of str
         Besides Fig. 10 and Fig. 11: ``fields``, ``order``, ``reaction_times``, ``speed_ratio``, or ``all``.
     prereg : Path or str, optional
         The preregistration, as ``modaltouch prereg`` wrote it; by default the one beside the protocol, if any.
     model : bool
-        Whether the mixed logistic model is fitted, too, for which statsmodels is loaded.
+        Whether to fit the mixed logistic model as well, for which statsmodels is loaded.
     speed : {"nominal", "predicted", "delivered"}
-        What tells levels: the speed asked at the focus, or that predicted or delivered under the faster finger.
+        What defines levels: the speed asked for at the focus, or that predicted or delivered under the faster finger.
 
     Returns
     -------
@@ -71,7 +72,7 @@ def analyse(
     Raises
     ------
     InputError
-        If the answers cannot be used, with every fault.
+        If the answers cannot be used, listing every fault.
     RecordError
         If a file would be overwritten that this command did not write, or cannot be written.
     """
@@ -93,7 +94,7 @@ def _about(source: AnswerSource) -> dict[str, str]:
 def _results(
     responses: Responses, path: Path | str, asked: dict[str, Any]
 ) -> tuple[Analysis | ThresholdAnalysis | PartsAnalysis, dict[str, Any]]:
-    """Return what the answers of a design tell, and the contents of its files; refuse options it has no use for."""
+    """Return the results of a design's answers, and the contents of its files; refuse options that do not apply."""
     prereg = asked.pop("--prereg")
     options = [option for option, value in asked.items() if value]
     if responses.is_adaptive:
@@ -132,7 +133,7 @@ def analyse_responses(responses: Responses) -> Analysis | ThresholdAnalysis | Pa
 
 
 def _hold_against(prereg: Path | str | None, analysis: Held) -> Held:
-    """Return an analysis with what departs from its preregistration, given or found beside the protocol."""
+    """Return an analysis with its departures from the preregistration, given or found beside the protocol."""
     if prereg is None:
         protocol = analysis.responses.start.get("sources", {}).get("protocol", {}).get("path", "")
         beside = Path(protocol or "none").with_suffix(".prereg.md")
@@ -148,7 +149,7 @@ def _hold_against(prereg: Path | str | None, analysis: Held) -> Held:
 
 
 def default_folder(path: Path, stimulus: str = "") -> Path:
-    """Return where an analysis goes if nobody says otherwise; inside a BIDS dataset, its ``derivatives``."""
+    """Return the default folder of an analysis; inside a BIDS dataset it is in ``derivatives``."""
     if path.suffix != ".jsonl" and not path.is_dir():
         return path.parent / f"{path.stem}_analysis"
     folder = (path if path.is_dir() else path.parent).resolve()
@@ -161,7 +162,7 @@ def default_folder(path: Path, stimulus: str = "") -> Path:
 
 
 def _figures(asked: Collection[str]) -> Collection[str]:
-    """Return the names of figures that are asked for."""
+    """Return the names of the requested figures; refuse unknown ones."""
     if unknown := [name for name in asked if name not in (*FIGURES, "all")]:
         raise InputError.of("--figures", repr(unknown[0]), f"{', '.join(FIGURES)}, or all", "separate them by commas")
     return FIGURES if "all" in asked else asked

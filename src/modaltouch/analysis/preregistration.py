@@ -1,4 +1,4 @@
-"""The terms of a preregistration, and what an analysis departs from them."""
+"""The terms of a preregistration, and how an analysis departs from them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SHARES = ("", "the share of an answer differs")
 """Heading and claim of a comparison of shares."""
 
 _UNKNOWN = ("protocol (SHA-256)", "equivalence margin")
-"""Terms that a table of answers does not tell."""
+"""Terms that a table of answers does not contain."""
 
 
 class RegisteredAnalysis(Protocol):
@@ -34,10 +34,10 @@ class RegisteredAnalysis(Protocol):
 
     @property
     def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
-        """The tests that are corrected in families: part of the design, or nothing, counts, and the test."""
+        """The tests that are corrected in families: part of the design (or empty), counts, and test."""
 
     def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
-        """Return what is fixed beforehand, by name, as plain values; `tests` has the number in each family."""
+        """Return the terms fixed beforehand, by name, as plain values; `tests` counts the tests of each family."""
 
 
 def describe_families(analysis: RegisteredAnalysis) -> list[dict[str, Any]]:
@@ -46,12 +46,12 @@ def describe_families(analysis: RegisteredAnalysis) -> list[dict[str, Any]]:
     Parameters
     ----------
     analysis : RegisteredAnalysis
-        What was found.
+        The analysis.
 
     Returns
     -------
     list of dict
-        ``name``, ``asks``, ``test``, ``scopes``, and ``significant``: whether a test is, after correction.
+        ``name``, ``asks``, ``test``, ``scopes``, and ``significant``: whether any test is, after correction.
     """
     from modaltouch.analysis.measures import claim_of
     from modaltouch.analysis.words import headings, say_scope
@@ -109,14 +109,14 @@ def read_preregistration(path: Path) -> dict[str, Any]:
 
 
 def find_departures(terms: Mapping[str, Any], analysis: RegisteredAnalysis) -> tuple[str, ...]:
-    """Return in words what an analysis departs from.
+    """Return the departures of an analysis from a preregistration, in words.
 
     Parameters
     ----------
     terms : mapping
         As `read_preregistration` returns them.
     analysis : RegisteredAnalysis
-        What was found.
+        The analysis.
     """
     start = analysis.responses.start
     known = {}

@@ -28,17 +28,17 @@ FAULTS = {
 RIG_TROUBLES = frozenset(
     {"connection_lost", "reconnect_failed", "instrument_errors", "upload_repeated", "unknown_model", "close_failed"}
 )
-"""What the rig's journal calls the events that a reader of the report should know of."""
+"""Names, in the rig's journal, of the events that a reader of the report should know of."""
 
 
 @dataclass(frozen=True)
 class RecordFacts:
-    """What the report says of the sessions.
+    """What the report says about the sessions.
 
     Attributes
     ----------
     sessions : tuple of SessionFacts
-        The sessions themselves.
+        Facts of each session.
     presented : tuple of dict
         Planned against confirmed, level by level: finger condition, level, numbers of trials and of those confirmed,
         amplitudes sent and read back in words.
@@ -47,7 +47,7 @@ class RecordFacts:
     settings : dict of str to str
         Instrument, seed, hashes and versions, the same for all sessions or listed.
     people : tuple of str
-        What the participants said of themselves, a line to each number and choice that the protocol asks for.
+        What participants said about themselves, one line for each number and choice that the protocol asks for.
     """
 
     sessions: tuple[SessionFacts, ...]
@@ -59,27 +59,28 @@ class RecordFacts:
 
 @dataclass(frozen=True, eq=False)
 class SessionFacts:
-    """What remains of a session's log once its answers are taken; small, so that a thousand fit in memory.
+    """What is kept of a session's log besides its answers; small, so that a thousand fit in memory.
 
     Attributes
     ----------
     participant : str
         Participant id.
     number : int
-        Which session of the participant.
+        Number of the session among the participant's.
     day : str
-        Date of its beginning.
+        Date on which it began.
     n_answers, n_practice : int
-        Answers that count, and those of practice.
+        Answers that count, and answers in practice.
     presented : Counter
-        Trials that were presented alike: finger condition, level (peak velocity [mm/s], or multiple of the own
-        threshold), amplitudes of all channels as sent and as read back [V peak to peak], whether confirmed.
+        Trials that were presented alike: finger condition, level (peak velocity [mm/s], or multiple of the
+        participant's threshold), amplitudes of all channels as sent and as read back [V peak to peak], whether
+        confirmed.
     faults : Counter
         Events that need a look, by kind.
     settings : dict
         Instrument, seed, hashes and versions.
     threshold_mm_s : float or None
-        The participant's own threshold, where levels are multiples of it [mm/s].
+        The participant's own threshold, if levels are multiples of it [mm/s].
     people : dict
         Numbers and choices that the participant gave, by the protocol's name with its unit.
     """

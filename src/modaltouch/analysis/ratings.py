@@ -31,15 +31,15 @@ class Question:
     Attributes
     ----------
     name : str
-        What it is called.
+        Its name.
     column : str
         Column of the tidy answers.
     is_magnitude : bool
-        Whether numbers were typed, whose ratios count.
+        Whether numbers were typed, to be compared as ratios.
     places : tuple of str
-        Answers, where it was answered by one of a list, whose place in it counts; empty for a scale.
+        The list of answers, each rated by its place in the list; empty for a scale.
     ends : (float, float) or None
-        Lowest and highest rating, where the scale has them.
+        Lowest and highest rating, if the scale has them.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Question:
 
     @classmethod
     def of(cls, name: str, column: str, asked: Mapping[str, Any]) -> Question:
-        """Return a question as the protocol has it: with a scale, or keys of answers."""
+        """Return a question of the protocol, with a scale or keys of answers."""
         places = tuple(asked.get("keys") or ())
         if places or not asked.get("scale"):
             return cls(name, column, places=places, ends=(1.0, len(places)) if places else None)
@@ -60,13 +60,13 @@ class Question:
 
     @property
     def measure(self) -> Measure:
-        """What the mean of a participant is."""
+        """The measure that a participant's mean is a value of."""
         way = " (place in its list)" if self.places else " (geometric mean)" if self.is_magnitude else ""
         ends = None if self.is_magnitude else self.ends
         return Measure(self.name, f"{self.name}{way}", "rating", None, self.is_magnitude, is_ranked=True, ends=ends)
 
     def numbers(self, frame: pd.DataFrame) -> pd.Series:
-        """Return the rating of each answer; not a number where there is none, or a magnitude is not above zero."""
+        """Return the rating of each answer; NaN where there is none, or where a magnitude is not above zero."""
         if self.places:
             places = {name: float(place) for place, name in enumerate(self.places, 1)}
             return frame[self.column].astype(str).map(places)
@@ -75,12 +75,12 @@ class Question:
 
 
 def questions_of(design: Mapping[str, Any], frame: pd.DataFrame) -> tuple[Question, ...]:
-    """Return what was rated: the question of the trial where it has a scale, and further ones.
+    """Return what was rated: the question of the trial, if it has a scale, and further questions.
 
     Parameters
     ----------
     design : mapping
-        The protocol's sections; empty where they are unknown, and then a column ``value`` holds ratings.
+        The protocol's sections; empty if they are unknown: then a column ``value`` holds ratings.
     frame : DataFrame
         Tidy answers.
     """
@@ -96,14 +96,14 @@ def questions_of(design: Mapping[str, Any], frame: pd.DataFrame) -> tuple[Questi
 
 
 def ratings(responses: Responses, task: TrialTask, asked: Sequence[Question]) -> Iterator[Own]:
-    """Yield mean ratings by level, the exponents of magnitudes, and how ratings differ between right and wrong answers.
+    """Yield mean ratings by level, exponents of magnitudes, and differences of ratings between right and wrong answers.
 
     Parameters
     ----------
     responses : Responses
         The answers.
     task : TrialTask
-        What they mean.
+        What the answers mean.
     asked : sequence of Question
         What was rated.
     """
@@ -128,16 +128,16 @@ def ratings(responses: Responses, task: TrialTask, asked: Sequence[Question]) ->
 
 
 def correct(frame: pd.DataFrame, task: TrialTask, scale: LevelScale) -> pd.Series:
-    """Return which answers are correct, 1 or 0; not a number if the design does not determine it.
+    """Return which answers are correct, 1 or 0; NaN if the design does not determine it.
 
     Parameters
     ----------
     frame : DataFrame
         Tidy answers, by what they name.
     task : TrialTask
-        What they mean.
+        What the answers mean.
     scale : LevelScale
-        What the levels are.
+        Scale of the levels.
     """
     level = frame[scale.column]
     if task.different:
@@ -156,7 +156,7 @@ def power_law(levels: ArrayLike, magnitudes: ArrayLike) -> Interval:
     Parameters
     ----------
     levels, magnitudes : (n,) arrays
-        Above zero, an answer each.
+        Level and magnitude of each answer, above zero.
 
     References
     ----------
@@ -173,7 +173,7 @@ def power_law(levels: ArrayLike, magnitudes: ArrayLike) -> Interval:
 
 
 def level_findings(values: Sequence[Own]) -> Iterator[Finding]:
-    """Yield Friedman's test of each rating over levels, with Kendall's coefficient; of two levels signed ranks.
+    """Yield Friedman's test of each rating over levels, with Kendall's coefficient; for two levels, signed ranks.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ def level_findings(values: Sequence[Own]) -> Iterator[Finding]:
 
 
 def friedman(rows: np.ndarray) -> tuple[ExactTest, Any]:
-    """Return Friedman's test with p from 9,999 shuffles within participants of a fixed seed, and Kendall's W.
+    """Return Friedman's test, with p from 9,999 shuffles within participants (fixed seed), and Kendall's W.
 
     Parameters
     ----------
@@ -216,7 +216,7 @@ def friedman(rows: np.ndarray) -> tuple[ExactTest, Any]:
     """
     shape, (n, k) = rows.shape[:-2], rows.shape[-2:]
     ranks = pd.DataFrame(rows.reshape(-1, k)).round(9).rank(axis=1).to_numpy().reshape(-1, n, k)
-    order = np.lexsort(np.moveaxis(ranks, -1, 0))  # so that names do not matter to the shuffles
+    order = np.lexsort(np.moveaxis(ranks, -1, 0))  # so that the shuffles do not depend on names
     ranks = np.take_along_axis(ranks, order[..., np.newaxis], axis=1)
     ties = ((ranks[..., np.newaxis] == ranks[..., np.newaxis, :]).sum(axis=-1) ** 2 - 1).sum(axis=(1, 2))
     most = n**2 * (k**3 - k) / 12 - n * ties / 12
@@ -240,7 +240,7 @@ def friedman(rows: np.ndarray) -> tuple[ExactTest, Any]:
 
 
 def _shuffles(n: int, k: int, at_once: int) -> Iterator[np.ndarray]:
-    """Yield shuffles within n participants, some at a time, as matrices that turn values into their sums by level."""
+    """Yield shuffles within n participants, in batches, as matrices that turn values into their sums by level."""
     rng = np.random.default_rng(1)
     for start in range(0, _SHUFFLES, max(at_once, 1)):
         size = min(max(at_once, 1), _SHUFFLES - start)

@@ -27,13 +27,13 @@ def read_responses(
     *labs : Path or str
         Results folders of other labs that ran the same protocol.
     mode : {"real", "pilot", "simulated"}, optional
-        Which sessions of a tree to take. By default the real ones; where there are none, whichever single kind
-        there is. Of a CSV with a column ``mode``, which rows.
+        Which sessions of a tree, or rows of a CSV with a column ``mode``, to take. By default the real ones; if there
+        are none, the only kind there is.
     stimulus : str, optional
-        Whose trials to take, of several stimuli; by default those of all, of a CSV there must be one.
+        Stimulus whose trials to take, if there are several; by default all.
     table_format : TableFormat, optional
-        What could be answered, how answers are written and the margin of equivalence, for a CSV. Sessions tell it
-        themselves.
+        The answers that could be given, how they are written and the margin of equivalence, for a CSV; recorded
+        sessions contain them.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def read_responses(
 
 
 def _refuse_none(place: Path, responses: Responses) -> Responses:
-    """Return the responses, unless there is none."""
+    """Return the responses; refuse them if there is none."""
     if responses.frame.empty:
         given = "no answer to any trial: each timed out, or has none"
         raise InputError.of(

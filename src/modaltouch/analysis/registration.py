@@ -1,4 +1,4 @@
-"""What an analysis was held against, and what of it a preregistration fixes."""
+"""The preregistration that an analysis is checked against, and the terms that it fixes."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from modaltouch.analysis.covariates import ANTICIPATION
 from modaltouch.analysis.findings import ALPHA
 
 ALL_PARTS = "all parts"
-"""Where a test is of a design that is not crossed as a whole."""
+"""Scope of a test of all parts together, for a design that is not crossed."""
 
 
 @dataclass(frozen=True)
 class Registration:
-    """The preregistration that an analysis was held against.
+    """The preregistration that an analysis was checked against.
 
     Attributes
     ----------
     path : Path or None
-        Where it lies; None for none.
+        Its file; None without one.
     departures : tuple of str
-        What departs from it, in words.
+        Departures of the analysis from it, in words.
     """
 
     path: Path | None = None
@@ -36,7 +36,7 @@ class Registration:
 
 
 def terms_of(answers: AnswerCounts, tests: Mapping[str, int]) -> dict[str, Any]:
-    """Return what a preregistration of a crossed design fixes, by name, as plain values.
+    """Return the terms that a preregistration of a crossed design fixes, by name, as plain values.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def terms_of(answers: AnswerCounts, tests: Mapping[str, int]) -> dict[str, Any]:
 
 
 def terms_of_tests(tests: Mapping[str, int]) -> dict[str, Any]:
-    """Return the terms that every analysis with tests has."""
+    """Return the terms of every analysis with tests."""
     return {
         "tests by family": dict(tests),
         "level of significance": ALPHA,

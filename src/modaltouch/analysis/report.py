@@ -1,4 +1,4 @@
-"""The report: one HTML file with the figures inside, which needs no network and prints well."""
+"""The report: one HTML file with embedded figures, which needs no network and prints well."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from modaltouch.analysis.zones import say_zones, zones_of
 from modaltouch.report import ReportFigure, page_files, say_number
 
 MOST_ROWS = 8
-"""Rows of a table that stand open; longer ones are unfolded on request, and not printed."""
+"""Most rows of a table that is shown open; longer ones are folded, and not printed."""
 
 
 CATCHES = "Beside d', criteria and detection thresholds, catch trials are in no other table, figure or test."
@@ -129,7 +129,7 @@ def design_limits(analysis: Analysis) -> list[str]:
             f"“{both.name.capitalize() if both else ''}” mixes two things, feeling both fingers alike and being "
             "unable to tell; the question does not separate them.",
         ),
-        (  # Of several intervals, and of numbers, guessing is known by the design, or has no meaning.
+        (  # With several intervals, guessing is known from the design; with numbers, it has no meaning.
             nothing is None and len(answers.answers) > 1 and analysis.responses.task.n_intervals == 1,
             "No answer says that nothing was felt, so a trial without a stimulus cannot be answered correctly: lapses "
             "and guessing stay unknown.",
@@ -208,13 +208,13 @@ def speed_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def delivered_rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return the same of the peak speeds delivered under the faster finger, of trials where they are known."""
+    """Return the same for the peak speeds delivered under the faster finger, in trials where they are known."""
     is_told = "delivered_mm_s" in frame and frame["delivered_mm_s"].notna().any()
     return _ranges(frame, ["delivered_mm_s"]) if is_told else []
 
 
 def _ranges(frame: pd.DataFrame, columns: list[str]) -> list[dict[str, Any]]:
-    """Return a row for each pair of zones, a cell for each level: from where to where columns go."""
+    """Return a row for each pair of zones, with the range of the columns in a cell for each level."""
     *pair, level = cell_of(frame.columns)
     bounds = frame.dropna(subset=columns).groupby([*pair, level], observed=True)[columns].agg(["min", "max"])
     said = bounds.round().astype(int).astype(str).apply(
@@ -253,7 +253,7 @@ def list_questions(findings: Sequence[Finding], answers: AnswerCounts) -> list[d
                 "question": question,
                 "heading": heading,
                 "answer": answer_question(own, claim, answers),
-                # What is missing where nothing is shown needs no caution where everything is.
+                # A caution about what is not shown is not needed if everything is.
                 "caution": "" if is_shown else cautions.get(question, ""),
                 "parts": [_part(name, rows, answers) for name, rows in groups.items()],
             })  # fmt: skip
@@ -292,7 +292,7 @@ MOST_PARTICIPANTS = 40
 ZONE_COLOURS = ("#a9c3ee", "#e6e9ee", "#f2b196")
 """Dominant zone, both, other zone: light enough for dark letters, also in print."""
 OTHER_COLOURS = ("#f6e08a", "#a6dcc0", "#d7b9e0", "#9fe0f5", *ZONE_COLOURS)
-"""Answers that name no zone; the last are left to zones where there are any."""
+"""Answers that name no zone; the last colours are meant for zones, if there are any."""
 TIED, NOTHING = "#ffffff", "#c3c8d0"
 
 
@@ -324,7 +324,7 @@ def kinds_of(answers: AnswerCounts, pair: Pair) -> list[Kind]:
             kinds.append(Kind(place, answers.answers[place].name, "&", both))
         kinds.append(Kind(answers.other_place(pair), "other zone", pair.other, other))
     rest = {p: answers.answers[p].name for p in answers.felt if p not in {kind.place for kind in kinds}}
-    # Two letters tell them apart, or else their places.
+    # Two letters if these are distinct, else the number of the answer.
     is_clear = len({name[:2] for name in rest.values()}) == len(rest)
     letters = [name[:2] if is_clear else str(place + 1) for place, name in rest.items()]
     kinds += [Kind(*each) for each in zip(rest, rest.values(), letters, OTHER_COLOURS, strict=False)]

@@ -1,10 +1,10 @@
-"""Answers ready to be analysed: one tidy table, every cell of the design filled, and where they come from.
+"""Answers ready to be analysed: one tidy table, and where the answers come from.
 
-The tidy table has one row for an answer (or, with a column ``n``, for a count of equal answers)::
+The tidy table has one row for each answer (or, with a column ``n``, for a count of equal answers)::
 
     participant, finger_condition, zone_left, zone_right, velocity_mm_s, response
 
-Of sessions with levels calibrated by participant it has ``multiple_of_threshold`` in place of ``velocity_mm_s``.
+For sessions with levels calibrated by participant, ``multiple_of_threshold`` replaces ``velocity_mm_s``.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def keys_of(columns: Container[str]) -> tuple[str, ...]:
 
 
 def answers_per_cell(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return how many answers each participant gave in each cell of the crossed design, a row each, a column a cell.
+    """Return how many answers each participant (row) gave in each cell of the crossed design (column).
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def describe_cell(cell: Iterable[object], scale: LevelScale = VELOCITY) -> str:
 
 
 def say_unanswered(asked: pd.DataFrame, given: pd.DataFrame) -> tuple[str, ...]:
-    """Return a note of the participants, pairs and levels without any answer, of whom no table or test knows.
+    """Return a note on participants, pairs and levels without any answer, which are in no table or test.
 
     Parameters
     ----------
@@ -99,15 +99,15 @@ class TableFormat:
     Attributes
     ----------
     answers : AnswerList or None
-        What could be answered; by default the paper's answers.
+        The answers that could be given; by default the paper's.
     words : dict of str to str
         Words of the file, and the answers that they stand for.
     missing : tuple of str
-        Words of the file that stand for no answer, beside an empty field, ``n/a`` and ``time_out``.
+        Words of the file that stand for no answer, besides an empty field, ``n/a`` and ``time_out``.
     margin : float or None
         Difference within which finger conditions count as alike [1].
     design : dict
-        Sections of the protocol that the answers were given in; empty where it is not named.
+        Sections of the protocol that the answers were given in; empty if no protocol is named.
     """
 
     answers: AnswerList | None = None
@@ -118,7 +118,7 @@ class TableFormat:
 
     @property
     def asked(self) -> tuple[str, ...]:
-        """Columns that the protocol asks for: without them other designs would be analysed in silence."""
+        """Columns that the protocol requires; without them, a different design would be analysed unnoticed."""
         answers = self.design.get("answers") or {}
         told = {"interval": self.design.get("intervals"), "value": answers.get("scale"),
                 "stimulus": self.design.get("stimuli"), "group": self.design.get("groups"),
@@ -135,7 +135,7 @@ class ExcludedSource:
     source : str
         File, folder or rows.
     reason : str
-        Why it stays out.
+        Why it was left out.
     """
 
     source: str
@@ -149,7 +149,7 @@ class AnswerSource:
     Attributes
     ----------
     path : str
-        File or folder as it was named.
+        File or folder as it was given.
     kind : str
         ``csv`` or ``results``.
     sha256 : str
@@ -157,7 +157,7 @@ class AnswerSource:
     mode : str
         ``real``, ``pilot`` or ``simulated``; empty for a CSV, which does not say.
     labs : tuple of str
-        The folders, where they are those of several labs.
+        The folders of the labs, if there are several.
     """
 
     path: str
@@ -174,10 +174,10 @@ class Responses:
     Attributes
     ----------
     frame : DataFrame
-        Tidy table; ``response`` is categorical over all answers that could be given, ``n`` counts equal answers. Of
-        adaptive sessions it has trials that timed out, too, without a response.
+        Tidy table; ``response`` is categorical over all answers that could be given, ``n`` counts equal answers. For
+        adaptive sessions it includes trials that timed out, without a response.
     sessions : tuple of SessionFacts
-        What the log of each recorded session tells beside its answers; empty for a CSV.
+        What the log of each recorded session says besides its answers; empty for a CSV.
     left_out : tuple of ExcludedSource
         What was found but not used, and why.
     source : AnswerSource
@@ -190,22 +190,22 @@ class Responses:
         Answers to catch trials by participant, finger condition and kind of session, which are not in the table; empty
         without any.
     stimulus : str
-        Which of several stimuli the answers are to; empty where there is one.
+        Which of several stimuli the answers are to; empty if that is not one alone.
     foci : dict of str to str
-        Zone in focus of each of several stimuli.
+        Focus of each of several stimuli.
     answers : AnswerList
-        What could be answered.
+        The answers that could be given.
     margin : float or None
-        Difference within which finger conditions count as alike [1]; of sessions their protocol tells it.
+        Difference within which finger conditions count as alike [1]; for sessions, from their protocol.
     asked : int or None
-        Answers that each participant was asked for in each cell; None where the table alone tells.
+        Answers asked of each participant in each cell; None if only the table can tell.
     notes : tuple of str
-        How the table was taken, for the report.
+        How the table was read, for the report.
     scheduled : DataFrame or None
-        Where not every participant met every cell equally often: every trial, answered in time or not, of which each
-        cell's number is counted. None where the design is crossed.
+        Every trial, answered in time or not, from which the trials of each cell are counted if not every participant
+        met every cell equally often; None if the design is crossed.
     design : dict
-        Sections of the protocol; empty where it is unknown.
+        Sections of the protocol; empty if it is unknown.
     """
 
     frame: pd.DataFrame
@@ -226,7 +226,7 @@ class Responses:
 
     @property
     def task(self) -> TrialTask:
-        """What a trial asks."""
+        """What a trial asks of the participant."""
         from modaltouch.analysis.task import TrialTask
 
         return TrialTask.of(self.design)
@@ -261,7 +261,7 @@ class Responses:
 
     @property
     def groups(self) -> dict[str, str]:
-        """Group of each participant, where they are of several, in the order of the protocol."""
+        """Group of each participant, in the order of the protocol; empty if there are not several."""
         if "group" not in self.frame.columns or self.frame["group"].nunique() < 2:
             return {}
         told = self.frame[["participant", "group"]].drop_duplicates().sort_values("group", kind="stable")
@@ -276,12 +276,12 @@ class Responses:
 
     @property
     def stimuli(self) -> tuple[str, ...]:
-        """Which of several stimuli the answers are to, where they are to several."""
+        """Stimuli that the answers are to, if there are several."""
         return self._several("stimulus")
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Of which of several kinds of session the answers are, where they are of several."""
+        """Kinds of session that the answers are from, if there are several."""
         return self._several("session_kind")
 
     def _several(self, column: str) -> tuple[str, ...]:
@@ -289,7 +289,7 @@ class Responses:
         return names if len(names) > 1 else ()
 
     def by_choice(self) -> Responses:
-        """Return the answers by what they choose, where they name an interval; else as they are."""
+        """Return answers that name an interval by what they choose in it; others unchanged."""
         if not self.design.get("intervals") or not set(self.task.named) & set(self.answers.names):
             return self
         frame, answers = self.task.by_choice(self.frame, self.answers)
@@ -302,12 +302,12 @@ class Responses:
         Parameters
         ----------
         focus : str
-            Zone of the focus where the answers do not tell it; guessed if empty.
+            Zone of the focus if the answers do not give it; guessed if empty.
 
         Raises
         ------
         ValueError
-            If a response is none of the answers.
+            If a response is not one of the answers.
         """
         from modaltouch.analysis.counts import count_answers
 
@@ -315,15 +315,15 @@ class Responses:
         return replace(counts, guesses_evenly=(self.design.get("intervals") or {}).get("number", 1) < 3)
 
     def by_speed(self, speed: Speed) -> Responses:
-        """Return the answers with their levels told by the peak speed predicted or delivered under the faster finger.
+        """Return the answers with their levels as the peak speed predicted or delivered under the faster finger.
 
-        Of adaptive sessions each trial has its own; a fixed level has the mean of its trials, so that the cells of the
-        design stay. Where the vibrometer tells nothing of a trial, what was predicted stands for it.
+        In adaptive sessions each trial has its own speed; a fixed level has the mean over its trials, so that the cells
+        of the design stay the same. For a trial without a speed from the vibrometer, the predicted one is taken.
 
         Raises
         ------
         InputError
-            If the answers do not tell it.
+            If the answers do not contain these speeds, or are relative to a standard level.
         """
         if self.task.standard > 0:
             given = f"a standard of {self.task.standard:g} mm/s, to which speeds under the fingers are not comparable"
@@ -347,7 +347,7 @@ class Responses:
 
     @property
     def in_multiples(self) -> bool:
-        """Whether its levels are multiples of the participant's own threshold."""
+        """Whether levels are multiples of each participant's own threshold."""
         return scale_of(self.frame.columns) == OWN_THRESHOLD
 
     @property
@@ -388,15 +388,15 @@ def kinds_of(design: Mapping[str, Any]) -> dict[str, bool]:
 def unmirror(frame: pd.DataFrame, answers: AnswerList) -> pd.DataFrame:
     """Return a tidy table with the zones of mirrored rows, and their answers, in the order of the beam.
 
-    Someone who felt zone C at the left end of a turned beam answered "left"; beside those who felt it on the right,
-    the answer is C all the same. The column ``placement`` stays and tells the side.
+    A participant who feels zone C on the left of a turned beam answers "left"; the answer is C all the same, as for
+    those who feel it on the right. The column ``placement`` is kept and gives the side.
 
     Parameters
     ----------
     frame : DataFrame
         Tidy answers; rows whose column ``placement`` begins with "mirrored" are turned.
     answers : AnswerList
-        What could be answered; an answer whose opposite is not among them stays.
+        The answers that could be given; an answer whose opposite is not among them is kept.
     """
     if "placement" not in frame.columns:
         return frame
@@ -415,7 +415,7 @@ def unmirror(frame: pd.DataFrame, answers: AnswerList) -> pd.DataFrame:
     changed: dict[str, Any] = {"response": words.where(~turned, words.map(lambda word: opposite.get(word, word)))}
     for left, right in _SIDES:
         if left in frame.columns and right in frame.columns:
-            # The two columns of a table may know different words.
+            # The two columns may have different categories.
             changed[left], changed[right] = (
                 np.where(turned, frame[one], frame[other]) for one, other in ((right, left), (left, right))
             )

@@ -1,4 +1,4 @@
-"""A tree of recorded sessions -> answers, with every session that stays out named with its reason.
+"""Answers from a tree of recorded sessions, with the reason why a session is left out.
 
 Modes and protocols are never mixed: real, pilot and simulated sessions answer different questions, and so do
 two designs.
@@ -45,28 +45,28 @@ class SessionAnswers:
     path : Path
         Its log.
     mode, participant, protocol : str
-        What the log says of itself; empty where it cannot be read.
+        From the log; empty if it cannot be read.
     reason : str
-        Why it stays out though its mode is the right one; empty if it is fit to be analysed.
+        Why it is left out although its mode is the right one; empty if it can be analysed.
     digest : str
         SHA-256 of the log.
     rows : tuple of tuple
-        Its answers in the order of `COLUMNS` and `columns`; none where it stays out.
+        Its answers in the order of `COLUMNS` and `columns`; none if it is left out.
     facts : SessionFacts or None
-        What it tells beside the answers; None where it stays out.
+        What the log says besides the answers; None if it is left out.
     focus : str
         Zone at which the vibration was focused, if known.
     foci : dict of str to str
-        Zone in focus of each of several stimuli.
+        Focus of each of several stimuli.
     levels : {"fixed", "adaptive", "calibrated"}
-        What sets its levels: the protocol; the answers, and then its rows hold the catch trials too, at 0 mm/s; or
-        the participant's own threshold, and then they are multiples of it.
+        What sets its levels: the protocol; the answers, in which case its rows include catch trials, at 0 mm/s; or
+        the participant's own threshold, of which they are then multiples.
     answers : AnswerList
-        What could be answered.
+        The answers that could be given.
     catches : Counter
         Its answers to catch trials, with their finger condition.
     kind : (str, str)
-        The participant's group, and which of several kinds of session it is; empty without.
+        The participant's group and the kind of session; empty if there are none.
     is_crossed : bool
         Whether its protocol has every pair at every level, equally often.
     columns : tuple of str
@@ -74,7 +74,7 @@ class SessionAnswers:
     names : tuple of str
         Stimuli, groups and kinds of session in the order of the protocol.
     lab : str
-        Name of the tree, where there are several.
+        Name of the tree, if there are several.
     """
 
     path: Path
@@ -97,7 +97,7 @@ class SessionAnswers:
     lab: str = ""
 
     def of_lab(self, name: str) -> SessionAnswers:
-        """Return the session as one of a lab: its participants are others than those of another lab."""
+        """Return the session with the lab in its participant's name, so that participants of labs are distinct."""
         who = f"{name}/{self.participant}"
         rows = tuple((who, *row[1:]) for row in self.rows)
         facts = None if self.facts is None else replace(self.facts, participant=who)
@@ -107,7 +107,7 @@ class SessionAnswers:
 def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
     """Return the answers of a session that count, in the order of `COLUMNS` and of its questions.
 
-    Catch trials are only in those of adaptive sessions.
+    Catch trials are included only for adaptive sessions.
     """
     rows, with_catches = [], _levels(session) == "adaptive"
     for row in session.table():
@@ -115,7 +115,7 @@ def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
             continue
         row |= {"velocity_mm_s": row["multiple_of_threshold"] or row["velocity_mm_s"], "n": 1}
         values = (row[name] for name in (*COLUMNS, *session.question_columns))
-        # One copy of a word that comes in every row.
+        # Words that occur in every row are stored once.
         rows.append(tuple(sys.intern(value) if isinstance(value, str) else value for value in values))
     return tuple(rows)
 
@@ -156,20 +156,20 @@ COLUMNS = (
     "standard_mm_s",
     "correct",
 )
-"""Columns of the tidy table of recorded answers; of levels calibrated by participant the multiple is told instead."""
+"""Columns of the tidy table of recorded answers; levels calibrated by participant are multiples of the threshold."""
 
 _STIMULUS = COLUMNS.index("stimulus")
 _ONE = "give the folder of one of them"
 _ONE_NAMED = f"{_ONE}; give the other protocol another name"
 _OF_INTERVALS = ("interval", "standard_mm_s", "correct")
-"""Columns of trials with several intervals alone."""
+"""Columns that only trials with several intervals have."""
 
 _SPEEDS = ("speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s", "delivered_mm_s")
 _NUMBERS = ("trial", "block", "response_uncertainty", *_SPEEDS)
 
 
 def open_log(path: Path) -> SessionAnswers:
-    """Read a session and keep only what an analysis needs of it: a thousand logs would not fit in memory."""
+    """Read a session and keep only what an analysis needs, as a thousand logs would not fit in memory."""
     try:
         session = read_session(path)
     except RecordError as error:
@@ -215,7 +215,7 @@ def _unfit(session: Session) -> str:
 
 
 def _in_time(whole: pd.DataFrame, answers: AnswerList, *, keep: bool) -> pd.DataFrame:
-    """Return the trials without those that timed out, or with no answer to these."""
+    """Return the trials without those that timed out, or, to `keep` them, with no answer to them."""
     told = pd.Categorical(whole["response"].where(in_time := whole["response"] != TIME_OUT), list(answers.ranked.names))
     return whole.assign(response=told)[in_time | keep].reset_index(drop=True)
 
@@ -228,11 +228,11 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
     place : Path
         A results folder, a folder in it, or one session log.
     *further : Path
-        Results folders of other labs; the names of all folders are groups of participants then.
+        Results folders of other labs; the names of all folders are then the groups of participants.
     mode : {"real", "pilot", "simulated"}, optional
-        Which sessions to take; by default the real ones, and where there are none the only kind there is.
+        Which sessions to take; by default the real ones, and if there are none the only kind there is.
     stimulus : str, optional
-        Whose trials to take, of sessions with several stimuli and fixed levels; by default those of all.
+        Stimulus whose trials to take, if sessions at fixed levels have several; by default all.
 
     Raises
     ------
@@ -310,7 +310,7 @@ def _source(places: Sequence[Path], taken: Sequence[SessionAnswers], mode: str) 
 
 
 def _check(place: Path, taken: Sequence[SessionAnswers], left_out: Sequence[ExcludedSource]) -> None:
-    """Refuse nothing, and a session that is there twice, as in a copy, or in a folder within another lab's."""
+    """Refuse an empty choice, and a session that occurs twice, as in a copy or in a folder within another lab's."""
     first: dict[str, Path] = {}
     for item in taken:
         if (earlier := first.setdefault(item.digest, item.path)) is not item.path:
@@ -334,7 +334,7 @@ def _join(
     *,
     is_crossed: bool,
 ) -> pd.DataFrame:
-    """Return the tidy table of the sessions' answers; of several stimuli, to the one that is chosen."""
+    """Return the tidy table of the sessions' answers, to one stimulus if that is chosen."""
     frame = pd.DataFrame([row for item in taken for row in item.rows], columns=[*COLUMNS, *taken[0].columns])
     numbers = [len(item.rows) for item in taken]
     for place_of, column in enumerate(("group", "session_kind")):
@@ -366,7 +366,7 @@ def _join(
 def _sort(
     items: Sequence[SessionAnswers], left_out: list[ExcludedSource], reason_of: Callable[[SessionAnswers], str]
 ) -> list[SessionAnswers]:
-    """Return the sessions without a reason to leave them out, and add the others to those that stay out."""
+    """Return the sessions without a reason to leave them out, and add the others to `left_out`."""
     reasons = [(item, reason_of(item)) for item in items]
     left_out += [ExcludedSource(str(item.path.parent), reason) for item, reason in reasons if reason]
     return [item for item, reason in reasons if not reason]
@@ -382,7 +382,7 @@ def _only(place: Path, what: str, values: Sequence[str], remedy: str) -> str:
 
 
 def _one_list(place: Path, taken: Sequence[SessionAnswers]) -> AnswerList:
-    """Return what could be answered in all sessions: some may lack an answer that others offer."""
+    """Return the list of all answers that could be given; sessions may lack an answer that others offer."""
     longest = max((item.answers for item in taken), key=len)
     for item in taken:
         if item.columns != taken[0].columns:
@@ -404,7 +404,7 @@ def _sum_catches(found: Sequence[SessionAnswers]) -> dict[tuple[str, str, str], 
 
 @contextmanager
 def _no_search_for_cycles() -> Iterator[None]:
-    """Do without cyclic garbage collection: lines of JSON hold no cycles, and a fifth of the time went into looking."""
+    """Switch off cyclic garbage collection, which took a fifth of the time: lines of JSON hold no cycles."""
     was_on = gc.isenabled()
     gc.disable()
     try:
@@ -421,13 +421,13 @@ def _other_mode(item: SessionAnswers, chosen: str) -> str:
 
 
 def _is_crossed(taken: Sequence[SessionAnswers], stimulus: str | None) -> bool:
-    """Return whether all sessions together hold every pair at every level equally often, of one stimulus and kind."""
+    """Return whether all sessions have every pair at every level equally often, with one stimulus and one kind."""
     is_one = stimulus is not None or len({row[_STIMULUS] for item in taken for row in item.rows}) < 2
     return is_one and all(item.is_crossed for item in taken) and len({item.kind for item in taken}) == 1
 
 
 def _as_many(taken: Sequence[SessionAnswers], left_out: list[ExcludedSource]) -> list[SessionAnswers]:
-    """Return as many sessions of each kind from every participant; what is beyond stays out."""
+    """Return equally many sessions of each kind from every participant; further ones are left out."""
     held, seen = Counter((item.participant, item.kind) for item in taken), Counter[object]()
     fewest = {kind: min(n for (_, own), n in held.items() if own == kind) for _, kind in held}
     return _sort(taken, left_out, lambda item: _surplus(item, fewest[item.kind], seen))

@@ -1,4 +1,4 @@
-"""What the levels of a table of answers are: peak velocities, or multiples of each participant's own threshold."""
+"""The scale of the levels in a table of answers: peak velocities, or multiples of each participant's own threshold."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class LevelScale:
-    """What a level is, told by the column that holds it.
+    """A scale of levels, recognised by the column that holds them.
 
     Attributes
     ----------
     column : str
         Column of the tidy table.
     quantity : str
-        What it is, for a figure's axis.
+        Name with unit, for a figure's axis.
     unit : str
-        Its unit, as it follows a number.
+        Unit, as written after a number.
     step : float
-        The difference that a slope is told for.
+        Change of level for which slopes are reported.
     step_in_words : str
         The same in words.
     """
@@ -55,19 +55,19 @@ OWN_THRESHOLD = LevelScale(
 """Levels calibrated by participant."""
 
 PREDICTED = LevelScale("speed_mm_s", "predicted peak speed under the faster finger [mm/s]", "mm/s", 100.0, "100 mm/s")
-"""Levels by what they are predicted to do under the fingers."""
+"""Levels as the speed predicted under the faster finger."""
 
 DELIVERED = replace(
     PREDICTED, column="speed_delivered_mm_s", quantity="delivered peak speed under the faster finger [mm/s]"
 )
-"""Levels by what the vibrometer saw of each trial; where it tells nothing, by the prediction."""
+"""Levels as the speed that the vibrometer saw in each trial, or the prediction if it gave none."""
 
 Speed = Literal["nominal", "predicted", "delivered"]
-"""What levels are told by: the speed asked at the focus, or that predicted or delivered under the fingers."""
+"""What defines levels: the speed asked for at the focus, or that predicted or delivered under the faster finger."""
 
 
 def scale_of(columns: Container[str]) -> LevelScale:
-    """Return what the levels of a table are.
+    """Return the scale of a table's levels.
 
     Parameters
     ----------

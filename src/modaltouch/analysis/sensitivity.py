@@ -1,8 +1,8 @@
-"""Sensitivity d' and criterion of one participant, by the theory of signal detection, with 95 % intervals.
+"""Sensitivity d' and criterion of one participant, by signal detection theory, with 95 % intervals.
 
-Estimates are of rates with the log-linear correction, (k + 0.5) / (n + 1), so that they are finite. Intervals are of
-the counts themselves: by profile likelihood where two rates tell, exact where one does; a bound is infinite where the
-answers set none.
+Estimates use rates with the log-linear correction, (k + 0.5) / (n + 1), so that they are finite. Intervals use the
+counts themselves: profile likelihood for two rates, exact limits for one; a bound is infinite if the answers do not
+determine it.
 
 References
 ----------
@@ -28,14 +28,14 @@ from modaltouch.analysis.intervals import Interval, clopper_pearson
 FloatArray = NDArray[np.float64]
 Statistic = Callable[[FloatArray, FloatArray], FloatArray]
 Count = tuple[int, int]
-"""How often an answer was given, of how many."""
+"""How often an answer was given, and out of how many."""
 
 DROP = 1.920729
 """Half the 95 % point of chi-squared with one degree of freedom."""
 
 _HALVINGS = 50
 _FARTHEST = 40.0
-"""Largest d' that is told from an infinite one."""
+"""Largest d' that is distinguished from an infinite one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,15 +45,16 @@ class SignalDetection:
     Attributes
     ----------
     d_prime : Interval
-        SignalDetection, in standard deviations of what is felt at one presentation.
+        Sensitivity d', in standard deviations of what is felt at one presentation.
     contrast : float
-        Difference of the two rates, or of one and its chance [1]: unlike d', whose correction pulls the rate of fewer
-        trials farther, its expectation is zero where nothing is told apart. Not a number without trials of both.
+        Difference of the two rates, or of one rate from chance [1]. Its expectation is zero if nothing is
+        discriminated, unlike that of d', whose correction shifts the rate of fewer trials more. NaN without trials of
+        both kinds.
     criterion : Interval or None
-        Criterion; 0 where no answer is preferred, above 0 the fewer answers of the first kind. None where all answers
-        count together.
+        Criterion; 0 if no answer is preferred, the higher the fewer answers of the first kind. None if all answers are
+        pooled.
     model : str
-        Model of the decision that it rests on.
+        Decision model that it rests on.
     """
 
     d_prime: Interval
@@ -63,12 +64,12 @@ class SignalDetection:
 
 
 def yes_no(signal: Count, noise: Count) -> SignalDetection:
-    """Return d' = z(H) - z(F) and c = -(z(H) + z(F)) / 2 of hits and false alarms.
+    """Return d' = z(H) - z(F) and c = -(z(H) + z(F)) / 2 from the rates of hits H and false alarms F.
 
     Parameters
     ----------
     signal, noise : (int, int)
-        "Yes" among the trials with the signal, and among those without it.
+        Answers "yes" in trials with the signal, and in those without it.
 
     Examples
     --------
@@ -84,19 +85,19 @@ def yes_no(signal: Count, noise: Count) -> SignalDetection:
 
 
 def two_intervals(first: Count, second: Count) -> SignalDetection:
-    """Return d' = (z(H) - z(F)) / sqrt 2 and c of two alternatives in time or space.
+    """Return d' = (z(H) - z(F)) / sqrt(2) and c for two alternatives in time or space.
 
     Parameters
     ----------
     first, second : (int, int)
-        "First" among the trials with the signal in the first interval, and among those with it in the second.
+        Answers "first" in trials with the signal in the first interval, and in those with it in the second.
     """
     found = yes_no(first, second)
     return replace(found, d_prime=found.d_prime.changed(lambda d_prime: d_prime / math.sqrt(2)), model="2AFC")
 
 
 def m_intervals(correct: Count, m: int) -> SignalDetection:
-    """Return d' of an observer who prefers none of m alternatives; its interval is that of the share, exact.
+    """Return d' of an unbiased observer of m alternatives, with its interval from the exact one of the share.
 
     Parameters
     ----------
@@ -112,8 +113,9 @@ def m_intervals(correct: Count, m: int) -> SignalDetection:
 def odd_of_three(correct: Count) -> SignalDetection:
     """Return d' of the triangular model: whichever percept is farthest from the other two is called the odd one.
 
-    Their distances are those of F with one and one degrees of freedom: it is the odd one that lies more than
-    sqrt 3 times as far from the mean of the others, in its standard deviations, as they lie apart. No d' is below 0.
+    With percepts x, y of the equal stimuli and z of the odd one, the answer is correct if v^2 / u^2 > 3, where
+    u = (x - y) / sqrt(2) and v = (z - (x + y) / 2) sqrt(2 / 3) have unit variance: a noncentral F distribution with 1
+    and 1 degrees of freedom and noncentrality 2 d'^2 / 3. No d' is below 0.
 
     Parameters
     ----------
@@ -125,7 +127,7 @@ def odd_of_three(correct: Count) -> SignalDetection:
 
 
 def _of_share(correct: Count, rising: Callable[[FloatArray], FloatArray], lowest: float) -> Interval:
-    """Return the d', from the lowest on, at which a share of correct answers is the given one, exact bounds with it."""
+    """Return the d', at least `lowest`, that gives a share of correct answers, with exact bounds."""
     share = clopper_pearson(*correct)
     rates = np.array([_corrected(*correct), share.low, share.high])
     ends = np.full(rates.shape, lowest), np.full(rates.shape, _FARTHEST)
@@ -139,7 +141,7 @@ def share_correct(d_prime: ArrayLike, m: int) -> FloatArray:
     Parameters
     ----------
     d_prime : float or array
-        SignalDetection.
+        Sensitivity d'.
     m : int
         Alternatives.
     """
@@ -152,21 +154,21 @@ def share_correct(d_prime: ArrayLike, m: int) -> FloatArray:
 
 @lru_cache(maxsize=1)
 def _nodes() -> tuple[FloatArray, FloatArray]:
-    """Return where and how much an integral over the normal law is read: of 80 nodes, good to 1e-9."""
+    """Return the 80 nodes and weights of an integral over the normal distribution, accurate to 1e-9."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(80)
     return nodes, weights
 
 
 def same_different(differing: Count, alike: Count) -> SignalDetection:
-    """Return d' and criterion of the differencing model: "different" where two percepts are farther apart than k.
+    """Return d' and criterion of the differencing model: "different" if two percepts are farther apart than k.
 
-    Where the same are called different more often than the differing, d' is told as negative, so that it has no bias
-    where nothing is told apart.
+    If equal stimuli are called different more often than differing ones, d' is negative, so that it is unbiased if
+    nothing is discriminated.
 
     Parameters
     ----------
     differing, alike : (int, int)
-        "Different" among the trials whose stimuli differ, and among those whose stimuli are the same.
+        Answers "different" in trials whose stimuli differ, and in those whose stimuli are the same.
     """
     return SignalDetection(
         _profile(_signed, differing, alike),
@@ -186,7 +188,7 @@ def _signed(hit: FloatArray, alarm: FloatArray) -> FloatArray:
 
 
 def _differencing(hit: FloatArray, alarm: FloatArray) -> FloatArray:
-    """Return the d' at which differing stimuli are called different as often as they were; 0 where no more often."""
+    """Return the d' that gives the rate `hit` of "different" to differing stimuli; 0 if it is not above `alarm`."""
     hit, k = np.broadcast_arrays(hit, _criterion(alarm))
     known = np.where(np.isfinite(k), k, 0.0)
     root, far = np.sqrt(2), np.full(hit.shape, _FARTHEST)
@@ -197,13 +199,13 @@ def _differencing(hit: FloatArray, alarm: FloatArray) -> FloatArray:
 def _inverted(
     rising: Callable[[FloatArray], FloatArray], wanted: FloatArray, low: FloatArray, high: FloatArray
 ) -> FloatArray:
-    """Return where a rising function reaches some values, its ends included; infinite beyond a bound of `_FARTHEST`."""
+    """Return where an increasing function reaches some values, by bisection; infinite at a bound of `_FARTHEST`."""
     bottom, top = low, high
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
         is_low = rising(middle) < wanted
         low, high = np.where(is_low, middle, low), np.where(is_low, high, middle)
-    # What halving leaves of zero is none.
+    # What bisection leaves of zero becomes zero.
     found = np.where((wanted >= 1) | (high == top), np.inf, np.where(np.abs(low) < 1e-6, 0.0, low))
     return np.where((low == bottom) & (bottom < 0), -np.inf, found)
 
@@ -217,27 +219,27 @@ def _corrected(given: int, n: int) -> float:
 
 
 def _profile(statistic: Statistic, first: Count, second: Count) -> Interval:
-    """Return a statistic of two rates, and its ends where their likelihood together has fallen by `DROP`."""
+    """Return a statistic of two rates, and its bounds, where their joint log likelihood has dropped by `DROP`."""
     estimate = statistic(*(np.asarray(_corrected(*count)) for count in (first, second)))
-    # At an end, one rate takes a part of the drop and the other the rest.
+    # At a bound, one rate takes a part of the drop and the other the rest.
     one, other = _rates(*first), _rates(*second)[:, ::-1]
     with np.errstate(invalid="ignore"):
         values = statistic(one[:, np.newaxis], other[np.newaxis])
-    # What rounding leaves of zero is none, and has no sign.
+    # Rounding errors about zero become zero, without a sign.
     best, low, high = (round(float(each), 12) + 0.0 for each in (estimate, np.nanmin(values), np.nanmax(values)))
     return Interval(best, low, high, first[1] + second[1])
 
 
 @lru_cache(maxsize=4096)
 def _rates(given: int, n: int) -> FloatArray:
-    """Return the lowest and highest rates whose log likelihood is, at most, each part of `DROP` below the best.
+    """Return the lowest and highest rates whose log likelihood is at most some parts of `DROP` below the maximum.
 
     Returns
     -------
     (2, 61) array
-        The parts rise from none to all of it.
+        For parts that rise from 0 to `DROP`.
     """
-    drop = DROP * np.sin(np.linspace(0, np.pi / 2, 61)) ** 2  # fine at both ends
+    drop = DROP * np.sin(np.linspace(0, np.pi / 2, 61)) ** 2  # closely spaced at both ends
     if n == 0:
         return np.stack([np.zeros(drop.shape), np.ones(drop.shape)])
     share = given / n

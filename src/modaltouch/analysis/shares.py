@@ -1,4 +1,4 @@
-"""Shares of one answer, with those that are missing."""
+"""Shares of one answer, with allowance for missing answers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Shares:
-    """How often one answer was given, of those that were asked for; arrays of one shape, levels last.
+    """How often one answer was given, out of those asked for; arrays of one shape, levels last.
 
     Attributes
     ----------
@@ -20,7 +20,7 @@ class Shares:
     answered : array of int
         Times that any answer was given.
     asked : int
-        Times that one was asked for.
+        Times that an answer was asked for.
     """
 
     given: NDArray[np.int64]
@@ -33,30 +33,30 @@ class Shares:
         return bool((self.answered < self.asked).any())
 
     def at(self, place: int | list[int], axis: int) -> Shares:
-        """Return some along an axis."""
+        """Return a selection along an axis."""
         return Shares(self.given.take(place, axis), self.answered.take(place, axis), self.asked)
 
     def joined(self, n_after: int) -> Shares:
-        """Return finger conditions and pairs, which end before some axes, as one axis of tests."""
+        """Return the axes of finger conditions and pairs, the last two before `n_after` axes, as one axis of tests."""
         after = self.given.ndim - n_after
         shape = (*self.given.shape[: after - 2], -1, *self.given.shape[after:])
         return Shares(self.given.reshape(shape), self.answered.reshape(shape), self.asked)
 
     @classmethod
     def stacked(cls, parts: Sequence[Shares]) -> Shares:
-        """Return several as one, their tests side by side."""
+        """Return several as one, joined along the axis of tests."""
         given, answered = (np.concatenate([getattr(p, name) for p in parts], axis=-3) for name in ("given", "answered"))
         return cls(given, answered, parts[0].asked)
 
     @property
     def known(self) -> NDArray[np.float64]:
-        """Share of the answers [1]; not a number without any."""
+        """Share of the answers [1]; NaN without any."""
         nothing = np.full(self.given.shape, np.nan)
         return np.asarray(np.divide(self.given, self.answered, out=nothing, where=self.answered > 0))
 
     @property
     def mean(self) -> NDArray[np.float64]:
-        """Mean share over the levels with answers [1]; not a number without any."""
+        """Mean share over the levels with answers [1]; NaN without any."""
         return mean_of_known(self.known)
 
     @property
@@ -71,8 +71,8 @@ class Shares:
 
 
 def mean_of_known(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean along the last axis of the values that are numbers; not a number without any."""
+    """Return the mean of the finite values along the last axis; NaN without any."""
     known = np.isfinite(values)
-    # Along few values, einsum adds up in a third of the time of sum.
+    # For few values, einsum takes a third of the time of sum.
     n, total = np.einsum("...i->...", known.astype(float)), np.einsum("...i->...", np.where(known, values, 0.0))
     return np.asarray(np.divide(total, n, out=np.full(n.shape, np.nan), where=n > 0))

@@ -1,11 +1,11 @@
 """The statistics of the experiment: every question of the plan as rows of one tidy table.
 
-The participant is the unit of inference. Two claims are kept apart: that somebody differs, by exact tests that shuffle
-or flip within participants, and that participants differ on average, by the mean of a bounded score, whose interval
-inverts its test. The first is found sooner; only the second says how much.
+The participant is the unit of inference. Two claims are kept apart: that some participant differs, by exact tests that
+shuffle or flip within participants, and that participants differ on average, by the mean of a bounded score, whose
+interval inverts its test. The first takes fewer data to show; only the second says by how much.
 
-`STATISTICS` holds the families of tests. Each is one function of the counted answers, of one experiment or of a batch:
-the analysis prints what it finds, and planning counts in how many of its simulated experiments it finds it.
+`STATISTICS` holds the families of tests. Each is one function of the counted answers of an experiment or a batch: the
+analysis reports its results, and planning counts in how many simulated experiments it is significant.
 """
 
 from __future__ import annotations
@@ -31,34 +31,34 @@ from modaltouch.analysis.trend import MOST_EXACT, smallest_trend_p, trend_test
 
 
 def _unanimous_p(levels: Sequence[float], n_participants: int, n_repetitions: int, margin: float | None) -> float:
-    """Return p where all participants lean one way."""
+    """Return p if all participants lean the same way."""
     return float(2.0 ** (1 - n_participants))
 
 
 @dataclass(frozen=True)
 class Statistic:
-    """A family of tests, to be printed by the analysis and powered by planning.
+    """A family of tests, reported by the analysis, and whose power planning simulates.
 
     Attributes
     ----------
     question : str
-        Question of the report under which it stands.
+        Question of the report that it belongs to.
     asks : str
-        What it asks, for the report and the picture of a plan.
+        What it asks, for the report and the figure of a plan.
     name : str
         Name of its tests.
     compute : callable
-        Takes the counts of answers, of one experiment or a batch, and returns what it finds; None where these answers
-        or this design have no such test.
+        Takes the counts of the answers of an experiment or a batch, and returns the results; None if these answers or
+        this design have no such test.
     unit : str
-        What its intervals are of.
+        Quantity of its intervals.
     smallest_p : callable
-        From the levels, the number of participants, that of repetitions and the margin of equivalence, the smallest p
-        that a test can give, however the answers fall; by default that of sign flips, and of a bounded mean.
+        Takes the levels, the numbers of participants and of repetitions, and the margin of equivalence, and returns the
+        smallest p that a test can give; by default that of sign flips, and of a bounded mean.
     against_guessing : bool
-        Whether there is nothing to be found where participants guess, rather than where both fingers feel alike.
+        Whether its null hypothesis holds when participants guess, rather than when both fingers feel alike.
     when_alike : bool
-        Whether there is something to be found where both fingers feel alike.
+        Whether it finds an effect when both fingers feel alike.
     """
 
     question: str
@@ -72,11 +72,11 @@ class Statistic:
 
 
 def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
-    """Return whether cells differ from guessing, all answers alike.
+    """Return tests of whether cells differ from guessing, with all answers equally likely.
 
-    One answer of each participant enters a cell: the one given, or with repetitions the most frequent; ties are
-    left out and counted in the note. Where "felt nowhere" is an answer too, the test is of those who felt something
-    (given how many they are, guesses are even over the others whatever the chance of that one), the share of all.
+    One answer of each participant enters a cell: the one given or, with repetitions, the most frequent; ties are
+    left out and counted in the note. If "felt nowhere" is an answer too, the test is of those who felt something
+    (given their number, guesses are even over the other answers, however likely that one is), the share is of all.
     """
     felt = answers.felt
     if len(felt) < 2 or not answers.guesses_evenly:
@@ -149,12 +149,12 @@ def leaning_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def _of(label: str, needed: object) -> str:
-    """Return an answer as the end of a scope, where that would mean several tests without it."""
+    """Return an answer as the end of a scope, if that would be ambiguous without it."""
     return f" {label}" if needed else ""
 
 
 def _levels_of(answers: AnswerCounts) -> tuple[list[str], list[str], Shares]:
-    """Return scopes, labels and shares of what may change with the level: the dominant zone; else each answer."""
+    """Return scopes, labels and shares of what may change with the level: the dominant zone or else each answer."""
     effects = answers.of_effects[: 1 if answers.compares else None]
     of_pairs = effects[0] if len(effects) == 1 else np.stack(effects, axis=-3)
     asked = answers.answered if len(effects) == 1 else np.stack([answers.answered] * len(effects), axis=-3)
@@ -166,7 +166,7 @@ def _levels_of(answers: AnswerCounts) -> tuple[list[str], list[str], Shares]:
 
 
 def level_tests(answers: AnswerCounts) -> FamilyResult | None:
-    """Return whether the choice of the dominant zone changes with the level in any participant; None at one level."""
+    """Return tests of whether any participant's choices change with the level; None at one level."""
     if len(answers.levels) < 2:
         return None
     scopes, labels, shares = _levels_of(answers)
@@ -330,7 +330,7 @@ def find(answers: AnswerCounts, frame: pd.DataFrame, of_design: Iterable[Finding
     frame : DataFrame
         The tidy answers themselves, for what counts do not hold: order and times.
     of_design : iterable of Finding
-        What catch trials and measures of each participant found, such as d' or ratings.
+        Findings from catch trials and from measures of each participant, such as d' or ratings.
     """
     return correct(uncorrected(answers, frame, of_design))
 
@@ -347,7 +347,7 @@ def uncorrected(answers: AnswerCounts, frame: pd.DataFrame, of_design: Iterable[
 
 
 def _choice_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield what is asked of answers that are chosen from a list."""
+    """Yield the findings on answers that are chosen from a list."""
     for family in STATISTICS:
         yield from family_findings(family, answers)
         if family == "a2" and answers.compares:

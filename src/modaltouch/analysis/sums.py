@@ -1,10 +1,11 @@
-"""Tails of sums of independent whole numbers, one from each participant, for many tests at once.
+"""Tails of sums of independent integers, one from each participant, for many tests at once.
 
-A participant's number follows one of a few laws, so a test is a row of counts: how many participants follow each law.
+A participant's number has one of a few distributions (`laws`), so a test is a row of counts: how many participants have
+each distribution.
 
 `Sums.tails` convolves, test by test, and keeps the relative accuracy of the smallest p. `Sums.quick_tails` multiplies
 characteristic functions: a row of counts times one table of logarithms that all tests share. Its absolute error is near
-1e-14, which no level of significance can see, and thousands of tests take milliseconds.
+1e-14, negligible at any significance level, and thousands of tests take milliseconds.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ Law = tuple[IntArray, FloatArray]
 """Values, increasing, and their probabilities [1]."""
 
 LEAST_P = 1e-14
-"""Smaller p are given as this where many tests are done at once."""
+"""Smaller p are given as this when many tests are done at once."""
 
 _AT_ONCE = 1_000_000
 """Entries of the largest temporary array."""
@@ -32,18 +33,18 @@ _AT_ONCE = 1_000_000
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Null distributions of sums of whole numbers.
+    """Null distributions of sums of integers.
 
     Attributes
     ----------
     laws : sequence of (values, probabilities)
-        What a participant's number may be.
+        Distributions that a participant's number may have.
     means : (n_laws,) array of int
-        Mean of each law times `scale`, so that distances from the mean are whole numbers too.
+        Mean of each distribution times `scale`, so that distances from the mean are integers too.
     scale : int
-        What makes the means whole.
+        Factor that makes the means integers.
     counts : (n_tests, n_laws) array of int
-        How many participants of each test follow each law.
+        How many participants of each test have each distribution.
     """
 
     laws: Sequence[Law]
@@ -72,12 +73,12 @@ class Sums:
         return np.asarray(np.maximum(self.mean - self.lowest * self.scale, self.highest * self.scale - self.mean))
 
     def tails(self, distance: IntArray) -> FloatArray:
-        """Return the probability of each sum to lie as far from its mean, (n_tests,) array [1].
+        """Return the probability that each sum lies at least so far from its mean, (n_tests,) array [1].
 
         Parameters
         ----------
         distance : (n_tests,) array of int
-            Distance from the mean times `scale`, either way.
+            Distance from the mean times `scale`, on either side.
         """
         p = np.ones(len(distance))
         for row in np.flatnonzero(distance):
@@ -98,13 +99,13 @@ class Sums:
         return np.asarray(some._transformed(distance[first])[inverse])
 
     def _transformed(self, distance: IntArray) -> FloatArray:
-        # Counted in steps from its lowest value, a sum lies on 0 ... width.
+        # In steps from its lowest value, a sum takes the values 0 ... width.
         unit = int(np.gcd.reduce(np.concatenate([values - values[0] for values, _ in self.laws])))
         width = (self.highest - self.lowest) // unit
         first = np.maximum(((self.mean - distance) // self.scale - self.lowest) // unit + 1, 0)
         last = np.minimum(-((-self.mean - distance) // self.scale) - self.lowest - 1, width * unit) // unit
         nodes = _Nodes(int(width.max()))
-        # A law beyond the period is of no sum.
+        # A distribution wider than the period occurs in no sum.
         steps = (np.bincount((values - values[0]) // unit, weights) for values, weights in self.laws)
         waves = np.stack([np.fft.rfft(each, nodes.period)[1:] for each in steps])
         log_size, turn = np.log(np.maximum(np.abs(waves), 1e-300)), -np.angle(waves)
@@ -122,7 +123,7 @@ class Sums:
 
 
 def _different_rows(counts: IntArray, distance: IntArray) -> tuple[IntArray, IntArray]:
-    """Return one place of each different test, and which of them each test is; all where no number can tell them."""
+    """Return one row of each distinct test, and which of them each test equals; all rows if their code is too long."""
     n_participants, farthest = int(counts.sum(axis=1).max()), int(distance.max())
     if counts.shape[1] * np.log2(n_participants + 1) + np.log2(farthest + 1) >= 62:
         every = np.arange(len(counts))
@@ -135,12 +136,12 @@ def _different_rows(counts: IntArray, distance: IntArray) -> tuple[IntArray, Int
 
 
 def _times(rows: FloatArray, table: FloatArray) -> FloatArray:
-    """Return the matrix product in one thread, whose sums are the same on every machine and beside every process."""
+    """Return the matrix product in one thread, so that its sums are the same on every machine, whatever its load."""
     return np.asarray(np.einsum("ts,sk->tk", rows, table))
 
 
 class _Nodes:
-    """Half the angles at which characteristic functions are read: as many as a sum from 0 to `width` needs."""
+    """Half the angles at which characteristic functions are evaluated, as many as a sum from 0 to `width` needs."""
 
     def __init__(self, width: int) -> None:
         # An odd number of nodes: no cosine of a whole multiple is zero.

@@ -24,8 +24,8 @@ PAPER_TEXT: dict[str, dict[tuple[str, str], str]] = {
     },
     "two_hands": {},
 }
-"""Answers of ten participants at 80, 100, 150 and 200 mm/s in the text of section V; of two hands it gives no
-numbers."""
+"""Answers of ten participants at 80, 100, 150 and 200 mm/s, from the text of the paper's section V, which gives no
+numbers for two hands."""
 
 
 def tabulate(answers: AnswerCounts) -> pd.DataFrame:
@@ -49,7 +49,7 @@ def zone_table(answers: AnswerCounts, finger_condition: str) -> pd.DataFrame:
     answers : AnswerCounts
         Counts of the answers.
     finger_condition : str
-        Which finger condition.
+        Name of the finger condition.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""What the answers of a design mean: which interval they name, whether they say same or different, what is rated."""
+"""What the answers of a design mean: which interval they name, or whether they say same or different."""
 
 from __future__ import annotations
 
@@ -17,25 +17,24 @@ CORRECT, INCORRECT = "correct", "incorrect"
 
 @dataclass(frozen=True)
 class TrialTask:
-    """What a trial asks.
+    """What a trial asks of the participant.
 
     Attributes
     ----------
     n_intervals : int
-        Stimuli in sequence; 1 where there is one alone.
+        Number of intervals.
     named : dict of str to int
         Interval that each answer names, from 1.
     different, same : frozenset of str
         Answers that say that the stimuli of a trial differ, and that they do not.
     standard : float
-        Level of the stimulus in the other intervals [mm/s]; 0 where nothing is driven in them, not a number where it
-        is that of the comparison.
+        Level of the standard [mm/s]; 0 if nothing is driven in its intervals, NaN if it is the level of the comparison.
     stimulus : str
-        Which of several stimuli it is; empty where it is that of the comparison.
+        Stimulus of the standard; empty if it is that of the comparison.
     asks_stronger : bool
         Whether the interval of the higher level is the right answer; else that of the comparison.
     places : tuple of int
-        Intervals in which the comparison may stand; empty for all.
+        Intervals that may hold the comparison; empty for all.
     """
 
     n_intervals: int = 1
@@ -49,7 +48,7 @@ class TrialTask:
 
     @classmethod
     def of(cls, design: Mapping[str, Any]) -> TrialTask:
-        """Return the task of a protocol, as a record keeps it.
+        """Return the task of a protocol.
 
         Parameters
         ----------
@@ -72,20 +71,22 @@ class TrialTask:
         )
 
     def turns(self, level: float) -> bool:
-        """Return whether the right answer at a level is the standard's interval, not that of the comparison."""
+        """Return whether the right answer at a level is the interval of the standard, not of the comparison."""
         return self.asks_stronger and self.n_intervals == 2 and level < self.standard
 
     def tells(self, level: float) -> bool:
-        """Return whether an answer at a level is right or wrong, not one of several that are both the stronger."""
+        """Return whether an answer at a level is right or wrong; it is neither if two intervals are equally strong."""
         return not self.asks_stronger or level > self.standard or self.turns(level)
 
     def told(self, frame: pd.DataFrame, level: str) -> pd.DataFrame:
-        """Return the answers that say something of the intervals; all where none can.
+        """Return the answers that say something about the intervals; all if none can.
+
+        If the stronger of three intervals is asked for, trials whose comparison is below the standard say nothing.
 
         Parameters
         ----------
         frame, level
-            As for `is_same`; of three intervals two are the stronger where the comparison is the weaker one.
+            As for `is_same`.
         """
         words = self.different | self.same if self.different else self.named.keys()
         if not words:
@@ -95,7 +96,7 @@ class TrialTask:
 
     @property
     def why_no_d_prime(self) -> str:
-        """Why no model gives a d' for which interval was named, or for same and different; else empty."""
+        """Why no model gives a d' for the interval named, or for same and different; empty if one does."""
         if self.n_intervals == 3 and self.different:
             return "whether three intervals are the same: the differencing model is for two"
         if self.n_intervals == 3 and len(self.places or self.named) < 3:
@@ -108,7 +109,7 @@ class TrialTask:
         return self.n_intervals == 3 and not self.asks_stronger and not self.detects
 
     def is_same(self, frame: pd.DataFrame, level: str) -> pd.Series:
-        """Return in which trials the comparison is the standard.
+        """Return in which trials the comparison equals the standard.
 
         Parameters
         ----------
@@ -127,18 +128,18 @@ class TrialTask:
 
     @property
     def words(self) -> tuple[str, str]:
-        """What an answer that names the interval of the comparison is called, and any other."""
+        """Words for an answer that names the interval of the comparison, and for one that names another."""
         return (CORRECT, INCORRECT) if self.detects else (COMPARISON, STANDARD)
 
     def by_choice(self, frame: pd.DataFrame, answers: AnswerList) -> tuple[pd.DataFrame, AnswerList]:
-        """Return answers by what they choose, and all that can be: the comparison or the standard, or correct or not.
+        """Return answers by what they choose, comparison or standard, or correct or incorrect, and the list of these.
 
         Parameters
         ----------
         frame : DataFrame
-            Tidy answers; those that name no interval stay.
+            Tidy answers; those that name no interval are kept.
         answers : AnswerList
-            What could be answered.
+            The answers that could be given.
         """
         place, named = frame["interval"].astype(int), frame["response"].astype(str).map(self.named)
         chosen = frame["response"].astype(str).where(named.isna(), self.words[1]).where(named != place, self.words[0])

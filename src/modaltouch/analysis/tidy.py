@@ -1,4 +1,4 @@
-"""The tidy CSV: every word, number and cell checked, all faults of its fields at once."""
+"""The tidy CSV: every word, number and cell is checked, and all faults of its fields are reported at once."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from modaltouch.protocol import TIME_OUT, AnswerList, InputError, Problem, Scale
 
 _SPEEDS = ("speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s")
 NUMBERS = ("trial", "block", "response_time", *_SPEEDS)
-"""Further columns the analysis uses where they are there, named as in the record's own table."""
+"""Further columns that the analysis uses if present, named as in the record's own table."""
 
 _LEAST_LEVEL, _MOST = 0.001, 100_000
-"""Finest step between levels that a trend is told by, and the highest level and count of equal answers."""
+"""Lowest level, the finest step that a trend distinguishes; and the highest level and count of equal answers."""
 
 _LONGEST, _LONG = 86_400.0, 60.0
-"""Longest reaction time, and longest median of all: beyond, milliseconds were written [s]."""
+"""Longest reaction time, and longest median of all [s]; longer ones must be in milliseconds."""
 
 _CAUGHT = "catch trials, counted apart"
 _LEFT_OUT = ("excluded", "exclude", "withdrawn", "invalid")
@@ -59,17 +59,18 @@ def read_csv(
         A table with the six columns, and optionally ``n`` (count of equal answers), ``repetition``, ``practice``,
         ``catch`` (1 where nothing was driven, whatever the velocity), ``excluded`` (1 where the row does not count;
         also ``exclude``, ``withdrawn``, ``invalid``), ``mode``, ``stimulus``, ``session``, ``session_kind`` and any
-        others, which are kept. Where any response is ``none``, that was an answer, unless `table_format` tells. Where
-        ``multiple_of_threshold`` is filled in, it is the level. Sessions of a kind count as repetitions, as all have.
+        others, which are kept. If any response is ``none``, that was an answer, unless `table_format` has the answers.
+        If ``multiple_of_threshold`` is filled in, it is the level. Sessions of a kind count as repetitions, as many as
+        all participants have.
     table_format : TableFormat, optional
         How the words are to be read.
     mode, stimulus : str, optional
-        Which rows to take, where these columns hold several words; of several stimuli by default all.
+        Which rows to take; needed if there are several modes, while stimuli are all taken by default.
 
     Raises
     ------
     InputError
-        With every fault of a field; where there is none, with every one of the balance.
+        With all faults of the fields; if there are none, with all faults of the balance.
     """
     table_format = table_format or TableFormat()
     table = choose_rows(read_table(path, (*REQUIRED, *table_format.asked)), "mode", mode)
@@ -110,12 +111,12 @@ def read_csv(
 
 
 def _mode_of(fields: pd.DataFrame) -> str:
-    """Return the mode that a table tells, empty where it does not."""
+    """Return the mode that a table states; empty if it does not."""
     return next((mode for mode in fields.get("mode", ()) if mode not in _EMPTY), "")
 
 
 def _with_missing(part: pd.DataFrame, usual: int) -> pd.DataFrame:
-    """Return a crossed part with one row for an answer, and one without a response for each that is missing."""
+    """Return a crossed part with one row for each answer, and one without a response for each missing answer."""
     lacks = (usual - answers_per_cell(part)).melt(ignore_index=False, value_name="n").reset_index()
     missing = lacks.loc[lacks.index.repeat(lacks["n"].clip(lower=0))]
     rows = pd.concat([part.loc[part.index.repeat(part["n"])], missing])
@@ -124,7 +125,7 @@ def _with_missing(part: pd.DataFrame, usual: int) -> pd.DataFrame:
 
 
 def _in_order(frame: pd.DataFrame, design: Mapping[str, Any]) -> pd.DataFrame:
-    """Return answers whose stimuli, groups and kinds of session are in the protocol's order, others after them."""
+    """Return answers with stimuli, groups and kinds of session in the protocol's order, others after them."""
     for column, names in _names(design).items():
         if column in frame:
             named = [name for name in names if (frame[column] == name).any()]
@@ -134,13 +135,13 @@ def _in_order(frame: pd.DataFrame, design: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def _names(design: Mapping[str, Any]) -> dict[str, Sequence[str]]:
-    """Return the words that a protocol has for some columns."""
+    """Return the names that a protocol defines for some columns."""
     own = {"stimulus": design.get("stimuli"), "group": design.get("groups"), "session_kind": kinds_of(design)}
     return {column: tuple(names or ()) for column, names in own.items()}
 
 
 def _told_apart(parts: Sequence[pd.DataFrame], usual: Sequence[int], design: Mapping[str, Any]) -> pd.DataFrame:
-    """Return answers to several stimuli with the columns that tell recorded ones apart, and each one's focus."""
+    """Return all parts as one table, with the columns that distinguish recorded ones, and the focus of each answer."""
     frame = pd.concat(map(_with_missing, parts, usual))
     lacking = {name: "" for name in ("group", "session_kind") if name not in frame}
     frame = frame.assign(focus=_foci(frame, design), **lacking)
@@ -162,13 +163,13 @@ def _is_crossed(design: Mapping[str, Any]) -> bool:
 
 
 def _foci(frame: pd.DataFrame, design: Mapping[str, Any]) -> list[str]:
-    """Return the zone in focus of each answer, empty where no protocol tells it."""
+    """Return the focus of each answer's stimulus; empty if no protocol gives it."""
     focal, own = (design.get("stimulus") or {}).get("focus", ""), design.get("stimuli") or {}
     return [str(own.get(name, {}).get("focus") or focal) for name in frame.get("stimulus", [""] * len(frame))]
 
 
 def _scales(design: Mapping[str, Any]) -> dict[str, ScaleSection]:
-    """Return the scale of each column of ratings: of the trial's question, and of further ones."""
+    """Return the scale of each column of ratings: that of the trial's question, and those of further ones."""
     section = design.get("answers") or {}
     asked = {"value": section, **(section.get("then") or {})}
     return {name: ScaleSection.model_validate(each["scale"]) for name, each in asked.items() if each.get("scale")}
@@ -177,9 +178,9 @@ def _scales(design: Mapping[str, Any]) -> dict[str, ScaleSection]:
 def _frame_of(
     columns: _Columns, fields: pd.DataFrame, counts: pd.Series, table_format: TableFormat
 ) -> tuple[pd.DataFrame, AnswerList]:
-    """Return the values of all rows, and what could be answered."""
+    """Return the values of all rows, and the answers that could be given."""
     answers = table_format.answers
-    # Zones that no row has are of fingers that nobody laid down.
+    # A column of zones without any entry belongs to a finger that was not used.
     absent = [name for name in zones_of(fields.columns)[1:] if set(fields[name]) <= set(_EMPTY)]
     names = [name for name in (*REQUIRED[:2], *zones_of(fields.columns)) if name not in absent]
     frame = pd.DataFrame({name: columns.words(name) for name in names})
@@ -221,12 +222,12 @@ def _frame_of(
 
 
 def choose_rows(table: Table, name: str, chosen: str | None) -> Table:
-    """Return the rows with one word in a column, of a table that may lack it.
+    """Return the rows with the chosen word in a column, if one is chosen.
 
     Raises
     ------
     InputError
-        If the column holds several words and none is chosen, or not the one that is.
+        If the column has several words and none is chosen, does not have the chosen one, or has unknown modes.
     """
     words = set(table.fields[name]) - set(_EMPTY) if name in table.fields else set()
     listed = ", ".join(sorted(map(str, words))) or f"no column {name} with a word"
@@ -243,7 +244,7 @@ def choose_rows(table: Table, name: str, chosen: str | None) -> Table:
 
 
 def choose_sessions(table: Table) -> tuple[Table, list[ExcludedSource], list[str]]:
-    """Return as many sessions of each participant as all have, what stays out, and how they were taken."""
+    """Return equally many sessions of each participant, what is left out, and notes on how they were taken."""
     if "session" not in table.fields:
         return table, [], []
     who, session = (table.fields[name].astype("str") for name in ("participant", "session"))
@@ -282,7 +283,7 @@ class _Columns:
         return column
 
     def answers(self, words: tuple[str, ...], remedy: str, table_format: TableFormat) -> pd.Series:
-        """Return the responses, each one of the answers, or not there."""
+        """Return the responses, each one of the answers or missing."""
         missing = {*_EMPTY, TIME_OUT, *table_format.missing}
 
         def say(word: str) -> tuple[str, str]:
@@ -298,7 +299,7 @@ class _Columns:
         return pd.Series(pd.Categorical(found.where(found.isin(words)), list(words)), column.index)
 
     def apart(self, kinds: Mapping[str, bool]) -> dict[str, pd.Series]:
-        """Return the rows that are not analysed, by the reason; none has two. `kinds` of session may not be."""
+        """Return the rows that are not analysed, by reason, none twice; `kinds` has which kinds of session are."""
         reasons = {name: (f"rows marked {name}", "a row that does not count") for name in _LEFT_OUT}
         reasons |= {"practice": ("practice trials", "a practice trial"), "catch": (_CAUGHT, "a catch trial")}
         apart, free = {}, pd.Series(True, index=self._table.fields.index)
@@ -311,7 +312,7 @@ class _Columns:
         return apart
 
     def flags(self, name: str, what: str) -> pd.Series:
-        """Return which rows a column of 0 and 1 marks, none where there is no such column."""
+        """Return which rows a column of 0 and 1 marks; none if there is no such column."""
         fields = self._table.fields
         if name not in fields:
             return pd.Series(False, index=fields.index)
@@ -330,7 +331,7 @@ class _Columns:
         missing: Sequence[str] = (),
         where: pd.Series | None = None,
     ) -> pd.Series:
-        """Return a column of finite numbers; `empty` allows nothing, or words for it; `where` are the rows checked."""
+        """Return a column of finite numbers; `empty` allows empty fields and `missing` words; `where` is checked."""
         table = self._table
 
         def say(word: str) -> tuple[str, str]:
@@ -360,7 +361,7 @@ class _Columns:
         return values
 
     def check_words(self, where: pd.Series, design: Mapping[str, Any]) -> None:
-        """Refuse words that differ in capitals alone, equal zones, and what the protocol does not have."""
+        """Refuse words that differ only in capitals, equal zones, and names that the protocol does not have."""
         for name in (*REQUIRED[:2], *zones_of(self._table.fields.columns)):
             self.check_spelling(name)
         self.check_zones()
@@ -368,10 +369,10 @@ class _Columns:
         self.check_names(where, design)
 
     def check_spelling(self, name: str) -> None:
-        """Refuse words of a column that differ in capitals alone: one of them is a slip."""
+        """Refuse words of a column that differ only in capitals: one of them is a slip."""
         column = self._table.fields[name]
         words = map(str, reversed([*column.unique()]))
-        usual = {word.casefold(): word for word in words}  # the first of each in the file
+        usual = {word.casefold(): word for word in words}  # the first spelling in the file
 
         def say(word: str) -> tuple[str, str]:
             return (
@@ -405,7 +406,7 @@ class _Columns:
         )
 
     def check_stimuli(self, where: pd.Series) -> None:
-        """Refuse rows without a stimulus, or a kind of session, where others name theirs."""
+        """Refuse rows without a stimulus, or a kind of session, if other rows name theirs."""
         fields = self._table.fields
         for name, what in (("stimulus", "stimulus"), ("session_kind", "kind of session")):
             if name in fields and not set(fields[name]) <= set(_EMPTY):
@@ -434,14 +435,14 @@ class _Columns:
             )  # fmt: skip
 
     def _values(self, name: str, read: Callable[[str], float]) -> pd.Series:
-        """Return what each word of a column means."""
+        """Return the value of each word of a column."""
         column = self._table.fields[name]
         meanings = np.array([read(str(word)) for word in column.cat.categories], dtype=float)
         return pd.Series(meanings[column.cat.codes], index=column.index)
 
 
 def _number(word: str, separator: str) -> float:
-    # A decimal comma is beyond doubt only where commas do not separate fields and no point stands beside it.
+    # A decimal comma is unambiguous only if commas do not separate fields and there is no decimal point as well.
     if separator != "," and word.count(",") == 1 and "." not in word:
         word = word.replace(",", ".")
     try:

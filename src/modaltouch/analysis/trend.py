@@ -1,4 +1,4 @@
-"""Exact test of a trend over levels, answers shuffled within participants; one test or a batch of them.
+"""Exact test of a trend over levels, with answers shuffled within participants; one test or a batch of them.
 
 References
 ----------
@@ -21,34 +21,35 @@ from modaltouch.analysis.sums import Law, Sums
 IntArray = NDArray[np.int64]
 
 GRID_STEPS = 1000
-"""Levels that share no coarser grid are placed on one of this many steps between the lowest and the highest."""
+"""Levels without a common grid of at most this many steps are rounded to one of this many."""
 
 MOST_EXACT = 400
-"""Answers of a participant up to which all shuffles are counted; beyond, the normal law gives p from 1e-6 on to 4 %."""
+"""Most answers of a participant for which all shuffles are counted; for more, the normal distribution gives p, within
+4 % above 1e-6."""
 
 _RAREST = 4
 
 
 def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: ArrayLike = 1) -> ExactTest:
-    """Return the exact test of a trend over levels, answers shuffled within each participant.
+    """Return the exact test of a trend over levels, with answers shuffled within each participant.
 
-    Under the null hypothesis a participant's answers have nothing to do with the level, so any assignment of
-    the answers to the presentations was as likely. Participants whose answers are all the same drop out.
+    Under the null hypothesis, a participant's answers do not depend on the level, so all assignments of the answers to
+    the presentations are equally likely. Participants whose answers are all the same drop out.
 
     Parameters
     ----------
     chosen : (..., n_participants, n_levels) array of int
         How often the answer was chosen at each level.
     levels : sequence of float
-        Levels, as scores of the trend; only their ratios of distances matter.
+        Levels, as scores of the trend; only the ratios of their distances matter.
     n_repetitions : int, or array of int like `chosen`
         Answers to each level.
 
     Returns
     -------
     ExactTest
-        The statistic is the sum over participants of score times count less its expectation, in units of the
-        grid `level_scores` returns.
+        The statistic is the sum over participants of score times count, less its expectation, in units of the grid
+        of `level_scores`.
 
     Raises
     ------
@@ -85,7 +86,7 @@ def trend_test(chosen: ArrayLike, levels: Sequence[float], n_repetitions: ArrayL
 
 
 def _normal_trend(counts: IntArray, answered: IntArray, scores: IntArray) -> ExactTest:
-    """Return the test with the normal law of the same variance, corrected for continuity by half a step."""
+    """Return the test by the normal distribution of the same variance, with a continuity correction of half a step."""
     from scipy.special import ndtr
 
     n, chosen = answered.sum(axis=-1), counts.sum(axis=-1)
@@ -127,7 +128,7 @@ def smallest_trend_p(levels: Sequence[float], n_participants: int, n_repetitions
     if len(levels) * n_repetitions > MOST_EXACT:
         return sys.float_info.min if len(set(levels)) > 1 else 1.0
     extremes = _extreme_choices(levels, n_repetitions)
-    # All participants alike reach both tails at once; one who differs may leave the other tail out.
+    # If all choose alike, both tails are as extreme; with one who differs, the other tail may be less so.
     chosen = [[most] * (n_participants - 1) + [one] for side in extremes for most in side for one in side]
     return float(trend_test(np.array(chosen), levels, n_repetitions).quick_p.min()) if chosen else 1.0
 

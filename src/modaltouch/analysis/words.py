@@ -63,9 +63,9 @@ def say_scope(scope: str, finger_conditions: Sequence[str], pairs: Sequence[Pair
     Parameters
     ----------
     scope : str
-        As a finding has it: ``one_hand A-C 80 mm/s``, ``one_hand - two_hands A-C``, ``one_hand A-C - C-E``.
+        Scope of a finding: ``one_hand A-C 80 mm/s``, ``one_hand - two_hands A-C``, ``one_hand A-C - C-E``.
     finger_conditions, pairs : sequence of str, sequence of Pair
-        What it may name.
+        Names that may occur in it.
     """
     names = {name: say_condition(name) for name in finger_conditions}
     names |= {pair.label: pair.said for pair in pairs}
@@ -103,12 +103,12 @@ def say_interval(finding: Finding) -> str:
 
 
 def answer_question(own: Sequence[Finding], claim: str, answers: AnswerCounts) -> str:
-    """Return the answer to a question in plain sentences, with their numbers; on average first, then for somebody.
+    """Return the answer to a question in sentences with numbers, first on average, then for some participant.
 
     Parameters
     ----------
     own : sequence of Finding
-        What was found on it.
+        Findings on the question.
     claim : str
         What its tests would show.
     answers : AnswerCounts
@@ -126,7 +126,7 @@ def answer_question(own: Sequence[Finding], claim: str, answers: AnswerCounts) -
 
 
 def _claim(claim: str, family: str) -> str:
-    """Return what a family of tests claims: of people on average, of somebody at least, or that they are alike."""
+    """Return what a family of tests claims: on average, for some participant, or that conditions are alike."""
     if family not in STATISTICS:
         from modaltouch.analysis.measures import claim_of
 
@@ -139,7 +139,7 @@ def _claim(claim: str, family: str) -> str:
 
 
 def _answer_family(tested: Sequence[Finding], claim: str, answers: AnswerCounts) -> str:
-    """Return what a family of tests shows, with the number of its clearest."""
+    """Return what a family of tests shows, with the numbers of its clearest test."""
     m = len(tested)
     shown = [row for row in tested if row.p_holm <= ALPHA]
     clearest = min(tested, key=lambda row: (row.p_holm, row.p, -abs(row.estimate)))
@@ -155,7 +155,7 @@ def _answer_family(tested: Sequence[Finding], claim: str, answers: AnswerCounts)
 
 
 def _estimate(own: Sequence[Finding], answers: AnswerCounts) -> str:
-    """Return the range of the estimates, and how many uncorrected tests are below the level."""
+    """Return the range of the estimates, and how many uncorrected tests are significant."""
     first = [row for row in own if row.name == own[0].name and math.isfinite(row.estimate)]
     in_order = sorted(first, key=lambda row: row.estimate)
     ends = in_order if len(first) < 2 else [in_order[0], in_order[-1]]

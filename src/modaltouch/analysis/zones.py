@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def zones_of(columns: Container[str]) -> tuple[str, ...]:
-    """Return the columns of the zones under the fingers, in a table with these columns."""
+    """Return those of a table's columns that hold the zones under the fingers."""
     return tuple(name for name in ("zone_left", "zone_between", "zone_right") if name in columns)
 
 

@@ -1,8 +1,8 @@
-"""How many participants: the very protocol, simulated by the thousand and analysed as the real data will be.
+"""Sample size: the protocol itself, simulated a thousand times and analysed as the real data will be.
 
-In goes an examined protocol and an `Observer`; `designs_for` returns the cells of each of its stimuli, a `Study` says
-what is simulated in them, and `plan` returns its `Power`, which `write_power` writes as tables and a picture.
-`fit_answers` fits an observer to recorded answers.
+For an examined protocol and an `Observer`, `designs_for` returns the cells of each stimulus, a `Study` says what is
+simulated in them, and `plan` returns its `Power`, which `write_power` writes as tables and a figure. `fit_answers` fits
+an observer to recorded answers.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ class Design:
     placements : tuple of bool
         Whether the beam is turned for the first, second, ... participant; repeated for more participants.
     stimulus : str
-        Which of several stimuli the cells are presented with; empty where the protocol has one.
+        Stimulus that the cells are presented with; empty if the protocol has only one.
     margin : float or None
         Difference within which finger conditions count as alike [1].
     """
@@ -48,7 +48,7 @@ class Design:
 
     @property
     def title(self) -> str:
-        """The protocol, and the stimulus where it has several."""
+        """The protocol, and the stimulus if it has several."""
         return f"{self.protocol}, stimulus {self.stimulus}" if self.stimulus else self.protocol
 
     @property
@@ -63,7 +63,7 @@ class Design:
         return tuple(name for name in self.finger_conditions for _ in range(n_pairs * n_levels))
 
     def facing(self, n_participants: int) -> FloatArray:
-        """Return 1 for each participant who sees the beam as it is, -1 where it is turned, (n_participants,) array."""
+        """Return 1 for each participant, or -1 if the beam is turned for them, (n_participants,) array."""
         turned = np.resize(np.array(self.placements), n_participants)
         return np.where(turned, -1.0, 1.0)
 
@@ -73,7 +73,7 @@ class Design:
         Parameters
         ----------
         counts : (..., n_participants, n_finger_conditions, n_pairs, n_levels, 3) array of int
-            How often each participant answered left, both and right in each cell; of one experiment or a batch.
+            How often each participant answered left, both and right in each cell, for one experiment or a batch.
         n_repetitions : int
             Answers of each participant in each cell.
         """

@@ -1,4 +1,4 @@
-"""Experiments simulated by the thousand: participants drawn, answers drawn, tests counted."""
+"""Simulation of thousands of experiments: participants and answers are drawn, significant tests counted."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 BATCH = 250
-"""Most experiments of one job. It belongs to the seeds: another number gives other random answers."""
+"""Most experiments of one job; like the seed, it determines the random answers."""
 
 BATCH_CELLS = 3_000_000
-"""Most answers of one job with one repetition, which bounds its memory; of the seeds too."""
+"""Most answers of one job with one repetition, which bounds its memory; it determines the random answers, too."""
 
 _TIES = 1 + 1e-9
 """A p that equals the level but for rounding counts as significant."""
@@ -37,13 +37,13 @@ class Study:
     observer : Observer
         The population that participants are drawn from.
     families : tuple of str
-        Which families of tests are done.
+        Families of tests that are done.
     null : bool
-        Whether nothing is there to be found, so that significant tests are false alarms.
+        Whether there is no effect to find, so that significant tests are false alarms.
     seed : int
         Seed of all jobs.
     alpha : float
-        Level of significance [1].
+        Significance level [1].
     """
 
     design: Design
@@ -55,7 +55,7 @@ class Study:
 
     @cached_property
     def simulated(self) -> tuple[Design, Observer]:
-        """What is simulated: for false alarms both fingers feel alike everywhere, and nobody prefers a side."""
+        """Design and observer; for false alarms, both fingers feel the same everywhere, and nobody prefers a side."""
         if not self.null:
             return self.design, self.observer
         alike = np.full_like(self.design.speeds, float(self.design.speeds.mean()))
@@ -63,7 +63,7 @@ class Study:
         return replace(self.design, speeds=alike), replace(self.observer, typical=typical)
 
     def seed_of(self, job: Job) -> np.random.SeedSequence:
-        """Return the seed of a job: spawned from the study's, the same whichever other jobs there are."""
+        """Return the seed of a job, spawned from the study's and the same whatever other jobs there are."""
         key = (job.n_participants, job.n_repetitions, job.batch)
         return np.random.SeedSequence(self.seed, spawn_key=key)
 
@@ -77,9 +77,9 @@ class Job:
     n_participants, n_repetitions : int
         Size of the experiments.
     batch : int
-        Which job of this size, from 0.
+        Number of the job among those of this size, from 0.
     n_experiments : int
-        How many experiments.
+        Number of experiments.
     """
 
     n_participants: int
@@ -90,18 +90,18 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Tally:
-    """What came out of some experiments of one size, for one family of tests.
+    """Results of experiments of one size, for one family of tests.
 
     Attributes
     ----------
     n_experiments : int
-        How many experiments.
+        Number of experiments.
     single : (n_tests,) array of int
-        In how many each test was significant by itself.
+        Experiments in which each test was significant by itself.
     corrected : (n_tests,) array of int
-        In how many it was after Holm's correction.
+        Experiments in which it was significant after Holm's correction.
     any_test, every_test : int
-        In how many at least one test, and all tests, were significant after the correction.
+        Experiments in which at least one test, and all tests, were significant after the correction.
     width : (n_tests,) array
         Sum over the experiments of half the width of each interval.
     """
@@ -125,11 +125,11 @@ class Tally:
 
 
 Tallies = dict[str, Tally]
-"""What came out of some experiments, by family of tests."""
+"""Results of experiments, by family of tests."""
 
 
 def divide(design: Design, sizes: Iterable[tuple[int, int]], n_experiments: int) -> list[Job]:
-    """Return the jobs of a study, the first of which already cover every size of participants and repetitions."""
+    """Return the jobs of a study; the first ones already cover all numbers of participants and repetitions."""
     jobs = []
     for n_participants, n_repetitions in sizes:
         most = min(BATCH, max(1, BATCH_CELLS // (n_participants * len(design.cells))))
@@ -139,7 +139,7 @@ def divide(design: Design, sizes: Iterable[tuple[int, int]], n_experiments: int)
 
 
 def run_job(study: Study, job: Job) -> Tallies:
-    """Return what comes out of the experiments of a job, family by family."""
+    """Return the results of the experiments of a job, family by family."""
     observed, guessed = (np.random.default_rng(seed) for seed in study.seed_of(job).spawn(2))
     design, observer = study.simulated
     answers = simulate(design, observer, job, observed)
@@ -152,16 +152,16 @@ def run_job(study: Study, job: Job) -> Tallies:
 
 
 def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Generator) -> AnswerCounts:
-    """Return the answers of simulated experiments, a batch.
+    """Return the answers of a batch of simulated experiments.
 
-    Each participant is drawn once from the population and answers every cell by the chances that
-    `modaltouch.planning.observer.Participant` has there.
+    Each participant is drawn once from the population and answers in every cell with the probabilities of
+    `modaltouch.planning.observer.Participant`.
     """
     crowd = observer.draw_crowd(rng, (job.n_experiments, job.n_participants))
     share_left, share_right = crowd.shares(
         design.speeds.reshape(-1, 2), design.cells, design.facing(job.n_participants)
     )
-    # Answer by answer in memory: the tests take one at a time.
+    # Answers are the first axis in memory, as the tests take one answer at a time.
     counts = np.zeros((3, *share_left.shape), dtype=np.int64)
     for _ in range(job.n_repetitions):
         chance = rng.random(share_left.shape)
@@ -173,7 +173,7 @@ def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Genera
 
 
 def count_significant(answers: AnswerCounts, family: str, alpha: float = ALPHA) -> Tally:
-    """Return in how many of the simulated experiments a family of tests finds something."""
+    """Return in how many of the simulated experiments a family of tests is significant."""
     found = STATISTICS[family].compute(answers)
     if found is None:
         raise ValueError(f"no tests of {family} for {len(answers.finger_conditions)} finger conditions and these pairs")

@@ -1,4 +1,4 @@
-"""A plan as files: tables, everything as JSON, and a picture of power over participants and repetitions."""
+"""A plan as files: tables, everything as JSON, and a figure of power over participants and repetitions."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ _LINE_STYLES = ("-", "--", ":", "-.")
 
 
 def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Path]:
-    """Write a plan into a folder, and return where each file lies.
+    """Write a plan into a folder, and return the path of each file.
 
     Parameters
     ----------
     folder : Path
-        Where the files go; made where it does not exist.
+        Folder for the files, created if it does not exist.
     power : Power
         The plan; at least one size was simulated.
     target : float
-        Power that is wanted [1].
+        Target power [1].
 
     Raises
     ------
@@ -56,7 +56,7 @@ def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Pa
 
 
 def draw_power(power: Power, target: float = 0.8) -> Figure:
-    """Return the picture of a plan, one panel for each family of tests, with the power that is wanted marked.
+    """Draw a plan, one panel for each family of tests, with the target power marked.
 
     Participants run along the abscissa; each number of repetitions has a curve with its Monte Carlo intervals.
     """

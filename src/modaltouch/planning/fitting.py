@@ -26,9 +26,9 @@ class Fitted:
     fit : Fit
         The fit.
     responses : tuple of Responses
-        The answers, those to each stimulus by themselves.
+        The answers, separately for each stimulus.
     n_participants : int
-        How many participants gave them.
+        Number of participants who gave them.
     """
 
     not_identifiable: ClassVar[str] = (
@@ -53,18 +53,18 @@ class Fitted:
             "converged": self.fit.converged,
             "n_answers": self.fit.n_answers,
             "n_participants": self.n_participants,
-            # What is left out is so whatever the stimulus.
+            # The same is left out for every stimulus.
             "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses[0].left_out],
         }
 
 
 def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str | None = None) -> Fitted:
-    """Return an observer fitted to recorded answers; where there are several stimuli, to those to all of them.
+    """Return an observer fitted to recorded answers, to all stimuli if there are several.
 
     Parameters
     ----------
     preflight : Preflight
-        The checked protocol that the answers were given in; it says what was felt.
+        The checked protocol that the answers were given in, which determines what was felt.
     path : Path
         A results folder or a tidy CSV.
     prior : Observer
@@ -75,7 +75,7 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
     Raises
     ------
     InputError
-        If the protocol or the answers cannot be used, or the answers name a zone that the beam has not.
+        If the protocol or the answers cannot be used, or the answers name a zone that the beam does not have.
     """
     _refuse_adaptive(path, is_adaptive=preflight.experiment.protocol.adaptive is not None)
     refuse_unlike(preflight)
@@ -97,12 +97,12 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
     for name, part in preflight.parts.items():
         felt = felt_speeds(part, prior.front_end)
         recorded.append(_record(_count(part, path, taken[name]), felt))
-    # Every session presents all stimuli: their participants are the same.
+    # Every session presents all stimuli, so their participants are the same.
     return Fitted(fit_observer(RecordedAnswers.joined(recorded), prior), tuple(taken.values()), len(recorded[0].facing))
 
 
 def _refuse_unnamed(path: Path, stimuli: tuple[str, ...]) -> None:
-    """Refuse answers that do not say to which of several stimuli they are."""
+    """Refuse answers that do not say which of several stimuli they belong to."""
     if stimuli and path.is_file() and path.suffix != ".jsonl":
         given, remedy = (
             "a CSV file, which does not say which stimulus an answer belongs to",
@@ -118,7 +118,7 @@ def _refuse_adaptive(path: Path, *, is_adaptive: bool) -> None:
 
 
 def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCounts:
-    """Return the counts of answers to one stimulus, every zone of them one of the beam."""
+    """Return the counts of answers to one stimulus; refuse zones that the beam does not have."""
     experiment, remedy = preflight.experiment, "give the protocol that these answers belong to"
     _refuse_adaptive(path, is_adaptive=responses.is_adaptive)
     if responses.in_multiples:
@@ -134,7 +134,7 @@ def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCoun
 
 
 def _record(answers: AnswerCounts, felt: Callable[[str, str, str, float], tuple[float, float]]) -> RecordedAnswers:
-    """Return counts as a fit takes them: answers that name no finger tell nothing of left against right."""
+    """Return counts as a fit takes them, without answers that name no finger."""
     speeds = [
         felt(condition, pair.left, pair.right, level * 1e-3)
         for condition in answers.finger_conditions

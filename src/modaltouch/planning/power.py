@@ -1,4 +1,4 @@
-"""How likely an experiment is to find what an observer would show, by simulating the protocol itself."""
+"""The power of an experiment to find what an observer would show, by simulating the protocol itself."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MOST = 200
 
 @dataclass(frozen=True)
 class Floor:
-    """What a family of tests can reach.
+    """The fewest participants with whom a family of tests can be significant.
 
     Attributes
     ----------
@@ -29,8 +29,8 @@ class Floor:
     n_repetitions : int
         Answers of each participant in each cell.
     least_participants : int or None
-        Fewest participants with whom a test of the family can be significant after the correction; None where
-        no number suffices.
+        Fewest participants with whom a test of the family can be significant after the correction; None if no number
+        below 200 suffices.
     """
 
     family: str
@@ -40,7 +40,7 @@ class Floor:
 
 
 def find_floor(design: Design, family: str, n_repetitions: int, alpha: float = ALPHA) -> Floor:
-    """Return how few participants can make a family's tests significant."""
+    """Return the fewest participants with whom a family's tests can be significant."""
     n_tests, smallest_p = len(design.scopes(family)), STATISTICS[family].smallest_p
     levels, margin = design.levels, design.margin
     reach = (n for n in range(1, _MOST) if smallest_p(levels, n, n_repetitions, margin) * n_tests <= alpha)
@@ -53,7 +53,7 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True, eq=False)
 class Power:
-    """What a planned study would find.
+    """The power of a planned study.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Power:
     n_experiments : int
         Experiments of each size that were asked for.
     tallies : dict
-        What came out, by size and family; sizes without any experiment are missing.
+        Results by size and family; sizes without any experiment are missing.
     """
 
     study: Study
@@ -82,7 +82,7 @@ class Power:
 
     @cached_property
     def floors(self) -> tuple[Floor, ...]:
-        """How few participants can make each family's tests significant."""
+        """The fewest participants with whom each family's tests can be significant."""
         repetitions = sorted({n_repetitions for _, n_repetitions in self.sizes})
         design, alpha = self.study.design, self.study.alpha
         return tuple(find_floor(design, family, r, alpha) for family in self.study.families for r in repetitions)
@@ -151,10 +151,10 @@ class Power:
         }
 
     def needed(self, target: float) -> list[dict[str, Any]]:
-        """Return how many participants reach a power, for each family and each test at each repetition.
+        """Return how many participants reach a power, for each family and test and each number of repetitions.
 
         `n_participants` is the smallest simulated number from which on every simulated number reaches the target; None
-        where none does.
+        if there is none.
         """
         rows = []
         for row in (*self.families, *self.tests):
@@ -199,7 +199,7 @@ def plan(
 ) -> Power:
     """Return the power of a study at several sizes.
 
-    The result depends on the study and the sizes alone, not on who does the work: every job has a seed of its own.
+    The result depends only on the study and the sizes, not on the processes: every job has its own seed.
 
     Parameters
     ----------
@@ -214,12 +214,12 @@ def plan(
     on_progress : callable, optional
         Called with (jobs done, jobs in all).
     told_to_stop : callable, optional
-        Asked between jobs; where it answers yes, what is done so far is returned.
+        Called between jobs; if it returns True, the results so far are returned.
 
     Returns
     -------
     Power
-        Not `complete` where it was told to stop.
+        Not `complete` if it was told to stop.
     """
     jobs = divide(study.design, sizes, n_experiments)
     told = told_to_stop or (lambda: False)
@@ -229,7 +229,7 @@ def plan(
         if on_progress is not None:
             on_progress(len(done), len(jobs))
     added: dict[Size, Tallies] = {}
-    # In the order of the jobs, however they came in: sums of floats depend on it.
+    # In the order of the jobs, whichever finished first: sums of floats depend on it.
     for job in (job for job in jobs if job in done):
         size = (job.n_participants, job.n_repetitions)
         before = added.get(size)
@@ -243,7 +243,7 @@ def _run_all(
     import joblib
 
     with joblib.parallel_config("loky", n_jobs=n_processes, inner_max_num_threads=1, initializer=_ignore_interrupts):
-        # A few in hand for each process: thousands would be slow to watch and slow to give up.
+        # Only a few are queued for each process: thousands would report progress and stop late.
         parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="2 * n_jobs")
         yield from parallel(joblib.delayed(_run)(study, job) for job in takewhile(lambda _: not told_to_stop(), jobs))
 

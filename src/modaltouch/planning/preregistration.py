@@ -1,4 +1,4 @@
-"""A preregistration: what a protocol will test, and on how many participants, before the first one comes."""
+"""A preregistration: what a protocol will test, and with how many participants, before the first one comes."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ from modaltouch.report import render_page
 from modaltouch.system import commit, version
 
 N_COUNTED, N_RECORDED = 1000, 20
-"""Experiments that are simulated where nothing else is said: counts of answers, and whole sessions."""
+"""Experiments that are simulated by default: as counts of answers, and as whole sessions."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
     """What an analysis will test or estimate, and how well it does in simulated experiments.
 
-    `answers` is None where the design is not crossed, or adaptive; `terms` says then what it is.
+    `answers` is None if the design is not crossed, or adaptive; then `terms` describes it.
     """
 
     answers: AnswerCounts | None
@@ -61,7 +61,7 @@ class _Plan:
 
 
 def say_times(number: int) -> str:
-    """Return how often in words."""
+    """Return in words how often something is done."""
     return "once" if number == 1 else f"{number} times"
 
 
@@ -83,14 +83,15 @@ def preregister(
     preflight : Preflight
         The checked protocol.
     observer : Observer
-        Who is simulated for the power.
+        Observer that is simulated for the power.
     n_participants, n_experiments, seed : int
-        Participants that are planned, simulated experiments, and their seed.
+        Planned participants, simulated experiments, and their seed.
     study : callable
-        Takes a seed, and returns the answers of a whole experiment in simulated sessions, for designs that no observer
-        counts: several intervals, ratings, one finger, adaptive runs, cells that are not crossed, several stimuli.
+        Takes a seed, and returns the answers of a whole experiment in simulated sessions, for designs that cannot be
+        simulated as counts: several intervals, ratings, one finger, adaptive runs, cells that are not crossed, several
+        stimuli.
     threshold_mm_s : float, optional
-        What every simulated participant's threshold is taken for, where levels are calibrated by participant.
+        Assumed threshold of every simulated participant, if levels are calibrated by participant [mm/s].
     on_progress : callable, optional
         Called with (jobs done, jobs in all).
 
@@ -128,7 +129,7 @@ def preregister(
 
 
 def _counted(preflight: Preflight, observer: Observer) -> Design | None:
-    """Return the design whose answers an observer counts without sessions, as they will be analysed; None of others."""
+    """Return the design if its answers can be simulated as counts, without sessions; else None."""
     if len(preflight.parts) > 1:
         return None
     try:
@@ -144,7 +145,7 @@ def _by_counts(
     n_experiments: int,
     on_progress: Callable[[int, int], None] | None,
 ) -> _Plan:
-    """Return the plan of a design whose answers an observer counts without sessions."""
+    """Return the plan of a design whose answers are simulated as counts, without sessions."""
     design, offered, n_repetitions = study.design, protocol.answers.offered, protocol.schedule.all_repetitions
     found = plan(study, [(n_participants, n_repetitions)], n_experiments, on_progress=on_progress)
     floors = {floor.family: floor.least_participants or "none" for floor in found.floors}
@@ -171,7 +172,7 @@ def _by_sessions(
         analysis = analyse_responses(study(seed + number))
         found = describe_families(analysis)
         significant.update(each["name"] for each in found if each["significant"])
-        # Of a degenerate experiment a test may be missing.
+        # A degenerate experiment may lack a test.
         families = max(families, found, key=lambda each: sum(len(family["scopes"]) for family in each))
         for row in getattr(analysis, "thresholds", ()):
             name = ", ".join(str(row[key]).replace("_", " ") for key in row if isinstance(row[key], str))
@@ -192,7 +193,7 @@ def _by_sessions(
 
 
 def _describe_threshold(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return how exactly a mean threshold is known in simulated experiments."""
+    """Return how precisely a mean threshold is known in simulated experiments."""
     bounds = [(row["threshold_low_mm_s"], row["threshold_high_mm_s"]) for row in found]
     factors = [float(np.sqrt(high / low)) for low, high in bounds if low and high]
     return {

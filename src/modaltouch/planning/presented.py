@@ -19,17 +19,17 @@ _SIMULATE = "simulate sessions and analyse those"
 
 
 def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
-    """Return the design of each stimulus of a protocol for an observer, by name; of one alone, without a name.
+    """Return the design of each stimulus of a protocol for an observer, by name; a single one has no name.
 
-    The analysis takes one stimulus at a time (``modaltouch analyse --stimulus``), each with families of tests of its
-    own, so each has a design of its own.
+    The analysis takes one stimulus at a time (``modaltouch analyse --stimulus``), each with its own families of tests,
+    so each has its own design.
 
     Parameters
     ----------
     preflight : Preflight
         The checked protocol.
     observer : Observer
-        Whose front end says what fingers feel.
+        Observer whose front end determines what fingers feel.
 
     Raises
     ------
@@ -72,8 +72,8 @@ def refuse_unlike(preflight: Preflight) -> None:
     Raises
     ------
     InputError
-        If cells are listed or left out, each finger cannot be named alone, or both together, or a trial has several
-        intervals.
+        If cells are listed or left out, a finger condition is unknown, each finger cannot be named alone, or both
+        together, or a trial has several intervals.
     """
     protocol = preflight.experiment.protocol
     offered, n_intervals = protocol.answers.offered, 1 if protocol.intervals is None else protocol.intervals.number
@@ -113,7 +113,7 @@ def refuse_unlike(preflight: Preflight) -> None:
 
 
 def _refuse(preflight: Preflight, *known: tuple[object, tuple[str, ...], str, str, str]) -> None:
-    """Refuse a protocol for the first of what holds, told at a path: what is given, what is allowed, what to do."""
+    """Refuse a protocol for the first reason that holds: its path, what is given, what is allowed, what to do."""
     for holds, path, given, allowed, remedy in known:
         if holds:
             raise InputError([preflight.findings.problem(path, given, allowed, remedy)])
@@ -136,14 +136,14 @@ def _design(name: str, preflight: Preflight, observer: Observer, placements: tup
 
 
 def felt_speeds(preflight: Preflight, front_end: FrontEnd) -> Callable[[str, str, str, float], tuple[float, float]]:
-    """Return what tells the speeds that two fingers feel.
+    """Return a function that gives the speeds that two fingers feel.
 
     Parameters
     ----------
     preflight : Preflight
         A protocol with a single stimulus; it may be designed for the fingers of each placement.
     front_end : str
-        Of the observer.
+        Front end of the observer.
 
     Returns
     -------
@@ -163,7 +163,7 @@ def felt_speeds(preflight: Preflight, front_end: FrontEnd) -> Callable[[str, str
 
 
 def _placements(protocol: Protocol) -> tuple[bool, ...]:
-    """Return whether the beam is turned for the first, second, ... participant, until it begins anew."""
+    """Return whether the beam is turned for the first, second, ... participant, for one whole cycle."""
     conditions = protocol.conditions
     if not any(name.startswith("mirrored") for name in conditions.placements):
         return (False,)

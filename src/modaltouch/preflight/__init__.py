@@ -1,8 +1,8 @@
-"""The whole check of a protocol before anybody sits down; no hardware.
+"""The whole check of a protocol before a session, without hardware.
 
-In go the files of a protocol (`examine`), or what was read of them (`examine_findings`). Out comes a `Preflight`: every
-fault with its place, or the stimulus of all levels and what each level does to the beam. `design` makes a stimulus of
-`DesignInputs`, the sound parts of the files.
+`examine` takes the files of a protocol, `examine_findings` what was read from them. Both return a `Preflight`: every
+fault with its position, or the stimulus of all levels and what each level does to the beam. `design` makes a stimulus
+from `DesignInputs`, the sound parts of the files.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a lab should know before it trusts its files: where the field does not go, what was taken by default."""
+"""What a lab should know before it relies on its files: where the field misses its target, what defaults were taken."""
 
 from __future__ import annotations
 
@@ -12,26 +12,27 @@ from modaltouch.protocol import Apparatus, Protocol
 from modaltouch.stimulus import Stimulus
 
 _FASTER = 1 + 2e-3
-"""Times the focus zone's speed from which another zone counts as faster; less is the codes' rounding [1]."""
+"""Ratio to the focus zone's speed above which another zone counts as faster; less is rounding of the codes [1]."""
 
 _UNREACHED = 0.25
-"""Share of the target field, as root mean square, from which it is missed: the paper's six modes miss 0.06 [1]."""
+"""Root mean square error, relative to the target field, above which it is missed; the paper's six modes have 0.06 [1].
+"""
 
 LOUD = 80.0
-"""Level at which hearing protection begins to be a matter of hours (2003/10/EC, lower action value) [dB SPL]."""
+"""Level above which the hours of exposure matter for hearing (2003/10/EC, lower action value) [dB SPL]."""
 
 _ALPHA = 0.05
-"""Level of significance of the analysis [1]."""
+"""Significance level of the analysis [1]."""
 
 _LONG = 60.0
 """Length of a session beyond which attention and skin tire [min]."""
 
 _PRESENTED = ("stimulus.", "conditions.", "schedule.order")
-"""Keys whose defaults are told in `check`."""
+"""Keys whose defaults `check` reports."""
 
 
 def field_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
-    """Return where the field does not do what its focus says.
+    """Return where the field is fastest outside its focus, or misses its target.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ def field_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[
 
 
 def placement_warnings(designs: Mapping[str, DesignInputs]) -> list[str]:
-    """Return which levels are played where placements are equalised in a band."""
+    """Return by how much levels are multiplied if placements are equalised in a band."""
     band = next(iter(designs.values())).section.equalise_band_Hz
     if band is None:
         return []
@@ -72,7 +73,7 @@ def placement_warnings(designs: Mapping[str, DesignInputs]) -> list[str]:
 
 
 def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
-    """Return what a lab should know and the rig does not refuse.
+    """Return what a lab should know although the rig does not refuse it.
 
     Parameters
     ----------
@@ -132,7 +133,7 @@ def repetition_warnings(apparatus: Apparatus) -> list[str]:
 
 
 def design_warnings(protocol: Protocol) -> list[str]:
-    """Return where no finger touches the focus, what no test can tell whatever is answered, and too long a session."""
+    """Return where no finger touches the focus, what no test can show whatever is answered, and too long a session."""
     conditions, said = protocol.conditions, []
     for name in protocol.stimulus_names:
         section = protocol.stimulus_of(name)
@@ -150,7 +151,7 @@ def design_warnings(protocol: Protocol) -> list[str]:
     if len(protocol.groups) == 1:
         said.append("there is only one group: nothing can be compared between groups; add another, or leave it out")
     n_pairs, n_fingers = len(conditions.contacts), len(conditions.finger_conditions)
-    # Kinds of session that are not analysed leave a single other one crossed.
+    # With a single kind of session that is analysed, the design is still crossed.
     n_kinds = len({each.name for each in kinds if each.analysed})
     if protocol.uncrossed_by and (protocol.uncrossed_by[0] != "schedule" or n_kinds > 1):
         said.append(
@@ -160,7 +161,7 @@ def design_warnings(protocol: Protocol) -> list[str]:
         numbers = {"level": len(protocol.scheduled_levels), "finger condition": n_fingers, "pair of zones": n_pairs}
         alone = " and one ".join(noun for noun, number in numbers.items() if number == 1)
         said += [f"there is only one {alone}: no test can show whether that matters"] if alone else []
-        # All lean one way: p is 2/2^n, and Holm's method takes the smallest times the number of tests.
+        # If all lean the same way, p is 2/2^n; Holm's method multiplies the smallest by the number of tests.
         fewest = 1 + math.ceil(math.log2(n_pairs * n_fingers / _ALPHA))
         told = f"with fewer than {fewest} participants no test can tell which zone of a pair is chosen more"
         said += [told] if protocol.answers.offered.compares else []
@@ -173,7 +174,7 @@ def design_warnings(protocol: Protocol) -> list[str]:
 
 
 def answer_warnings(protocol: Protocol) -> list[str]:
-    """Return what catch trials cannot tell without the answer none, nor answers that name no finger."""
+    """Return what catch trials cannot show without the answer none, and what follows if no answer names a finger."""
     n_catches, offered = protocol.schedule.catch_trials, protocol.answers.offered
     warnings = []
     if n_catches and not protocol.answers.offers_none:
@@ -193,7 +194,7 @@ def answer_warnings(protocol: Protocol) -> list[str]:
 
 
 def interval_warnings(protocol: Protocol) -> list[str]:
-    """Return which trials of several intervals have no right answer, and which answer is right in none."""
+    """Return which trials of several intervals have no right answer, and which answer is never right."""
     section, answers = protocol.intervals, protocol.answers
     if section is None or answers.scale is not None or protocol.adaptive is not None:
         return []
@@ -218,9 +219,9 @@ def interval_warnings(protocol: Protocol) -> list[str]:
 
 
 def default_warnings(taken: list[dict[str, Any]]) -> list[str]:
-    """Return one line on the defaults of what is presented; those that leave a feature off are not worth a line.
+    """Return one line with the defaults of what is presented, except those that leave a feature off.
 
-    How it is asked and ordered stands in the schema, and in the list of all defaults.
+    The others are in the schema, and in the list of all defaults.
 
     Parameters
     ----------
@@ -228,7 +229,7 @@ def default_warnings(taken: list[dict[str, Any]]) -> list[str]:
         As `Findings.defaults` returns them.
     """
     acting = [each for each in taken if each["key"].startswith(_PRESENTED) and not _is_off(each["value"])]
-    acting = [each for each in acting if each["key"] != "stimulus.priority"]  # acts where the amplifier is at its limit
+    acting = [each for each in acting if each["key"] != "stimulus.priority"]  # acts only at the amplifier's limit
     told = ", ".join(f"{each['key']} {_in_words(each['value'])}" for each in acting)
     return [f"taken by default: {told}"] if told else []
 
@@ -246,7 +247,7 @@ def _in_words(value: Any) -> str:
 
 
 def sound_warnings(protocol: Protocol, apparatus: Apparatus) -> list[str]:
-    """Return what a lab should know of its masking noise."""
+    """Return what a lab should know about its masking noise."""
     section, sound = protocol.masking, apparatus.sound
     if section is None:
         return []

@@ -1,4 +1,4 @@
-"""A protocol as the check left it: its faults, or what its stimuli will do to the beam."""
+"""The result of the check of a protocol: its faults, or what its stimuli will do to the beam."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from modaltouch.stimulus import Burst, Law, Stimulus
 
 @dataclass(frozen=True, eq=False)
 class Preflight:
-    """A protocol, examined.
+    """An examined protocol.
 
     Attributes
     ----------
     findings : Findings
-        The files and what they hold.
+        The files and what they contain.
     problems : tuple of Problem
-        Every fault, of the files and of the physics; empty when the session may run.
+        Every fault, of the files and of the physics; empty if a session may run.
     inputs : DesignInputs or None
-        What the stimulus was designed from; None where the files do not say it.
+        What the stimulus was designed from; None if the files do not contain it.
     designed : Stimulus or None
-        The stimulus of all levels; None where there is none. Of several, the first.
+        The stimulus of all levels, the first of several; None if there is none.
     variants : dict of str to Preflight
-        Of several stimuli, the protocol with each of them alone; empty where it has one.
+        The protocol with each of its stimuli alone; empty if it has only one.
     placed : dict of str to Preflight
-        Of a stimulus designed for fingers, the design of each placement; empty for the untouched beam.
+        The design for each placement of the fingers; empty for the untouched beam.
     attainable : float
-        Of a design for measured fingers, the highest level that is played [mm/s].
+        Highest level that is played, for a design for measured fingers [mm/s].
     others : tuple of Preflight
         The protocol for the other groups of participants and kinds of session, examined.
     """
@@ -56,7 +56,7 @@ class Preflight:
     others: tuple[Preflight, ...] = ()
 
     def at(self, group: str, session_kind: str) -> Preflight:
-        """Return the preflight of a group of participants in a kind of session; itself where there are none."""
+        """Return the preflight of a group of participants in a kind of session; itself if there are none."""
         own = (each for each in self.others if each.findings.occasion == (group, session_kind))
         return next(own, self)
 
@@ -126,10 +126,10 @@ class Preflight:
         return self
 
     def with_levels(self, levels_mm_s: tuple[float, ...]) -> Self:
-        """Return the preflight of a participant whose levels, calibrated by participant, are known.
+        """Return the preflight of one participant, whose calibrated levels are known.
 
-        The stimulus stays as it is, designed at the highest level that anyone may get: all participants get the very
-        same codes, at amplitudes of their own.
+        The stimulus stays as it is, designed at the highest level that anyone may get: all participants get the same
+        codes, at their own amplitudes.
 
         Parameters
         ----------
@@ -151,30 +151,30 @@ class Preflight:
 
     @property
     def parts(self) -> dict[str, Preflight]:
-        """The protocol with each of its stimuli alone, by name; itself, without a name, where it has one."""
+        """The protocol with each of its stimuli alone, by name; itself, without a name, if it has only one."""
         return self.variants or {"": self}
 
     @property
     def by_placement(self) -> dict[str, Preflight]:
-        """One stimulus, designed for fingers of each placement; itself, without a name, where it is for none."""
+        """One stimulus, designed for the fingers of each placement; itself, without a name, for the untouched beam."""
         return self.placed or {"": self}
 
     @cached_property
     def designs(self) -> dict[str, Preflight]:
-        """Each design alone: of each stimulus, and where it is designed for fingers of each placement, by both names.
+        """Each design alone, by the names of its stimulus and, if it is designed for fingers, of its placement.
 
-        Without a name where there is one alone.
+        A single design has no name.
         """
         return {" ".join(named.values()): each for named, each in self._named_designs()}
 
     def _named_designs(self) -> Iterator[tuple[dict[str, str], Preflight]]:
-        """Yield each design alone, with the names of its stimulus and placement where there are several."""
+        """Yield each design alone, with the names of its stimulus and placement if there are several."""
         for name, part in self.parts.items():
             for place, each in part.by_placement.items():
                 yield {key: own for key, own in (("stimulus", name), ("placement", place)) if own}, each
 
     def design_of(self, condition: Any) -> str:
-        """Return the name of the design that a condition is presented with; a catch trial has its placement's first."""
+        """Return the name of the design for a condition; for a catch trial, the first of its placement."""
         names = tuple(self.parts)
         stimulus = condition.stimulus if condition.stimulus in names else names[0]
         return " ".join(filter(None, (stimulus, self.findings.placement(condition))))
@@ -191,7 +191,7 @@ class Preflight:
 
     @property
     def sound(self) -> tuple[DesignInputs, Stimulus]:
-        """What the stimulus was designed from, and the stimulus; of several stimuli, of the first.
+        """What the stimulus was designed from, and the stimulus; the first of several.
 
         Raises
         ------
@@ -211,7 +211,7 @@ class Preflight:
         return tuple(peaks[zone] for zone in condition.zones)
 
     def played(self, condition: Any, level: float) -> float:
-        """Return the level that is played where one is asked: equalised, at most what the design attains [mm/s]."""
+        """Return the level that is played for one asked for: equalised, and at most what the design attains [mm/s]."""
         part = self.designs[self.design_of(condition)]
         return min(level * part.sound[0].share, part.attainable)
 
@@ -221,7 +221,7 @@ class Preflight:
         Parameters
         ----------
         name : str
-            Which of several designs; empty where there is one.
+            Name of the design; empty if there is only one.
         level : float
             Peak velocity at the focus [mm/s].
         """
@@ -233,12 +233,12 @@ class Preflight:
 
     @cached_property
     def _peaks(self) -> dict[tuple[str, float], dict[str, float]]:
-        """What `zone_peaks` has found: every trial asks for it."""
+        """Cache of `zone_peaks`, which every trial asks for."""
         return {}
 
     @cached_property
     def stimuli(self) -> list[dict[str, Any]]:
-        """What each level does to the beam, in the protocol's order; empty where anything is wrong."""
+        """What each level does to the beam, in the protocol's order; empty if anything is wrong."""
         if self.problems:
             return []
         if self.variants:
@@ -258,7 +258,7 @@ class Preflight:
         if self.variants:
             return [{"stimulus": name, **each} for name, part in self.parts.items() for each in part.comparison()]
         if self.placed:
-            return []  # the other law is one of the untouched beam
+            return []  # the other law is for the untouched beam
         inputs, stimulus = self.sound
         other: Law = "paper" if stimulus.law == "exact" else "exact"
         compared = stimulus.under_law(other)
@@ -294,13 +294,13 @@ class Preflight:
         ]
 
     def untouched_warning(self) -> str | None:
-        """Return what typical fingers would make of a level for the untouched beam; None of one for fingers."""
+        """Return how typical fingers would change a level for the untouched beam; None for one designed for fingers."""
         from modaltouch.preflight.exploration import untouched_warning
 
         return None if self.findings.fingers is not None else untouched_warning(self.findings, *self.sound)
 
     def drive_arrays(self) -> dict[str, Any]:
-        """Return what the beam gets at the highest level: ``time_s`` and ``voltage_V``."""
+        """Return the drive of the beam at the highest level: ``time_s`` and ``voltage_V``."""
         from modaltouch.preflight.exploration import drive_arrays
 
         return drive_arrays({name: part.sound for name, part in self.designs.items()})
@@ -311,7 +311,7 @@ class Preflight:
         Parameters
         ----------
         compare : bool
-            Whether the other drive law is shown too.
+            Whether to show the other drive law as well.
         fingers : str, optional
             As for `touched`; ``none`` shows none.
         """
@@ -367,7 +367,7 @@ class Preflight:
         return values
 
     def _levels(self, fingers: str | None) -> list[dict[str, Any]]:
-        """Return what each level does: of a stimulus designed for fingers, at its first placement and at each."""
+        """Return what each level does; for a stimulus designed for fingers, at its first placement and under each."""
         if self.problems:
             return []
         rows = [
@@ -401,7 +401,7 @@ class Preflight:
 
     @property
     def calibration_mark(self) -> str:
-        """Which limits the calibration misses, and why; empty for a proved one, and without any."""
+        """Which limits the calibration misses, and why; empty if it meets them, and without a calibration."""
         reading = self.findings.calibration
         return "" if reading is None or reading.value is None else reading.value.mark
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _NEEDED = ("stimulus", "beam", "actuator_sets", "modes", "amplifier", "generator")
 
 _FALLBACK_LEVEL = 100.0
-"""Level of the design where the protocol has none that is sound [mm/s]; everything is linear in it."""
+"""Level of the design if the protocol has no sound one [mm/s]; everything is linear in it."""
 
 
 @dataclass(frozen=True)
@@ -27,23 +27,23 @@ class DesignInputs:
     Attributes
     ----------
     section : StimulusSection
-        The burst.
+        The protocol's stimulus section.
     apparatus : Apparatus
-        Its parts, as a calibration found them where there is one; those a stimulus does not need may be missing.
+        Its parts, as found by a calibration if there is one; those that a stimulus does not need may be missing.
     centre_mm : float
         Centre of the focus zone [mm].
     levels : dict of tuple to float
         Sound levels by their keys in the protocol [mm/s]: the peak velocities, and that of a standard.
     velocity_limit : float
-        Safety limit [mm/s]; infinite where it is not sound.
+        Safety limit [mm/s]; infinite if it is not sound.
     correction : Correction or None
-        What a calibration makes of the targets.
+        Correction of the targets by a calibration.
     points : tuple of (float, float)
         Positions [mm] and relative velocities of a sampled field.
     fingers : tuple of Finger
         Fingertips that lie on the beam; none on the untouched beam.
     share : float
-        These levels over those asked, where placements are equalised in a band [1].
+        Ratio of these levels to those asked for, if placements are equalised in a band [1].
     """
 
     section: StimulusSection
@@ -64,11 +64,11 @@ class DesignInputs:
 
 
 def find_ground(findings: Findings) -> DesignInputs | None:
-    """Return what a stimulus is designed from, or None where the files do not say it."""
+    """Return what a stimulus is designed from, or None if the files do not contain it."""
     protocol, apparatus = findings.protocol, findings.apparatus
     if protocol is None or apparatus is None:
         return None
-    # Faults of a single key are told apart below; faults between keys are blamed on the section.
+    # Faults of single keys are distinguished below; faults between keys count against the section.
     between = set(findings.problems) - set(protocol.problems) - set(apparatus.problems)
     if any(problem.path.split(".")[0].split("[")[0] in _NEEDED for problem in between):
         return None
@@ -90,7 +90,7 @@ def find_ground(findings: Findings) -> DesignInputs | None:
     calibration = None if reading is None or reading.value is None else reading.value.alone("")
     correction = None
     if reading is not None and calibration is not None:
-        # Its values can be used where nothing speaks against it.
+        # Its values can be used only if it has no fault.
         if apparatus.value is None or any(problem.file == str(reading.source.path) for problem in findings.problems):
             return None
         used = calibration.applied(used)
@@ -101,7 +101,7 @@ def find_ground(findings: Findings) -> DesignInputs | None:
             corrections=tuple((level.velocity_mm_s * 1e-3, level.amplitude_factor) for level in calibration.levels),
         )
     elif reading is not None and reading.value is not None:
-        return None  # of other stimuli
+        return None  # a calibration of other stimuli
     return DesignInputs(
         section=section,
         apparatus=used,
@@ -127,7 +127,7 @@ def design(
     release : str, optional
         What follows the focusing instant; the protocol's own if not given.
     on_grid : bool
-        Whether all levels shall lie on the generator's amplitude grid, for which the full scale may pass the
+        Whether all levels shall lie on the generator's amplitude grid, for which the full scale may exceed the
         peak by 5 %; otherwise the full scale is the peak.
 
     Raises
@@ -170,17 +170,17 @@ def design(
 
 
 def equalised(inputs: DesignInputs, stimulus: Stimulus, first: tuple[DesignInputs, Stimulus]) -> DesignInputs:
-    """Return what a placement is designed from, at levels with the band velocity that the first placement has.
+    """Return what a placement is designed from, at levels that give the band velocity of the first placement.
 
-    Velocity, since felt intensity goes with it (Grigorii et al. 2021, under load, 20 to 400 Hz); the channels of touch
-    span 0.4 to above 500 Hz (Bolanowski et al. 1988, J. Acoust. Soc. Am. 84, 1680).
+    Velocity is equalised since felt intensity follows it (Grigorii et al. 2021, under load, 20 to 400 Hz); the channels
+    of touch span 0.4 to above 500 Hz (Bolanowski et al. 1988, J. Acoust. Soc. Am. 84, 1680).
 
     Parameters
     ----------
     inputs, stimulus
-        Of the placement, at the levels asked.
+        Those of the placement, at the levels asked for.
     first : (DesignInputs, Stimulus)
-        Of the first placement.
+        Those of the first placement.
     """
     share = round(_band_velocity(*first) / _band_velocity(inputs, stimulus), 4)
     return replace(inputs, levels={key: level * share for key, level in inputs.levels.items()}, share=share)

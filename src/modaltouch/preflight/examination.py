@@ -1,4 +1,4 @@
-"""The whole check of a protocol, without any hardware."""
+"""The whole check of a protocol, without hardware."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Burst, Release, Stimulus
 
 _POINTS_PER_ZONE = 5
-"""Points at which a zone's speed is looked at: a quarter of the shortest wavelength of Table I apart."""
+"""Points at which a zone's speed is computed, a quarter of the shortest wavelength of Table I apart."""
 
 _Key = tuple[str | int, ...]
 
@@ -33,9 +33,9 @@ _PLACES: tuple[tuple[str, str], ...] = (
     (r"samples|sampling", "n_samples"),
     (r"base of the field|shape", "field"),
 )
-"""Words of the engine's messages and the key of the stimulus section that they are about, first match first."""
+"""Words of the engine's messages and the key of the stimulus section that they are about; the first match counts."""
 _MODE_KEYS = (("gain", "gain_mm_s2_per_V"), ("damping", "damping_ratio"), ("frequency", "natural_frequency_Hz"))
-"""The same, of the table of modes."""
+"""The same for the table of modes."""
 
 
 def check_levels(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
@@ -52,7 +52,7 @@ def check_levels(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -
 
 
 def _highest_amplitude(inputs: DesignInputs) -> float:
-    """Return what the generator may be set to without its full scale passing the amplifier's limit [Vpp]."""
+    """Return the highest amplitude of the generator whose full scale is within the amplifier's limit [Vpp]."""
     return 2 * instrument_of(inputs.apparatus).highest_level(inputs.apparatus)
 
 
@@ -103,7 +103,7 @@ def _sounding(stimulus: Stimulus, level: float) -> tuple[dict[int, float], dict[
 
 
 def _check_range(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
-    """Return why no level can be played: one output falls below the generator's range before the beam is in its own."""
+    """Return why no level can be played, if the smallest amplitude of one output drives the beam beyond the limits."""
     level, limit = stimulus.target_field.velocity * 1e3, inputs.apparatus.amplifier.limit_V
     sounding, full = _sounding(stimulus, level)
     if not sounding:
@@ -128,7 +128,7 @@ def _check_range(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -
 
 
 def _moves_fast(inputs: DesignInputs, stimulus: Stimulus) -> bool:
-    """Return whether any level may pass the safety limit; the speeds of all rise with the level."""
+    """Return whether any level may exceed the safety limit; speeds rise with the level, so the highest decides."""
     limit = inputs.velocity_limit
     highest = max((level for level in inputs.levels.values() if level <= limit), default=0.0)
     if highest == 0:
@@ -142,9 +142,9 @@ def _moves_fast(inputs: DesignInputs, stimulus: Stimulus) -> bool:
 def _speeds_when_lifted(
     inputs: DesignInputs, stimulus: Stimulus, level: float, floor: float
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the highest speeds where fingers are taken away within a burst, whenever, by the words for it [m/s].
+    """Return the highest speeds if fingers are lifted at any time of a burst, by the words for it [m/s].
 
-    At the points of the zones; those below a floor are returned as it.
+    They are at the points of the zones; those below a floor are returned as the floor.
     """
     speeds: dict[str, NDArray[np.float64]] = {}
     if not inputs.fingers:
@@ -159,7 +159,7 @@ def _speeds_when_lifted(
 
 
 def _uncertain(inputs: DesignInputs) -> float:
-    """Return how many times a predicted speed the true one may be, by the upper ends of the gains' intervals [1]."""
+    """Return how many times the predicted speed the true one may be, by the upper ends of the gains' intervals [1]."""
     highest = 1.0
     for mode in inputs.apparatus.modes:
         intervals = {} if mode.intervals_95 is None else mode.intervals_95.gain_mm_s2_per_V
@@ -170,7 +170,7 @@ def _uncertain(inputs: DesignInputs) -> float:
 
 
 def _zone_points(inputs: DesignInputs) -> NDArray[np.float64]:
-    """Return the points at which each zone's speed is looked at, (n_zones, n_points) array [m]."""
+    """Return the points at which each zone's speed is computed, (n_zones, n_points) array [m]."""
     edges = [zone.edges for zone in inputs.apparatus.ordered_zones.values()]
     half = inputs.apparatus.beam.length_mm / 2
     return np.clip([np.linspace(*edge, _POINTS_PER_ZONE) for edge in edges], -half, half) * 1e-3
@@ -181,9 +181,9 @@ def _check_safety(
 ) -> Iterator[Problem]:
     limit, zones, points = inputs.velocity_limit, inputs.apparatus.ordered_zones, _zone_points(inputs)
     if level > limit:
-        return  # said by the protocol's own check
+        return  # reported by the protocol's own check
     uncertain = _uncertain(inputs)
-    # At the focus the codes' rounding may pass a level that is the limit itself.
+    # With a level at the limit, rounding of the codes may exceed it at the focus.
     most = limit * (1 + 1e-3)
     speeds = {"": stimulus.peak_velocity(points.ravel(), level * 1e-3)}
     speeds |= _speeds_when_lifted(inputs, stimulus, level, most * 1e-3 / uncertain)
@@ -200,24 +200,24 @@ def _check_safety(
 
 
 def attainable_level(inputs: DesignInputs, stimulus: Stimulus) -> float:
-    """Return the highest level that amplifier, generator and safety allow, fingers taken away included [mm/s]."""
+    """Return the highest level that amplifier, generator and safety allow, also if fingers are lifted [mm/s]."""
     amplifier = inputs.apparatus.amplifier.limit_V / float(stimulus.peak_drive(inputs.reference * 1e-3).max())
     generator = _highest_amplitude(inputs) / max(stimulus.burst.full_scale_for(inputs.reference * 1e-3))
     level, most = inputs.reference * min(amplifier, generator), inputs.velocity_limit * 1e-3 / _uncertain(inputs)
     speeds = _speeds_when_lifted(inputs, stimulus, level, most)
     speeds[""] = stimulus.peak_velocity(_zone_points(inputs).ravel(), level * 1e-3)
     level *= min(most / max(float(each.max()) for each in speeds.values()), 1.0)
-    # As it is recorded: down to a thousandth.
+    # Rounded down to a thousandth, as it is recorded.
     return math.floor(level * 1e3) / 1e3
 
 
 def _rounded_down(value: float) -> str:
-    """Return a level that can be written down without passing the limit [mm/s]."""
+    """Return a level rounded down, so that it does not exceed a limit [mm/s]."""
     return f"{math.floor(value):d}" if value >= 10 else f"{math.floor(value * 1000) / 1000:g}"
 
 
 def _rounded_up(value: float) -> str:
-    """Return a level above one that is too small [mm/s]."""
+    """Return a level rounded up, so that it is not too small [mm/s]."""
     return f"{math.ceil(value):d}" if value >= 10 else f"{math.ceil(value * 10) / 10:g}"
 
 
@@ -235,7 +235,7 @@ def examine(
     uncalibrated : bool
         Whether no calibration is read, although the protocol names or requires one: to make one, or to plan.
     marked : bool
-        Whether a calibration may be marked, since it misses its limits.
+        Whether to accept a calibration that is marked since it misses its limits.
 
     Returns
     -------
@@ -267,11 +267,11 @@ def examine_findings(findings: Findings) -> Preflight:
 
 
 def _examine_placements(findings: Findings, inputs: DesignInputs) -> Preflight:
-    """Return the check of a stimulus with one design to each placement of the fingers: of each, and of all together."""
+    """Return the check of a stimulus with a design for each placement of the fingers: of each, and of all together."""
     placed: dict[str, Preflight] = {}
     for name, fingers in ({} if findings.placements is None else findings.placements.all()).items():
         own = replace(inputs, fingers=fingers)
-        # Fingers that the modes cannot tell from those of another placement have its design.
+        # Fingers that load the modes like those of another placement have its design.
         same = next((each for each in placed.values() if each.inputs and _alike(each.inputs, own)), None)
         if same is not None and same.inputs is not None:
             placed[name] = replace(same, inputs=replace(same.inputs, fingers=fingers))
@@ -313,7 +313,7 @@ def _examine_one(findings: Findings, inputs: DesignInputs | None) -> Preflight:
 
 
 def _locate(error: Exception, findings: Findings) -> Problem:
-    """Return what the engine refused as a problem of the file and the key that asked for it."""
+    """Return what the engine refused as a problem of the file and key that caused it."""
     protocol, apparatus = findings.protocol, findings.apparatus
     if protocol is None or apparatus is None:
         raise error
@@ -328,7 +328,7 @@ def _locate(error: Exception, findings: Findings) -> Problem:
             return apparatus.problem(("modes", index, key), given, "", remedy)
     if re.search(r"linearly dependent|scan grid|zero at every point", message):
         return apparatus.problem(("beam", "measured_shapes"), given, "", remedy)
-    # Late is a delay that takes most of the time before the focusing instant.
+    # The delay is the cause if it takes more than half of the time before the focusing instant.
     delay, instant = apparatus.sound("amplifier", "delay_us"), protocol.sound("stimulus", "focusing_instant_ms")
     if "samples are fewer" in message and delay is not None and instant is not None and delay > 500 * instant:
         remedy = "shorten the delay, or move the focusing instant"
@@ -338,7 +338,7 @@ def _locate(error: Exception, findings: Findings) -> Problem:
 
 
 def _check_generator_itself(inputs: DesignInputs, findings: Findings) -> Iterator[Problem]:
-    """Yield what the generator cannot do whatever the level: samples beyond its record or clock, a timer it lacks."""
+    """Yield what the generator cannot do at any level: samples beyond its record or clock, a timer it lacks."""
     section, instrument = inputs.section, instrument_of(inputs.apparatus)
     converter, path = instrument.converter, ("stimulus", "n_samples")
     if section.n_samples > converter.max_points:
@@ -372,7 +372,7 @@ def _examine_several(findings: Findings) -> Preflight:
 
 
 def _check_memories(findings: Findings, apparatus: Apparatus, bursts: Sequence[Burst]) -> Iterator[Problem]:
-    """Yield more records than the generator has memories; those for other placements are loaded at a placement."""
+    """Yield a problem if one placement has more records than the generator has memories."""
     n_memories = instrument_of(apparatus).records.n_memories
     n_records = len({record.tobytes() for burst in bursts for record in burst.codes})
     if n_records > n_memories:
@@ -382,7 +382,7 @@ def _check_memories(findings: Findings, apparatus: Apparatus, bursts: Sequence[B
 
 
 def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> Stimulus:
-    """Return the stimulus, without the 5 % of full scale for the amplitude grid where they do not fit.
+    """Return the stimulus, without the 5 % of full scale for the amplitude grid if they do not fit.
 
     Parameters
     ----------
@@ -406,7 +406,7 @@ def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> St
 def _check_schedule(findings: Findings) -> list[Problem]:
     """Return why no order can be drawn, if none can."""
     try:
-        # With a quarter of the work, so that hardly any participant is without an order on the day.
+        # With a quarter of the effort, so that on the day an order is found for nearly every participant.
         Schedule.draw(findings.experiment().protocol, "p01", 0, effort=0.25)
     except ValueError as error:
         path = ("schedule", getattr(error, "key", "max_same_pair_running"))
@@ -415,7 +415,7 @@ def _check_schedule(findings: Findings) -> list[Problem]:
 
 
 def _check_masking_level(findings: Findings) -> Iterator[Problem]:
-    """Yield the level of a masking noise whose peaks would pass full scale."""
+    """Yield a problem if the peaks of the masking noise would exceed full scale."""
     experiment = findings.experiment()
     section, sound = experiment.protocol.masking, experiment.apparatus.sound
     level = None if section is None else section.level(sound)
@@ -429,6 +429,6 @@ def _check_masking_level(findings: Findings) -> Iterator[Problem]:
     unit = section.level_key.removeprefix("level_").replace("_", " ")
     shift = 0.0 if section.level_dB_FS is not None else sound.full_scale_dB_SPL or 0.0
     given = f"{level + shift:g} {unit}, at which the peaks of the {section.noise} noise pass full scale"
-    # Rounded down, so that what is allowed is allowed.
+    # Rounded down, so that the level named as allowed is allowed.
     allowed = f"at most {math.floor((highest + shift) * 10) / 10:g} {unit}"
     yield findings.problem(("masking", section.level_key), given, allowed, "lower it, and turn up the amplifier")

@@ -1,4 +1,4 @@
-"""What a lab may ask of a stimulus besides: under fingers, on an inexact beam, by other designs and sample counts."""
+"""Further questions about a stimulus: under fingers, on an inexactly known beam, by other designs and sample counts."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ Design = tuple[DesignInputs, Stimulus]
 
 
 ERRORS = {"natural_frequency": 0.001, "damping_ratio": 0.05, "modal_gain": 0.05}
-"""Relative errors of the table of sensitivities [1]."""
+"""Relative errors in the table of sensitivities [1]."""
 
 SPREAD: dict[str, Any] = {"natural_frequency": 0.001, "damping_ratio": 0.02, "modal_gain": 0.02}
-"""Relative standard deviations of the beams that are drawn [1]."""
+"""Relative standard deviations of randomly drawn beams [1]."""
 
 
 def sensitivity_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
@@ -63,10 +63,10 @@ def sensitivity_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, A
 
 
 def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
-    """Return other voltages that reach the same states: what they cost, and what they shake that is not modelled.
+    """Return other drives that reach the same states: their cost, and how much they excite a mode that is not modelled.
 
-    The mode that is not modelled is a supposed one between the two highest modelled, with their mean damping and
-    the gains of the higher.
+    This mode is assumed between the two highest modelled ones, with their mean damping ratio and the gains of the
+    higher.
 
     Parameters
     ----------
@@ -88,9 +88,9 @@ def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
 
 
 def contrast_figures(designs: dict[str, Design]) -> list[dict[str, Any]]:
-    """Return how much faster than a finger on the other zone the focus moves, and could: two rows to each placement.
+    """Return the contrast of the focus to the other zone, as designed and as high as possible: two rows per placement.
 
-    That is the highest speed of the focus over that within 5 mm of the other zone's centre, over the whole burst.
+    It is the highest speed at the focus over that within 5 mm of the other zone's centre, during the whole burst.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def sample_figures(inputs: DesignInputs, stimulus: Stimulus, tolerance: float) -
     inputs : DesignInputs
         What the stimulus was designed from.
     stimulus : Stimulus
-        The stimulus on the count of samples that the protocol asks for.
+        The stimulus with the number of samples of the protocol.
     tolerance : float
         Allowed change of the field at the zones within 1 ms of the focusing instant, over the level [1].
 
@@ -160,7 +160,7 @@ def sample_figures(inputs: DesignInputs, stimulus: Stimulus, tolerance: float) -
 
 
 def _supposed_mode(model: ModalModel) -> ModalModel:
-    """Return a mode where the model has none."""
+    """Return a mode between the two highest of the model."""
     order = np.argsort(model.natural_frequency)
     highest = order[-2:]
     between = float(np.exp(np.log(model.natural_frequency[highest]).mean()))
@@ -170,10 +170,10 @@ def _supposed_mode(model: ModalModel) -> ModalModel:
 
 
 def continuous_figures(apparatus: Apparatus, stimulus: Stimulus, velocity: float) -> dict[str, Any]:
-    """Return what the repetition ``continuous`` of the generator misses at the focusing instant of the first burst.
+    """Return the error of the generator's repetition ``continuous`` at the focusing instant of the first burst.
 
     A record of a whole period has fewer points for the burst: its steps come late or early by up to half a point,
-    on top of the clock's own jitter.
+    in addition to the jitter of the clock.
     """
     burst, timing = stimulus.burst, stimulus.timing
     played = replace(timing, n_samples=timing.converter.max_points, duration=1 / timing.repetition_rate)
@@ -201,15 +201,15 @@ def touched_figures(findings: Findings, designs: dict[str, Design]) -> list[dict
     findings : Findings
         The files, with the fingers.
     designs : dict of str to Design
-        The design of each placement, by its name; of the untouched beam one, without a name.
+        The design of each placement, by its name; for the untouched beam a single one, without a name.
 
     Returns
     -------
     list of dict
-        One to each level, by placement, such as ``A-C``: ``zone_at_focus_mm_s`` and ``zone_peak_mm_s``, by zone;
-        ``attainable_mm_s``, the level under the finger at the amplifier's limit; ``below_1_kHz_mm_s``, the peak at the
-        focus of what swings slower than that; and ``pull_N``, the force by which the contact would have to stick to
-        the beam.
+        One for each level, by placement, such as ``A-C``: ``zone_at_focus_mm_s`` and ``zone_peak_mm_s``, by zone;
+        ``attainable_mm_s``, the level under the finger at the amplifier's limit; ``below_1_kHz_mm_s``, the peak
+        velocity at the focus below 1 kHz; and ``pull_N``, the force with which the contact would have to stick to the
+        beam.
     """
     placements = {} if findings.placements is None else findings.placements.all()
     used = {name: _design_at(designs, name) for name in placements}
@@ -221,7 +221,7 @@ def touched_figures(findings: Findings, designs: dict[str, Design]) -> list[dict
 
 
 def _design_at(designs: dict[str, Design], placement: str) -> Design:
-    """Return the design for a placement: of the same fingers, of the first on the same zones, or the only one."""
+    """Return the design for a placement: for the same fingers, the first for the same zones, or the only one."""
     zones = placement.split()[0]
     return designs.get(placement) or next(
         (each for name, each in designs.items() if name.split(" ")[0] == zones), next(iter(designs.values()))
@@ -242,7 +242,7 @@ def _figures(inputs: DesignInputs, stimulus: Stimulus, beam: Any, velocity: floa
 
 
 def untouched_warning(findings: Findings, inputs: DesignInputs, stimulus: Stimulus) -> str:
-    """Return what typical fingers would make of the highest level of a stimulus for the untouched beam."""
+    """Return how typical fingers would change the highest level of a stimulus for the untouched beam."""
     placements, level = findings.under("typical").placements, max(inputs.levels.values())
     unit = stimulus.volts_per_code(level * 1e-3)
     said = []
@@ -256,7 +256,7 @@ def untouched_warning(findings: Findings, inputs: DesignInputs, stimulus: Stimul
 
 
 def drive_arrays(designs: dict[str, Design]) -> dict[str, NDArray[np.float64]]:
-    """Return what the beam gets at the highest level, for anybody's own model.
+    """Return the drive of the beam at the highest level, for use in other models.
 
     Parameters
     ----------
@@ -267,8 +267,8 @@ def drive_arrays(designs: dict[str, Design]) -> dict[str, NDArray[np.float64]]:
     -------
     dict of arrays
         ``time_s``, (n_samples,), the starts of the samples; and ``voltage_V``, (n_channels, n_samples), at the beam, as
-        played. Of several designs the first, and each again under ``voltage_V_NAME``; one whose samples differ has
-        a ``time_s_NAME``.
+        played. With several designs these are those of the first, and each is repeated as ``voltage_V_NAME``, with a
+        ``time_s_NAME`` if its samples differ.
     """
     arrays: dict[str, NDArray[np.float64]] = {}
     for name, (inputs, stimulus) in designs.items():

@@ -13,14 +13,14 @@ from modaltouch.protocol import Findings, Protocol
 from modaltouch.stimulus import Stimulus
 
 ANSWER_S, PLACEMENT_S, BREAK_S, INSTRUCTIONS_S = 1.5, 5.0, 30.0, 90.0
-"""Guesses that go into the estimated duration: answering, moving the fingers, a break, the instructions [s]."""
+"""Guesses for the estimated duration: answering, moving the fingers, a break, the instructions [s]."""
 
 FIELD_POINTS = 201
-"""Points from end to end of the beam at which a field is kept in the record."""
+"""Points from end to end of the beam at which the record keeps a field."""
 
 
 def stimulus_figures(inputs: DesignInputs, stimulus: Stimulus, level: float) -> dict[str, Any]:
-    """Return what a level does to the beam, of the rounded codes as the generator plays them.
+    """Return what a level does to the beam, with the rounded codes as the generator plays them.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ def stimulus_figures(inputs: DesignInputs, stimulus: Stimulus, level: float) -> 
 
 
 def field_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
-    """Return the target and the predicted field at the focusing instant, at the highest level, as a report draws them.
+    """Return the target and the predicted field at the focusing instant, at the highest level, for the report.
 
     Parameters
     ----------
@@ -88,16 +88,16 @@ def field_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
 
 
 def contrasts(protocol: Protocol, zone_peak: dict[str, float], placement: str = "") -> list[dict[str, Any]]:
-    """Return for each pair the speeds at its zones and how many times the faster is the slower.
+    """Return for each pair the speeds at its zones and the ratio of the faster to the slower.
 
     Parameters
     ----------
     protocol : Protocol
-        The design.
+        The protocol.
     zone_peak : dict of str to float
-        Largest speed at the centre of each zone [mm/s].
+        Peak speed at the centre of each zone [mm/s].
     placement : str
-        The pair alone for whose fingers it holds, such as ``A-C``; every pair if empty.
+        The only pair for whose fingers the speeds hold, such as ``A-C``; empty for every pair.
     """
     rows = []
     for left, right in protocol.conditions.pairs:
@@ -122,7 +122,7 @@ def zone_centres(inputs: DesignInputs) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def finger_places(inputs: DesignInputs) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return where each zone is touched, its centre where it is not, from left to right, (n_zones,) array [m]."""
+    """Return where each zone is touched, or its centre if it is not, from left to right, (n_zones,) array [m]."""
     places = zone_centres(inputs)
     for finger in inputs.fingers:
         places[np.abs(places - finger.position).argmin()] = finger.position
@@ -130,12 +130,12 @@ def finger_places(inputs: DesignInputs) -> np.ndarray[Any, np.dtype[np.float64]]
 
 
 def estimated_duration(protocol: Protocol) -> float:
-    """Return about how long a session takes, answers, finger placements and breaks guessed [min].
+    """Return about how long a session takes, with guesses for answers, finger placements and breaks [min].
 
     Parameters
     ----------
     protocol : Protocol
-        The design.
+        The protocol.
     """
     answers, schedule = protocol.answers, protocol.schedule
     n_trials = protocol.n_trials + schedule.practice_trials
@@ -147,7 +147,7 @@ def estimated_duration(protocol: Protocol) -> float:
         if (intervals := protocol.intervals) is not None:
             before_question += (intervals.number - 1) * (fmean(lengths) + intervals.gap_s)
     pause = fmean(map(answers.pause, protocol.conditions.finger_conditions))
-    # The fingers move wherever the pair differs from the one before.
+    # The fingers move whenever the pair differs from the one before.
     n_pairs = len(protocol.conditions.contacts)
     n_placements = 1 + (n_trials - 1) * (1 - 1 / n_pairs)
     n_breaks = (protocol.n_trials - 1) // schedule.break_after_trials if schedule.break_after_trials else 0
@@ -162,7 +162,7 @@ def estimated_duration(protocol: Protocol) -> float:
 
 
 def finite(value: float) -> float | None:
-    """Return a number for JSON, or None where it is not finite."""
+    """Return a number for JSON, or None if it is not finite."""
     return float(value) if math.isfinite(value) else None
 
 
@@ -192,7 +192,7 @@ def design_figures_of(protocol: Protocol) -> dict[str, Any]:
 
 
 def occasion_figures(findings: Findings) -> dict[str, Any]:
-    """Return group and kind of session with levels, trials and duration; null where the protocol is faulty."""
+    """Return group and kind of session with levels, trials and duration; None if the protocol is faulty."""
     protocol = None if findings.protocol is None else findings.protocol.value
     known = {} if protocol is None else design_figures_of(protocol)
     return {

@@ -1,4 +1,4 @@
-"""Whether the participant can read the texts: a letter for every character, in type that is large enough."""
+"""Whether the participant can read the texts: a glyph for every character, in type that is large enough."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from modaltouch.protocol import Findings, Problem, Schedule
 from modaltouch.window import Fonts, find_font
 
 LEAST_ANGLE = 20.0
-"""Least height of a capital at the eye; ISO 9241-303 recommends 20 to 22 [arcmin]."""
+"""Smallest visual angle of the height of a capital; ISO 9241-303 recommends 20 to 22 [arcmin]."""
 _NOT_SHOWN = {"protocol", "title", "apparatus", "texts", "language", "language_code", "font", "stimulus", "stimuli"}
 
 
 def check_legibility(preflight: Preflight, window: tuple[int, int] | None = None) -> Preflight:
-    """Return the preflight with what cannot be read among its problems.
+    """Return the preflight with texts that cannot be read among its problems.
 
     Parameters
     ----------
     preflight : Preflight
         The examined protocol.
     window : (width, height) of int, optional
-        Size of the answer window [pixels]; the whole screen where it is not given.
+        Size of the answer window [pixels]; by default the whole screen.
     """
     problems = [*preflight.problems, *_check_letters(preflight.findings)]
     if not problems:
@@ -34,7 +34,7 @@ def check_legibility(preflight: Preflight, window: tuple[int, int] | None = None
 
 
 def _check_letters(findings: Findings) -> Iterator[Problem]:
-    """Yield the characters that no font at hand has, and a named font that is not there."""
+    """Yield the characters that no installed font has, and a named font that is not installed."""
     if findings.texts is None:
         return
     fonts = Fonts(findings.texts.sound("font") or "")
@@ -61,7 +61,7 @@ def _strings(path: tuple[str | int, ...], node: Any) -> Iterator[tuple[tuple[str
 
 
 def _check_type(findings: Findings, window: tuple[int, int] | None) -> Iterator[Problem]:
-    """Yield the smallest text where it is smaller than can be read well at the stated distance."""
+    """Yield the smallest text if it is too small to be read well at the stated distance."""
     experiment, reading = findings.experiment(), findings.apparatus
     protocol, screen = experiment.protocol, experiment.apparatus.screen
     if screen is None or reading is None:

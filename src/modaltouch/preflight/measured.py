@@ -1,4 +1,4 @@
-"""The designs for fingers that were measured as they lay on the beam."""
+"""Designs for fingers that were measured on the beam."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ if TYPE_CHECKING:
 
 
 DRIFT = 0.05
-"""From which difference between what was delivered and what was predicted a trial is marked [1]."""
+"""Relative difference between delivered and predicted speed above which a trial is marked [1]."""
 
 
 def with_measured(preflight: Preflight, trial: Trial, found: Mapping[str, Any]) -> Preflight:
-    """Return the preflight with a placement designed for the fingers, and on the beam, that were measured there.
+    """Return the preflight with a placement designed for the fingers and the beam as measured there.
 
     The focus is under the finger that lies on its zone, wherever in the zone that is.
 
     Parameters
     ----------
     preflight : Preflight
-        Of a protocol whose fingers are measured, for those that are expected.
+        Preflight of a protocol whose fingers are measured, designed for the expected fingers.
     trial : Trial
-        Whose placement it is.
+        A trial with this placement.
     found : mapping
-        As the record has it: ``fingers``, the keys of each in a file and its zone, by its name; ``modes``, frequency
+        As recorded: ``fingers``, by name, each with its keys as in a file and its zone; ``modes``, natural frequency
         [Hz], damping ratio [1] and gains [mm/s^2 per V] of each mode of the table.
     """
     placements = preflight.findings.placements
@@ -46,7 +46,7 @@ def with_measured(preflight: Preflight, trial: Trial, found: Mapping[str, Any]) 
 
 
 def delivered_figures(preflight: Preflight, trial: Trial, found: Mapping[str, Any]) -> dict[str, float]:
-    """Return what a record of a trial's burst says of the speeds under its fingers.
+    """Return the speeds under the fingers of a trial, from the record of its burst.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def has_drifted(preflight: Preflight, trial: Trial, delivered: Mapping[str, Any]
 
 
 def _on_beam(inputs: DesignInputs, by_zone: Mapping[str, Finger], modes: list[dict[str, Any]]) -> DesignInputs:
-    # Intervals of an identification say nothing of values that were found since.
+    # The intervals of the identification do not apply to values that were found later.
     pairs = zip(inputs.apparatus.modes, modes, strict=True)
     refitted = tuple(mode.model_copy(update={**values, "intervals_95": None}) for mode, values in pairs)
     return replace(

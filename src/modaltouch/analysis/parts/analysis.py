@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from modaltouch.analysis.designs import DesignAnalysis
 
 FACTORS = ("group", "session_kind", "stimulus")
-"""What tells parts apart, beside finger conditions, pairs and levels."""
+"""What distinguishes parts, besides finger conditions, pairs and levels."""
 
 MOST_FIGURES = 40
-"""Figures of a report; the tables have all parts."""
+"""Most figures of a report; the tables have all parts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,11 +40,11 @@ class CrossedPart:
     Attributes
     ----------
     factors : dict of str to str
-        Group, kind of session and stimulus, where there are any.
+        Group, kind of session and stimulus, if there are any.
     counts : AnswerCounts
-        Answers of its participants.
+        Counts of its participants' answers.
     frame : DataFrame
-        The same as a tidy table.
+        The same answers as a tidy table.
     """
 
     factors: dict[str, str]
@@ -75,9 +75,9 @@ class PartsAnalysis:
     files : dict of str to Path
         Files written, by name.
     design : DesignAnalysis, optional
-        What the answers tell of each participant, beside counts, and of groups.
+        Results of each participant, besides counts, and of groups.
     registration : Registration
-        The preregistration that it was held against.
+        The preregistration that it was checked against.
     """
 
     responses: Responses
@@ -89,14 +89,14 @@ class PartsAnalysis:
 
     @property
     def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
-        """The tests that are corrected in families, as a `RegisteredAnalysis` has them."""
+        """The tests that are corrected in families, as in `RegisteredAnalysis`."""
         found = [(ALL_PARTS, self.parts[0].counts, row) for row in self.whole]
         numbers = {part.name: f"part {number}" for number, part in enumerate(self.parts, start=1)}
         found += [(numbers[part.name], part.counts, row) for part, row in self.findings]
         return [each for each in found if each[2].family]
 
     def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
-        """Return what a preregistration fixes of it, by name."""
+        """Return the terms that a preregistration fixes, by name."""
         return {
             "participants": int(self.responses.frame["participant"].nunique()),
             "crossed parts, with repetitions": {part.name: part.counts.n_repetitions for part in self.parts},
@@ -106,7 +106,7 @@ class PartsAnalysis:
 
     @cached_property
     def whole(self) -> list[Finding]:
-        """What was found over all parts, each family corrected."""
+        """Findings over all parts, each family corrected."""
         return correct(self.design.findings) if self.design else []
 
     @property
@@ -122,7 +122,7 @@ class PartsAnalysis:
 
     @property
     def tests(self) -> pd.DataFrame:
-        """The statistics, one row each, with the part that it is of."""
+        """The statistics, one row each, with the part that each belongs to."""
         table = to_frame([*self.whole, *(finding for _, finding in self.findings)])
         table.insert(0, "part", ["all"] * len(self.whole) + [part.name for part, _ in self.findings])
         return table
@@ -161,7 +161,7 @@ def analyse_parts(responses: Responses) -> PartsAnalysis:
     Parameters
     ----------
     responses : Responses
-        Answers with the table of what was `scheduled`.
+        Answers with the table of scheduled trials, `Responses.scheduled`.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def analyse_parts(responses: Responses) -> PartsAnalysis:
     given, responses = responses, responses.by_choice()
     parts, found = tuple(_find_parts(responses)), list[tuple[CrossedPart, Finding]]()
     for part in parts:
-        if not part.frame.empty:  # one that nobody answered tells nothing; its missing answers are counted
+        if not part.frame.empty:  # a part without answers has no findings; its missing answers are counted
             found += [(part, finding) for finding in uncorrected(part.counts, part.frame)]
     corrected = correct(finding for _, finding in found)
     design = None
@@ -184,7 +184,7 @@ def analyse_parts(responses: Responses) -> PartsAnalysis:
 
 
 def _find_parts(responses: Responses) -> Iterator[CrossedPart]:
-    """Yield the crossed parts of a design: pairs and finger conditions that share their levels and numbers."""
+    """Yield the crossed parts of a design: pairs and finger conditions with the same levels and repetitions."""
     scheduled = responses.scheduled
     if scheduled is None:
         return
@@ -207,7 +207,7 @@ def _find_parts(responses: Responses) -> Iterator[CrossedPart]:
 
 
 def _asked(responses: Responses, own: pd.DataFrame, cell: list[str]) -> list[tuple[Any, int]]:
-    """Return the cells with how often each participant was asked in them; refuse it where that differs."""
+    """Return the cells and how often each participant was asked in them; refuse cells where that differs."""
     wide = own.groupby(["participant", *cell], observed=True).size().unstack(cell, fill_value=0)
     if odd := [name for name in wide.columns if wide[name].nunique() > 1]:
         shown = ", ".join(f"{who} {n}" for who, n in wide[odd[0]].drop_duplicates().items())
@@ -227,7 +227,7 @@ def _part(
     factors: dict[str, str],
     n_repetitions: int,
 ) -> CrossedPart:
-    """Return a part with its answers; who gave none in it has a row that counts nothing."""
+    """Return a part with its answers; a participant who gave none in it has rows with a count of 0."""
     scheduled = own[[key in cells for key in own[cell].itertuples(index=False, name=None)]]
     answered = scheduled[scheduled["response"].isin(responses.answers.names)]
     silent = scheduled.drop(answered.index).assign(n=0, response=responses.answers.names[0])
@@ -303,7 +303,7 @@ def _line(finding: Finding) -> dict[str, Any]:
 
 
 def _models(analysis: PartsAnalysis) -> dict[str, Any]:
-    """Return the tidy table, and the R script of mixed models over all parts where each finger is named alone."""
+    """Return the tidy table and the R script of mixed models, over all parts if each finger can be named alone."""
     first = analysis.parts[0].counts
     if not first.compares:
         return tidy_files(analysis.responses)

@@ -19,7 +19,7 @@ from modaltouch.analysis.words import say_interval
 from modaltouch.report import ReportFigure, page_files
 
 MOST_FIGURES = 60
-"""Sessions whose runs are drawn; more would make a report that no browser opens."""
+"""Most sessions whose runs are drawn; with more, no browser would open the report."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class ThresholdAnalysis:
     files : dict of str to Path
         Files written, by name.
     registration : Registration
-        The preregistration that it was held against.
+        The preregistration that it was checked against.
     """
 
     responses: Responses
@@ -45,11 +45,11 @@ class ThresholdAnalysis:
 
     @property
     def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
-        """None: thresholds are estimated."""
+        """None: thresholds are estimated, not tested."""
         return []
 
     def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
-        """Return what a preregistration fixes of it, by name."""
+        """Return the terms that a preregistration fixes, by name."""
         adaptive = self.responses.start["design"]["adaptive"]
         return {
             "participants": len({run.participant for run in self.runs}),
@@ -123,7 +123,7 @@ def render_runs(analysis: ThresholdAnalysis) -> dict[str, Any]:
     Parameters
     ----------
     analysis : ThresholdAnalysis
-        What was found.
+        The analysis.
     """
     from modaltouch.analysis.thresholds.figures import draw_runs, draw_thresholds
 

@@ -1,8 +1,8 @@
-"""Psychometric functions of levels that the protocol fixed: threshold, or point of subjective equality, of each person.
+"""Psychometric functions over levels that the protocol fixes: threshold or point of subjective equality of each person.
 
-Where no comparison is below the standard, or it is silent, a success is a correct answer; where some are, and the
-stronger of two is asked for, that the comparison was chosen. Of one interval it is that something was felt, and catch
-trials tell how often that is guessed.
+With one interval, a success is that something was felt, and catch trials give the guess rate. With several, it is a
+correct answer if no comparison is below the standard; if some are, and the stronger of two intervals is asked for, it
+is that the comparison was chosen.
 """
 
 from __future__ import annotations
@@ -24,13 +24,12 @@ from modaltouch.analysis.task import TrialTask
 from modaltouch.analysis.thresholds.psychometric import Psychometric, fit_psychometric
 
 MOST_LAPSE = 0.02
-"""Largest share of lapses at either end that a fit may find [1]; with 0.05, 144 answers tell a spread 10 % too small.
-"""
+"""Largest lapse rate at either end that a fit may find [1]; with 0.05, 144 answers give a spread 10 % too small."""
 
 FEWEST_LEVELS = 3
 
 JND_OF_SPREAD = NormalDist().inv_cdf(0.75)
-"""Just noticeable difference in spreads: from half to three quarters of the answers."""
+"""Just noticeable difference over the spread: from half to three quarters of the answers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +39,7 @@ class FittedCell:
     Attributes
     ----------
     cell : Cell
-        Whose, and of which answers.
+        Whose it is, and from which answers.
     levels, shares, tries : (n_levels,) arrays
         Levels [mm/s, or own thresholds], shares of successes [1], and answers.
     fitted : Psychometric
@@ -58,21 +57,21 @@ class FittedCell:
 
 
 def fit_cells(responses: Responses, task: TrialTask) -> tuple[FittedCell, ...]:
-    """Return the psychometric functions; none where the design has none, such as of fewer than three levels.
+    """Return the psychometric functions; empty if the design has none, as with fewer than three levels.
 
     Parameters
     ----------
     responses : Responses
         The answers.
     task : TrialTask
-        What they mean.
+        What the answers mean.
     """
     scale = scale_of(responses.frame.columns)
     frame = task.told(responses.frame, scale.column)
     is_felt = task.n_intervals == 1 and responses.answers.naming() is not None and not responses.answers.compares
     if frame[scale.column].nunique() < FEWEST_LEVELS or not (task.named or is_felt):
         return ()
-    if task.why_no_d_prime:  # nor is the chance of guessing known
+    if task.why_no_d_prime:  # then the guess rate is unknown, too
         return ()
     is_below = bool(task.named) and bool((frame[scale.column] < task.standard).any())
     is_choice = is_below and task.turns(-math.inf)

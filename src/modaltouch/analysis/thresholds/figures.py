@@ -21,12 +21,12 @@ _ROW = 2.5
 
 
 def draw_runs(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
-    """Return the runs of a session, one below the other: track on the left, fitted function on the right.
+    """Draw the runs of a session, one below the other: track on the left, fitted function on the right.
 
     Parameters
     ----------
     runs : sequence of Run
-        Of one session.
+        Runs of one session.
     bounds : (float, float)
         Lowest and highest level that a run may reach [mm/s].
     """
@@ -87,7 +87,7 @@ def _mark_levels(axis: Axis) -> None:
 
 
 def _in_mm_s(threshold: Interval, bounds: tuple[float, float]) -> tuple[float, float, float]:
-    """Return a threshold between the ends of its interval [mm/s]; an open end lies beyond the picture."""
+    """Return the lower bound, value and upper bound of a threshold [mm/s]; an open bound lies outside the figure."""
     told = threshold.changed(lambda level: float(np.clip(10 ** (level / 20), bounds[0] / 10, bounds[1] * 10)))
     return told.low, told.estimate, told.high
 
@@ -95,7 +95,7 @@ def _in_mm_s(threshold: Interval, bounds: tuple[float, float]) -> tuple[float, f
 def _band(
     span: Callable[..., Any], line: Callable[..., Any], threshold: Interval | None, bounds: tuple[float, float]
 ) -> None:
-    """Draw a threshold and its interval across a picture."""
+    """Draw a threshold and its interval across a panel."""
     if threshold is not None:
         low, value, high = _in_mm_s(threshold, bounds)
         span(low, high, color="#e6ecf6", zorder=0, linewidth=0)
@@ -134,9 +134,9 @@ def draw_thresholds(runs: Sequence[Run], bounds: tuple[float, float]) -> Figure:
 
 
 def _draw_kind(axes: Axes, runs: Sequence[Run], heights: np.ndarray, k: int, bounds: tuple[float, float]) -> None:
-    # 32 kinds differ: where colours begin anew, markers have moved on by one.
+    # 32 kinds are distinct: when the colours repeat, the markers have moved on by one.
     colour, marker = CONDITION_COLOURS[k % 4], "os^DvPX*"[(k + k // 4) % 8]
-    # Of its own, so that a kind whose runs give no threshold is in the legend, too.
+    # Plotted by itself, so that a kind whose runs give no threshold is in the legend, too.
     axes.plot([], [], marker=marker, color=colour, ms=5, linestyle="", label=runs[0].kind)
     for run, height in zip(runs, heights, strict=True):
         threshold = run.fitted.threshold

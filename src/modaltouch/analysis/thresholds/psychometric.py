@@ -1,10 +1,10 @@
 """A psychometric function fitted to the answers of one run, or the reason why these answers give no threshold.
 
 The probability of success at a level x [dB re 1 mm/s] is g + (1 - g - l) Phi((x - m) / s): m is the threshold, halfway
-between guessing and lapsing, s the spread, g the guess rate and l the lapse rate. Everything is read off the
-likelihood on a grid, so nothing diverges where answers are separated. Intervals are the ends of the joint 95 % region
-of m and s, all pairs whose best fit is within 3.00 of the best of all: levels of a run lie where answers led, and its
-likeliest spread is too small, so that an interval of m alone, within 1.92, misses the threshold too often.
+between guessing and lapsing, s the spread, g the guess rate and l the lapse rate. The likelihood is evaluated on a
+grid, so nothing diverges if answers are separated. Intervals are the ends of the joint 95 % region of m and s, all
+pairs whose greatest log likelihood is within 3.00 of the maximum: the levels of a run follow from its answers and its
+most likely spread is too small, so that an interval of m alone, within 1.92, would miss the threshold too often.
 
 References
 ----------
@@ -26,20 +26,20 @@ from modaltouch.analysis.intervals import Interval
 FloatArray = NDArray[np.float64]
 
 STEP = 0.25
-"""Distance of the thresholds [dB]."""
+"""Step of the grid of thresholds [dB]."""
 
 BEYOND = 20.0
-"""How far beyond the levels presented a threshold is looked for [dB]."""
+"""How far beyond the presented levels the grid of thresholds reaches [dB]."""
 
 _LEAST = 1e-9
 """No outcome is impossible: probabilities are kept this far from 0 and 1."""
 
 _SPREADS = np.geomspace(0.5, 20.0, 28)
 _GUESSES = np.array([0.0, 0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5])
-"""Spreads [dB], and guess rates where catch trials tell of them [1], that are compared."""
+"""Grids of spreads [dB] and, if there are catch trials, of guess rates [1]."""
 
 _AT_ONCE = 4_000_000
-"""Likelihoods of the largest temporary array."""
+"""Likelihoods in the largest temporary array."""
 
 
 DROP, REGION = 1.920729, 2.995732
@@ -57,13 +57,13 @@ class Psychometric:
     n_catch, n_false : int
         Catch trials, and successes among them.
     threshold, spread : Interval or None
-        Threshold and spread [dB re 1 mm/s, dB]; None where these answers tell none.
+        Threshold and spread [dB re 1 mm/s, dB]; None if the answers do not determine them.
     guess_rate, lapse_rate : float
-        The likeliest asymptotes [1].
+        Most likely rates [1].
     why_not : str
-        Why no threshold can be told; empty where it can.
+        Why there is no threshold; empty if there is one.
     is_uncertain, is_step : bool
-        Whether a constant probability explains the answers equally well as the function does, or the steepest function.
+        Whether a constant probability, or the steepest function, explains the answers as well as the fitted function.
     """
 
     n_trials: int
@@ -80,13 +80,13 @@ class Psychometric:
 
     @property
     def slope(self) -> float | None:
-        """Rise of the function at the threshold [1/dB]; None where the answers fit a step as well."""
+        """Slope of the function at the threshold [1/dB]; None if a step fits the answers as well."""
         if self.spread is None or self.is_step:
             return None
         return (1 - self.guess_rate - self.lapse_rate) / float(self.spread.estimate * math.sqrt(2 * math.pi))
 
     def probability(self, levels: FloatArray) -> FloatArray | None:
-        """Return the fitted probability of success at levels [dB re 1 mm/s]; None where there is no fit."""
+        """Return the fitted probability of success at levels [dB re 1 mm/s]; None without a fit."""
         if self.threshold is None or self.spread is None:
             return None
         from scipy.special import ndtr
@@ -107,8 +107,9 @@ def fit_psychometric(
 ) -> Psychometric:
     """Return the psychometric function of a run.
 
-    Answers that a constant share of successes explains as well give no threshold, unless that share is known: adaptive
-    runs of a forced choice gather where the function is flat, and one in four of a wide spread would be lost.
+    Answers that a constant probability explains as well give no threshold. If this probability is known (`flat_rate`),
+    others are not tried: adaptive forced-choice runs gather where the function is flat, and one in four with a wide
+    spread would be lost.
 
     Parameters
     ----------
@@ -117,7 +118,7 @@ def fit_psychometric(
     successes : sequence of bool
         Whether each of them was a success.
     guess_rate : float or array
-        Share of successes where nothing is felt, or those that are tried [1]; fitted where there are catch trials.
+        Probability of success if nothing is felt, or several to try [1]; with catch trials, it is fitted instead.
     most_lapse : float
         Largest lapse rate that a fit may find [1].
     catches : sequence of bool
@@ -125,7 +126,7 @@ def fit_psychometric(
     unit : str
         Unit of the levels, in words.
     flat_rate : float, optional
-        Share of successes where the level is ignored, as far as it is known [1].
+        Probability of success if the level is ignored, if known [1].
 
     Raises
     ------
@@ -162,13 +163,13 @@ class Fits:
     Attributes
     ----------
     threshold, spread : Interval
-        [dB re 1 mm/s], [dB]; a bound is infinite where the answers set none.
+        [dB re 1 mm/s], [dB]; a bound is infinite if the answers do not determine it.
     guess_rate, lapse_rate : arrays
-        The likeliest asymptotes [1].
+        Most likely rates [1].
     gain, settled : arrays
-        Gain of the log likelihood over a constant chance: the likeliest one, and `flat_rate` where it is known.
+        Gain of log likelihood over a constant probability: the most likely one; and `flat_rate` instead, if known.
     is_told, is_step : arrays of bool
-        Whether the answers tell a threshold, and whether the steepest function fits as well.
+        Whether the answers determine a threshold, and whether the steepest function fits as well.
     """
 
     threshold: Interval
@@ -247,11 +248,11 @@ def _profiles(
     lapses: FloatArray,
     guesses: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the highest log likelihoods, by guess rate and run, of each threshold, spread and lapse rate."""
+    """Return the highest log likelihood of each threshold, spread and lapse rate, by guess rate and run."""
     from scipy.special import ndtr
 
     rising = ndtr((levels - thresholds[:, None, None]) / _SPREADS[:, None])
-    # A threshold is looked for about a run's own levels.
+    # A threshold is searched for around a run's own levels.
     lowest, highest = (np.where(tries > 0, levels, end) for end in (np.inf, -np.inf))
     inside = thresholds >= lowest.min(axis=-1)[:, None] - BEYOND - STEP / 4
     inside &= thresholds <= highest.max(axis=-1)[:, None] + BEYOND + STEP / 2
@@ -271,13 +272,13 @@ def _profiles(
 
 
 def _log_chance(n_false: int, n_catch: int, guesses: FloatArray) -> FloatArray:
-    """Return the log likelihood of successes on catch trials, of each guess rate."""
+    """Return the log likelihood of successes on catch trials, for each guess rate."""
     p = np.clip(guesses, _LEAST, 1 - _LEAST)
     return np.asarray(n_false * np.log(p) + (n_catch - n_false) * np.log1p(-p))
 
 
 def _counted(levels: Sequence[float], successes: Sequence[bool]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the levels that there were, and the successes and trials at each."""
+    """Return the distinct levels, and the successes and trials at each."""
     if not levels or len(levels) != len(successes):
         raise ValueError(f"given {len(levels)} levels and {len(successes)} answers; give one answer to each level")
     x, places = np.unique(np.round(levels, 6), return_inverse=True)
@@ -286,7 +287,7 @@ def _counted(levels: Sequence[float], successes: Sequence[bool]) -> tuple[FloatA
 
 
 def _why_not(x: FloatArray, hits: FloatArray, tries: FloatArray, gain: float, threshold: float, unit: str) -> str:
-    """Return why these answers give no threshold; empty where they do."""
+    """Return why these answers give no threshold; empty if they do."""
     lowest, highest = (f"{10 ** (level / 20):.3g} {unit}" for level in (x[0], x[-1]))
     reasons = (
         (
@@ -302,7 +303,7 @@ def _why_not(x: FloatArray, hits: FloatArray, tries: FloatArray, gain: float, th
 
 
 def _located(values: FloatArray, profiles: FloatArray) -> Interval:
-    """Return where profiles are highest, between the points of the grid, and where they have fallen by `REGION`."""
+    """Return where profiles are highest, between grid points, and where they have dropped by `REGION`."""
     rows, place = np.arange(len(profiles)), profiles.argmax(axis=1)
     padded = np.pad(profiles, ((0, 0), (1, 1)), constant_values=-np.inf)
     before, here, after = (padded[rows, place + shift] for shift in range(3))
@@ -317,7 +318,7 @@ def _located(values: FloatArray, profiles: FloatArray) -> Interval:
 
 
 def _crossing(values: FloatArray, profiles: FloatArray, bound: FloatArray) -> FloatArray:
-    """Return where profiles first rise above a bound; minus infinity where they are above it from the first on."""
+    """Return where profiles first rise above a bound; minus infinity if they are above it from the start."""
     rows, inside = np.arange(len(profiles)), (profiles >= bound[:, None]).argmax(axis=1)
     outside = np.maximum(inside - 1, 0)
     found, left = profiles[rows, inside], profiles[rows, outside]

@@ -40,19 +40,19 @@ class Run:
     pair : str
         Zones under the fingers, such as ``A-C``.
     stimulus : str
-        Which of several stimuli; empty where the protocol has one alone.
+        Name of the stimulus; empty if the protocol has only one.
     levels : (n_trials,) array
         Level of each trial, in order [mm/s].
     successes : (n_trials,) array of bool
-        Whether its answer counts as success.
+        Whether its answer counts as a success.
     fitted : Psychometric
-        What the answers tell.
+        Function fitted to the answers.
     n_missing : int
-        Trials that timed out; the level followed from them as from failures, and no fit counts them.
+        Trials that timed out; the next level follows as after a failure, but no fit counts them.
     group : str
-        Group or lab of the participant; empty where there is one alone.
+        Group or lab of the participant; empty if there is only one.
     session_kind : str
-        Which of several kinds of session that are analysed; empty where there is one alone.
+        Kind of session; empty if only one is analysed.
     """
 
     participant: str
@@ -69,7 +69,7 @@ class Run:
 
     @property
     def kind(self) -> str:
-        """The factors in words: what runs of other participants have alike."""
+        """The factors in words, which runs of other participants share."""
         told = self.factors | {"finger_condition": self.finger_condition.replace("_", " ")}
         return " ".join(told.values())
 
@@ -134,13 +134,13 @@ def find_runs(responses: Responses) -> tuple[Run, ...]:
     for key, part in frame.groupby([*KEYS, *zones_of(frame.columns)], sort=True, observed=True):
         silent = part[scale_of(part.columns).column] == 0
         for stimulus in sorted(part["stimulus"][~silent].unique()):
-            # A catch trial has no stimulus: it counts for the run of each, at that one's focus.
+            # A catch trial has no stimulus: it counts for the run of each stimulus, at its focus.
             runs.append(_run(key, stimulus, part[silent | (part["stimulus"] == stimulus)], rule, responses))
     return tuple(runs)
 
 
 def is_forced(responses: Responses) -> bool:
-    """Whether the guess rate is that of guessing among the answers, and no catch trials tell another one."""
+    """Return whether the guess rate is that of guessing among the answers, with no catch trials to estimate another."""
     silent = responses.frame.dropna(subset="response")[scale_of(responses.frame.columns).column] == 0
     # A third is written with a few digits, as the check of the protocol allows.
     chance = 1 / len(responses.answers) - 0.01
@@ -176,8 +176,8 @@ def _run(key: tuple[Any, ...], stimulus: str, part: pd.DataFrame, rule: dict[str
 def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
     """Return the geometric mean threshold of each kind of run over participants.
 
-    A participant's sessions of a kind are averaged first. Runs that give no threshold are left out and counted: where
-    there are any, the mean is one of those who have one.
+    A participant's sessions of a kind are averaged first. Runs without a threshold are left out and counted; the mean
+    is then over those participants who have one.
     """
     rows = []
     for kind in dict.fromkeys(run.kind for run in runs):
@@ -236,7 +236,7 @@ def in_words(estimate: Interval, unit: str = "") -> str:
 
 
 def _velocity(level: float) -> float | None:
-    """Return a level [dB re 1 mm/s] in mm/s; None where it is none."""
+    """Return a level [dB re 1 mm/s] in mm/s; None if it is not finite."""
     return float(f"{10 ** (level / 20):.5g}") if math.isfinite(level) else None
 
 

@@ -1,10 +1,10 @@
-"""Psychophysical observers: from what two fingers feel to left, right or both, and its reaction time.
+"""Psychophysical observers: from what two fingers feel to an answer, left, right or both, and its reaction time.
 
-``participant``  one person: comparison, criterion, lapses, reaction time; chances of the answers in closed form
+``participant``  one participant: comparison, criterion, lapses, reaction time; probabilities of answers in closed form
 ``population``   Observer: a typical participant, the spread between participants, and the front end
-``felt``         what a finger makes of the velocity under it, one number; at the zones, once for all levels
-``file``         observers as YAML files, shipped and one's own
-``fit``          an observer fitted to recorded answers by their likelihood, and what such a fit cannot know
+``felt``         what a finger feels of the velocity under it, as one number; at the zones, once for all levels
+``file``         observers in YAML files, shipped or the user's own
+``fit``          an observer fitted to recorded answers by maximum likelihood, and what such a fit cannot determine
 """
 
 from modaltouch.planning.observer.participant import Participant

@@ -1,4 +1,4 @@
-"""Front ends: what a finger makes of the velocity under it; at the zones of a stimulus, once for all levels.
+"""Front ends: what a finger feels of the velocity under it, as one number; at the zones, once for all levels.
 
 References
 ----------
@@ -24,7 +24,7 @@ CUT_OFF = 1000.0
 """Highest frequency that the skin follows [Hz]."""
 
 ORDER = 4
-"""Order of the Butterworth response at `CUT_OFF`, applied without a shift in time."""
+"""Order of the Butterworth response at `CUT_OFF`, applied with zero phase."""
 
 
 def sense(front_end: FrontEnd, history: ArrayLike, sampling_rate: float) -> FloatArray:
@@ -33,7 +33,7 @@ def sense(front_end: FrontEnd, history: ArrayLike, sampling_rate: float) -> Floa
     Parameters
     ----------
     front_end : {"rms", "below_1_khz", "envelope"}
-        Those that need the whole history.
+        One of those that need the whole history.
     history : (n_places, n_samples) array
         Velocity over one repetition of the burst [m/s].
     sampling_rate : float
@@ -48,7 +48,7 @@ def sense(front_end: FrontEnd, history: ArrayLike, sampling_rate: float) -> Floa
 
 
 def smooth(velocity: FloatArray, sampling_rate: float) -> FloatArray:
-    """Return what lies below `CUT_OFF`, without a shift in time, (n_places, n_samples) array [m/s].
+    """Return histories low-pass filtered at `CUT_OFF` with zero phase, (n_places, n_samples) array [m/s].
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def smooth(velocity: FloatArray, sampling_rate: float) -> FloatArray:
         Samples per second [Hz].
     """
     n_samples = velocity.shape[1]
-    # Twice as long and filled up with rest, so that the end does not run into the beginning.
+    # Padded with zeros to twice the length, so that the end does not wrap around to the beginning.
     length = 1 << (2 * n_samples - 1).bit_length()
     gain = 1 / np.sqrt(1 + (np.fft.rfftfreq(length, 1 / sampling_rate) / CUT_OFF) ** (2 * ORDER))
     return np.asarray(np.fft.irfft(np.fft.rfft(velocity, length) * gain, length)[:, :n_samples])
@@ -68,7 +68,7 @@ class FeltSpeeds:
     """What fingers feel at the zones.
 
     Everything is computed when first asked for, at the reference level, and scaled to the others: the beam and
-    every front end are linear in the level. Only the generator's amplitude grid (four digits) is left out.
+    every front end are linear in the level. Only the generator's amplitude grid (four digits) is neglected.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class FeltSpeeds:
     zones : mapping of str to float
         Centres of the zones, origin at mid-beam [m].
     front_end : str
-        What a finger makes of the velocity under it.
+        Front end of the fingers.
     """
 
     def __init__(self, stimulus: Stimulus, zones: Mapping[str, float], front_end: FrontEnd) -> None:
@@ -114,7 +114,7 @@ class FeltSpeeds:
         elif self._front_end == "peak_at_focus":
             values = np.abs(stimulus.velocity_at_focus(places, level))
         else:
-            # A whole repetition: a beam that is released free goes on after the burst.
+            # A whole repetition: a beam that is not actively stopped goes on vibrating after the burst.
             history = stimulus.velocity_history(places, level, whole_period=True)
             values = sense(self._front_end, history, stimulus.timing.sampling_rate)
         return {name: float(value) / level for name, value in zip(self._zones, values, strict=True)}

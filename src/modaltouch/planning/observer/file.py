@@ -1,4 +1,4 @@
-"""Observers as YAML files, shipped or one's own, read and written."""
+"""Reading and writing of observers in YAML files, shipped or the user's own."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ def read_observer(name: Path | str) -> Observer:
     Raises
     ------
     InputError
-        With every fault of the file and its place; or with the shipped names, where there is no such file.
+        With every fault of the file and its position; or with the shipped names, if there is no such file.
     """
     return observer_of(ObserverFile.read(name))
 
 
 def usual_observer(protocol: Protocol) -> str:
-    """Return the name of the shipped observer that simulates a protocol if nobody says otherwise.
+    """Return the name of the shipped observer that simulates a protocol by default.
 
-    Adaptive runs, levels that follow from their thresholds, intervals of silence, and felt or not are of an observer
-    whose thresholds lie within what a beam plays; `paper` feels any level, and tells the zones apart.
+    Adaptive runs, levels that follow from their thresholds, silent standards, and answers felt or not need `fingertip`,
+    whose thresholds lie within a beam's range; `paper` feels any level, and tells the zones apart.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def write_observer(observer: Observer, name: str, description: str) -> str:
     observer : Observer
         The observer.
     name, description : str
-        What the file calls it.
+        Name and description in the file.
     """
     typical = observer.typical
     return f"""\

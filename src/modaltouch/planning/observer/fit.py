@@ -1,19 +1,19 @@
-r"""An observer fitted to recorded answers: maximum likelihood, with priors where the answers say too little.
+r"""An observer fitted to recorded answers: maximum likelihood, with priors for what the answers determine poorly.
 
-The chance of a participant's answers is the mean, over the population, of the product of the chances of the single
-answers; the population is integrated over by a quasi-random grid. Priors are normal in the fitted scale and centred
-on a given observer, so what the answers do not tell stays as it was.
+The probability of a participant's answers is the product of the probabilities of the single answers, averaged over the
+population on a quasi-random grid. Priors are normal on the fitted scale and centred on a given observer, so what the
+answers do not determine keeps its value.
 
-What no answers can tell:
+What answers cannot determine:
 
 - The scale. Noise, criterion, one plus the suppressions, side bias and its spread may all be multiplied by one
-  number, and every chance stays as it was. Only ratios are known: the speed ratio named half the time,
-  exp(c / (1 + s)), and the noise of a compared log ratio, sigma / (1 + s). The priors fix the rest: suppression in
-  itself, and a Weber fraction apart from it, are not measured by this experiment.
-- The front end. It is given. Where all pairs of zones have one ratio of speeds and its inverse, any other front end
+  number without changing any probability. Only ratios are known: the speed ratio named half the time,
+  exp(c / (1 + s)), and the noise of a compared log ratio, sigma / (1 + s). The priors fix the rest: this experiment
+  measures neither suppression itself nor a Weber fraction separate from it.
+- The front end, which is given. If all pairs of zones have the same ratio of speeds, or its inverse, a front end
   with another ratio fits as well, with another scale.
-- Detection speed, internal noise and near miss, which are held: they would need levels near the threshold.
-- Lapses apart from noise, unless some ratios are so large that nobody could miss them.
+- Detection speed, internal noise and near miss, which are held fixed: they would need levels near the threshold.
+- Lapses separate from noise, unless some ratios are so large that nobody could miss them.
 - Spreads, with few participants or few answers of each; and reaction times, which are not fitted.
 
 References
@@ -38,7 +38,7 @@ from modaltouch.planning.observer.population import Observer
 FloatArray = NDArray[np.float64]
 
 N_NODES = 512
-"""Places of the population at which it is integrated."""
+"""Points of the population over which it is averaged."""
 
 _LEAST_SHARE = 1e-9
 
@@ -50,7 +50,7 @@ class RecordedAnswers:
     Attributes
     ----------
     counts : (n_participants, n_cells, 3) array of int
-        How often each participant answered left, both and right in each cell, as the beam has them.
+        How often each participant answered left, both and right in each cell, by the sides of the beam.
     speeds : (n_cells, 2) array
         What the left and the right finger feel in each cell [m/s].
     finger_conditions : tuple of str
@@ -71,7 +71,7 @@ class RecordedAnswers:
         Parameters
         ----------
         parts : sequence of RecordedAnswers
-            The answers to each stimulus; participants in one order.
+            The answers to each stimulus, with participants in the same order.
 
         Raises
         ------
@@ -92,14 +92,14 @@ class RecordedAnswers:
 
 
 def log_likelihood(observer: Observer, recorded: RecordedAnswers) -> float:
-    """Return the logarithm of the chance of recorded answers, the population integrated out."""
+    """Return the log likelihood of recorded answers, averaged over the population."""
     crowd = observer.crowd_at(_grid())
     total = 0.0
     for side in np.unique(recorded.facing):
         left, right = crowd.shares(recorded.speeds, recorded.finger_conditions, side)
         shares = np.stack([left, 1 - left - right, right], axis=-1).reshape(N_NODES, -1)
         own = recorded.counts[recorded.facing == side].reshape(-1, shares.shape[1])
-        # In one thread: the product is small, and every process gets the same sums.
+        # In one thread, so that every process gets the same sums; the product is small.
         logs = np.einsum("pc,nc->pn", own.astype(float), np.log(np.maximum(shares, _LEAST_SHARE)))
         top = logs.max(axis=1, keepdims=True)
         total += float((top[:, 0] + np.log(np.exp(logs - top).mean(axis=1))).sum())
@@ -108,10 +108,10 @@ def log_likelihood(observer: Observer, recorded: RecordedAnswers) -> float:
 
 @lru_cache(maxsize=1)
 def _grid() -> FloatArray:
-    """Return places of the population, (5, N_NODES) array of normal deviates; paces do not matter."""
+    """Return points of the population, (5, N_NODES) array of normal deviates; the pace does not matter."""
     from scipy.special import ndtri
 
-    # The generalised golden ratio of four dimensions: points that fill the cube evenly (Roberts 2018).
+    # The generalised golden ratio in four dimensions gives points that fill the cube evenly (Roberts 2018).
     ratio = 1.0
     for _ in range(50):
         ratio = (1 + ratio) ** (1 / 5)
@@ -125,7 +125,7 @@ Z95 = 1.959964
 
 @dataclass(frozen=True)
 class _Quantity:
-    """One fitted number: where it stands in an observer, the scale it is fitted in, and its prior there."""
+    """A quantity that is fitted: its name in an observer, the scale on which it is fitted, and its prior there."""
 
     name: str
     of_typical: bool
@@ -163,24 +163,24 @@ QUANTITIES = (
     _Quantity("criterion_spread", False, "log", 0.6, False),
     _Quantity("suppression_spread", False, "log", 0.5, False),
 )
-"""What is fitted. One that is at the end of its range in the given observer (a spread of 0) is held there."""
+"""Quantities to fit; one that is at the end of its range in the given observer (a spread of 0) is held there."""
 
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """A number with its 95 % interval.
+    """A fitted quantity with its 95 % interval.
 
     Attributes
     ----------
     name : str
-        What it is.
+        Its name.
     value, low, high : float
         Estimate and ends of the interval.
     learned : float
-        Share of the prior's variance that the answers took away: near 0 the estimate is the prior's own [1].
+        Share of the prior's variance that the answers removed [1]; near 0 the estimate is the prior's own.
     tied_to_scale : bool
-        Whether the number can only be known relative to the others that are tied: its interval then holds what the
-        priors, not the answers, say of the scale.
+        Whether it is known only relative to the others that are tied; the scale in its interval then comes from the
+        priors, not the answers.
     """
 
     name: str
@@ -198,15 +198,15 @@ class Fit:
     Attributes
     ----------
     observer : Observer
-        The likeliest one.
+        The most likely observer.
     parameters : tuple of FittedParameter
-        What was fitted; mind `learned`.
+        The fitted quantities; mind `learned`.
     identified : tuple of FittedParameter
         Combinations that the answers do determine, whatever the scale.
     log_likelihood : float
         Of the answers, without the priors.
     n_answers : int
-        How many answers.
+        Number of answers.
     converged : bool
         Whether the search ended at a maximum.
     """
@@ -220,7 +220,7 @@ class Fit:
 
 
 def fit_observer(recorded: RecordedAnswers, prior: Observer) -> Fit:
-    """Return the likeliest observer for recorded answers.
+    """Return the most likely observer for recorded answers.
 
     Parameters
     ----------
@@ -269,7 +269,7 @@ def _is_free(quantity: _Quantity, prior: Observer) -> bool:
 
 
 def _observer_at(prior: Observer, fitted: Sequence[_Quantity], point: ArrayLike) -> Observer:
-    """Return the prior's observer with the fitted numbers put in."""
+    """Return the prior's observer with the fitted quantities put in."""
     values = np.asarray(point, dtype=float).tolist()
     natural = {q.name: max(_FROM_FIT[q.scale](x), 0.0) if q.scale == "log1p" else _FROM_FIT[q.scale](x)
                for q, x in zip(fitted, values, strict=True)}  # fmt: skip

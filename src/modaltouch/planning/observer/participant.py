@@ -1,4 +1,4 @@
-"""One simulated person: from what two fingers feel to an answer and its reaction time."""
+"""One simulated participant: from what two fingers feel to an answer and its reaction time."""
 
 from __future__ import annotations
 
@@ -14,40 +14,41 @@ SAME_HAND = "one_hand"
 """The finger condition whose two fingers belong to one hand."""
 
 REFERENCE = 0.1
-"""Intensity at which `Participant.noise` holds [m/s]; it matters only where `near_miss` is not zero."""
+"""Speed at which `Participant.noise` holds, if `near_miss` is not zero, and the reference of `Participant.rate` [m/s].
+"""
 
 _LEAST_FLOOR = 1e-12
 
 
 @dataclass(frozen=True)
 class Participant:
-    r"""One simulated person.
+    r"""One simulated participant.
 
-    The two fingers are compared by the logarithm of what they feel, as Weber's law has it:
+    The two fingers are compared by the logarithm of what they feel, according to Weber's law:
 
     .. math:: d = (1 + s) \ln\frac{v_r + v_0}{v_l + v_0} + b + \sigma z, \qquad z \sim N(0, 1)
 
-    Both fingers are named where :math:`|d| < c`, else the stronger one; where no answer names both, always the
-    stronger one; where none names it, the answer that is left. In a share of trials (lapses) the answer is any of
-    those offered. Where one of them says that nothing was felt, it is given where the stronger finger feels less than
-    :math:`v_0 e^{\sigma z'}`, with a normal z' of its own. Answers that name no finger are given at random, all alike.
-    What a finger feels, v, is a speed: the front end of the observer says which.
+    Both fingers are named if :math:`|d| < c`, else the stronger one. If no answer names both, the stronger one is
+    always named; if no answer names the stronger one, the answer that remains is given. In a share of trials (lapses),
+    the answer is any of those offered. If one of these says that nothing was felt, it is given when the stronger finger
+    feels less than :math:`v_0 e^{\sigma z'}`, with an independent normal z'. If no answer names a finger, all are
+    equally likely. What a finger feels, v, is a speed that the observer's front end defines.
 
-    Where the participant has internal noise, each finger feels :math:`\max(v + \sigma_0 n, 0)` instead of v, with a
-    normal n of its own in every trial: noise that is there without a stimulus, so that ratios cease to be told near
-    the threshold of touch, and nothing is now and then taken for something (Gescheider, "Psychophysics: the
-    fundamentals", 3rd ed. (1997), chapter 5). In a choice between an interval with the stimulus and one without, 75 %
-    are right at :math:`0.954\,\sigma_0` (d' there is :math:`\sqrt 2\,\Phi^{-1}(0.75)`), which makes sigma_0 of a
-    measured threshold.
+    With internal noise, each finger feels :math:`\max(v + \sigma_0 n, 0)` instead of v, with an independent normal n in
+    every trial. This noise is present without a stimulus, so that ratios are no longer discriminated near the threshold
+    of touch, and nothing is now and then taken for something (Gescheider, "Psychophysics: the fundamentals", 3rd ed.
+    (1997), chapter 5). In a choice between an interval with the stimulus and one without, 75 % of answers are correct
+    at :math:`0.954\,\sigma_0` (where d' is :math:`\sqrt 2\,\Phi^{-1}(0.75)`), which gives sigma_0 from a measured
+    threshold.
 
     Attributes
     ----------
     noise : float
         Standard deviation sigma of the compared log ratio [1].
     criterion : float
-        Least difference c for which one side is named [1].
+        Smallest difference c for which one side is named [1].
     suppression : float
-        How much the stronger finger pushes the weaker one down, s, for two fingers of one hand [1].
+        Suppression s of the weaker finger by the stronger one, for two fingers of one hand [1].
     suppression_across_hands : float
         The same for fingers of different hands [1].
     side_bias : float
@@ -65,11 +66,11 @@ class Participant:
     decision_spread : float
         Standard deviation of the logarithm of the decision time [1].
     near_miss : float
-        Exponent by which the noise falls with the stronger finger's speed, 0 where Weber's law holds: noise is
-        multiplied by (speed / 0.1 m/s) to the power of minus this [1].
+        Exponent by which the noise falls with the stronger finger's speed, 0 for Weber's law: the noise is multiplied
+        by (speed / 0.1 m/s) to the power of minus this [1].
     internal_noise : float
-        Standard deviation sigma_0 of what each finger feels without a stimulus, as an equivalent speed; 0 for none,
-        where only ratios count [m/s].
+        Standard deviation sigma_0 of what each finger feels without a stimulus, as an equivalent speed; if it is 0,
+        only ratios count [m/s].
     """
 
     noise: float = 0.22
@@ -88,7 +89,7 @@ class Participant:
 
     @property
     def floor(self) -> float:
-        """Detection speed, kept off zero so that two still fingers have a ratio [m/s]."""
+        """Detection speed, kept above zero so that two fingers at rest have a ratio [m/s]."""
         return max(self.detection_speed, _LEAST_FLOOR)
 
     def suppression_in(self, finger_condition: str) -> float:
@@ -102,7 +103,7 @@ class Participant:
         return self.suppression if finger_condition == SAME_HAND else self.suppression_across_hands
 
     def weber_fraction(self, finger_condition: str) -> float:
-        """Return the relative difference of speeds worth one standard deviation of noise [1].
+        """Return the relative difference of speeds that equals one standard deviation of noise [1].
 
         Parameters
         ----------
@@ -124,7 +125,7 @@ class Participant:
         return float(self.noise * ((max(speed_left, speed_right) + self.floor) / REFERENCE) ** -self.near_miss)
 
     def difference(self, speed_left: float, speed_right: float, finger_condition: str) -> float:
-        """Return how much stronger the right finger feels, apart from noise (log ratio) [1].
+        """Return how much stronger the right finger feels, without noise (log ratio) [1].
 
         Parameters
         ----------
@@ -152,11 +153,11 @@ class Participant:
         speed_left, speed_right, finger_condition
             As for `difference`.
         rng : numpy.random.Generator
-            Source of chance; the same number of draws is taken for every answer.
+            Source of random numbers; the same number of draws is taken for every answer.
         answers : AnswerList, optional
             Answers that are offered; by default those of the paper.
         *speed_between : float
-            What the finger between these two feels, where there is one [m/s].
+            What the finger between these two feels, if there is one [m/s].
         """
         answers = AnswerList.of({}) if answers is None else answers
         nothing = answers.naming()
@@ -186,18 +187,18 @@ class Participant:
         return _name(answers, felt, self.criterion, guess), reaction_time
 
     def rate(self, speeds: Sequence[float], rng: np.random.Generator) -> tuple[float, float]:
-        """Return how strong a vibration is felt, as a share of a scale, and the reaction time from the first burst [s].
+        """Return how strong a vibration feels, as a share of a scale, and the reaction time from the first burst [s].
 
-        The faster finger counts, its speed v relative to that of the model's reference, s = v / v_ref, times log-normal
-        noise: the share is s / (1 + s), which a scale without an upper end turns back into s (a power law of exponent
-        1, as that of vibration at 60 Hz nearly is [1]_).
+        The speed v of the faster finger counts. Relative to `REFERENCE`, times log-normal noise, it is s; the share is
+        s / (1 + s), which a scale without an upper end turns back into s (a power law of exponent 1, nearly that of
+        vibration at 60 Hz [1]_).
 
         Parameters
         ----------
         speeds : sequence of float
             What the fingers feel [m/s].
         rng : numpy.random.Generator
-            Source of chance.
+            Source of random numbers.
 
         References
         ----------
@@ -213,17 +214,17 @@ class Participant:
     ) -> tuple[str, float]:
         """Return an answer to several intervals and its reaction time from the question [s].
 
-        In each interval each finger feels the logarithm of the speed above v_0, with half the variance of a comparison:
-        the difference of two intervals then has the noise of a difference of two fingers. The interval is named that
-        feels strongest under any finger, of three the one farthest from the others; intervals are called the same
-        where none differs from another by the criterion under any finger.
+        In each interval each finger feels the logarithm of the speed plus v_0, with half the variance of a comparison,
+        so that the difference of two intervals has the noise of a difference of two fingers. Of two intervals, the one
+        that feels stronger under any finger is named; of three, the one farthest from the others. Intervals are called
+        the same if no two of them differ by more than the criterion under any finger.
 
         Parameters
         ----------
         speeds : sequence of tuple
             What the fingers feel in each interval, in order [m/s].
         rng : numpy.random.Generator
-            Source of chance.
+            Source of random numbers.
         answers : AnswerList
             Answers that are offered; some name intervals, or ``same`` and ``different``.
         """
@@ -252,7 +253,7 @@ class Participant:
 
 
 def _name(answers: AnswerList, felt: float, criterion: float, guess: float) -> str:
-    """Return the answer to a difference between the fingers; any, by chance, where no answer names a finger."""
+    """Return the answer to a difference between the fingers; a random one if no answer names a finger."""
     others = [answer for answer in answers if not answer.says_nothing_felt]
     naming = {answer.side: answer.name for answer in others if answer.fingers}
     if not naming:

@@ -1,4 +1,4 @@
-"""A population of participants: the one in the middle, how much they differ, and what their fingers feel."""
+"""A population of participants: the typical one, the spread between participants, and the front end."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ FloatArray = NDArray[np.float64]
 
 FrontEnd = Literal["peak_at_focus", "peak", "rms", "below_1_khz", "envelope"]
 """``peak_at_focus``: speed at the focusing instant; ``peak``: highest speed; ``rms``: over one repetition;
-``below_1_khz``: highest speed of what lies below 1 kHz; ``envelope``: highest value of the rectified velocity,
-smoothed at 1 kHz."""
+``below_1_khz``: highest speed below 1 kHz; ``envelope``: highest value of the rectified velocity, low-pass filtered at
+1 kHz."""
 
 
 _LEAST_NOISE = 1e-12
 
 N_NODES = 12
-"""Places of each finger's internal noise at which it is integrated over."""
+"""Quadrature nodes for the internal noise of each finger."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +33,11 @@ class Crowd:
     Attributes
     ----------
     typical : Participant
-        The participant in the middle, for what all share.
+        The typical participant, for what all share.
     noise, criterion, side_bias, pace : array
         As in `Participant`; `pace` multiplies the decision time [1].
     sharpening : array
-        What multiplies the typical one plus the suppression [1].
+        Factor of the typical participant's one plus the suppression [1].
     """
 
     typical: Participant
@@ -60,9 +60,9 @@ class Crowd:
     def shares(
         self, speeds: ArrayLike, finger_conditions: Sequence[str], facing: ArrayLike = 1.0
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the chances of the answers left and right in every cell; the rest is both.
+        """Return the probabilities of the answers left and right in every cell; the rest is both.
 
-        In closed form; with internal noise, which both fingers have, by Gauss-Hermite quadrature over it.
+        They are in closed form, averaged over the internal noise of both fingers, if any, by Gauss-Hermite quadrature.
 
         Parameters
         ----------
@@ -71,13 +71,13 @@ class Crowd:
         finger_conditions : sequence of str
             Finger condition of each cell.
         facing : array
-            1, or -1 for participants who sit at the beam turned end to end: then left and right are those of
-            the beam, and the side bias changes sign.
+            1, or -1 for participants who sit at the beam turned end to end: left and right are those of the beam, so
+            their side bias changes sign.
 
         Returns
         -------
         left, right : (..., n_cells) arrays
-            Chances [1]; the leading axes are those of the crowd.
+            Probabilities [1]; the leading axes are those of the crowd.
         """
         speeds, sigma = np.asarray(speeds, dtype=float), self.typical.internal_noise
         if not sigma:
@@ -94,7 +94,7 @@ class Crowd:
     def _shares_felt(
         self, speeds: FloatArray, finger_conditions: Sequence[str], facing: ArrayLike
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the chances of left and right where these very speeds are felt."""
+        """Return the probabilities of left and right if exactly these speeds are felt."""
         from scipy.special import ndtr
 
         felt = speeds + self.typical.floor
@@ -117,17 +117,16 @@ class Crowd:
 class Observer:
     """A population of participants.
 
-    The defaults answer as the paper's participants did: nearly all name the zone of the higher speed where the
-    speeds differ by 1.6 : 1 or more, and most say ``both`` where they are equal. They agree with what is known
-    of touch:
+    The defaults answer as the paper's participants did: nearly all name the zone of the higher speed if the speeds
+    differ by 1.6 : 1 or more, and most say ``both`` if they are equal. They agree with what is known of touch:
 
     - Intensity is compared by ratio: difference thresholds for vibration are 0.7 dB (far above threshold) to
       2.5 dB, Weber fractions of about 0.1 to 0.3 [1]_ [2]_; they shrink a little with level, the near miss to
       Weber's law [2]_, which the default leaves out.
-    - A stronger vibration pushes a weaker one nearby down, across fingers and even hands: funnelling [3]_.
+    - A stronger vibration suppresses a weaker one nearby, across fingers and even hands: funnelling [3]_.
     - Some answers have nothing to do with the stimulus, typically up to 5 % [4]_.
     - The fingertip feels about 0.1 um at 250 Hz, a speed of some 0.2 mm/s [5]_; the default of 1 mm/s allows
-      for bursts shorter than the skin sums over.
+      for bursts shorter than the integration time of touch.
 
     Attributes
     ----------
@@ -139,7 +138,7 @@ class Observer:
         Standard deviation, over participants, of the logarithm of the noise, the criterion, one plus the
         suppression, and the decision time [1].
     front_end : str
-        What a finger makes of the velocity under it; see `FeltSpeeds`.
+        What a finger feels of the velocity under it; see `FeltSpeeds`.
     name : str
         Name in reports; empty for one made in code.
 
@@ -172,7 +171,7 @@ class Observer:
         Parameters
         ----------
         rng : numpy.random.Generator
-            Source of chance.
+            Source of random numbers.
         """
         one = self.draw_crowd(rng, ())
         middle = self.typical
@@ -192,14 +191,14 @@ class Observer:
         Parameters
         ----------
         rng : numpy.random.Generator
-            Source of chance.
+            Source of random numbers.
         shape : tuple of int
             Shape of the crowd, such as (n_experiments, n_participants).
         """
         return self.crowd_at(rng.standard_normal((5, *shape)))
 
     def crowd_at(self, deviates: ArrayLike) -> Crowd:
-        """Return the participants at given places of the population.
+        """Return the participants at given points of the population.
 
         Parameters
         ----------
