@@ -15,17 +15,17 @@ from modaltouch.analysis.scale import VELOCITY, scale_of
 from modaltouch.protocol import Problem
 
 _MOST_MISSING = 0.25
-"""Share of missing answers from which a participant must have done another design, or given up [1]."""
+"""Share of missing answers from which a participant presumably did another design, or gave up [1]."""
 
 
 _FEWEST_TIMES = 4
-"""Fewest different reaction times whose repetition, all of them, is no coincidence."""
+"""Fewest different reaction times that cannot all be repeated by coincidence."""
 
 
 def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True) -> tuple[list[Problem], int]:
     """Return duplicate rows, missing cells and surplus answers, and how many answers most cells have.
 
-    Single answers may be missing, but not a cell for all participants, nor a quarter of one participant's answers.
+    Single answers may be missing, but not a cell of all participants, nor a quarter of one participant's answers.
 
     The design crosses every finger condition with every zone pair and every level that occurs. Several rows of one
     participant and cell are repetitions if a column ``repetition`` numbers them, or if all cells have equally many.

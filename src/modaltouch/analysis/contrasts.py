@@ -88,7 +88,7 @@ class MeanScores:
             return [*self.notes(place)]
         means = [BoundedMean(each[place], -self.scale, self.scale) for each in (self.lowest, self.highest)]
         low, high = (mean.interval() for mean in means)
-        # If the two extremes have means of opposite sign, some missing answers would give a mean of zero.
+        # If the means of the two extremes have opposite signs, missing answers could give a mean of zero.
         p = 1.0 if low.estimate <= 0 <= high.estimate else max(float(mean.test().p) for mean in means)
         return [
             *self.notes(place),

@@ -107,7 +107,7 @@ def _aliased_side_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:
-    """Yield whether answers drift over the session, and whether they differ between first and second condition."""
+    """Yield whether answers drift over the session, and differ between the first and second finger condition."""
     ranked = ranked_answers(answers, frame)
     scores = ranked.groupby("participant", observed=True)["drift"].sum().to_numpy()
     largest = float(ranked.groupby("participant", observed=True)["reach"].sum().max())

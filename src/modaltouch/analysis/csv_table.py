@@ -41,7 +41,7 @@ class Table:
     sha256 : str
         Hash of the file's bytes.
     text : str
-        Contents of the file, whatever its line endings with newlines alone.
+        Contents of the file, with newlines as line endings.
     """
 
     file: str

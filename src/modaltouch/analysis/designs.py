@@ -1,4 +1,4 @@
-"""What a design measures in each participant besides counts: sensitivity, psychometric functions, ratings; groups."""
+"""Measures of each participant besides counts: sensitivity, psychometric functions, ratings; comparison of groups."""
 
 from __future__ import annotations
 
@@ -108,7 +108,6 @@ def analyse_design(responses: Responses) -> DesignAnalysis:
 
 
 def _measures(responses: Responses, fits: tuple[FittedCell, ...]) -> Iterator[Own]:
-    """Yield the values of each participant."""
     task, frame = responses.task, responses.frame
     yield from sensitivities(responses, task)
     yield from measures_of_fits(fits, task, scale_of(frame.columns))
@@ -116,7 +115,7 @@ def _measures(responses: Responses, fits: tuple[FittedCell, ...]) -> Iterator[Ow
 
 
 def _shared(responses: Responses, groups: Sequence[str], values: tuple[Own, ...]) -> tuple[Own, ...]:
-    """Return values from the cells that each of some groups met; the given values, of all answers, if that is all."""
+    """Return the values from the cells that each of some groups met; `values`, of all answers, if these are all."""
     met = responses.met_by(groups)
     if len(met.frame) == responses.frame["group"].isin(groups).sum():
         return values

@@ -65,7 +65,7 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
                 yield from _untold(cell, why, part) if why else _told(cell, _of_intervals(part, task, cell[-1]), part)
     elif responses.answers.naming() is not None:
         nothing = [each.name for each in responses.answers if each.says_nothing_felt]
-        if responses.answers.compares:  # asked for is the finger, so felt or not is pooled over fingers and zones
+        if responses.answers.compares:  # the question is which finger, so felt or not is pooled over all cells
             frame, by_level = frame.assign(finger_condition="all", zone_left="", zone_right=""), False
         for cell, part in cells(frame, scale, by_level=by_level):
             # False alarms with other fingers, or before a training, say nothing about the criterion here.
@@ -95,7 +95,7 @@ def _of_differences(frame: pd.DataFrame, task: TrialTask) -> Iterator[Own]:
     scale = scale_of(frame.columns)
     is_same = task.is_same(frame, scale.column)
     alike = frame[is_same]
-    # Equal are fingers and zones, and the level or stimulus if the standard takes it from the comparison.
+    # Compared at the same fingers and zones, and at the same level or stimulus if the standard takes it over.
     keys = ["participant", "finger_condition", *zones_of(frame.columns), "session_kind"]
     keys += [scale.column] * math.isnan(task.standard) + ["stimulus"] * (not task.stimulus)
     keys = [name for name in keys if name in frame.columns]

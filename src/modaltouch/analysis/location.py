@@ -141,7 +141,7 @@ def shuffle_test(first: FloatArray, second: FloatArray) -> ExactTest:
 
 @lru_cache(maxsize=4)
 def _weights(n: int, size: int) -> tuple[FloatArray, bool]:
-    """Return weights from values to differences of means, one order per row, the given first; and whether all are."""
+    """Return weights that give differences of means, one order per row, the given one first; and whether all are."""
     is_first = np.arange(size) < n
     is_exact = math.comb(size, n) <= _MOST_ORDERS
     if is_exact:

@@ -156,7 +156,6 @@ def _describe_people(sessions: Sequence[SessionFacts]) -> Iterator[str]:
 
 
 def _presentation(event: dict[str, Any], multiples: dict[float, float]) -> Presented:
-    """Return how one trial was presented."""
     condition, told = event["trial"]["condition"], event.get("confirmed", {})
     velocity = float(condition["velocity_mm_s"])
     sent = tuple(event.get("commanded", {}).get("amplitude_Vpp", ()))

@@ -68,7 +68,6 @@ def read_responses(
 
 
 def _refuse_none(place: Path, responses: Responses) -> Responses:
-    """Return the responses; refuse them if there is none."""
     if responses.frame.empty:
         given = "no answer to any trial: each timed out, or has none"
         raise InputError.of(

@@ -261,7 +261,6 @@ def list_questions(findings: Sequence[Finding], answers: AnswerCounts) -> list[d
 
 
 def _part(name: str, rows: Sequence[Finding], answers: AnswerCounts) -> dict[str, Any]:
-    """Return the table of one test or estimate."""
     tested, corrected = any(row.p == row.p for row in rows), any(row.family for row in rows)
     return {
         "name": name + (" (exploratory, not corrected)" if tested and not corrected else ""),
@@ -292,7 +291,7 @@ MOST_PARTICIPANTS = 40
 ZONE_COLOURS = ("#a9c3ee", "#e6e9ee", "#f2b196")
 """Dominant zone, both, other zone: light enough for dark letters, also in print."""
 OTHER_COLOURS = ("#f6e08a", "#a6dcc0", "#d7b9e0", "#9fe0f5", *ZONE_COLOURS)
-"""Answers that name no zone; the last colours are meant for zones, if there are any."""
+"""Answers that name no zone; the last colours are those of zones, needed only if no answer names one."""
 TIED, NOTHING = "#ffffff", "#c3c8d0"
 
 

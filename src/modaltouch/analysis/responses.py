@@ -190,7 +190,7 @@ class Responses:
         Answers to catch trials by participant, finger condition and kind of session, which are not in the table; empty
         without any.
     stimulus : str
-        Which of several stimuli the answers are to; empty if that is not one alone.
+        Stimulus that was chosen among several; empty if none was chosen.
     foci : dict of str to str
         Focus of each of several stimuli.
     answers : AnswerList

@@ -121,7 +121,6 @@ def _rows(session: Session) -> tuple[tuple[Any, ...], ...]:
 
 
 def _levels(session: Session) -> str:
-    """Return what sets the levels of a session."""
     if session.start.get("design", {}).get("adaptive"):
         return "adaptive"
     return "calibrated" if session.multiples else "fixed"
@@ -440,7 +439,6 @@ def _surplus(item: SessionAnswers, fewest: int, seen: Counter[object]) -> str:
 
 
 def _choose_stimulus(place: Path, frame: pd.DataFrame, stimulus: str) -> pd.DataFrame:
-    """Return the trials of one stimulus."""
     names = [name for name in frame["stimulus"].unique().tolist() if name]
     if stimulus not in names:
         remedy = "choose one of them, or leave the option out; a fit needs the protocol that was answered"

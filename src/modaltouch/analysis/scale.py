@@ -60,7 +60,7 @@ PREDICTED = LevelScale("speed_mm_s", "predicted peak speed under the faster fing
 DELIVERED = replace(
     PREDICTED, column="speed_delivered_mm_s", quantity="delivered peak speed under the faster finger [mm/s]"
 )
-"""Levels as the speed that the vibrometer saw in each trial, or the prediction if it gave none."""
+"""Levels as the speed that the vibrometer measured in each trial, or the predicted speed if it gave none."""
 
 Speed = Literal["nominal", "predicted", "delivered"]
 """What defines levels: the speed asked for at the focus, or that predicted or delivered under the faster finger."""

@@ -51,7 +51,7 @@ class SignalDetection:
         discriminated, unlike that of d', whose correction shifts the rate of fewer trials more. NaN without trials of
         both kinds.
     criterion : Interval or None
-        Criterion; 0 if no answer is preferred, the higher the fewer answers of the first kind. None if all answers are
+        Criterion; 0 if no answer is preferred, higher with fewer answers of the first kind. None if all answers are
         pooled.
     model : str
         Decision model that it rests on.
@@ -97,7 +97,7 @@ def two_intervals(first: Count, second: Count) -> SignalDetection:
 
 
 def m_intervals(correct: Count, m: int) -> SignalDetection:
-    """Return d' of an unbiased observer of m alternatives, with its interval from the exact one of the share.
+    """Return d' of an unbiased observer of m alternatives, with the interval from the exact one of the share.
 
     Parameters
     ----------
@@ -113,9 +113,9 @@ def m_intervals(correct: Count, m: int) -> SignalDetection:
 def odd_of_three(correct: Count) -> SignalDetection:
     """Return d' of the triangular model: whichever percept is farthest from the other two is called the odd one.
 
-    With percepts x, y of the equal stimuli and z of the odd one, the answer is correct if v^2 / u^2 > 3, where
-    u = (x - y) / sqrt(2) and v = (z - (x + y) / 2) sqrt(2 / 3) have unit variance: a noncentral F distribution with 1
-    and 1 degrees of freedom and noncentrality 2 d'^2 / 3. No d' is below 0.
+    With percepts x, y of the equal stimuli and z of the odd one, u = (x - y) / sqrt(2) and v = (z - (x + y) / 2)
+    sqrt(2 / 3) have unit variance. The answer is correct if v^2 / u^2 > 3, which has a noncentral F distribution with
+    1 and 1 degrees of freedom and noncentrality 2 d'^2 / 3. No d' is below 0.
 
     Parameters
     ----------

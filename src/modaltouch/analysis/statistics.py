@@ -37,7 +37,7 @@ def _unanimous_p(levels: Sequence[float], n_participants: int, n_repetitions: in
 
 @dataclass(frozen=True)
 class Statistic:
-    """A family of tests, reported by the analysis, and whose power planning simulates.
+    """A family of tests; the analysis reports it, and planning simulates its power.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
 
     One answer of each participant enters a cell: the one given or, with repetitions, the most frequent; ties are
     left out and counted in the note. If "felt nowhere" is an answer too, the test is of those who felt something
-    (given their number, guesses are even over the other answers, however likely that one is), the share is of all.
+    (given their number, guesses are even over the other answers, however likely that one is); the share is of all.
     """
     felt = answers.felt
     if len(felt) < 2 or not answers.guesses_evenly:

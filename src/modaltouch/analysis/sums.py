@@ -73,7 +73,7 @@ class Sums:
         return np.asarray(np.maximum(self.mean - self.lowest * self.scale, self.highest * self.scale - self.mean))
 
     def tails(self, distance: IntArray) -> FloatArray:
-        """Return the probability that each sum lies at least so far from its mean, (n_tests,) array [1].
+        """Return the probability that each sum lies at least this far from its mean, (n_tests,) array [1].
 
         Parameters
         ----------

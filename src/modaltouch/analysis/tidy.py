@@ -299,7 +299,7 @@ class _Columns:
         return pd.Series(pd.Categorical(found.where(found.isin(words)), list(words)), column.index)
 
     def apart(self, kinds: Mapping[str, bool]) -> dict[str, pd.Series]:
-        """Return the rows that are not analysed, by reason, none twice; `kinds` has which kinds of session are."""
+        """Return the rows that are not analysed, by reason, each once; `kinds` says which kinds of session are."""
         reasons = {name: (f"rows marked {name}", "a row that does not count") for name in _LEFT_OUT}
         reasons |= {"practice": ("practice trials", "a practice trial"), "catch": (_CAUGHT, "a catch trial")}
         apart, free = {}, pd.Series(True, index=self._table.fields.index)
@@ -331,7 +331,7 @@ class _Columns:
         missing: Sequence[str] = (),
         where: pd.Series | None = None,
     ) -> pd.Series:
-        """Return a column of finite numbers; `empty` allows empty fields and `missing` words; `where` is checked."""
+        """Return a column of finite numbers, checked `where` true; `empty` allows empty fields and `missing` words."""
         table = self._table
 
         def say(word: str) -> tuple[str, str]:
@@ -435,7 +435,6 @@ class _Columns:
             )  # fmt: skip
 
     def _values(self, name: str, read: Callable[[str], float]) -> pd.Series:
-        """Return the value of each word of a column."""
         column = self._table.fields[name]
         meanings = np.array([read(str(word)) for word in column.cat.categories], dtype=float)
         return pd.Series(meanings[column.cat.codes], index=column.index)

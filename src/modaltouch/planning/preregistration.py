@@ -205,7 +205,6 @@ def _describe_threshold(name: str, found: Sequence[dict[str, Any]]) -> dict[str,
 
 
 def _describe_family(family: str, design: Design) -> dict[str, Any]:
-    """Return a family of tests as the page names it."""
     return {
         "name": family,
         "asks": STATISTICS[family].asks,

@@ -15,11 +15,10 @@ _FASTER = 1 + 2e-3
 """Ratio to the focus zone's speed above which another zone counts as faster; less is rounding of the codes [1]."""
 
 _UNREACHED = 0.25
-"""Root mean square error, relative to the target field, above which it is missed; the paper's six modes have 0.06 [1].
-"""
+"""Root mean square error over the target field above which it is missed; the paper's six modes have 0.06 [1]."""
 
 LOUD = 80.0
-"""Level above which the hours of exposure matter for hearing (2003/10/EC, lower action value) [dB SPL]."""
+"""Level above which exposure for hours may harm hearing (2003/10/EC, lower action value) [dB SPL]."""
 
 _ALPHA = 0.05
 """Significance level of the analysis [1]."""

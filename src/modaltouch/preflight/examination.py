@@ -296,7 +296,6 @@ def _alike(one: DesignInputs, other: DesignInputs) -> bool:
 
 
 def _examine_one(findings: Findings, inputs: DesignInputs | None) -> Preflight:
-    """Return the check of files with a single design."""
     problems, stimulus = list(findings.problems), None
     if inputs is not None and findings.protocol is not None:
         unplayable = list(_check_generator_itself(inputs, findings))
@@ -372,7 +371,7 @@ def _examine_several(findings: Findings) -> Preflight:
 
 
 def _check_memories(findings: Findings, apparatus: Apparatus, bursts: Sequence[Burst]) -> Iterator[Problem]:
-    """Yield a problem if one placement has more records than the generator has memories."""
+    """Yield a problem if a placement, which loads its own records, has more than the generator has memories."""
     n_memories = instrument_of(apparatus).records.n_memories
     n_records = len({record.tobytes() for burst in bursts for record in burst.codes})
     if n_records > n_memories:

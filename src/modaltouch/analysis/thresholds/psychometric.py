@@ -107,9 +107,9 @@ def fit_psychometric(
 ) -> Psychometric:
     """Return the psychometric function of a run.
 
-    Answers that a constant probability explains as well give no threshold. If this probability is known (`flat_rate`),
-    others are not tried: adaptive forced-choice runs gather where the function is flat, and one in four with a wide
-    spread would be lost.
+    Answers that a constant probability explains as well give no threshold. If `flat_rate` is known, it is the only
+    constant tried: adaptive forced-choice runs gather where the function is flat, and one in four with a wide spread
+    would otherwise be lost.
 
     Parameters
     ----------

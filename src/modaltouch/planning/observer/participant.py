@@ -14,8 +14,7 @@ SAME_HAND = "one_hand"
 """The finger condition whose two fingers belong to one hand."""
 
 REFERENCE = 0.1
-"""Speed at which `Participant.noise` holds, if `near_miss` is not zero, and the reference of `Participant.rate` [m/s].
-"""
+"""Speed at which `Participant.noise` holds if `near_miss` is not zero, and reference of `Participant.rate` [m/s]."""
 
 _LEAST_FLOOR = 1e-12
 

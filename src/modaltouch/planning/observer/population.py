@@ -37,7 +37,7 @@ class Crowd:
     noise, criterion, side_bias, pace : array
         As in `Participant`; `pace` multiplies the decision time [1].
     sharpening : array
-        Factor of the typical participant's one plus the suppression [1].
+        Factor on the typical value of one plus the suppression [1].
     """
 
     typical: Participant
