@@ -162,10 +162,9 @@ def to_frame(findings: Iterable[Finding]) -> pd.DataFrame:
 
 
 def plain_row(row: dict[Any, Any]) -> dict[str, Any]:
-    """Return a row of a table as plain values, as JSON knows no others.
+    """Return a row of a table as plain values for JSON.
 
-    Infinity is told in words; not a number is ``undefined`` where something was to be estimated, else null: there is no
-    such number.
+    Infinity becomes a word; NaN becomes ``undefined`` where something was to be estimated, else null.
     """
     values: dict[str, Any] = {}
     for key, value in row.items():

@@ -45,7 +45,7 @@ class ThresholdAnalysis:
 
     @property
     def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
-        """None: thresholds are estimated, not tested."""
+        """None: comparisons of thresholds are exploratory."""
         return []
 
     def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
@@ -67,12 +67,12 @@ class ThresholdAnalysis:
 
     @cached_property
     def comparisons(self) -> list[Finding]:
-        """Thresholds in one kind of run against another."""
+        """Comparisons of thresholds between kinds of run."""
         return compare_runs(self.runs)
 
     @property
     def tests(self) -> list[dict[str, Any]]:
-        """The same, one row for each."""
+        """The comparisons, one row each."""
         return [
             {str(key): value for key, value in row.items()} for row in to_frame(self.comparisons).to_dict("records")
         ]

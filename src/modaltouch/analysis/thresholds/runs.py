@@ -206,9 +206,10 @@ def over_participants(runs: Sequence[Run]) -> list[dict[str, Any]]:
 def compare_runs(runs: Sequence[Run]) -> list[Finding]:
     """Return the ratios of thresholds between kinds of run that differ in one factor, with their tests.
 
-    Within participants by sign flips of the logarithms, between groups by shuffling participants, in kinds of run that
-    both groups had. A participant's sessions of a kind are averaged first; who has no threshold in one of two kinds
-    does not count in their comparison. No hypothesis is fixed in advance: the tests are exploratory, not corrected.
+    Within participants, the logarithms are tested by sign flips; between groups, participants are shuffled, in kinds of
+    run that both groups had. A participant's sessions of a kind are averaged first; without a threshold in one of two
+    kinds, a participant is left out of their comparison. No hypothesis is fixed in advance: the tests are exploratory,
+    not corrected.
     """
     told: dict[tuple[str, str, str], list[float]] = {}
     for run in runs:
