@@ -1,8 +1,8 @@
-"""Figures, pages and files in one style, for whatever analysis, planning and lab have to show.
+"""Figures, pages and files in one style, for the results of analysis, planning and lab.
 
-Figures of matplotlib drawn within `house_style` go in, with values and rows; out come pictures (`figure_files`), pages
-that hold them (`page_files`) and numbers as a reader sees them (`say_number`). `write_files` puts them into a folder,
-rows as CSV and values as JSON: whole or not at all, and never over what something else made.
+Matplotlib figures drawn within `house_style`, values and rows go in; image files (`figure_files`), pages that show them
+(`page_files`) and formatted numbers (`say_number`) come out. `write_files` puts them into a folder, rows as CSV and
+values as JSON: all of them or none, and never over files of another origin.
 """
 
 from __future__ import annotations

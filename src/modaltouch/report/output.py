@@ -1,4 +1,4 @@
-"""Writes a set of files into a folder: whole or not at all, and never over a stranger's."""
+"""Writes a set of files into a folder: all of them or none, and never over files of another origin."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ from modaltouch.record import RecordError, move, replace_file
 MANIFEST = "manifest.json"
 
 _MAKER = "modaltouch "
-"""What the maker of every manifest begins with."""
+"""Beginning of ``generated_by`` in every manifest."""
 _REMEDY = "give a folder you may write to with --out"
 
 
 def write_files(
     folder: Path, contents: Mapping[str, Any], about: dict[str, Any], command: str = "analyse"
 ) -> dict[str, Path]:
-    """Write files into a folder, with a manifest that tells ours from others.
+    """Write files into a folder, with a manifest that lists them and their hashes.
 
-    Everything is first written to a folder beside it, so a full disk or a kill leaves what was there.
+    Everything is first written to a temporary folder beside it, so a full disk or a kill leaves the earlier files.
 
     Parameters
     ----------
     folder : Path
         Where they go; created if needed. Other files in it are left alone.
     contents : mapping
-        By name: bytes or text as they are, rows of a table for ``.csv``, plain values for all else, as JSON.
+        Contents by file name: bytes or text, written as they are; rows of a table for ``.csv``; plain values for all
+        other names, written as JSON.
     about : dict
-        What the manifest says of their making, plain values.
+        What the manifest says about how they were made; plain values.
     command : str
         The command that made them; a folder belongs to one command.
 
@@ -47,8 +48,8 @@ def write_files(
     Raises
     ------
     RecordError
-        If the folder belongs to another command, or a file of that name is not ours, was changed since, or cannot
-        be written.
+        If the folder belongs to another command, or a file of that name is not from modaltouch, was changed since it
+        was written, or cannot be written.
     """
     refuse_other(folder, command)
     files = {name: _encode(name, content) for name, content in contents.items()}
@@ -63,7 +64,7 @@ def write_files(
     try:
         for name, data in files.items():
             (temporary / name).write_bytes(data)
-        # While files are replaced one by one, the manifest owns the old and the new ones alike.
+        # While files are replaced one by one, the manifest lists the hashes of both old and new ones.
         either = {name: sorted({*known.get(name, []), new}) for name, new in hashes.items()}
         folder.mkdir(exist_ok=True)
         replace_file(folder / MANIFEST, _manifest(about, {**known, **either}), _REMEDY)
@@ -80,7 +81,6 @@ def write_files(
 
 
 def _encode(name: str, content: Any) -> bytes:
-    """Return the bytes of a file."""
     if isinstance(content, bytes):
         return content
     if isinstance(content, str):
@@ -91,7 +91,7 @@ def _encode(name: str, content: Any) -> bytes:
 
 
 def _encode_rows(rows: Sequence[Mapping[str, Any]]) -> bytes:
-    """Return rows as CSV, its columns those of the first row; empty where a value is none or not a number."""
+    """Return rows as CSV with the columns of the first row; None and NaN become empty fields."""
     buffer = io.StringIO()
     writer = csv.DictWriter(buffer, list(rows[0]) if rows else [], lineterminator="\n")
     writer.writeheader()
@@ -101,7 +101,7 @@ def _encode_rows(rows: Sequence[Mapping[str, Any]]) -> bytes:
 
 
 def refuse_other(folder: Path, command: str) -> None:
-    """Refuse a folder that cannot be written, or that another command made, before long work rather than after it.
+    """Refuse a folder that cannot be written or belongs to another command, before long work rather than after it.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def refuse_other(folder: Path, command: str) -> None:
     Raises
     ------
     RecordError
-        If another command made what it holds, a file stands in its place, or it cannot be written.
+        If it holds another command's output, is a file, or cannot be written.
     """
     standing = next(path for path in (folder, *folder.parents) if path.exists())
     if not standing.is_dir():
@@ -125,12 +125,12 @@ def refuse_other(folder: Path, command: str) -> None:
         )
     for place in {standing, folder.parent}:
         if place.exists():
-            # No permission tells: root may write to /proc, where no folder can be made.
+            # Permissions do not tell: root may write to /proc, but cannot make a folder there.
             _new_folder(folder, place).rmdir()
 
 
 def _new_folder(folder: Path, place: Path) -> Path:
-    """Return a new folder at a place, for what becomes `folder`."""
+    """Make a temporary folder at a place, named after `folder`."""
     try:
         place.mkdir(parents=True, exist_ok=True)
         return Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".tmp", dir=place))
@@ -154,7 +154,7 @@ def _read_manifest(folder: Path) -> dict[str, list[str]]:
 
 
 def _manifest_of(folder: Path) -> dict[str, Any]:
-    """Return what a folder's manifest says; nothing where there is none."""
+    """Return a folder's manifest; empty if there is none that can be read."""
     try:
         values = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -163,7 +163,7 @@ def _manifest_of(folder: Path) -> dict[str, Any]:
 
 
 def _refuse_strange(path: Path, own: list[str]) -> None:
-    """Refuse a file that is there and has none of our own hashes."""
+    """Refuse a file that exists and has none of our own hashes."""
     if not path.exists():
         return
     try:

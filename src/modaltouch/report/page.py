@@ -1,7 +1,4 @@
-"""One HTML page with everything inside: it needs no network, prints, and is legible without colour.
-
-Numbers are written as a reader sees them, in a page, a table or a sentence.
-"""
+"""Self-contained HTML pages, which need no network, print, and are legible without colour; and formatted numbers."""
 
 from __future__ import annotations
 
@@ -20,7 +17,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ReportFigure:
-    """A figure of a page.
+    """A figure on a page.
 
     Attributes
     ----------
@@ -29,11 +26,11 @@ class ReportFigure:
     figure : Figure
         The figure.
     caption : str
-        What the reader sees and must know.
+        What the figure shows and the reader must know.
     section : str
-        Where on the page it stands; empty where the page has one place for all.
+        Section of the page; empty if the page has one place for all figures.
     finger_condition : str
-        Whose bars it shows; empty for other figures.
+        Finger condition whose bars it shows; empty for other figures.
     """
 
     name: str
@@ -44,19 +41,19 @@ class ReportFigure:
 
 
 def page_files(package: str, name: str, pictures: Sequence[ReportFigure], /, **values: Any) -> dict[str, Any]:
-    """Return a page and the figures that it shows, by file name, as `write_files` takes them.
+    """Return a page and its figures by file name, as `write_files` takes them.
 
     Parameters
     ----------
     package : str
-        Dotted name of the package whose folder ``templates`` holds the template; what it extends or includes may
-        also be one of the report, such as ``base.html.j2``.
+        Dotted name of the package whose folder ``templates`` holds the template; templates that it extends or includes
+        may also be those of this room, such as ``base.html.j2``.
     name : str
-        Of the page and of its template.
+        Name of the page and of its template.
     pictures : sequence of ReportFigure
-        Figures, which the template has as ``pictures``, each with its SVG as ``svg``.
+        Figures; the template gets them as ``pictures``, each with its SVG as ``svg``.
     **values
-        What the template names besides; one that is missing is an error.
+        The template's other variables; a missing one is an error.
     """
     from modaltouch.report.style import figure_files
 
@@ -69,7 +66,7 @@ def page_files(package: str, name: str, pictures: Sequence[ReportFigure], /, **v
 
 
 def render_page(package: str, template: str, **values: Any) -> str:
-    """Return a page of HTML, or of Markdown, as its template is named; `page_files` says of what."""
+    """Return a page of HTML or Markdown, rendered from a template; arguments as for `page_files`."""
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     places = dict.fromkeys((package, "modaltouch.report"))
@@ -87,7 +84,7 @@ def render_page(package: str, template: str, **values: Any) -> str:
 
 
 def say_number(value: float | None, digits: int = 3, *, decimals: int | None = None) -> str:
-    """Return a number in words for readers; a dash where there is none.
+    """Return a number formatted for readers; a dash if there is none.
 
     Parameters
     ----------
@@ -96,7 +93,7 @@ def say_number(value: float | None, digits: int = 3, *, decimals: int | None = N
     digits : int
         Significant digits.
     decimals : int, optional
-        Digits behind the point, in place of significant ones.
+        Decimal places, instead of significant digits.
 
     Examples
     --------
@@ -112,5 +109,5 @@ def say_number(value: float | None, digits: int = 3, *, decimals: int | None = N
     if decimals is None and abs(value) <= 2 * sys.float_info.min and value != 0:
         return "< 1e-300"
     text = f"{value:.{digits}g}" if decimals is None else f"{value:.{decimals}f}"
-    # Zero has no sign, also where rounding makes it zero.
+    # Zero has no sign, even if only rounding made it zero.
     return text.lstrip("-") if float(text) == 0 else text.replace("-", "−", 1) if value < 0 else text

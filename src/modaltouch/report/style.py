@@ -1,4 +1,4 @@
-"""How every figure looks: the paper's colours, legible in greyscale, bytes that depend on the data alone."""
+"""The style of all figures: the paper's colours, legible in greyscale; bytes that depend only on the data."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 PAIR_COLOURS = ("#0b3c8c", "#5bb8e8", "#f4c518", "#9a5b9f", "#2f9e77", "#c4c4c4")
-"""Dark blue, light blue and yellow as in Fig. 10 and Fig. 11; then further pairs."""
+"""Dark blue, light blue and yellow as in Fig. 10 and Fig. 11; then colours for further pairs."""
 
 CONDITION_COLOURS = ("#0b3c8c", "#c2541b", "#2f9e77", "#9a5b9f")
 INK = "#1d2530"
@@ -56,16 +56,16 @@ def house_style(
     Parameters
     ----------
     width, height : float
-        Of the figure [inch].
+        Size of the figure [inch].
     n_rows, n_columns : int
-        Its panels.
+        Number of panels.
     **panels
         Further arguments of `matplotlib.figure.Figure.subplots`.
 
     Yields
     ------
     figure : Figure
-        In that style.
+        The figure.
     panels : (n_rows, n_columns) array
         Its axes.
     """
@@ -78,7 +78,8 @@ def render(figure: Figure, kind: str) -> bytes:
     """Return a figure as the bytes of an ``svg`` or ``png`` file; the same figure always gives the same bytes."""
     buffer = io.BytesIO()
     with mpl.rc_context(_RC):
-        # Laid out once for both formats: it costs as much as drawing. Where the setting is on, None would stand for it.
+        # Laid out once for both formats, as that costs as much as drawing. With the setting on, None would select
+        # constrained layout again.
         engine = figure.get_layout_engine()
         with mpl.rc_context({"figure.constrained_layout.use": False}):
             if engine is not None:

@@ -1,7 +1,7 @@
 """A session of one participant, from its set-up to its verified record.
 
-In come a checked experiment, a participant and a place for the record; out come the record and, meanwhile, its events.
-``wiring`` puts the parts together, ``setup`` opens and closes them in order, ``loop`` runs the trials.
+A checked experiment, a participant and a place for the record go in; the record and, while it is written, its events
+come out. ``wiring`` puts the parts together, ``setup`` opens and closes them in order, ``loop`` runs the trials.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Which session comes next, and which balanced order a participant gets, from the records on disk.
 
-Participants take turns in the order of finger conditions, the placement and the row of a Latin square. By number,
-p01 has the first turn, p02 the second, and whoever drops out leaves a gap. By the records, a new participant gets
-the turn that fewest have filled, so a gap is filled again. A turn is filled by a participant whose latest session
-is complete or is being run now; one whose latest session was left incomplete decides only between turns that are
-otherwise filled alike, since it may still be resumed.
+A participant's turn determines the order of finger conditions, the placement and the row of a Latin square. If turns
+go by participant number, p01 has the first, p02 the second, and a drop-out leaves a gap. If they go by the records, a
+new participant gets the turn that the fewest have filled, so that gaps are closed. A turn is filled by a participant
+whose latest session is complete or running. A participant whose latest session was left incomplete may still resume
+it, and counts only between turns that are otherwise filled equally.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from modaltouch.protocol import Protocol, Turn
 from modaltouch.record import RecordError, RecordInputError, Session, SessionFolder, read_session
 
 LEAST_FILLED = "least filled in the records"
-"""What decides a turn or a group where the records do."""
+"""Reason recorded when the records decide a turn or a group."""
 
 
 def assign_turn(
     place: SessionFolder, protocol: Protocol, drawn_as: int, group: str = ""
 ) -> tuple[Turn, dict[str, Any]]:
-    """Return the turn of a participant whose session begins, and for the record why it is theirs.
+    """Return the turn of a participant whose session begins, and the reason for it, for the record.
 
-    To be called while the dataset is held.
+    Call it while the dataset is held.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def assign_turn(
     protocol : Protocol
         The design.
     drawn_as : int
-        Number of the session in the participant's own count; each has the turn after the one before.
+        Number of the session in the participant's own count; each session has the turn after the previous one's.
     group : str
         The participant's group; orders are balanced within it.
 
@@ -77,7 +77,7 @@ def assign_turn(
 
 
 def assign_group(place: SessionFolder, protocol: Protocol, seed: int, given: str | None = None) -> tuple[str, str]:
-    """Return a participant's group, and what decided it; empty where the protocol has none.
+    """Return a participant's group, and what decided it; empty if the protocol has no groups.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def assign_group(place: SessionFolder, protocol: Protocol, seed: int, given: str
     Raises
     ------
     RecordInputError
-        If there is no such group, or the participant is of another.
+        If there is no such group, or the participant belongs to another.
     """
     names = list(protocol.groups)
     if given is not None and given not in names:
@@ -119,7 +119,7 @@ def assign_group(place: SessionFolder, protocol: Protocol, seed: int, given: str
 
 
 def is_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datetime) -> str:
-    """Return that a session would begin sooner than its kind allows, or before those due first; else empty."""
+    """Return a message if a session would begin sooner than its kind allows or out of turn; otherwise empty."""
     kind = protocol.schedule.kind_of(drawn_as)
     logs = SessionFolder.logs_of(place.dataset / f"sub-{place.participant}")
     if kind is not None and len(logs) < drawn_as - 1:
@@ -147,19 +147,19 @@ def is_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datet
 def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, int]:
     """Return the place of a participant's next session, and its number in the participant's own count.
 
-    The count leaves out sessions that were begun anew; without any of these both numbers are the same.
+    The count leaves out sessions that were begun anew; without any, both numbers are the same.
 
     Parameters
     ----------
     place : SessionFolder
-        Of any session of the participant.
+        Place of any session of the participant.
     n_sessions : int
-        Sessions of each participant.
+        Number of sessions of each participant.
 
     Raises
     ------
     RecordError
-        If the latest session is not complete, or there are as many as the protocol has.
+        If a session cannot be read, the latest is not complete, or the participant has had all of the protocol's.
     """
     every = [read_session(log) for log in SessionFolder.logs_of(place.dataset / f"sub-{place.participant}")]
     for each in every:
@@ -205,9 +205,9 @@ def propose_participant(dataset: Path) -> str:
 
 
 def _participants(dataset: Path) -> Iterator[tuple[str, Session, Path]]:
-    """Yield every participant with a start record: the beginning of their first session, and the log of their latest.
+    """Yield every participant with a start record: the start of their first session, and the log of their latest.
 
-    Of a thousand participants only the first and last lines are read, as the dataset is held meanwhile.
+    Only one line of each participant is read here, as the dataset is held meanwhile.
     """
     for folder in sorted(dataset.glob("sub-*")):
         logs = SessionFolder.logs_of(folder)
@@ -217,7 +217,7 @@ def _participants(dataset: Path) -> Iterator[tuple[str, Session, Path]]:
 
 
 def first_turn(session: Session) -> int:
-    """Return the turn that a participant's first session would have, from that of any."""
+    """Return the turn of a participant's first session, derived from any of their sessions."""
     start = session.start
     groups = start.get("design", {}).get("groups", ())
     turn = Turn.recorded(start) or Turn.of(session.participant, int(start["seed"]), session.drawn_as, groups)

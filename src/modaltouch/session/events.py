@@ -1,4 +1,4 @@
-"""What is told of a session and its trials: to the record, and to the experimenter."""
+"""Describes a session and its trials, for the record and for the experimenter."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from modaltouch.window import SessionStopped, WindowError
 
 
 def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolder) -> dict[str, Any]:
-    """Return what the start record says of the experiment: all that is needed to repeat the session.
+    """Return what the start record says about the experiment: everything needed to repeat the session.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolde
 
 
 def boot_id() -> str:
-    """Return what tells one start of this machine from another; empty where the system does not say."""
+    """Return the identifier of this boot of the machine; empty if the system gives none."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except (OSError, UnicodeDecodeError):
@@ -62,16 +62,16 @@ def boot_id() -> str:
 
 
 PRACTICE_FAILED = "practice not passed"
-"""How a session ends whose participant did not pass the practice, where the protocol says so."""
+"""Reason for the end of a session whose participant did not pass practice, if the protocol ends it then."""
 
 
 def way_on(reason: str, folder: Path) -> str:
-    """Return what can be done about a session that ended early, in words.
+    """Return advice on how to continue a session that ended early.
 
     Parameters
     ----------
     reason : str
-        How it ended.
+        Why it ended.
     folder : Path
         Where it is recorded.
     """
@@ -81,7 +81,7 @@ def way_on(reason: str, folder: Path) -> str:
 
 
 def describe_ending(error: BaseException) -> dict[str, str]:
-    """Return why a session ended early, as its stop record says.
+    """Return why a session ended early, for its stop record.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def describe_answer(
     masked: bool | None,
     events: Sequence[dict[str, Any]],
 ) -> dict[str, Any]:
-    """Return the trial event of the record: planned, commanded, confirmed and answered apart.
+    """Return the trial event of the record, which keeps what was planned, commanded, confirmed and answered apart.
 
     Parameters
     ----------
@@ -121,11 +121,11 @@ def describe_answer(
     trial, response
         What was asked and answered.
     firings : sequence of Firing
-        What the instrument confirmed of each interval; the trial's condition is that of its own.
+        What the instrument confirmed in each interval; `trial.interval` is the one that held the trial's condition.
     masked : bool or None
-        Whether noise masked the sound of the beam; None where none is asked for.
+        Whether noise masked the sound of the beam; None if the protocol wants none.
     events : sequence of dict
-        What the record holds of this trial so far.
+        Events of this trial in the record so far.
     """
     values, last = trial.as_dict(), firings[-1]
     answered = last.onset + response.counted_from + response.reaction_time
@@ -162,7 +162,7 @@ def describe_answer(
 
 
 def _describe_stimulus(speeds: tuple[float, ...], part: Trial, firing: Firing) -> dict[str, Any]:
-    """Return what was planned, commanded, confirmed and played of a trial, or of one of its intervals."""
+    """Return what was planned, commanded, confirmed and played in a trial, or in one of its intervals."""
     stimulus = part.condition.stimulus if part.interval else ""
     return {
         "planned": {
@@ -177,14 +177,14 @@ def _describe_stimulus(speeds: tuple[float, ...], part: Trial, firing: Firing) -
 
 
 def _first(part: Trial, firing: Firing) -> dict[str, float] | None:
-    """Return between which instants the first burst began; None without one, and where nobody knows."""
+    """Return the earliest and latest onset of the first burst; None if there was none, or its onset is unknown."""
     if part.condition.is_catch or firing.repetition == "wired":
         return None
     return _between(firing.onset - firing.onset_uncertainty, firing.onset + firing.onset_uncertainty)
 
 
 def describe_trial(protocol: Protocol, speeds: tuple[float, ...], trial: Trial) -> dict[str, Any]:
-    """Return what the experimenter should know of a trial before it is on.
+    """Return what the experimenter should know about a trial before it begins.
 
     Parameters
     ----------
@@ -224,14 +224,14 @@ def describe_placement(protocol: Protocol, trial: Trial) -> dict[str, Any]:
 
 
 def _by_side(name: str, trial: Trial, values: Iterable[Any]) -> dict[str, Any]:
-    """Return what belongs to each finger, by a name with its place."""
+    """Return the values of the fingers, each under a name with the finger's side."""
     return dict(zip(map(name.format, trial.condition.sides), values, strict=True))
 
 
 def _superseded(events: Sequence[dict[str, Any]], values: dict[str, Any]) -> int | None:
     """Return the line of the answer that a new one to the same trial replaces, if there is one.
 
-    What is written of one presentation, `answered` and then `trial`, replaces what was written before it alone.
+    The lines of one presentation, `answered` and then `trial`, replace only those of earlier presentations.
     """
     last = max((place for place, event in enumerate(events) if event["event"] == "fired"), default=len(events))
     answers = (event for event in reversed(events[:last]) if event["event"] in ("trial", "answered"))

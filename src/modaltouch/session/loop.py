@@ -1,4 +1,4 @@
-"""The one loop: place the fingers, fire, ask, stop, write down."""
+"""The trial loop: place the fingers, fire, ask, stop, record."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ ATTEMPTS = 3
 """How often a trial that the instrument does not confirm is presented before the session ends."""
 
 MOST_STALLS = 30
-"""How often it is presented in vain because this computer is held up: a minute and more."""
+"""How often a trial is presented in vain because this computer is held up, for a minute or more."""
 
 NOT_OVER = "the stimulus is not over yet"
-"""Why the answer is not confirmed when it is written down first."""
+"""Why the stimulus is not yet confirmed when the answer is first written down."""
 
 
 @dataclass(frozen=True)
@@ -44,31 +44,31 @@ class SessionRun:
     protocol : Protocol
         What is presented and asked.
     trials : tuple of Trial
-        What is still to be answered, in order, practice first.
+        Trials still to be answered, in order, practice first.
     total : int
         Number of scheduled trials, without practice.
     levels : Levels or None
-        What decides the levels of an adaptive run; None where the protocol does.
+        Chooses the levels of an adaptive run; None if the protocol fixes them.
     speeds : callable
         Predicted peak speeds under the fingers in a trial, from left to right [m/s].
     rig, window, log
         The open instrument, answer window and session log.
     save_view : callable
-        Brings the BIDS view up to date with the log.
+        Updates the BIDS view from the log.
     tick : callable
-        Called between steps; raises when the session was told to end.
+        Called between steps; raises if the session is to end.
     which : callable
-        Which of the loaded bursts a trial is presented with; the first if not given.
+        Index of the loaded burst with which a trial is presented; by default the first.
     played : callable
-        The level that is played of a trial where one is asked [mm/s]; that very one if not given.
+        Level that is played for a trial and a wanted level [mm/s]; by default the wanted level itself.
     probing : Probing or None
-        What measures the fingers at each placement, where they are measured.
+        Measures the fingers at each placement; None if they are not measured.
     experimenter : Experimenter
-        Is told what happens, and asks for repeats and for the end of the session after a block.
+        Is shown what happens, and asks for repeats and for the end of the session after a block.
     masking : Masking
         Noise that masks the sound of the beam.
     clock : Clock
-        Of session, window, instrument and record.
+        Clock of session, window, instrument and record.
     """
 
     protocol: Protocol
@@ -117,24 +117,24 @@ def conduct(sitting: SessionRun) -> None:
             sitting.window.rest((trial.index, sitting.total))
             rested = sitting.clock.now()
             if sitting.probing is not None:
-                previous = None  # who rested lays the fingers down anew
-        # The record alone decides the next level, so that a session that was killed goes on with the very same one.
+                previous = None  # after a rest the fingers are placed and measured again
+        # The record alone decides the next level, so that a killed session continues with the same one.
         settled = _settle(sitting, trial)
         run(sitting, settled, previous)
         previous = repeat(sitting, settled)
     fill_in(sitting)
     sitting.window.goodbye()
-    # The last trial may be wanted again while the participant is thanked; the fingers are lifted by then.
+    # The experimenter may want the last trial again while the participant is thanked; the fingers are lifted by then.
     while repeat(sitting, None) is not None:
         sitting.window.goodbye()
 
 
 def repeat(sitting: SessionRun, previous: Trial | None) -> Trial | None:
-    """Ask again what the experimenter wants repeated, and return the last trial that was run.
+    """Repeat what the experimenter wants repeated, and return the last trial that was run.
 
-    The first answer stays in the record, withdrawn: if nothing comes after it, `resume` asks the trial again. In an
-    adaptive run, what was answered since is asked again too, for its level followed from that answer. A practice trial
-    may be repeated until its round is judged, or the first trial that counts begins.
+    The first answer stays in the record, withdrawn: if the session ends before a new one, `resume` asks the trial
+    again. In an adaptive run, all later trials are repeated too, because their levels followed from that answer. A
+    practice trial may be repeated until its round is judged, or the first trial that counts begins.
     """
     while (event := sitting.experimenter.take_repeat()) is not None:
         again = [event]
@@ -181,7 +181,7 @@ def practise(sitting: SessionRun) -> Trial | None:
 
 
 def _comment(sitting: SessionRun, trial: Trial, response: Response) -> None:
-    """Tell a participant who practises what was to be felt, where the protocol wants it and there is no doubt."""
+    """Give feedback after a practice trial, if the protocol wants it and the expected answer is not in doubt."""
     if not (trial.practice and sitting.protocol.schedule.practice_feedback):
         return
     expected = sitting.protocol.expected(trial, sitting.speeds(trial))
@@ -194,7 +194,7 @@ def _has_passed_practice(sitting: SessionRun) -> bool:
 
 
 def _settle(sitting: SessionRun, trial: Trial) -> Trial:
-    """Return a trial at the level to which the answers so far lead; as it is where levels are fixed."""
+    """Return a trial at the level that follows from the answers so far; unchanged if levels are fixed."""
     if sitting.levels is None:
         return trial
     algorithm = str(sitting.log.session.start.get("adaptive", {}).get("algorithm", ""))
@@ -202,7 +202,7 @@ def _settle(sitting: SessionRun, trial: Trial) -> Trial:
 
 
 def _close_rounds(sitting: SessionRun) -> None:
-    """Write down how each round of practice went that is over and not yet judged, before a kill or after it."""
+    """Judge every completed round of practice not judged yet, even one completed before a kill, and record it."""
     schedule, events = sitting.protocol.schedule, sitting.log.events
     counted = [event for event in sitting.log.session.trials if event["trial"]["practice"]]
     if schedule.practice_criterion is None or not schedule.practice_trials:
@@ -226,7 +226,7 @@ def _close_rounds(sitting: SessionRun) -> None:
 
 
 def run(sitting: SessionRun, trial: Trial, previous: Trial | None) -> Response:
-    """Present one trial until what was played is confirmed, write every answer down; return the last.
+    """Present one trial until its stimulus is confirmed, record every answer and return the last.
 
     Raises
     ------
@@ -265,7 +265,7 @@ def run(sitting: SessionRun, trial: Trial, previous: Trial | None) -> Response:
 
 
 def place(sitting: SessionRun, trial: Trial) -> None:
-    """Have the fingers laid down where a trial wants them, and measured there where the protocol says so."""
+    """Have the fingers placed for a trial, and measured there if the protocol says so."""
     if sitting.probing is not None:
         sitting.probing.lift_hands(trial)
     sitting.window.place_fingers(trial)
@@ -275,14 +275,14 @@ def place(sitting: SessionRun, trial: Trial) -> None:
 
 
 def present(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]:
-    """Present a trial once, or again where it is cut; the answer is on the disk before anything else can go wrong.
+    """Present a trial, again whenever it is cut; the answer is on the disk before anything else can go wrong.
 
     Returns
     -------
     response : Response or None
-        What the participant answered; None where the stimulus did not last until then.
+        What the participant answered; None if the stimulus failed before.
     firing : Firing
-        What was played, confirmed at its end or not.
+        What was played, and whether it was confirmed at its end.
 
     Raises
     ------
@@ -300,7 +300,7 @@ def present(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]
 
 
 def _present_once(sitting: SessionRun, trial: Trial, due: float) -> tuple[Response | None, Firing]:
-    """Present the stimulus of a trial, or that of each interval in order, and ask; raise where that is interrupted."""
+    """Present the stimulus of a trial, or of each interval in turn, and ask; raise if that is interrupted."""
     parts, over, response = sitting.protocol.presented(trial), list[Firing](), None
     for number, part in enumerate(parts, 1):
         facts: dict[str, Any] = {"trial": trial.as_dict()} | ({"interval": number} if len(parts) > 1 else {})
@@ -317,11 +317,11 @@ def _present_once(sitting: SessionRun, trial: Trial, due: float) -> tuple[Respon
                 faults.append(error)
 
         is_last, ends = number == len(parts), firing.onset + sitting.protocol.longest_s(part.condition.stimulus)
-        # What cannot be switched off ends the session before a gap; only an answer is worth waiting for.
+        # Outputs that cannot be switched off end the session before a gap; in the last interval, after the answer.
         ceases = stop if is_last else sitting.rig.stop
         presentation = Presentation(firing.onset, ends, sitting.rig.end, ceases, facts.get("interval", 0))
         try:
-            # Whatever ends the session now, the record knows that this stimulus had begun.
+            # From here on, whatever ends the session, the record shows that this stimulus had begun.
             sitting.log.append("fired", **facts, confirmed=firing.as_dict())
             if is_last:
                 response = sitting.window.ask(part, (trial.index, sitting.total), presentation)
@@ -362,9 +362,9 @@ def _present_once(sitting: SessionRun, trial: Trial, due: float) -> tuple[Respon
 
 
 def _complete(sitting: SessionRun, trial: Trial, response: Response) -> tuple[Response, dict[str, Any]]:
-    """Return an answer with those to the further questions, and what the vibrometer saw, where fingers are measured.
+    """Return a response with the answers to the further questions, and what the vibrometer measured, if it did.
 
-    A trial that is cut here is asked again as a whole.
+    A trial that is cut here is repeated as a whole.
     """
     if response.answer != TIME_OUT:
         asked = sitting.protocol.answers.further
@@ -374,7 +374,7 @@ def _complete(sitting: SessionRun, trial: Trial, response: Response) -> tuple[Re
 
 
 def _ask_further(sitting: SessionRun, name: str, asked: AnswersSection, trial: Trial | None = None) -> Response:
-    """Ask one further question, at the console too where the experimenter answers."""
+    """Ask one further question, also at the console if the experimenter answers."""
     way = asked.given_by if trial is None else asked.way(trial.condition.finger_condition)
     if way == "experimenter":
         keys = {answer: list(keys) for answer, keys in asked.actions.items()}
@@ -383,7 +383,7 @@ def _ask_further(sitting: SessionRun, name: str, asked: AnswersSection, trial: T
 
 
 def fill_in(sitting: SessionRun) -> None:
-    """Ask what is left of the form at the end; each answer is on the disk before the next question."""
+    """Ask the remaining questions of the closing form; each answer is on the disk before the next question."""
     done = {event["name"] for event in sitting.log.events if event["event"] == "form"}
     for name, asked in sitting.protocol.closing.items():
         if name not in done:
@@ -392,10 +392,10 @@ def fill_in(sitting: SessionRun) -> None:
 
 
 def fire(sitting: SessionRun, trial: Trial, due: float, *, heard: bool) -> Firing:
-    """Start the stimulus of a trial when it is due, a catch trial's silence included; `heard` where it is measured."""
+    """Start the stimulus of a trial, or a catch trial's silence, when it is due; measure it if `heard`."""
     if heard and sitting.probing is not None:
         sitting.probing.listen(trial)
-    # A catch trial does all that one at the lowest level does, but lets no burst go.
+    # A catch trial runs like one at the lowest level, but plays no burst.
     silent = trial.condition.is_catch
     level = min(sitting.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
     level = sitting.played(trial, level)
@@ -409,7 +409,7 @@ def fire(sitting: SessionRun, trial: Trial, due: float, *, heard: bool) -> Firin
 def _write_down(
     sitting: SessionRun, event: str, trial: Trial, response: Response, firings: Sequence[Firing], **further: Any
 ) -> int:
-    """Put an answer on the disk, and return its line."""
+    """Write an answer to the record, and return the number of its line."""
     facts = describe_answer(
         sitting.protocol,
         sitting.speeds,
@@ -423,7 +423,7 @@ def _write_down(
 
 
 def _write_cut(sitting: SessionRun, facts: dict[str, Any], reason: str, firing: Firing) -> None:
-    """Put on the disk what was played of a stimulus that nobody answered."""
+    """Record what was played of a stimulus that got no answer."""
     sitting.log.append(
         "trial_cut",
         **facts,

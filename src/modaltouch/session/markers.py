@@ -10,18 +10,18 @@ from modaltouch.protocol import Trial
 from modaltouch.system import Clock
 
 _OWN_SETTINGS = ("lsl_api.cfg", "~/lsl_api/lsl_api.cfg", "/etc/lsl_api/lsl_api.cfg")
-"""Where liblsl looks for the settings of a laboratory."""
+"""Where liblsl looks for a laboratory's own settings."""
 
 
 class Markers:
-    """An outlet of text markers, dated by the clock of the Lab Streaming Layer.
+    """An outlet of text markers, time-stamped by the clock of the Lab Streaming Layer.
 
     Parameters
     ----------
     source : str
-        What tells the stream from any other, such as ``demo/p01/1``.
+        Identifier of the stream, such as ``demo/p01/1``.
     clock : Clock
-        That of the session.
+        Clock of the session.
 
     Raises
     ------
@@ -34,25 +34,25 @@ class Markers:
         from pylsl.lib import lib
 
         if not any(Path(place).expanduser().is_file() for place in (os.environ.get("LSLAPICFG", ""), *_OWN_SETTINGS)):
-            # Else liblsl writes of itself to the console.
+            # Otherwise liblsl prints log messages to the console.
             lib.lsl_set_config_content(b"[log]\nlevel = -1\n")
         about = pylsl.StreamInfo("modaltouch", "Markers", 1, pylsl.IRREGULAR_RATE, "string", source)
         self._outlet = pylsl.StreamOutlet(about)
         self._source, self._library = source, pylsl.library_version()
-        # Both clocks run evenly from the start of the machine: their difference stays as it is.
+        # Both clocks run at the same rate from the start of the machine, so their difference is constant.
         self._offset = pylsl.local_clock() - clock.now()
 
     def describe(self) -> dict[str, Any]:
-        """Return name and source of the stream, and what its clock is ahead of the session's [s]."""
+        """Return name and source of the stream, and how far its clock is ahead of the session's [s]."""
         stream = {"name": "modaltouch", "source_id": self._source, "clock_offset_s": round(self._offset, 6)}
         return {"lsl": {**stream, "library": self._library}}
 
     def send_question(self, trial: Trial, instant: float) -> None:
-        """Send that the question of a trial is on the screen since an instant [s]."""
+        """Send the marker of a trial's question, which appeared at an instant [s]."""
         self._send("question", trial.as_dict(), instant)
 
     def follow(self, event: dict[str, Any]) -> None:
-        """Send what an event of the log tells of a stimulus or an answer."""
+        """Send the markers for the stimulus, questions and answers in an event of the log, or for a cut trial."""
         if event["event"] == "fired":
             interval = f"interval_{event['interval']}" if "interval" in event else ""
             self._send("stimulus", event["trial"], event["confirmed"]["onset"], interval)

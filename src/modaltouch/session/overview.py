@@ -1,6 +1,6 @@
 """A study at a glance: every session of a results tree, the balance of orders, and who is next.
 
-Only logs are read. A session is taken as its log tells it; `modaltouch verify` recomputes it.
+Only logs are read, and they are not recomputed: `modaltouch verify` does that.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _AFTER_THE_END = ("stop", "closed", "recovered")
 
 
 def survey_results(place: Path) -> list[dict[str, Any]]:
-    """Return what a results tree holds, a dict of plain values to each dataset: one protocol in one mode.
+    """Return the contents of a results tree, as plain values for each dataset: one protocol in one mode.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def survey_results(place: Path) -> list[dict[str, Any]]:
 
 
 def _survey_logs(logs: list[Path]) -> tuple[list[dict[str, Any]], dict[str, Session], Session]:
-    """Return a row to each session, the start of each participant's first, and the latest of those."""
+    """Return a row for each session, the start of each participant's first, and the latest of these."""
     rows: list[dict[str, Any]] = []
     begun: dict[str, Session] = {}
     for log in sorted(logs, key=lambda log: (log.parts[:-3], SessionFolder.number_of(log))):
@@ -74,7 +74,7 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
     try:
         survey["title"] = str(latest.start.get("design", {}).get("title", ""))
         protocol = _protocol_of(latest, *latest.occasion)
-        # Whatever its mode, the dataset is a folder of that name.
+        # Mode "real" leads to the dataset's folder, whatever its actual mode.
         new = SessionFolder(dataset.parent, "real", dataset.name, propose_participant(dataset))
         group, _ = assign_group(new, protocol, int(latest.start["seed"]))
         due = [each for name in begun if (each := _next_of(name, rows, protocol.schedule.n_sessions))]
@@ -84,7 +84,7 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
         found = {nth: protocol.schedule.kind_of(nth) for nth in {1, *(each["nth"] for each in due)}}
         kinds = {nth: "" if kind is None else kind.name for nth, kind in found.items()}
         gaps = {kind.name: kind.min_gap_days for kind in protocol.schedule.session_kinds}
-        # A record keeps the table of its own group alone.
+        # A record keeps only the table of its own group.
         of_group = {session.occasion[0]: session for session in begun.values()}
         protocols = {
             (name, kind): _protocol_of(of_group.get(name, latest), name, kind)
@@ -120,17 +120,17 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
 
 
 def _protocol_of(session: Session, group: str, kind: str) -> Protocol:
-    """Return the protocol for a group in a kind of session, as the record of a session has it."""
+    """Return the protocol for a group and a kind of session, from the record of a session."""
     return Findings.restored(Sources.from_dict(session.start["sources"]), (group, kind)).experiment().protocol
 
 
 def _named(group: str, kind: str = "") -> dict[str, str]:
-    """Return group and kind of session, where there are any."""
+    """Return group and kind of session, if there are any."""
     return {name: own for name, own in (("group", group), ("session_kind", kind)) if own}
 
 
 def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
-    """Return a session as a row, and as its log tells it; without events where that cannot be read."""
+    """Return the row of a session, and the session itself; without events if its log cannot be read."""
     try:
         session = read_session(log)
         problems = session.problems if session.start else (*session.problems, f"{log}:1: is not a start record")
@@ -138,7 +138,7 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
         session, problems = Session(log, ()), (str(error),)
     if not isinstance(session.start.get("design", {}), dict):
         problems = (*problems, f"{log}:1: the event `start` does not say its design")
-    # A last line that was cut is all that may be wrong with a session that goes on.
+    # A truncated last line is the only fault with which a session can still be resumed.
     is_readable = problems == session.chain.problems and not session.chain.damage
     state, why = _state(session) if is_readable else ("damaged", problems[0])
     schedule = session.start["schedule"] if is_readable else {}
@@ -163,7 +163,7 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
 
 
 def _state(session: Session) -> tuple[str, str]:
-    """Return how a session that can be read stands, and why."""
+    """Return the state of a readable session, and the reason for it."""
     last, anew = session.events[-1], session.begun_anew_as
     known = (
         (session.complete, "complete", ""),
@@ -175,7 +175,7 @@ def _state(session: Session) -> tuple[str, str]:
 
 
 def _sittings(session: Session) -> list[float]:
-    """Return how long each sitting of a session took [s]; the clock counts anew after a restart of the machine."""
+    """Return the duration of each sitting of a session [s]; the clock starts anew when the machine restarts."""
     begins = [place for place, event in enumerate(session.events) if event.get("event") in ("start", "resume")]
     parts = (session.events[begin:end] for begin, end in pairwise([*begins, None]))
     read = ([e.get("clock") for e in part if e.get("event") not in _AFTER_THE_END] for part in parts)
@@ -184,7 +184,7 @@ def _sittings(session: Session) -> list[float]:
 
 
 def _next_of(participant: str, rows: list[dict[str, Any]], n_each: int) -> dict[str, Any] | None:
-    """Return what a participant has to do next; None after the last session, and while one is run."""
+    """Return what a participant has to do next; None after the last session, and during one."""
     own = [row for row in rows if row["participant"] == participant]
     held, last = sum(row["state"] != "closed" for row in own), own[-1]
     if last["state"] in ("interrupted", "damaged", "closed"):
@@ -202,9 +202,9 @@ def _order(turn: Turn, protocol: Protocol) -> dict[str, Any]:
 
 
 def _balance(protocol: Protocol, turns: list[tuple[int, str]]) -> list[dict[str, Any]]:
-    """Return for each order and placement how many participants had it, and how many lack until all are alike.
+    """Return for each order and placement how many participants had it, and how many are missing for balance.
 
-    Participants are told by their first turn and the state of their latest session, as the assignment counts them.
+    `turns` holds pairs of a turn and the state of its session, which count as in `assignment.assign_turn`.
     """
     n_turns = Turn.period(protocol)
     filled = Counter(turn % n_turns for turn, state in turns if state in ("complete", "running"))
@@ -227,7 +227,7 @@ def _balance(protocol: Protocol, turns: list[tuple[int, str]]) -> list[dict[str,
 
 
 def _turns_had(turns: dict[str, int], rows: list[dict[str, Any]]) -> dict[str, list[tuple[str, int, str]]]:
-    """Return kind, turn and state of each session of each participant but those that were begun anew."""
+    """Return kind, turn and state of each participant's sessions, without those that were begun anew."""
     had: dict[str, list[tuple[str, int, str]]] = defaultdict(list)
     for row in rows:
         if row["state"] != "closed" and (who := row["participant"]) in turns:
@@ -236,7 +236,7 @@ def _turns_had(turns: dict[str, int], rows: list[dict[str, Any]]) -> dict[str, l
 
 
 def _early(rows: list[dict[str, Any]], gaps: dict[str, float]) -> Iterator[str]:
-    """Yield which sessions began sooner after the one before than their kind wants."""
+    """Yield a note on each session that began sooner after the previous one than its kind allows."""
     for before, row in pairwise(row for row in rows if row["state"] != "closed"):
         gap = gaps.get(row.get("session_kind", ""), 0)
         if not gap or before["participant"] != row["participant"] or not (before["ended"] and row["begun"]):
@@ -248,7 +248,7 @@ def _early(rows: list[dict[str, Any]], gaps: dict[str, float]) -> Iterator[str]:
 
 
 def _notes(begun: dict[str, Session], rows: list[dict[str, Any]]) -> list[str]:
-    """Return what an analysis of the tree as it stands would stumble over."""
+    """Return notes on what would limit an analysis of the tree as it stands."""
     texts = {str(session.start.get("sources", {}).get("protocol", {}).get("sha256")) for session in begun.values()}
     fit = Counter(row["participant"] for row in rows if not row["excluded"])
     fewest, most = min(fit.values(), default=0), max(fit.values(), default=0)

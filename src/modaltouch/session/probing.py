@@ -1,4 +1,4 @@
-"""Fingers measured at each placement, and the stimulus designed for them: the same for every pair, so it is no cue."""
+"""Measures fingers at each placement and designs the stimulus for them; alike for every pair, so it is no cue."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ if TYPE_CHECKING:
     from modaltouch.lab import Prober
 
 ATTEMPTS = 3
-"""How often a measurement is tried that is refused."""
+"""How often a measurement that is refused is tried."""
 
 STILL = 1.0
-"""From hands at rest to a measurement [s]."""
+"""Time from hands at rest to a measurement [s]."""
 
 GAP = 2.0
-"""From a measurement to the first burst, at least [s]."""
+"""Least time from a measurement to the first burst [s]."""
 
 
 class Probing:
-    """What a session measures of its fingers, and makes of it.
+    """Measures the fingers in a session, and designs and loads the stimulus for them.
 
     Parameters
     ----------
     preflight : Preflight
-        The experiment, designed for the fingers that are expected.
+        The experiment, designed for the expected fingers.
     prober : Prober
-        What measures them.
+        Measures the fingers.
     rig, window, log, clock
         Those of the session.
 
     Attributes
     ----------
     preflight : Preflight
-        The same, designed for the fingers that lie on the beam at their placement.
+        The experiment, designed for the fingers as measured at the latest placement.
     busy : float
-        What the latest look at a burst took, which the pause after its trial makes up for [s].
+        Time taken to evaluate the latest recorded burst, deducted from the pause after its trial [s].
     """
 
     busy = 0.0
@@ -57,7 +57,7 @@ class Probing:
         self._heard: dict[str, Any] = {}
 
     def which(self, trial: Trial) -> int:
-        """Return which of the loaded bursts a trial is presented with."""
+        """Return the index of the loaded burst with which a trial is presented."""
         return self._loaded.index(self.preflight.design_of(trial.condition))
 
     def lift_hands(self, trial: Trial) -> None:
@@ -77,7 +77,7 @@ class Probing:
         self._block = trial.block
 
     def measure(self, trial: Trial, progress: tuple[int, int]) -> None:
-        """Measure the fingers that were laid down, and load the stimulus that is designed for them.
+        """Measure the fingers on the beam, and load the stimulus designed for them.
 
         Raises
         ------
@@ -113,7 +113,7 @@ class Probing:
         self._window.tell_measuring(max(GAP - (self._clock.now() - ended), 0.0))
 
     def listen(self, trial: Trial) -> None:
-        """Have the first burst of a trial, if it has any, recorded at the vibrometer's spot."""
+        """Have the first burst of a trial recorded at the vibrometer's spot; a catch trial has none."""
         condition, self.busy, self._heard = trial.condition, 0.0, {}
         if condition.is_catch:
             return
@@ -125,9 +125,9 @@ class Probing:
             self._heard = {"delivered": {"refused": str(error)}}
 
     def delivered(self, trial: Trial) -> dict[str, Any]:
-        """Return what the record of that burst says: the speeds that the fingers got, with their 95 % intervals.
+        """Return the speeds that the recorded burst delivered to the fingers, with their 95 % intervals.
 
-        Fingers that drifted are not measured anew before the next placement. A scope that fails ends no session.
+        Fingers that have drifted are measured again only at the next placement. A failing scope ends no session.
         """
         if self._heard != {"delivered": {}}:
             return self._heard
@@ -149,7 +149,7 @@ class Probing:
         return {"speed_mm_s": self._prober.speed * 1e3, "laser_mm": self._prober.laser * 1e3}
 
     def _measured(self, what: str, measure: Callable[[], dict[str, Any]], once_more: str) -> dict[str, Any]:
-        """Return what is measured, the participant asked again where it is refused."""
+        """Return a measurement; ask the participant again if it is refused."""
         for attempt in range(1, ATTEMPTS + 1):
             self._window.tell_measuring(STILL)
             try:

@@ -1,4 +1,4 @@
-"""An interrupted session: how it ended, what it needs to go on, all from its own record, and how it goes on."""
+"""An interrupted session: how it ended and what it needs to continue, all from its own record, and its continuation."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window import AnswersBy, WindowOptions
 
 CLOCK_TOLERANCE = 60.0
-"""A clock this far off is being kept right by the network, not set back [s]."""
+"""A clock off by no more than this is being adjusted by the network, not set back [s]."""
 
 
 def examine_interruption(session: Session, *, now: datetime, clock: float, boot: str) -> dict[str, Any]:
-    """Return how a session was interrupted, as its record will say it.
+    """Return how a session was interrupted, for its record.
 
-    The reason is that of its stop record, or ``killed`` where there is none; the age is the least that it can be, and
-    so is how far the clock of this machine is behind (0 if it is not known to be); the trial that was cut is the one
-    whose stimulus had begun and that got no answer.
+    The reason is that of its stop record, or ``killed`` if there is none. The age is a lower bound, as is how far the
+    clock of this machine is behind (0 if it is not known to be). The cut trial is the one whose stimulus had begun but
+    which got no answer.
 
     Parameters
     ----------
     session : Session
-        As its log tells it, with at least one line.
+        The session, with at least one line in its log.
     now : datetime
-        Time of day, with its zone.
+        Date and time, with time zone.
     clock : float
         The monotonic clock of the record, `time.perf_counter` [s].
     boot : str
-        Since which start of the machine that clock counts (`events.boot_id`); empty if unknown.
+        Identifier of the boot since which that clock counts (`events.boot_id`); empty if unknown.
     """
     events = session.events
     last = events[-1]
@@ -66,12 +66,12 @@ def examine_interruption(session: Session, *, now: datetime, clock: float, boot:
 
 
 def refuse_old(session: Session, interruption: dict[str, Any], within_hours: float | None) -> None:
-    """Raise if the protocol does not let a session go on after so long a time.
+    """Raise if the interruption is longer than the protocol allows.
 
     Raises
     ------
     RecordInputError
-        If the interruption is too old, or the clock was set back, so that its age is unknown.
+        If it is, or if its age is unknown because the clock was set back.
     """
     if within_hours is None:
         return
@@ -92,7 +92,7 @@ def refuse_old(session: Session, interruption: dict[str, Any], within_hours: flo
 
 
 def answers_to_ask_again(session: Session, schedule: Schedule, at: str) -> tuple[int, ...]:
-    """Return the lines of the answers that a resumed session asks for again: those of the block that was cut."""
+    """Return the lines of the answers to ask for again: those of the interrupted block if `at` is ``block``."""
     if at != "block":
         return ()
     done = session.answered
@@ -110,7 +110,7 @@ def go_on(
     facts: dict[str, Any],
     clock: Clock = SYSTEM_CLOCK,
 ) -> SessionLog:
-    """Return the open log of an interrupted session, with what the interruption cut and what is asked again.
+    """Return the reopened log of an interrupted session, in which the cut trial and withdrawn answers are recorded.
 
     Parameters
     ----------
@@ -123,9 +123,9 @@ def go_on(
     cut : dict
         How it was interrupted.
     facts : dict
-        What else the resume record says.
+        Further facts for the resume record.
     clock : Clock
-        Of the session.
+        Clock of the session.
 
     Raises
     ------
@@ -158,9 +158,9 @@ def begin_anew(
     cut : dict
         How the old one was interrupted.
     facts : dict
-        What else the start record of the new one says.
+        Further facts for the start record of the new one.
     clock : Clock
-        Of the session.
+        Clock of the session.
 
     Raises
     ------
@@ -176,7 +176,7 @@ def begin_anew(
 
 
 def _cut_trial(session: Session) -> dict[str, Any] | None:
-    """Return the trial of the last stimulus that neither an answer nor a cut follows."""
+    """Return the trial of the last stimulus, if neither an answer nor a cut follows it."""
     for event in reversed(session.events):
         if event["event"] in ("answered", "trial", "trial_cut"):
             return None
@@ -194,24 +194,24 @@ def wire_resume(
     restart: bool = False,
     window: Mapping[str, Any] | None = None,
 ) -> Setup:
-    """Return what an interrupted session needs to go on, all of it from the session's own record.
+    """Return the setup that continues an interrupted session, all of it from the session's own record.
 
     Parameters
     ----------
     path : Path
         A session's folder or its log.
     rig, answers : str, optional
-        Others than the recorded ones, of the same kind.
+        Used instead of the recorded ones; of the same kind.
     restart : bool
         Whether it is begun anew as another session, whatever its protocol says.
     window : mapping, optional
-        What of the answer window is to be otherwise than it was, by the names of `WindowOptions`.
+        Options of the answer window that replace the recorded ones, by their names in `WindowOptions`.
 
     Raises
     ------
     RecordError
-        If there is no such session, `modaltouch verify` refuses it, it has been begun anew, or a real one would go on
-        simulated.
+        If there is no such session, `modaltouch verify` refuses it, it has been begun anew, or it would continue in
+        another mode.
     """
     session = Session.find(path)
     audit_session(session).require()
@@ -247,11 +247,10 @@ def wire_resume(
 
 
 def resume(setup: Setup) -> Session:
-    """Continue an interrupted session as its protocol has it, the trials that are left in the order they had.
+    """Continue an interrupted session as its protocol says, with the remaining trials in their original order.
 
-    A session that lacks no answer is left as it is, but for what the interruption kept from it: the BIDS view, and
-    the last line, where that was cut.
-    One that is begun anew (`Setup.replaces`) is closed, and all its trials come in the same order.
+    A session that lacks no answer gets only what the interruption prevented: its BIDS view, and its last line if that
+    was cut. One that is begun anew (`Setup.replaces`) is closed, and all its trials are run in the same order.
 
     Raises
     ------
@@ -289,7 +288,7 @@ def resume(setup: Setup) -> Session:
 
 
 def _refuse_another_kind(session: Session, rig: str, answers: AnswersBy, *, restart: bool) -> None:
-    """Raise where a session would go on as something else than it was begun as."""
+    """Raise if a session would continue in another mode, or its record is too old for this version."""
     start, log = session.start, session.path
     if start.get("schema", 1) < SessionLog.SCHEMA and not (session.complete or restart):
         raise RecordInputError(
@@ -306,7 +305,7 @@ def _refuse_another_kind(session: Session, rig: str, answers: AnswersBy, *, rest
 
 
 def _place_anew(place: SessionFolder, session: Session) -> SessionFolder:
-    """Return the place of the session that begins another one anew: the next free number."""
+    """Return the place of the session that takes another one's place: the next free number."""
     number = session.begun_anew_as
     if number is not None:
         anew = replace(place, session=number)

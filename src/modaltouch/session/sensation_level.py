@@ -1,4 +1,4 @@
-"""A participant's own threshold, from the session that found it, and the levels that a protocol makes of it."""
+"""A participant's own threshold, from the session that found it, and the levels that a protocol derives from it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SECTION = ("conditions", "sensation_levels")
 def at_own_levels(
     preflight: Preflight, place: SessionFolder, given_mm_s: float | None = None
 ) -> tuple[Preflight, dict[str, Any]]:
-    """Return a participant's preflight, its levels calibrated where the protocol says so, and facts for the record.
+    """Return the preflight at the participant's own levels, if the protocol wants them, and facts for the record.
 
     Parameters
     ----------
@@ -26,12 +26,12 @@ def at_own_levels(
     place : SessionFolder
         Where the participant's session will be; the one that found the threshold lies in the same tree.
     given_mm_s : float, optional
-        The participant's threshold, where it was measured otherwise [mm/s].
+        The participant's threshold, if it was measured in another way [mm/s].
 
     Raises
     ------
     InputError
-        If the threshold is not known, the session told none, or a level would leave the protocol's bounds.
+        If the threshold is not known, the session found none, or a level would be outside the protocol's bounds.
     """
     section = preflight.experiment.protocol.conditions.sensation_levels
     if section is None:
@@ -50,7 +50,7 @@ def at_own_levels(
 
 
 def _find(preflight: Preflight, place: SessionFolder, thresholds_from: str) -> dict[str, Any]:
-    """Return the threshold that the participant's latest complete session of another protocol found, and where."""
+    """Return the threshold from the participant's latest complete session of another protocol, with its source."""
     log, damage = _latest(replace(place, protocol=thresholds_from))
     who = f"participant {place.participant}"
     anew = f"run that protocol with `-p {place.participant}`, or give the threshold with --threshold"
@@ -91,9 +91,9 @@ def _find(preflight: Preflight, place: SessionFolder, thresholds_from: str) -> d
 
 
 def _latest(place: SessionFolder) -> tuple[Path | None, str]:
-    """Return the log of a participant's latest session of a protocol that is complete, or damaged and may have been.
+    """Return the log of a participant's latest session that is complete or damaged, and the damage.
 
-    Also what is wrong with it: an older session behind a damaged one may tell another threshold.
+    Sessions older than a damaged one are not used: they may give another threshold.
     """
     for log in reversed(SessionFolder.logs_of(place.dataset / f"sub-{place.participant}")):
         try:

@@ -1,4 +1,4 @@
-"""Sets up one sitting of one participant, new or resumed: instrument, window, record; then the one loop."""
+"""Sets up one sitting of one participant, new or resumed: instrument, window, record; then runs the trial loop."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from modaltouch.session.markers import Markers
 
 OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
-"""Opens the instrument for a while, given a function that takes each exchange with it."""
+"""Opens the instrument as a context, given a function that takes each exchange with it."""
 
 OpenWindow = Callable[[Tick, Callable[..., None]], AnswerWindow]
 """Opens the answer window, given the tick it must call while it waits and a function that takes its events."""
@@ -40,15 +40,15 @@ OpenMasking = Callable[[Callable[..., None]], Masking]
 """Opens the masking noise, given a function that takes its events."""
 
 OpenProber = Callable[[Rig], "AbstractContextManager[Prober]"]
-"""Opens what measures fingers beside the instrument."""
+"""Opens the prober of fingers, given the open instrument."""
 
 _UNFORESEEN = ("rig fault", "record fault", "experimenter", "emergency stop")
-"""Endings that the participant has to be told of."""
+"""Endings that are announced to the participant."""
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What a sitting is made of.
+    """The parts of a sitting.
 
     Attributes
     ----------
@@ -59,24 +59,24 @@ class Setup:
     place : SessionFolder
         Where it is recorded.
     open_rig, open_window, open_masking : callable
-        How the instrument, the window and the masking noise are opened.
+        Open the instrument, the window and the masking noise.
     facts : dict
-        What else the start record should say: rig, answers, seed.
+        Further facts for the start record: rig, answers, seed.
     replaces : SessionFolder or None
         The interrupted session that this one begins anew.
     drawn_as : int or None
-        Where the records on disk decide the participant's turn (`schedule.balance`): the number of the session in
-        the participant's own count. `schedule` is then drawn as the session's log is created.
+        Number of the session in the participant's own count, if the records on disk decide the participant's turn
+        (`schedule.balance`); `schedule` is then drawn again when the session's log is created.
     on_progress : callable, optional
         Called with (answered, total) after each trial.
     console : Console
-        Shows the experimenter how the session stands, and takes requests; closed by whoever opened it.
+        Shows the experimenter the state of the session, and takes requests; closed by whoever opened it.
     clock : Clock
-        Of window, instrument and record: the machine's, or a virtual one.
+        Clock of window, instrument and record: the machine's, or a virtual one.
     open_prober : callable or None
-        How what measures fingers is opened, where they are measured.
+        Opens the prober of fingers; None if fingers are not measured.
     open_markers : callable
-        How the stream of markers for other devices is opened, where there is one.
+        Opens the stream of markers for other devices, if there is one.
     """
 
     preflight: Preflight
@@ -96,7 +96,7 @@ class Setup:
 
     @property
     def to_ask(self) -> Mapping[str, Any]:
-        """What the participant has to be asked: the fields of the protocol before the first session, else nothing."""
+        """Questions still to be asked about the participant: the protocol's before the first session, then none."""
         fields = self.preflight.experiment.protocol.people
         if not fields or "people" in self.facts:
             return {}
@@ -104,12 +104,12 @@ class Setup:
         return {} if any("people" in Session.peek(log).start for log in earlier) else fields
 
     def with_people(self, answers: Mapping[str, float | str | None]) -> Self:
-        """Return the setup with what the participant answered.
+        """Return the setup with the participant's answers to `to_ask`.
 
         Raises
         ------
         RecordInputError
-            If consent is not given, and nothing may be recorded.
+            If a required consent is not given; nothing may be recorded then.
         """
         consents = [name for name, each in self.to_ask.items() if each.kind == "consent" and each.required]
         refused = [name for name in consents if answers.get(name) != "yes"]
@@ -121,8 +121,8 @@ class Setup:
 class EventBuffer:
     """Carries the events of instrument and window into the session log.
 
-    Events that come before the log exists are kept until it does. What is said to the instrument is gathered
-    and written in one line a step: an fsync for each command would cost more than the command.
+    Events that come before the log exists are kept until it does. Exchanges with the instrument are collected and
+    written as one line per step: an fsync for each command would take longer than the command.
     """
 
     def __init__(self) -> None:
@@ -130,7 +130,7 @@ class EventBuffer:
         self._early: list[tuple[str, dict[str, Any]]] = []
         self._exchanges: list[dict[str, Any]] = []
         self.listener: Callable[[dict[str, Any]], None] = lambda exchange: None
-        """Hears of each exchange with the instrument as it happens."""
+        """Called with each exchange with the instrument as it happens."""
 
     def open(self, log: SessionLog) -> None:
         """Write to this log from now on."""
@@ -187,7 +187,8 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
     Parameters
     ----------
     setup, open_log, first
-        Its parts; what opens the log at a place with the first line's facts; that line, ``start`` or ``resume``.
+        The parts of the sitting; a function that opens the log at a place, given the facts of its first line; the event
+        of that line, ``start`` or ``resume``.
     """
     buffer = EventBuffer()
     seconds = estimated_duration(setup.preflight.experiment.protocol) * 60 / max(len(setup.schedule.trials), 1)
@@ -230,9 +231,9 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
             error.add_note(f"everything answered is kept; {way_on(ending['reason'], setup.place.folder)}")
             raise
         finally:
-            # Off first, then written down: nothing on disk is worth a beam that still moves.
+            # Outputs off first, then the record: nothing on disk is worth a beam that still vibrates.
             rig.close()
-            with suppress(RecordError):  # told where it came up first
+            with suppress(RecordError):  # already reported where it first occurred
                 masking.stop(hurry=ending["reason"] != "finished")
             _conclude(setup, log, buffer, ending)
             if ending["reason"] in _UNFORESEEN:
@@ -241,7 +242,7 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
 
 
 def _follow(log: SessionLog, experimenter: Experimenter, markers: Markers | None, first: str) -> None:
-    """Tell the experimenter's console what the record holds, and from now on it and other devices what comes."""
+    """Replay the record to the experimenter's console, and from now on send events to it and as markers."""
     begun = max(event["n"] for event in log.events if event["event"] == first)
     for event in log.events:
         experimenter.tell(event, replayed=event["n"] < begun)
@@ -255,7 +256,7 @@ def _follow(log: SessionLog, experimenter: Experimenter, markers: Markers | None
 
 
 def _levels(protocol: Protocol) -> Levels | None:
-    """Return what decides the levels of an adaptive run; None where the protocol does."""
+    """Return what chooses the levels of an adaptive run; None if the protocol fixes them."""
     if protocol.adaptive is None:
         return None
     from modaltouch.protocol import Levels
@@ -264,7 +265,7 @@ def _levels(protocol: Protocol) -> Levels | None:
 
 
 def _with_assigned_turn(setup: Setup) -> Setup:
-    """Return the setup with the schedule that the records on disk give the participant, if they do."""
+    """Return the setup with the schedule of the turn that the records on disk assign, if they decide it."""
     if setup.drawn_as is None:
         return setup
     from modaltouch.session.assignment import LEAST_FILLED, assign_group, assign_turn
@@ -285,12 +286,12 @@ def _with_assigned_turn(setup: Setup) -> Setup:
 
 
 def _of_generator(setup: Setup, rig: Rig) -> Setup:
-    """Return the setup for a generator; refuse one without the calibration, as its amplitudes are its own."""
+    """Return the setup for the generator found; refuse one other than that of the calibration."""
     if problem := setup.preflight.findings.generator_problem(rig.identity):
         raise InputError([problem])
     instrument = instrument_of(setup.preflight.experiment.apparatus)
     if instrument.is_simulated(rig.identity) and setup.place.mode != "simulated":
-        # An address may lead to a simulator; its data never land among real ones.
+        # An address may lead to a simulator, whose data must never land among real data.
         setup = replace(setup, place=replace(setup.place, mode="simulated"))
         setup.place.refuse_existing()
     return setup
@@ -335,7 +336,7 @@ def _sitting(
 
 
 def _measuring(sitting: SessionRun, setup: Setup, prober: Prober, window: AnswerWindow) -> SessionRun:
-    """Return the sitting with the stimuli designed for the fingers that are measured in it."""
+    """Return the sitting with stimuli designed for the fingers that are measured in it."""
     from modaltouch.session.probing import Probing
 
     probing = Probing(setup.preflight, prober, sitting.rig, window, sitting.log, setup.clock)
@@ -364,7 +365,7 @@ def _describe(setup: Setup, rig: Rig, window: AnswerWindow, masking: Masking, fi
 
 def _conclude(setup: Setup, log: SessionLog, buffer: EventBuffer, ending: dict[str, str]) -> None:
     if ending["reason"] == "record fault":
-        return  # the log takes nothing more
+        return  # the log accepts nothing more
     buffer.flush()
     session = log.session
     log.append("stop", **ending, complete=session.complete, n_answered=session.n_answered)

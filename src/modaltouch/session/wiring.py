@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from modaltouch.session.markers import Markers
 
 SETTLING_TIME = 0.5
-"""From the first sine of a probe until a real beam repeats itself [s]."""
+"""Time from the start of a probe's sines until a real beam vibrates periodically [s]."""
 
 SIMULATED = "simulated"
-"""What stands in a rig's place for the digital twin."""
+"""Stands for the twin where a rig's address is expected."""
 
 
 def wire_run(
@@ -48,7 +48,7 @@ def wire_run(
     group: str | None = None,
     any_gap: bool = False,
 ) -> Setup:
-    """Return what a new session needs.
+    """Return the setup of a new session.
 
     Parameters
     ----------
@@ -59,19 +59,19 @@ def wire_run(
     rig, answers, pilot, seed, results, window_options, observer
         As `SessionParts` and the command line have them.
     threshold_mm_s : float, optional
-        The participant's own threshold, where levels are calibrated by participant and it was measured otherwise than
-        by a session of this program.
+        The participant's own threshold [mm/s], if levels are calibrated by participant and it was not measured in a
+        session of this program.
     group : str, optional
         The participant's group; by default the one that is due.
     any_gap : bool
-        Whether it begins however little time has passed since the session before.
+        Whether it begins however little time has passed since the previous session.
 
     Raises
     ------
     RecordError
-        If the participant id is not allowed, or the participant has no next session.
+        If the participant id is not allowed, the participant has no next session, or it is too early for it.
     InputError
-        If levels are calibrated by participant and this one's cannot be told.
+        If levels are calibrated by participant and this one's are unknown, or no order satisfies the schedule's limits.
     """
     protocol = preflight.experiment.protocol
     place = SessionFolder(results, mode_of(rig, answers, pilot=pilot), protocol.protocol, participant, session or 1)
@@ -92,7 +92,7 @@ def wire_run(
 
 
 def _drawn(preflight: Preflight, participant: str, seed: int, drawn_as: int, given: Turn | None) -> Schedule:
-    """Return a participant's schedule; refuse limits that no order drawn for this one keeps, with their place."""
+    """Return a participant's schedule; refuse limits that no order drawn for them satisfies, with their place."""
     try:
         return Schedule.draw(preflight.experiment.protocol, participant, seed, drawn_as, given=given)
     except ValueError as error:
@@ -104,9 +104,9 @@ def _drawn(preflight: Preflight, participant: str, seed: int, drawn_as: int, giv
 def _on_occasion(
     preflight: Preflight, place: SessionFolder, drawn_as: int, seed: int, group: str | None, *, any_gap: bool
 ) -> tuple[Turn | None, Preflight, dict[str, Any]]:
-    """Return turn and preflight of a participant's group in the kind of session, and what the record says of the gap.
+    """Return turn and preflight for the participant's group and the kind of session, and facts on the gap.
 
-    The turn is None where the participant's number or hash decides it all.
+    The turn is None if the participant's number or hash decides everything.
     """
     schedule, groups = preflight.experiment.protocol.schedule, preflight.experiment.protocol.groups
     if not (groups or schedule.session_kinds or group):
@@ -127,7 +127,7 @@ def _on_occasion(
 def _at_own_levels(
     preflight: Preflight, place: SessionFolder, threshold_mm_s: float | None
 ) -> tuple[Preflight, dict[str, Any]]:
-    """Return the preflight at the participant's own levels, where there are such, and what the record says of them."""
+    """Return the preflight at the participant's own levels, if the protocol wants them, and facts for the record."""
     if threshold_mm_s is None and preflight.experiment.protocol.conditions.sensation_levels is None:
         return preflight, {}
     from modaltouch.session.sensation_level import at_own_levels
@@ -145,7 +145,7 @@ def simulate_session(
     session: int = 1,
     threshold_mm_s: float | None = None,
 ) -> Session:
-    """Return a session as it was recorded, answered by an observer model.
+    """Run a session answered by an observer model, and return it as recorded.
 
     Parameters
     ----------
@@ -156,11 +156,11 @@ def simulate_session(
     results : Path or str
         Folder of results; the session is recorded in its simulated tree.
     seed : int
-        Of the study.
+        Seed of the study.
     observer : Observer, optional
         Population from which the participant is drawn.
     session : int
-        Number of the session; one of a kind that wants a gap begins without it.
+        Number of the session; minimum gaps between sessions are ignored.
     threshold_mm_s : float, optional
         The participant's own threshold, as for `wire_run`.
 
@@ -191,17 +191,17 @@ class SessionParts:
     window_options: WindowOptions | None
     observer: Observer
     after: float = 0.0
-    """What a virtual clock must not read less than: the record's, where one is continued [s]."""
+    """Earliest reading of a virtual clock: the last in the record, if one is continued [s]."""
     simulator: Simulator | None = None
 
     @cached_property
     def clock(self) -> Clock:
-        """The machine's; a virtual one where a simulated participant answers before the twin in this very process."""
+        """The machine's clock; a virtual one if both rig and participant are simulated in this process."""
         is_virtual = self.rig == SIMULATED and self.answers == "simulated"
         return VirtualClock(max(SYSTEM_CLOCK.now(), self.after)) if is_virtual else SYSTEM_CLOCK
 
     def setup(self, schedule: Schedule, further: Mapping[str, Any]) -> Setup:
-        """Return what the sitting is made of, with the participant's trials and further facts for the record."""
+        """Return the setup of the sitting, with the participant's trials and further facts for the record."""
         facts: dict[str, Any] = {"seed": self.seed, "rig_choice": self.rig, "answers_choice": self.answers}
         if self.answers != "window":
             facts["observer"] = self.observer.as_dict()
@@ -215,7 +215,7 @@ class SessionParts:
 
     @contextmanager
     def open_rig(self, log: Callable[..., None]) -> Iterator[Rig]:
-        """Open the driver, on the twin's address where no other is given."""
+        """Open the driver; if the rig is simulated, start the twin and use its address."""
         apparatus, address = self.preflight.experiment.apparatus, self.rig
         with ExitStack() as stack:
             options: dict[str, Any] = {"clock": self.clock}
@@ -231,7 +231,7 @@ class SessionParts:
 
     @contextmanager
     def open_prober(self, rig: Rig) -> Iterator[Prober]:
-        """Open the scope behind the vibrometer, the twin's where the rig is one."""
+        """Open the prober on the scope behind the vibrometer; the twin's if the rig is simulated."""
         from modaltouch.lab import Laboratory, Prober
         from modaltouch.rig import Scope
 
@@ -243,12 +243,12 @@ class SessionParts:
                 scope: Scope = stack.enter_context(self.simulator.scope())
                 yield Prober(Laboratory(apparatus, rig, scope, "simulated", simulator=self.simulator), expected)
             else:
-                # The spot stays where it is in a session: nobody is asked to aim.
+                # The vibrometer's spot stays where it is during a session: nobody is asked to aim.
                 scope = stack.enter_context(Scope.open(apparatus))
                 yield Prober(Laboratory(apparatus, rig, scope, "real", settling_time=SETTLING_TIME), expected)
 
     def open_window(self, tick: Tick, log: Callable[..., None]) -> AnswerWindow:
-        """Open the answer window, with a simulated participant where no person answers."""
+        """Open the answer window, with a simulated participant if no person answers."""
         experiment = self.preflight.experiment
         return open_window(
             self.answers,
@@ -263,7 +263,7 @@ class SessionParts:
         )
 
     def open_markers(self) -> Markers | None:
-        """Open the stream of markers that the protocol wants, where time is real."""
+        """Open the stream of markers if the protocol wants it and time is real."""
         section = self.preflight.experiment.protocol.markers
         if section is None or not section.lsl or self.clock is not SYSTEM_CLOCK:
             return None
@@ -277,7 +277,7 @@ class SessionParts:
             raise InputError([self.preflight.findings.problem(("markers", "lsl"), given, allowed, remedy)]) from error
 
     def open_masking(self, log: Callable[..., None]) -> Masking:
-        """Open the masking noise that the protocol wants, where there is a person to hear it."""
+        """Open the masking noise if the protocol wants it; it is silent unless a person answers."""
         experiment = self.preflight.experiment
         section = experiment.protocol.masking
         if section is None:
@@ -294,14 +294,14 @@ class SessionParts:
         return Answerer(person, self._felt, rng, section.offered, section.scale)
 
     def _felt(self, trial: Trial) -> tuple[float, ...]:
-        """Return what the fingers feel: on the twin where there is one, else as predicted."""
+        """Return the speeds that the fingers feel [m/s]: on the twin if there is one, otherwise as predicted."""
         predicted = self.preflight.speeds(trial)
         peaks = predicted
         if self.simulator is not None:
             peaks = tuple(self.simulator.felt_velocity(trial.condition.zones).tolist())
         if self.observer.front_end == "peak" or trial.condition.is_catch:
             return peaks
-        # The twin tells peaks; what else is felt follows the predicted history, at the twin's size.
+        # The twin gives only peaks; other front ends use the predicted history, scaled to the twin's peak.
         level = self.preflight.played(trial.condition, trial.condition.velocity_mm_s) * 1e-3
         sense = self._senses[self.preflight.design_of(trial.condition)]
         return tuple(
@@ -311,7 +311,7 @@ class SessionParts:
 
     @cached_property
     def _senses(self) -> dict[str, FeltSpeeds]:
-        """What the observer's front end makes of the predicted velocities of each design."""
+        """Output of the observer's front end for the predicted velocities of each design."""
         from modaltouch.planning import FeltSpeeds
 
         zones = self.preflight.experiment.apparatus.zones
@@ -321,13 +321,13 @@ class SessionParts:
 
 
 def _usual(protocol: Protocol, answers: AnswersBy) -> Observer:
-    """Return who is simulated if nobody says otherwise; the default observer is the shipped `paper`."""
+    """Return the observer that is simulated by default; `Observer()` is the shipped `paper`."""
     name = usual_observer(protocol)
     return Observer() if name == "paper" or answers == "window" else read_observer(name)
 
 
 def mode_of(rig: str, answers: AnswersBy, *, pilot: bool) -> Literal["real", "pilot", "simulated"]:
-    """Return which kind of data a session makes: ``simulated`` as soon as anything in it is."""
+    """Return the mode of a session: ``simulated`` if rig or answers are."""
     if rig == SIMULATED or answers != "window":
         return "simulated"
     return "pilot" if pilot else "real"

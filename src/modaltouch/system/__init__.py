@@ -1,8 +1,8 @@
-"""What the computer gives to every room: clocks, locks between processes, signals, and which build this is.
+"""What every room needs from the computer: clocks, locks between processes, signals, and which build this is.
 
-Nothing goes in but what the caller times, locks or waits for; out come instants, locks, signals as exceptions, and the
-version that a record names. `lazily` makes the faces of all rooms, which load what they offer when it is first asked
-for: some of it costs seconds.
+Only what the caller times, locks or waits for goes in; instants, locks, signals as exceptions, and the version that a
+record names come out. `lazily` makes the ``__init__`` of every room load what the room offers on first use: some of it
+takes seconds to import.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 
 def lazily(package: str, places: Mapping[str, str]) -> Callable[[str], Any]:
-    """Module ``__getattr__`` (PEP 562) of a face.
+    """Return the ``__getattr__`` (PEP 562) of a room, which imports a module when one of its names is used.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The clock that stamps everything in a record: the machine's own, or a virtual one; and how exact the former is."""
+"""The clock that stamps everything in a record: the machine's own, or a virtual one."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 
 class Clock(typing.Protocol):
-    """Tells the time and lets it pass; window, session, generator driver and twin each take one as a value."""
+    """Tells the time and waits; window, session, generator driver and twin each take one as an argument."""
 
     def now(self) -> float:
         """Return the time since an arbitrary zero [s]."""
@@ -20,19 +20,19 @@ class Clock(typing.Protocol):
 
 
 class SystemClock:
-    """The machine's monotonic clock; every process of a machine reads the same time."""
+    """The machine's monotonic clock; all its processes read the same time."""
 
     def now(self) -> float:
         """Return `time.perf_counter` [s]."""
         return time.perf_counter()
 
     def sleep(self, seconds: float) -> None:
-        """Wait [s]; not at all for a time that is past."""
+        """Wait [s]; return at once if the time is not positive."""
         time.sleep(max(seconds, 0.0))
 
 
 class VirtualClock:
-    """Time that passes only while somebody sleeps, and then at once.
+    """A clock whose time passes only in `sleep`, and there at once.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ class VirtualClock:
         return self._now
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass [s]; what is due meanwhile is called in order, each at its instant."""
+        """Advance the time [s]; call whatever falls due in between, in order and each at its instant."""
         end = self._now + max(seconds, 0.0)
         while self._due and self._due[0][0] <= end:
             instant, _, call = heapq.heappop(self._due)
@@ -59,7 +59,7 @@ class VirtualClock:
         self._now = max(self._now, end)
 
     def call_at(self, instant: float, call: Callable[[], object]) -> None:
-        """Have a function called when an instant is reached [s]."""
+        """Call a function when an instant is reached [s]."""
         heapq.heappush(self._due, (instant, next(self._numbers), call))
 
 

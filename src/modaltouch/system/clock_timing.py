@@ -1,4 +1,4 @@
-"""How exactly a machine keeps time: the steps of its clock, its waits, its drift."""
+"""How accurately a machine keeps time: the resolution of its clock, its waits, its drift."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from collections.abc import Mapping
 from typing import Any
 
 _WAIT_MS = 1.0
-"""What a window rests between two polls [ms]."""
+"""Pause of a window between two polls [ms]."""
 _LATE_MS = 5.0
 """A machine that oversleeps by more is busy, or saves power [ms]."""
 
 
 def measure_clock(n: int = 500) -> tuple[dict[str, Any], str]:
-    """Return how exactly this machine keeps time, and what that means; takes about as many milliseconds.
+    """Return how accurately this machine keeps time, and what that means; takes about `n` milliseconds.
 
     Parameters
     ----------
     n : int
-        Waits of a millisecond.
+        Number of waits of a millisecond.
 
     Returns
     -------
     figures : dict
         ``name`` of the system's clock behind `time.perf_counter`; ``is_monotonic``, whether it can never be set back;
-        ``drift_ppm``, how much faster the time of day ran meanwhile, large while the network sets it right; the
-        smallest step that was seen (``step_ms``), and how long a wait of 1 ms takes (``wait_median_ms``,
-        ``wait_p95_ms``, ``wait_max_ms``).
+        ``drift_ppm``, how much faster the time of day ran meanwhile, large while the network corrects it; the
+        smallest step seen (``step_ms``), and how long a wait of 1 ms takes (``wait_median_ms``, ``wait_p95_ms``,
+        ``wait_max_ms``).
     verdict : str
         What they mean for an experiment, and what to do.
     """

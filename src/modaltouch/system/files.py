@@ -1,4 +1,4 @@
-"""What systems do differently with an open file: lock it for one process, force it to the disk."""
+"""Operations on an open file that differ between systems: locking it for one process, forcing it to the disk."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import sys
 import time
 
 LOCKED_BYTE = 1 << 40
-"""The byte that is locked on Windows, which forbids others to read what is locked: far beyond any content."""
+"""The byte locked on Windows, where others cannot read a locked byte: far beyond any content."""
 
 
 def lock(descriptor: int, patience: float = 0.0) -> None:
-    """Take the lock of a file, or raise OSError once it has been waited for so long [s]."""
+    """Take the lock of a file; raise OSError if it is not free within `patience` [s]."""
     deadline = time.monotonic() + patience
     while True:
         try:
@@ -41,7 +41,7 @@ def sync_file(descriptor: int) -> None:
     if sys.platform == "darwin":
         import fcntl
 
-        # There fsync stops at the cache of the drive; a file system that cannot do more refuses this.
+        # On macOS fsync stops at the drive's cache; a file system without F_FULLFSYNC refuses it.
         with contextlib.suppress(OSError):
             fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)
             return

@@ -26,10 +26,10 @@ class Interrupted(BaseException):
 
 
 class Interruption:
-    """Notes SIGINT, SIGTERM and SIGHUP while it is active; `check` raises once one has come.
+    """Notes the signals in `SIGNALS` while it is active; `check` raises once one has come.
 
-    A handler that raised at any instruction could tear a line of the record or skip an `output off`; a note
-    cannot. The second SIGINT raises at once, for the case that the program hangs.
+    A handler that raised at an arbitrary instruction could tear a line of the record or skip an `output off`; a note
+    cannot. A second SIGINT raises at once, in case the program hangs.
     """
 
     def __init__(self) -> None:

@@ -1,6 +1,6 @@
-"""Which program made a record: its version and commit, and what took part.
+"""Which program made a record: its version and commit, and the packages that it ran with.
 
-The build executes this file for the version, so it imports the standard library alone.
+The build executes this file to get the version, so it imports only the standard library.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def version() -> str:
-    """Return the version, as ``0.2.0+g1bbd8eefd71e.dirty``; the release alone at its tag, or if no commit is known."""
+    """Return the version, as ``0.2.0+g1bbd8eefd71e.dirty``; only the release at its tag, or if no commit is known."""
     return _origin()[0]
 
 
 def commit() -> str:
-    """Return the commit that the code is of, marked ``+`` if changed; empty where neither build nor git tells."""
+    """Return the commit of the code, with ``+`` if it was changed since; empty if neither build nor git knows it."""
     return _origin()[1]
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of the program, of Python, of the system and of the packages that take part."""
-    from importlib import metadata  # which loads half of what reads mail
+    """Return the versions of the program, Python, the system and `PACKAGES`; ``absent`` if not installed."""
+    from importlib import metadata  # imported late: it loads much of the email package
 
     found = {"modaltouch": version(), "python": platform.python_version(), "system": platform.platform()}
     for package in PACKAGES:
@@ -45,7 +45,7 @@ def versions() -> dict[str, str]:
 
 @lru_cache(maxsize=1)
 def _origin() -> tuple[str, str]:
-    """Return version and commit, as the build wrote them down beside the code, or as git tells them of a checkout."""
+    """Return version and commit, as written by the build beside the code, or from git in a checkout."""
     built = _PACKAGE / "build.txt"
     if built.is_file():
         found, _, commit = built.read_text(encoding="ascii").strip().partition(" ")
@@ -60,12 +60,12 @@ def _origin() -> tuple[str, str]:
 
 
 def _describe(root: Path) -> str:
-    """Return what git says of a checkout of modaltouch; empty for any other folder, and where git fails."""
+    """Return the output of ``git describe`` in a checkout of modaltouch; empty for other folders, or if git fails."""
     words = ("describe", "--tags", "--long", "--always", "--dirty", "--abbrev=64", "--match", f"v{RELEASE}")
-    # What runs in a hook of git is told of the repository of that hook.
+    # In a git hook, variables named GIT_* point to the hook's repository.
     env = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
     try:
-        # An installed package may lie in a repository of somebody else.
+        # An installed package may lie inside another project's repository.
         if 'name = "modaltouch"' not in (root / "pyproject.toml").read_text(encoding="utf-8"):
             return ""
         git = ["git", f"--git-dir={root / '.git'}", f"--work-tree={root}", *words]
