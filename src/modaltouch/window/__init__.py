@@ -1,7 +1,7 @@
 """Asks the participant: the PsychoPy window, and a simulated participant behind the same interface; masking noise.
 
-In go a protocol, its words and, trial by trial, the stimulus that plays; out come the answers and their instants.
-``examine_surroundings`` and ``measure_timing`` say whether a machine is fit for it.
+A protocol, its texts and, trial by trial, the stimulus that plays go in; the answers and their instants come out.
+``examine_surroundings`` and ``measure_timing`` tell whether a machine is fit for it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
-"""Takes an answer from what a person does: what each event means, and which one answers the question.
+"""Takes answers from events: what each event means, and which one answers the question.
 
-The question is answered by one of a list, where the first answer counts unless the protocol has it confirmed, or by a
-number on a scale.
+The answer is one of a list, where the first one counts unless the protocol wants it confirmed, or a number on a scale.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ DEVICES = {"key": "key", "click": "mouse", "answer": "console", "continue": "con
 
 @dataclass(frozen=True)
 class Reader:
-    """Reads events by one protocol's keys and one window's layout.
+    """Interprets events by the keys of one protocol and the layout of one window.
 
     Attributes
     ----------
@@ -36,7 +35,7 @@ class Reader:
     continue_keys : frozenset of str
         Keys that go on from one screen to the next.
     needs_focus : bool
-        Whether answers come from the window alone; the experimenter has the console, too.
+        Whether answers come only from the window; the experimenter can also use the console.
     rates : bool
         Whether a number is entered on a scale, so that releases count, and going on at the console confirms it.
     """
@@ -55,7 +54,7 @@ class Reader:
         return cls(layout, keys, goes_on, answers.given_by == "participant", answers.scale is not None)
 
     def answer(self, event: Event) -> str | None:
-        """Return the answer that somebody gives, or what is done on a scale; None for anything else."""
+        """Return the answer that an event gives, or its action on a scale; None for anything else."""
         if event.kind == "key":
             return self.keys.get(event.key) or self.keys.get(event.digit)
         if event.kind == "click":
@@ -78,7 +77,7 @@ class Reader:
         return event.kind in ("close", "pause") or (event.kind == "key" and event.key == AnswersSection.PAUSE_KEY)
 
     def interrupts(self, event: Event) -> bool:
-        """Return whether the event cuts a trial: a pause, or keys that now go to another window."""
+        """Return whether the event cuts a trial: a pause, or a loss of the keyboard focus."""
         return (event.kind == "blur" and self.needs_focus) or self.pauses(event)
 
     def ends(self, event: Event) -> bool:
@@ -124,7 +123,7 @@ class AskedQuestion:
     def __init__(self, loop: DisplayLoop, pictures: Illustrator) -> None:
         self.pictures = pictures
         self.reader = Reader.of(pictures.answers, pictures.layout)
-        """What the events mean."""
+        """Interprets the events."""
         self._loop = loop
 
     def hold(self, trial: Trial | None, event: Event) -> Event:
@@ -170,7 +169,7 @@ class AskedQuestion:
         times_out: Callable[[], bool] | None = None,
         since: float | None = None,
     ) -> Taken:
-        """Return the first answer and its event, or None once time is up; what came after it is left to be read.
+        """Return the first answer and its event, or None once time is up; later events stay unread.
 
         Parameters
         ----------
@@ -181,7 +180,7 @@ class AskedQuestion:
         times_out : callable, optional
             Asked at every poll whether the time for an answer is up.
         since : float, optional
-            When the question came; the picture that is on if not given [s].
+            When the question appeared; by default, when the current picture did [s].
         """
         while True:
             events = self._loop.poll()
@@ -189,7 +188,7 @@ class AskedQuestion:
                 if self.reader.interrupts(event):
                     interrupt(event)
                 if event.kind == "answer" and event.time < (since or self._loop.shown):
-                    # Typed at the console before the question came, and on its way since.
+                    # Typed at the console before the question appeared, and received only now.
                     self._loop.note("discarded", when="before the question", **describe_press(event))
                     continue
                 answer = self.reader.answer(event)
@@ -261,14 +260,14 @@ class AskedQuestion:
         interrupt: Callable[[Event], NoReturn],
         times_out: Callable[[], bool],
     ) -> tuple[Taken, float | None]:
-        """Return the answer, and the number where it is one on a scale.
+        """Return the answer, and its number if it is on a scale.
 
         Parameters
         ----------
         moment : Moment
             What the participant faces.
         draw : callable
-            The question with what stands on the scale.
+            Draws the question with what has been entered on the scale.
         interrupt, times_out
             As for `await_answer`.
         """
@@ -301,6 +300,6 @@ class AskedQuestion:
 
 
 def chosen(response: Response) -> str | None:
-    """Return what the screen shows as chosen; None where time was up."""
+    """Return what the screen shows as chosen; None if time was up."""
     given = response.answer if response.value is None else f"{response.value:.10g}"
     return None if response.answer == TIME_OUT else given

@@ -39,7 +39,7 @@ class Buttons:
     answers: AnswersSection
 
     def draw(self, chosen: str | None, *, with_keys: bool) -> tuple[Mark, ...]:
-        """Return all buttons, the one of the `chosen` answer pressed, with the keys that give each or without."""
+        """Return all buttons, that of the `chosen` answer pressed, with or without the keys of each answer."""
         marks: list[Mark] = []
         for answer, box in self.layout.buttons.items():
             if self.answers.offered.named(answer).is_below:
@@ -94,7 +94,7 @@ class Buttons:
 
     @cached_property
     def _answer_size(self) -> float:
-        """One size of type at which every answer of the row fits its button, on several lines where it is larger so."""
+        """Size of type at which every answer of the row fits its button, on several lines if that makes it larger."""
         labels = [self.texts.label(each.name) for each in self.answers.offered if not each.is_below] or ["-"]
         width = self.layout.answer_width * self._share
         height = 0.52 * next(iter(self.layout.buttons.values())).height
@@ -128,13 +128,13 @@ def key_caps(texts: Texts, theme: Theme, keys: Sequence[str], box: Box) -> tuple
 
 @cache
 def common_share(typesetter: Typesetter, labels: tuple[str, ...], box: Box, size: float) -> float:
-    """Return the share of the intended size at which every label fits a box [1]; drawn again with every question."""
+    """Return the share of the intended size at which every label fits a box [1]; cached, as every question needs it."""
     words = (Words(label, box, size, "", bold=True) for label in labels)
     return min(typesetter.set_type(each, _REFERENCE).share for each in words)
 
 
 def typesetter_of(texts: Texts) -> Typesetter:
-    """Return what sets the texts of an experiment."""
+    """Return the typesetter for the texts of an experiment."""
     return Typesetter(texts.font, texts.language_code or "")
 
 

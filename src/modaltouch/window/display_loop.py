@@ -1,4 +1,4 @@
-"""Keeps one picture on the display and gathers what happens to it, about a thousand times a second."""
+"""Keeps one picture on the display and collects its events, about a thousand times a second."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 POLL_INTERVAL = 1e-3
 """Rest between two polls: the resolution of a reaction time [s]."""
 _REDRAW_INTERVAL = 0.25
-"""A covered and uncovered window is drawn again, but no more often than this [s]."""
+"""Least time between two redraws of a window that was covered [s]."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Moment:
     onset : float
         When its stimulus began, by the window's clock [s].
     interval : int
-        Which of several intervals it is, from 1; 0 where the question comes after it.
+        Which of several intervals it is, from 1; 0 if the question follows it.
     asked : str
         Name of the further question that is asked; empty for the first of a trial.
     entered : str
@@ -51,13 +51,13 @@ class Moment:
 
 
 class Sitter:
-    """Someone in front of the window who is not flesh and blood: nobody, or `robot.Robot`."""
+    """A robot in front of the window (`robot.Robot`), or nobody, as here."""
 
     def see(self, moment: Moment, shown: float, picture: str) -> None:
-        """Take in the picture that is on the screen since `shown` [s]."""
+        """Take in the picture that appeared at `shown` [s]."""
 
     def act(self, now: float, type_key: Callable[..., None]) -> None:
-        """Do what is due; what the moment wants is still wanted."""
+        """Do what is due; the moment last seen still holds."""
 
 
 class DisplayLoop:
@@ -78,7 +78,7 @@ class DisplayLoop:
     emergency_keys : frozenset of str
         Keys that end the session at once, on every screen.
     clock : Clock
-        Stamps what happens, and rests between two polls; the display has the same one.
+        Stamps events and times the pause between two polls; shared with the display.
 
     Raises
     ------
@@ -112,7 +112,7 @@ class DisplayLoop:
         self._picture: Picture | None = None
         self._ahead: Picture | None = None
         self.shown = 0.0
-        """Since when the picture is on the screen [s]."""
+        """When the picture appeared on the screen [s]."""
         self._drawn = 0.0
         self._is_stale = False
         self._last_poll = self.clock.now()
@@ -129,7 +129,7 @@ class DisplayLoop:
                 ) from error
 
     def show(self, picture: Picture, moment: Moment | None = None) -> float:
-        """Show a picture unless it is on already, and return since when it is on [s]."""
+        """Show a picture unless it is on already, and return when it appeared [s]."""
         if picture != self._picture:
             self.draw_ahead(picture)
             screenshot = self._screenshot(picture)
@@ -143,22 +143,22 @@ class DisplayLoop:
         return self.shown
 
     def draw_ahead(self, picture: Picture) -> None:
-        """Draw the picture that comes next out of sight, so that `show` takes no longer than a frame."""
+        """Draw the next picture out of sight, so that `show` takes no longer than a frame."""
         if picture != self._ahead:
             self._display.draw(picture)
             self._ahead = picture
 
     def attend(self, moment: Moment) -> None:
-        """Tell a robot what happens apart from the screen."""
+        """Tell a robot about a moment that shows no new picture."""
         self._sitter.see(moment, self.clock.now(), self._picture.name if self._picture else "")
 
     def poll(self) -> list[Event]:
-        """Tick, and return what happened since the last poll; rests a millisecond if that is nothing.
+        """Tick, and return what happened since the last poll; sleep a millisecond if nothing did.
 
         Raises
         ------
         SessionStopped
-            At a key for emergencies, be it one that was read while nothing might raise.
+            At an emergency key, even one that was read by `poll_quietly`.
         """
         intervention = self._tick()
         self._sitter.act(self.clock.now(), self._display.type_key)
@@ -187,7 +187,7 @@ class DisplayLoop:
         self._unread.extend(events)
 
     def note_later(self, event: str, **facts: Any) -> None:
-        """Keep an event until `write_notes`, for the moment when nothing may raise."""
+        """Keep an event until `write_notes`, while nothing may raise."""
         self._unwritten.append((event, facts))
 
     def write_notes(self) -> None:

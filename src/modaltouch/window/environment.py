@@ -1,4 +1,4 @@
-"""What PsychoPy needs around it, what its failures mean, and a screen that nobody sees for machines without one."""
+"""The environment that PsychoPy needs, what its failures mean, and a virtual display for machines without a screen."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ LIBRARIES = {
 """The shared libraries that draw the window on Linux, and the Debian package of each."""
 
 _SELDOM_USED = ("json_tricks", "pandas", "requests", "scipy.interpolate")
-"""What PsychoPy imports before any window, and uses for monitor files, spreadsheets and downloaded fonts alone."""
+"""Modules that PsychoPy imports before any window, but uses only for monitor files, spreadsheets and web fonts."""
 _NOT_NEEDED = ("matplotlib", "openpyxl")
-"""What PsychoPy does without where it is not installed: it is for points in polygons and for Excel."""
+"""Modules that PsychoPy works without if they are not installed: they serve points in polygons and Excel files."""
 
 
 class _PutOff(ModuleType):
-    """Stands for a module until something of it is wanted; Python's own lazy loader gives way at a second import."""
+    """Stands in for a module until one of its names is used; Python's own lazy loader loads at a second import."""
 
     def __getattr__(self, name: str) -> Any:
         if sys.modules.get(self.__name__) is self:
@@ -71,15 +71,15 @@ def is_loadable(library: str) -> bool:
 
 @contextmanager
 def few_imports() -> Iterator[None]:
-    """Import PsychoPy without what no window needs: half of the time until one opens.
+    """Have PsychoPy imported without what no window needs: that halves the time until one opens.
 
-    What PsychoPy seldom uses is imported at its first use, and what it can do without is not to be had meanwhile.
+    Modules that PsychoPy seldom uses are imported at first use; those it works without cannot be imported meanwhile.
     """
     for name in _SELDOM_USED:
         if name not in sys.modules:
             sys.modules[name] = _PutOff(name)
     hidden = [name for name in _NOT_NEEDED if name not in sys.modules]
-    # What is None there cannot be imported, by the language's own rule.
+    # Python refuses to import a module whose entry there is None.
     sys.modules.update(dict.fromkeys(hidden))  # type: ignore[arg-type]
     try:
         yield
@@ -89,7 +89,7 @@ def few_imports() -> Iterator[None]:
 
 
 def prepare_environment() -> None:
-    """Set what PsychoPy reads when it is imported.
+    """Set the environment variables that PsychoPy reads when it is imported.
 
     Raises
     ------
@@ -105,13 +105,13 @@ def prepare_environment() -> None:
     # Without these, PsychoPy puts its plug-in folders on sys.path and its clock follows the wall clock.
     os.environ.setdefault("PSYCHOPYNOPACKAGES", "1")
     os.environ.setdefault("PSYCH_GETSECS_CLOCK", "1")
-    # Drawn without a graphics card, a frame would take every core, and bursts would wait for it.
+    # Without a graphics card, drawing a frame would occupy every core, and bursts would be late.
     os.environ.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 2) - 1)))
     _ensure_writable_home()
 
 
 def _ensure_writable_home() -> None:
-    """Give PsychoPy a folder for its settings where the home folder takes none."""
+    """Give PsychoPy a folder for its settings if the home folder is not writable."""
     name = "APPDATA" if sys.platform == "win32" else "HOME"
     home = os.environ.get(name)
     if not home or not os.access(home, os.W_OK | os.X_OK):
@@ -141,7 +141,7 @@ def explain(error: Exception) -> str:
 
 
 def fit(size: tuple[int, int], monitor: int) -> tuple[int, int]:
-    """Return the size cut to that of the monitor [pixels].
+    """Return the size, limited to that of the monitor [pixels].
 
     Raises
     ------
@@ -169,17 +169,17 @@ def fit(size: tuple[int, int], monitor: int) -> tuple[int, int]:
 
 
 _PATIENCE = 60.0
-"""Longest time Xvfb may take to say which display it serves, and a tenth of it to end [s]."""
+"""Longest time Xvfb may take to report its display, and ten times the longest time to end [s]."""
 
 
 @contextmanager
 def some_display() -> Iterator[str]:
-    """Keep the display there is, or start a virtual one and take it down again.
+    """Use the existing display, or a virtual one until the end of the context.
 
     Yields
     ------
     str
-        What is used, in words.
+        The display used, in words.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def some_display() -> Iterator[str]:
 
 @contextmanager
 def virtual_display(size: tuple[int, int] = (1920, 1080), *options: str) -> Iterator[str]:
-    """Run Xvfb on a display number of its own choice and give its name, such as ``:1``."""
+    """Run Xvfb on a display number of its own choice and yield its name, such as ``:1``."""
     program = shutil.which("Xvfb")
     if program is None:
         raise WindowError("there is no display, and no Xvfb to make one: install xvfb, or log in at a screen")

@@ -1,7 +1,7 @@
 """The event tap: everything a person does to the window, stamped by one monotonic clock.
 
 PsychoPy's own input classes lose quick clicks and keys, or end the process (design notes of the project), so
-the tap hangs on the pyglet window that PsychoPy draws into. Its handlers only queue: an exception raised
+the tap is attached to the pyglet window that PsychoPy draws into. Its handlers only queue: an exception raised
 inside one would be swallowed on Windows.
 """
 
@@ -21,10 +21,10 @@ _ALIASES = {
     "num_next": "num_3",
     "num_prior": "num_9",
 }
-"""The names of the files, and two that pyglet alone has."""
+"""The aliases that protocols may use, and two names that only pyglet uses."""
 
 _FIRST_DIGIT = 10
-"""X's code of the key 1 of the upper row; the other digits follow."""
+"""X's code of the key 1 in the upper row; the other digits follow."""
 
 
 def canonical_key(name: str) -> str:
@@ -84,7 +84,7 @@ class EventTap:
         return [event for event in events if self._is_news(event)]
 
     def _is_news(self, event: Event) -> bool:
-        """Return whether the event is no repeat of a key that is held."""
+        """Return whether the event is new, not the repeat of a key that is held."""
         if event.kind == "key":
             if event.key in self._held:
                 return False
@@ -115,10 +115,10 @@ class EventTap:
 
 
 def _report_releases_once(window: Any) -> bool:
-    """Ask X to report a held key by presses alone, and return whether it agreed.
+    """Ask X to report a held key by presses only, without releases, and return whether it agreed.
 
-    pyglet asks once, on the connection of its hidden window, while PsychoPy opens the visible one on a
-    connection of its own. A release and a press are then a hand's, however soon one follows the other.
+    pyglet asks only on the connection of its hidden window, while PsychoPy opens the visible one on a connection of
+    its own. A release followed by a press is then always a person's, however short the time between them.
     """
     if not sys.platform.startswith("linux"):
         return True
@@ -132,9 +132,9 @@ def _report_releases_once(window: Any) -> bool:
 
 
 def _engraved_digits(window: Any) -> dict[str, str]:
-    """Return the digits that a layout types with Shift alone, as the French one, by the names of their keys.
+    """Return the digits that a layout types only with Shift, as the French one does, by the names of their keys.
 
-    Elsewhere than on X the keys have their digits' names already.
+    On systems without X the keys have their digits' names already.
     """
     if not sys.platform.startswith("linux"):
         return {}

@@ -18,7 +18,7 @@ class WindowError(Exception):
     Attributes
     ----------
     ending : str
-        How the stop record calls a session that this ended.
+        Reason in the stop record of a session that this ended.
     """
 
     ending = "window lost"
@@ -65,7 +65,7 @@ class Event:
     key : str
         Name of the key, for ``key``, ``release`` and ``answer``.
     digit : str
-        Digit engraved on the key, where the layout wants Shift for it: the window takes the key for that digit too.
+        Digit engraved on the key, if the layout needs Shift for it: the window takes the key for that digit, too.
     answer : str or None
         What is answered, for ``answer``.
     x, y : float
@@ -100,13 +100,13 @@ class Presentation:
     onset : float
         When its first burst began, by the clock of the session [s].
     ends : float
-        When the last of its bursts is over, if nothing ends it before [s].
+        When the last of its bursts is over, if nothing ends it earlier [s].
     end : callable
-        Lets no further burst go; cheap, never raises.
+        Prevents further bursts; cheap, never raises.
     stop : callable
-        Has the outputs off after the burst that plays; never raises.
+        Switches the outputs off after the burst that plays; may raise `RigError` only in intervals before the last.
     interval : int
-        Which of several intervals of the trial it is, from 1; 0 where there is one alone.
+        Which of several intervals of the trial it is, from 1; 0 if there is only one.
     """
 
     onset: float
@@ -126,14 +126,14 @@ class Progress(typing.NamedTuple):
 class AnswerWindow:
     """Shows the session to the participant and collects the answers; `progress` is a trial's number and their total.
 
-    Every method that waits calls the `tick` given at opening about every millisecond; `tick` may raise, and what
-    it returns is done: ``pause`` holds the session until ``continue`` or a press to go on; an answer is
-    taken as if it had been given at the window.
+    Every method that waits calls the `tick` given at opening about every millisecond. `tick` may raise, and what it
+    returns is carried out: ``pause`` holds the session until ``continue`` or a press to go on; an answer is taken as
+    if it had been given at the window.
 
     Attributes
     ----------
     on_question : callable
-        Told of each question with its trial and since when it is on the screen [s].
+        Called for each question with its trial and when it appeared on the screen [s].
     """
 
     on_question: Callable[[Trial, float], None] = staticmethod(lambda trial, instant: None)
@@ -151,7 +151,7 @@ class AnswerWindow:
     def settle(self, trial: Trial, progress: tuple[int, int], lead: float = 0.0) -> float:
         """Let hands and fingers come to rest before a stimulus: the pause since the last answer or key to go on.
 
-        Where a hand of those on the beam pressed, the participant sees a countdown. Called before every stimulus.
+        If a finger was lifted from the beam to press, a countdown is shown. Called before every stimulus.
 
         Parameters
         ----------
@@ -168,21 +168,21 @@ class AnswerWindow:
         raise NotImplementedError
 
     def tell_stall(self) -> None:
-        """Tell for a moment that the computer was held up, and that the last stimulus comes again."""
+        """Show briefly that the computer was held up, and that the last stimulus comes again."""
 
     def tell_measuring(self, seconds: float) -> None:
-        """Tell for some time that the beam is measured, and that fingers keep still; it stays on the screen."""
+        """Show for some time [s] that the beam is being measured and fingers must keep still; the screen then stays."""
 
     def announce(self, text: str) -> None:
         """Show one text of the protocol, such as ``practice``, ``start`` or ``hands_off``, until somebody goes on."""
 
     def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, until: float) -> None:
-        """Show which interval is on, one before the last, call `presentation.stop` when it is over, and wait.
+        """Show which interval before the last is on, call `presentation.stop` when it is over, and wait.
 
         Parameters
         ----------
         trial : Trial
-            With what this interval presents as its condition; so also for `ask`, the last one.
+            Its condition is what this interval presents, and in `ask` what the last one does.
         progress, presentation
             As for `ask`.
         until : float
@@ -227,7 +227,7 @@ class AnswerWindow:
         asked : AnswersSection
             How it is asked.
         trial : Trial, optional
-            The trial whose stimulus is over; none for a question of the form at the end.
+            The trial whose stimulus is over; None for a question of the closing form.
 
         Raises
         ------
@@ -249,7 +249,7 @@ class AnswerWindow:
         """Thank the participant."""
 
     def dismiss(self) -> None:
-        """Tell for a moment that the session ends early; never raises, and ticks no more."""
+        """Show briefly that the session ends early; never raises, and does not tick."""
 
     def close(self) -> None:
         """Close the window; never raises."""
@@ -268,26 +268,26 @@ class MaskingError(WindowError):
 
 
 class Masking:
-    """What the session asks of masking noise; this one plays nothing.
+    """The masking noise as the session uses it; this one plays nothing.
 
     Parameters
     ----------
     reason : str
-        Why, where the protocol wants masking; empty where it does not.
+        Why it plays nothing although the protocol wants masking; empty if the protocol does not.
     """
 
     def __init__(self, reason: str = "") -> None:
         self._reason = reason
 
     def describe(self) -> dict[str, Any] | None:
-        """Return noise, level and device for the start record; None where the protocol wants no masking."""
+        """Return noise, level and device for the start record; None if the protocol wants no masking."""
         return {"state": "not masked", "reason": self._reason} if self._reason else None
 
     def start(self) -> None:
         """Begin to fade in."""
 
     def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
-        """See before a trial that the noise is at its level, or silent; open the device again where it was lost.
+        """Make sure before a trial that the noise is at its level, or silent; reopen a device that was lost.
 
         Calls `tick` while it waits.
 
@@ -299,17 +299,17 @@ class Masking:
 
     @property
     def is_on(self) -> bool | None:
-        """Whether the noise has been on since `ensure`; None where the protocol wants no masking."""
+        """Whether the noise has been on since `ensure`; None if the protocol wants no masking."""
         return False if self._reason else None
 
     def stop(self, *, hurry: bool) -> None:
-        """Fade out, in an instant where something went wrong, and let the device go; a second call does nothing.
+        """Fade out, quickly if in a `hurry`, and release the device; a second call does nothing.
 
-        How often the device got no samples in time, a click each, goes into the record.
+        The number of times that the device got no samples in time, each heard as a click, goes into the record.
         """
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        """Let the device go, whatever happened."""
+        """Release the device, whatever happened."""

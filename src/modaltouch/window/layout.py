@@ -35,7 +35,7 @@ class Layout:
     buttons : dict of str to Box
         Answer buttons, by answer; or the parts of a scale.
     answer_width : float
-        Width of those in the row.
+        Width of the buttons in the row.
     headline, body, page, go_on, label, bar, note : Box
         The question or title; the text under a title; the text of a screen without a beam; the button to go
         on; progress in words; progress as a bar; the line under the answer buttons.
@@ -143,6 +143,6 @@ def _scale_parts(scale: ScaleSection, across: float, unit: float) -> dict[str, A
 
 
 def _row(names: tuple[str, ...], middle: Box, gap: float = 0.0) -> dict[str, Box]:
-    """Return boxes side by side, from the left, the row's middle where the `middle` one's is."""
+    """Return boxes side by side, from the left, the row centred on the box `middle`."""
     step, centre = middle.width + gap, (len(names) - 1) / 2
     return {name: replace(middle, x=middle.x + (place - centre) * step) for place, name in enumerate(names)}

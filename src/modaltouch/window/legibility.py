@@ -1,4 +1,4 @@
-"""What the participant reads, looked at without a window: every screen, and its smallest type."""
+"""What the participant reads, examined without a window: every screen, and its smallest type."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from modaltouch.window.shapes import Picture, Words
 from modaltouch.window.theme import DARK
 
 _CAPITAL = 0.714
-"""Height of a capital of Noto Sans, beside which the letters of Noto's other fonts are designed [em]."""
+"""Height of a capital of Noto Sans, which Noto's other fonts are designed to match [em]."""
 _PAGES = ("practice", "start", "practice_again", "rest", "stalled", "hands_off", "measuring", "measure_again")
 _LAST_PAGES = ("session_ended", "goodbye")
 

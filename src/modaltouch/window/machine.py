@@ -1,4 +1,4 @@
-"""What this machine has of what window and noise need, and how exactly it shows pictures and sees keys."""
+"""Whether this machine has what window and noise need, and how accurately it times pictures and keys."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _LATE_FRAME = 1.5
 _TIMEOUT = 0.5
 """A key that is not seen within this time is lost [s]."""
 _F12 = 0xFFC9
-"""X's number for the key F12, which no program minds."""
+"""X's keysym of F12, which no program reacts to."""
 _LETTERS = {"\u0915": "fonts-noto-core", "\u4e2d": "fonts-wqy-microhei"}
-"""A letter of Devanagari and an ideograph, and the Debian package that has those of their kind."""
+"""A letter of Devanagari and an ideograph, and the Debian package with a font for each script."""
 _NO_RETRACE_MS = 4.0
 """Frames shorter than this do not wait for a monitor: none refreshes so fast [ms]."""
 
@@ -61,12 +61,12 @@ class WindowCheck(NamedTuple):
 
 
 def examine_surroundings(*, quick: bool = False) -> tuple[WindowCheck, ...]:
-    """Return what this machine has of what window and noise need.
+    """Return whether this machine has what window and noise need.
 
     Parameters
     ----------
     quick : bool
-        Whether no window and no sound device is opened: only what is installed is looked at.
+        Whether to check only what is installed, and open neither window nor sound device.
     """
     window = () if quick else (_window(),)
     return (_display(), _libraries(), _virtual_display(), _fonts(), *window, _sound(quick=quick))
@@ -98,7 +98,7 @@ def _virtual_display() -> WindowCheck:
 
 
 def _fonts() -> WindowCheck:
-    """Look for fonts beyond those that come along, which have Latin, Greek and Cyrillic, Arabic and Hebrew."""
+    """Look for fonts beyond the bundled ones, which have Latin, Greek and Cyrillic, Arabic and Hebrew."""
     packages = [package for letter, package in _LETTERS.items() if Fonts().lacking(letter)]
     if not packages:
         return WindowCheck("fonts", "ok", "Latin, Greek, Cyrillic, Arabic, Hebrew, Devanagari, Chinese, Japanese")
@@ -147,7 +147,7 @@ def _sound(*, quick: bool) -> WindowCheck:
 
 
 def measure_timing() -> tuple[dict[str, Any], str]:
-    """Return how exactly a window of this machine shows pictures and sees keys, as `time_window`; takes some seconds.
+    """Return how accurately a window on this machine times pictures and keys (`time_window`); takes some seconds.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def measure_timing() -> tuple[dict[str, Any], str]:
 def time_window(
     screen: Screen, *, n_frames: int = 120, n_keys: int = 60, display: str = "the screen"
 ) -> tuple[dict[str, Any], str]:
-    """Return how exactly an open window, which has the keyboard, shows pictures and sees keys, and what that means.
+    """Return how accurately an open window with the keyboard focus times pictures and keys, and what that means.
 
     Returns
     -------
@@ -173,7 +173,7 @@ def time_window(
         ``display``, what it was measured on, in words; ``n_frames``, and ``n_dropped`` that took 1.5 times the usual
         time or more; ``waits_for_monitor``, whether frames follow a monitor's refresh; ``n_keys`` injected, ``n_lost``
         that were never seen, and ``key_path``: ``display server`` (as from a keyboard) or ``event queue`` (of the
-        window, where nothing else is at hand); time from one frame to the next (``frame_median_ms``,
+        window, if nothing else is available); time from one frame to the next (``frame_median_ms``,
         ``frame_p95_ms``), and from the injection of a key to its time stamp (``key_delay_median_ms``,
         ``key_delay_p95_ms``, ``key_delay_max_ms``), None if no key was seen.
     verdict : str
@@ -241,7 +241,7 @@ def _measure_frames(screen: Screen, n_frames: int) -> np.ndarray[Any, np.dtype[n
     for number in range(n_frames + 3):
         screen.draw(pictures[number % 2])
         shown.append(screen.flip())
-    # The first two make their marks ready.
+    # The first two frames also prepare the marks.
     return np.diff(shown[2:])
 
 
@@ -263,7 +263,7 @@ def _measure_key(screen: Screen, press: Callable[[], float], number: int) -> flo
 
 @contextmanager
 def _injector(screen: Screen) -> Iterator[tuple[Callable[[], float], str]]:
-    """Give what presses and releases F12 and says when, and by which path."""
+    """Yield a function that presses and releases F12 and returns when, and the path that the key takes."""
     names = [ctypes.util.find_library(name) for name in ("X11", "Xtst")] if sys.platform.startswith("linux") else []
     if not names or None in names:
 

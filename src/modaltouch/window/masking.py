@@ -1,10 +1,10 @@
 """Noise that masks the sound of the beam, without a break from before the first trial until after the last.
 
-The noise has random phases over a spectrum that is exact, so that one period repeats without a seam; it is played
-through PortAudio. A device that is lost in mid-session (unplugged, taken away by the system) leaves the trial that is
-on alone: its answer is recorded as not masked. Before the next trial the device is opened again; where that fails, a
-protocol that demands masking ends the session in order, and `modaltouch resume` goes on once the device is back; any
-other goes on without, every trial recorded as such.
+The noise has random phases and an exact spectrum, so that its period repeats without a seam; it is played through
+PortAudio. If the device is lost during a session (unplugged, taken away by the system), the current trial continues
+and its answer is recorded as not masked. Before the next trial the device is opened again. If that fails and the
+protocol demands masking, the session ends properly, and `modaltouch resume` continues it once the device is back;
+otherwise it continues without noise, and its trials are recorded as not masked.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PERIOD = 10.0
 """Length of the period [s]; nobody hears a repetition this slow."""
 
 SEED = 20_120_501
-"""Of the random phases: the noise of every session is the same."""
+"""Seed of the random phases: the noise of every session is the same."""
 
 SINE_DB = 20 * math.log10(math.sqrt(2))
 """How far the rms of a sine of full scale, 0 dB FS (AES17), lies below full scale [dB]."""
@@ -41,12 +41,12 @@ SINE_DB = 20 * math.log10(math.sqrt(2))
 
 @lru_cache(maxsize=4)
 def make_noise(kind: Kind, sampling_rate: float) -> NDArray[np.float32]:
-    """Return one period of noise with a root mean square of 1, without a seam and read-only, (n_samples,) array [1].
+    """Return one period of seamless noise with a root mean square of 1, a read-only (n_samples,) array [1].
 
     Parameters
     ----------
     kind : str
-        ``pink``, power falling with frequency, or ``white``, power even.
+        ``pink``, with a power density proportional to 1/frequency, or ``white``, with a constant one.
     sampling_rate : float
         Samples per second [Hz].
     """
@@ -80,7 +80,7 @@ class DeviceError(Exception):
 
 
 def default_device(name: str = "") -> dict[str, Any]:
-    """Return what a device can do, as PortAudio tells it.
+    """Return the properties of a sound device, as PortAudio reports them.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ def default_device(name: str = "") -> dict[str, Any]:
 
 
 def open_stream(apparatus: Apparatus, fill: Callable[..., None]) -> tuple[dict[str, Any], Any]:
-    """Return what the device can do, and a stream on it that runs."""
+    """Return the properties of the device, and a running stream on it."""
     sound = apparatus.sound
     device = default_device(sound.device)
     import sounddevice
@@ -133,7 +133,7 @@ def open_stream(apparatus: Apparatus, fill: Callable[..., None]) -> tuple[dict[s
 
 
 class LoopedNoise:
-    """Goes round a period of noise for ever."""
+    """Repeats a period of noise for ever."""
 
     def __init__(self, period: NDArray[np.float32], n_fade: int) -> None:
         self._period = period
@@ -160,7 +160,7 @@ class LoopedNoise:
         return self._way == self._target == 0
 
     def fill(self, out: NDArray[np.float32]) -> None:
-        """Write what comes next into a block.
+        """Write the next samples into a block.
 
         Parameters
         ----------
@@ -177,13 +177,13 @@ class LoopedNoise:
             ahead = np.arange(1, n + 1) * (1 if self._target > self._way else -1)
             way = np.clip(self._way + ahead, 0, self._n_fade)
             self._way = int(way[-1])
-            # Along half a sine: neither end has a corner.
+            # A raised cosine, which has no corner at either end.
             samples = samples * np.sin(np.pi / 2 * way / self._n_fade).astype(np.float32) ** 2
         out[:] = samples[:, np.newaxis]
 
 
 STALE = 1.0
-"""A device that asks for no samples for so long is lost [s]."""
+"""A device that asks for no samples for this long is lost [s]."""
 _HURRY = 0.1
 """Longest fade where something went wrong [s]."""
 
@@ -198,9 +198,9 @@ def open_masking(section: MaskingSection, apparatus: Apparatus, log: Log, *, is_
     apparatus : Apparatus
         What plays it.
     log : callable
-        Takes what happens to it for the record.
+        Takes its events for the record.
     is_heard : bool
-        Whether a person answers; for a simulated participant none is played.
+        Whether a person answers; for a simulated participant no noise is played.
 
     Raises
     ------
@@ -224,7 +224,7 @@ def highest_level(kind: Kind, sampling_rate: float) -> float:
 
 
 class _Noise(Masking):
-    """What the record says of a noise, whoever hears it."""
+    """What the record says about the noise, played or simulated."""
 
     def __init__(self, section: MaskingSection, apparatus: Apparatus) -> None:
         super().__init__()
@@ -249,7 +249,7 @@ class _Noise(Masking):
 
 
 class SimulatedMasking(_Noise):
-    """Noise as a simulated participant has it: with all that the record says of it, and without a sound."""
+    """Noise for a simulated participant: described in the record like any other, but not played."""
 
     def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
         """Have it on, or silent."""
@@ -262,7 +262,7 @@ class SimulatedMasking(_Noise):
 
 
 class NoiseMasking(_Noise):
-    """Noise on a sound device; it is loaded with the first."""
+    """Noise on a sound device; PortAudio is loaded with the first."""
 
     def __init__(self, section: MaskingSection, apparatus: Apparatus, log: Log) -> None:
         super().__init__(section, apparatus)
@@ -284,7 +284,7 @@ class NoiseMasking(_Noise):
         self._log("masking", state="on")
 
     def ensure(self, tick: Callable[[], object], *, on: bool = True) -> None:
-        """See that the noise is at its level, or silent; open the device again where it was lost."""
+        """Make sure that the noise is at its level, or silent; reopen a device that was lost."""
         self._watch()
         if on != self._is_wanted:
             self._is_wanted = on
@@ -304,11 +304,11 @@ class NoiseMasking(_Noise):
         return self._is_wanted and not self._is_lost and self._playback.is_full
 
     def __exit__(self, *exc: object) -> None:
-        """Let the device go."""
+        """Release the device."""
         self._close()
 
     def stop(self, *, hurry: bool) -> None:
-        """Fade out and let the device go."""
+        """Fade out and release the device."""
         if self._stream is None:
             return
         self._playback.fade_out()
@@ -333,7 +333,7 @@ class NoiseMasking(_Noise):
         self._playback.fill(out)
 
     def _watch(self) -> None:
-        """Notice that the device is gone, and write it down once."""
+        """Notice that the device is gone, and record it once."""
         if self._is_lost:
             return
         stale = time.perf_counter() - self._asked > STALE
@@ -348,7 +348,7 @@ class NoiseMasking(_Noise):
         with contextlib.suppress(Exception):
             import sounddevice
 
-            # PortAudio knows only the devices that were there when it began.
+            # PortAudio knows only the devices present when it was initialised.
             sounddevice._terminate()
             sounddevice._initialize()
         try:

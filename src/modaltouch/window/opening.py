@@ -47,7 +47,7 @@ class WindowOptions:
 
     @staticmethod
     def display() -> AbstractContextManager[str]:
-        """Give the display there is, or a virtual one for as long as it is needed, in words.
+        """Use the existing display, or a virtual one until the end of the context; yield which, in words.
 
         Raises
         ------
@@ -60,19 +60,19 @@ class WindowOptions:
 
     @classmethod
     def recorded(cls, window: Mapping[str, Any]) -> Self:
-        """Return how the window of a record was opened; what older records do not say is as usual.
+        """Return how the window of a record was opened; what older records do not say is set to the default.
 
         Parameters
         ----------
         window : mapping
-            What the record's line `start` or `resume` says of the window.
+            What the record's line `start` or `resume` says about the window.
         """
         from modaltouch.window.theme import THEMES
 
         usual, size = cls(), window.get("size_px")
         fullscreen, theme = bool(window.get("fullscreen", False)), window.get("theme")
         return cls(
-            # Of a full screen it is the monitor's.
+            # The recorded size of a full screen is the monitor's.
             size=(int(size[0]), int(size[1])) if size and not fullscreen else usual.size,
             fullscreen=fullscreen,
             theme=theme if theme in THEMES else usual.theme,
@@ -101,7 +101,7 @@ def open_window(
     protocol, texts, zones, tick, log, clock
         As for `participant.ParticipantWindow`.
     answerer, options
-        The observer, for ``robot`` and ``simulated``; how the window is opened, where there is one.
+        The observer, for ``robot`` and ``simulated``; how the window is opened, if there is one.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def open_window(
 
 
 def _simulated(answerer: Answerer, protocol: Protocol, tick: Tick, log: Log, clock: Clock) -> AnswerWindow:
-    """Return the window of a participant who needs no screen."""
+    """Return a simulated participant, who needs no screen."""
     from modaltouch.window.simulated import SimulatedParticipant
 
     section = protocol.answers

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 _CONFIRMATION = 0.4
 """How long the chosen answer stays marked, at most [s]."""
 _COUNTDOWN = (3, 2, 1)
-"""What is counted down while hands come back to the beam, in equal steps of the time they have."""
+"""Numbers counted down while hands return to the beam, in equal steps of the time available."""
 _STALL = 2.0
-"""How long it is told that the computer was held up [s]."""
+"""How long the message that the computer was held up stays [s]."""
 _FEEDBACK = 1.5
 """How long practice feedback stays [s]."""
 _DISMISSAL = 3.0
@@ -63,7 +63,7 @@ class ParticipantWindow(AnswerWindow):
     robot : Sitter, optional
         Answers in a person's place, through the display's own event queue.
     clock : Clock
-        Stamps what happens; the display has the same one.
+        Stamps events; shared with the display.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class ParticipantWindow(AnswerWindow):
         self._go_on(lambda: self._pictures.placement(trial), trial)
 
     def settle(self, trial: Trial, progress: tuple[int, int], lead: float = 0.0) -> float:
-        """Let the fingers come to rest before a stimulus, counted down where a hand of those on the beam pressed."""
+        """Let the fingers come to rest before a stimulus, with a countdown if one was lifted to press."""
         self._current = (trial, self._count(trial, progress))
         while True:
             counts = self._by_hand and self._settles
@@ -131,7 +131,7 @@ class ParticipantWindow(AnswerWindow):
             if now >= end:
                 return over
             steps = _COUNTDOWN if counts else (0,)
-            # A pause begins the count anew, from the key that ended it.
+            # After a pause the countdown starts anew, from the key that ended the pause.
             if all(
                 self._rest_on(self._pictures.ready(*self._current, step), end - (end - now) * place / len(steps))
                 for place, step in zip(reversed(range(len(steps))), steps, strict=True)
@@ -139,12 +139,12 @@ class ParticipantWindow(AnswerWindow):
                 return over
 
     def tell_stall(self) -> None:
-        """Tell for a moment that the computer was held up, and that the last stimulus comes again."""
+        """Show briefly that the computer was held up, and that the last stimulus comes again."""
         self._rest_on(self._pictures.page("stalled", self._texts.stalled, waits=False), self._clock.now() + _STALL)
         self._answered = self._clock.now()
 
     def tell_measuring(self, seconds: float) -> None:
-        """Tell for some time that the beam is measured; it stays on the screen."""
+        """Show for some time [s] that the beam is being measured; the screen then stays."""
         picture = self._pictures.page("measuring", self._texts.measuring, waits=False)
         self._rest_on(picture, self._clock.now() + seconds)
 
@@ -259,7 +259,7 @@ class ParticipantWindow(AnswerWindow):
         return self._clock.now() >= instant
 
     def _asking(self, answers: AnswersSection) -> AskedQuestion:
-        """Return what asks by a list of answers, or on a scale."""
+        """Return a question that is answered from a list or on a scale."""
         answers = as_read(answers, self._texts)
         layout = lay_out(*self._display.size, self._zones, answers.offered, answers.scale)
         design = self._design
@@ -267,7 +267,7 @@ class ParticipantWindow(AnswerWindow):
         return AskedQuestion(self._loop, pictures)
 
     def _end_of(self, presentation: Presentation, asked: float) -> Callable[[], bool]:
-        """Return what, asked again and again, ends the longest stimulus and tells whether the time to answer is up."""
+        """Return a function to poll: it stops the longest stimulus, and returns whether the time to answer is up."""
         is_over = stops_first = self._answers.stimulus_until == "question"
         limit = asked + (self._answers.time_out_s or math.inf)
 
@@ -295,7 +295,7 @@ class ParticipantWindow(AnswerWindow):
             picture = self._pictures.feedback(*self._current, response.answer, expected)
             self._rest_on(picture, self._clock.now() + _FEEDBACK)
             if self._settles:
-                # Who reads has not put the finger back yet.
+                # A participant who is reading has not put the finger back yet.
                 self._answered = self._clock.now()
 
     def wait(self, seconds: float) -> None:
@@ -319,8 +319,8 @@ class ParticipantWindow(AnswerWindow):
                     return
 
     def dismiss(self) -> None:
-        """Tell for a moment that the session ends early; never raises, and ticks no more."""
-        # Whatever ended the session may have taken the display, too, and is what is to be told.
+        """Show briefly that the session ends early; never raises, and does not tick."""
+        # Whatever ended the session may have taken the display with it; its own error is the one to report.
         with contextlib.suppress(Exception):
             shown = self._loop.show(self._pictures.page("session_ended", self._texts.session_ended, waits=False))
             while self._clock.now() < shown + _DISMISSAL:
@@ -332,7 +332,7 @@ class ParticipantWindow(AnswerWindow):
         self._display.close()
 
     def _make_ready(self, trial: Trial) -> None:
-        """Draw the trial's pictures out of sight, so that none of them is late."""
+        """Prepare the trial's pictures, so that none of them is late."""
         progress, draw = Progress(1, 1), self._pictures
         felt = [draw.feel(trial, progress, interval) for interval in range(self._n_intervals + 1)]
         for picture in (draw.placement(trial), *felt, draw.question(trial, progress)):
@@ -341,7 +341,7 @@ class ParticipantWindow(AnswerWindow):
             self._display.prepare(draw.question(trial, progress, chosen=answer))
 
     def _count(self, trial: Trial, progress: tuple[int, int]) -> Progress:
-        """Return the progress as the participant sees it: practice trials count on their own."""
+        """Return the progress as the participant sees it: practice trials are counted separately."""
         if not trial.practice:
             return Progress(*progress)
         n_trials = max(self._n_practice, 1)
@@ -369,7 +369,7 @@ class ParticipantWindow(AnswerWindow):
                     self._loop.note("ignored", key=event.key)
 
     def _rest_on(self, picture: Picture | None, until: float) -> bool:
-        """Show a picture, or leave the one that is on, until a time; return whether no pause came between.
+        """Show a picture, or keep the current one, until a time; return whether no pause intervened.
 
         Presses do not count.
         """
@@ -388,7 +388,7 @@ class ParticipantWindow(AnswerWindow):
         self._note_press(self._first.hold(trial, event))
 
     def _note_press(self, event: Event) -> None:
-        """Keep when something was pressed, and whether it was by somebody at the window."""
+        """Remember when something was pressed, and whether it was at the window."""
         self._answered, self._by_hand = event.time, is_press(event)
 
     @property
@@ -396,14 +396,14 @@ class ParticipantWindow(AnswerWindow):
         return self._current is not None and self._answers.settles(self._current[0].condition.finger_condition)
 
     def _feel(self, trial: Trial, ahead: Picture, presentation: Presentation, until: float) -> None:
-        """Show the beam until a time, and which interval is on; what comes next is drawn meanwhile."""
+        """Show the beam, and which interval is on, until a time; draw the next picture meanwhile."""
         if self._current is not None and self._clock.now() < until:
             self._loop.show(self._pictures.feel(*self._current, presentation.interval))
         self._loop.draw_ahead(ahead)
         self._await(trial, presentation, until)
 
     def _await(self, trial: Trial, presentation: Presentation, until: float) -> None:
-        """Leave what is on the screen until a time; presses do not count yet."""
+        """Keep the current picture until a time; presses do not count yet."""
         while self._clock.now() < until:
             for event in self._loop.poll():
                 self._before_question(event, trial, presentation.stop)

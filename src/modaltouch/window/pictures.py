@@ -16,7 +16,7 @@ from modaltouch.window.shapes import Box, Mark, Picture, Point, Words, capsule, 
 from modaltouch.window.theme import Theme, mixed
 
 _STEPS = {"thumb": 0.0, "index": 0.06, "middle": 0.052, "ring": 0.052, "little": 0.048}
-"""From where one finger leaves the palm to where the next does, where they are not spread [window heights]."""
+"""Distance of each finger's knuckle from the previous one, if the fingers are not spread [window heights]."""
 
 
 def draw_beam(layout: Layout, theme: Theme, touched: tuple[str, ...]) -> tuple[Mark, ...]:
@@ -76,7 +76,7 @@ def draw_hands(
             palm, on_beam = _draw_hand(layout, theme, side, own, own_fills)
             palms += palm
             touching += on_beam
-    # Crossed hands on neighbouring zones overlap: no palm hides the other hand's finger.
+    # Crossed hands on neighbouring zones overlap: no palm may hide the other hand's finger.
     marks = [*palms, *touching]
     gap = min((abs(tips[a][0] - tips[b][0]) for a, b in pairwise(fingers)), default=layout.beam.width / 2)
     for zone, name, fill in zip(zones, names, colours, strict=True):
@@ -210,16 +210,16 @@ class Illustrator:
         return Picture(f"place_fingers_{_tag(trial)}", marks)
 
     def ready(self, trial: Trial, progress: Progress, count: int = 0) -> Picture:
-        """Return the beam alone, between two trials, with a number where one is counted down."""
+        """Return the beam alone, between two trials, with the number of a countdown if there is one."""
         marks: tuple[Mark, ...] = (*self._beam(trial), *self._progress(trial, progress))
         if not count:
             return Picture(f"ready_{_tag(trial)}", marks)
-        # Where the answers will be, so that the eyes need not move; in the colour of what is of second rank.
+        # Where the answers will be, so that the eyes need not move; in the colour of secondary text.
         number = Words(str(count), self._answers_box(), 0.13 * self.layout.type_scale, self.theme.dim)
         return Picture(f"ready_{_tag(trial)}_{count}", (self._headline(self.texts.fingers_back, 0.056), *marks, number))
 
     def feel(self, trial: Trial, progress: Progress, interval: int = 0) -> Picture:
-        """Return the screen while the stimulus runs and the question is not yet asked, with its interval's number."""
+        """Return the screen while the stimulus plays before the question, with the interval's number if it has one."""
         marks: tuple[Mark, ...] = (self._headline(self.texts.feel, 0.056, dim=True), *self._beam(trial))
         marks += self._progress(trial, progress)
         if not interval:
@@ -241,7 +241,7 @@ class Illustrator:
         confirmed : bool
             Whether it is taken.
         name : str
-            Of a further question.
+            Name of a further question.
         """
         layout, way = self.layout, self.answers.way(trial.condition.finger_condition)
         texts, hand = self.texts, self._pressing_hand(trial)
@@ -301,7 +301,7 @@ class Illustrator:
         return Picture(name, tuple(marks))
 
     def pause(self, trial: Trial | None) -> Picture:
-        """Return the pause screen, with the fingers' places where a trial is to be repeated."""
+        """Return the pause screen, with the fingers' places if a trial is to be repeated."""
         words = self.texts.pause if trial else self.texts.pause_between_trials
         words = words.format(
             key=key_name(self.texts, self.answers.continue_keys[0]),
@@ -328,7 +328,7 @@ class Illustrator:
     def _pressing_hand(self, trial: Trial) -> str:
         """Return what the participant calls the hand that presses.
 
-        With both hands on the beam it is always the same one; with one hand there, the other, unless a finger lifts.
+        With both hands on the beam it is always `hand`; with one hand there, the other, unless a finger lifts to press.
         """
         condition = trial.condition
         on_beam = {finger.split()[0] for finger in condition.fingers(self.hand, self.fingers)}
@@ -354,7 +354,7 @@ class Illustrator:
         return Words(words, self.layout.headline, size * self.layout.type_scale, fill, bold=not dim)
 
     def form(self, name: str, entered: str | None, *, confirmed: bool) -> Picture:
-        """Return a question without a trial, with what has been answered."""
+        """Return a question of the closing form, with what has been answered."""
         page, keys = self.layout.page, self.answers.given_by == "participant"
         words, state = self.texts.named(self.answers.question or name), "_answered" if confirmed else ""
         above = Box(page.x, 0.12, page.width, 0.3)
@@ -418,9 +418,9 @@ _WIDE = "[\u2e80-\ua4cf\uf900-\ufaff\ufe30-\ufe4f\uff00-\uffef]"
 
 
 def _paragraphs(text: str) -> list[str]:
-    """Return the paragraphs of a text, which blank lines part; other line breaks are spaces."""
+    """Return the paragraphs of a text, which are separated by blank lines; other line breaks become spaces."""
     paragraphs = re.sub(rf"(?<={_WIDE})\n(?={_WIDE})", "", text.strip()).split("\n\n")
-    # Not split(): a space that must not break, as French has before a question mark, stays one.
+    # Not split(): a no-break space, as in French before a question mark, stays one.
     return [re.sub(r"[ \t\n]+", " ", paragraph) for paragraph in paragraphs]
 
 

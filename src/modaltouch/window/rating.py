@@ -14,9 +14,9 @@ from modaltouch.window.typesetting import Typesetter, first_letter_is_rtl
 
 _MOVES = {"lower": -1, "higher": 1, "ten_lower": -10, "ten_higher": 10}
 _BEFORE_CREEPING, _CREEP = 0.4, 0.03
-"""A key that is held moves the mark on after the first time, a place in each of the second [s]."""
+"""Time after which a held key starts to move the mark on, and the time for each further place [s]."""
 _LONGEST = 8
-"""Signs of a number that is typed."""
+"""Most characters of a typed number."""
 
 
 class Entry:
@@ -29,7 +29,7 @@ class Entry:
     line : Box
         The line of the scale on the screen, where there is one.
     text : str
-        The number as it stands there; empty before any.
+        The number entered so far; empty at first.
     """
 
     def __init__(self, scale: ScaleSection, line: Box | None = None, text: str = "") -> None:
@@ -40,7 +40,7 @@ class Entry:
 
     @property
     def value(self) -> float | None:
-        """The number that can be confirmed; None before there is one that the scale takes."""
+        """The number that can be confirmed; None if what was entered is not one that the scale accepts."""
         try:
             value = float(self.text)
         except ValueError:
@@ -76,7 +76,7 @@ class Entry:
         return False
 
     def creeps(self, now: float) -> bool:
-        """Move the mark on where a key is held, and return whether it moved."""
+        """Move the mark on while a key is held, and return whether it moved."""
         if not self._held or now < self._moves_at:
             return False
         self._moves_at = now + _CREEP
@@ -84,7 +84,7 @@ class Entry:
         return True
 
     def towards(self, value: float) -> str:
-        """Return what to do next for a number to be confirmed."""
+        """Return the next action towards confirming a number."""
         if self.value == value:
             return "confirm"
         wanted = f"{value:.10g}"
@@ -111,7 +111,7 @@ class Entry:
 
 
 def as_read(asked: AnswersSection, texts: Texts) -> AnswersSection:
-    """Return a question whose scale runs as the texts are read, from right to left where these are."""
+    """Return a question whose scale runs in the reading direction of the texts, from right to left if theirs does."""
     if asked.scale is None or not first_letter_is_rtl(texts.question):
         return asked
     return asked.model_copy(update={"scale": asked.scale.from_right()})
@@ -129,11 +129,11 @@ def draw_scale(
     theme, texts, scale
         Colours, words, and the scale.
     entered : str
-        The number as it stands there; empty before any.
+        The number entered so far; empty at first.
     confirmed : bool
         Whether it has been taken.
     keys : bool
-        Whether the participant has keys to be told of.
+        Whether the participant's keys are shown.
     """
     parts = {"vas": _draw_line, "likert": _draw_points, "number": _draw_keypad}
     way = -1 if scale.is_from_right else 1
@@ -158,7 +158,7 @@ def draw_scale(
 
 
 def _fills(theme: Theme, *, chosen: bool, confirmed: bool) -> tuple[str, str]:
-    """Return the fill and the ink of a part: pressed where it is taken, the beam's colour where it is only chosen."""
+    """Return the fill and the ink of a part: pressed if it is confirmed, a touched zone's colour if only chosen."""
     if chosen:
         return (theme.pressed, theme.pressed_text) if confirmed else (theme.zone, theme.text)
     return theme.button, theme.text

@@ -1,7 +1,7 @@
-"""A robot that sits before the real window and types, by the window's own event queue.
+"""A robot that types into the real window, through the window's own event queue.
 
-What it types takes the road of every key press: pyglet's queue, the event tap, the window's rules. So a
-session that it answers proves the whole path, on every platform and without a display server's help.
+Its keys take the same path as every key press: pyglet's queue, the event tap, the window's rules. A session that it
+answers therefore tests the whole path, on every platform and without a display server's help.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from modaltouch.window.rating import Entry, as_read
 from modaltouch.window.simulated import Answerer
 
 _HOLD = 0.06
-"""How long a key stays down at least, and up before the next press [s]."""
+"""Least time for which a key stays down, and then up before the next press [s]."""
 _GLANCE = 0.12
 """An answer never comes sooner than this after the question is on the screen [s]."""
 _AGAIN = 1.0
 """A key that was not taken is typed again after this long [s]."""
 _TRIES = 60
-"""How often: a minute. They are counted, so that a process that was stopped for an hour has not lost its minute."""
+"""Most times it is typed: a minute's worth. Counted, not timed, so that an hour's suspension does not use them up."""
 
 
 class Robot(Sitter):
@@ -37,7 +37,7 @@ class Robot(Sitter):
     patience : float
         Time it takes to read a screen [s].
     texts : Texts, optional
-        What it reads: where from right to left, scales run so.
+        What it reads: scales run from right to left if the texts do.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Robot(Sitter):
         self._down, self._moved = "", 0.0
 
     def see(self, moment: Moment, shown: float, picture: str) -> None:
-        """Decide what to type at the picture that is on the screen since `shown` [s]."""
+        """Decide what to type at the picture that appeared at `shown` [s]."""
         if (moment, picture) == self._seen:
             return
         self._seen, self._wanted, self._tries = (moment, picture), "", 0
@@ -78,7 +78,7 @@ class Robot(Sitter):
             self._wanted, self._due = self._key(moment), shown if moment.entered else due
 
     def _key(self, moment: Moment) -> str:
-        """Return the key that answers, or brings what stands on a scale nearer to the answer."""
+        """Return the key that answers, or brings what has been entered on a scale nearer to the answer."""
         asked, (answer, value, _) = self._asked[moment.asked], self._felt
         if asked.scale is not None and value is not None:
             answer = Entry(asked.scale, text=moment.entered).towards(value)
@@ -86,7 +86,7 @@ class Robot(Sitter):
 
     def act(self, now: float, type_key: Callable[..., None]) -> None:
         """Press or release the key that is due; raise `WindowError` if the window has not taken one for a minute."""
-        # What was typed before has been read: had it been taken, something else would be wanted.
+        # What was typed before has been read: had it been accepted, something else would be wanted.
         if self._down and now >= self._moved + _HOLD:
             type_key(self._down, down=False)
             self._down, self._moved = "", now

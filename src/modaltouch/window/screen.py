@@ -1,4 +1,4 @@
-"""The one place where PsychoPy is: opens its window, draws pictures into it, reports what happens to it."""
+"""The one module that uses PsychoPy: opens its window, draws pictures into it, reports what happens to it."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from modaltouch.window.shapes import Mark, Picture, Shape, cover
 from modaltouch.window.typesetting import Typesetter
 
 _HANDLERS: list[Any] = []
-"""What Xlib may call for as long as the process lives; it keeps their addresses alone."""
+"""Functions that Xlib may call for as long as the process lives; it keeps only their addresses."""
 
 
 class DisplayLoss:
-    """Whether the X server behind a window has gone; elsewhere than on X this never happens.
+    """Whether the X server behind a window has gone; on systems without X this never happens.
 
     Xlib calls ``exit(1)`` once its connection is broken. Since libX11 1.7 a program may decline that
-    (``XSetIOErrorExitHandler``): then every call on the connection does nothing, and the session can end in order. With
+    (``XSetIOErrorExitHandler``): then every call on the connection does nothing, and the session can end properly. With
     an older libX11 the process ends, and the watchdog switches the outputs off.
     """
 
@@ -39,7 +39,7 @@ class DisplayLoss:
 
     @contextmanager
     def told(self) -> Iterator[None]:
-        """Tell a lost display as such, whatever OpenGL and pyglet make of it.
+        """Report a lost display as such, whatever OpenGL and pyglet raise.
 
         Raises
         ------
@@ -173,24 +173,24 @@ class Screen:
         }
 
     def prepare(self, picture: Picture) -> None:
-        """Make the picture's marks ready, so that drawing it later takes no longer than a frame."""
+        """Prepare the picture's marks, so that drawing it later takes no longer than a frame."""
         with self._loss.told():
             for mark in picture.marks:
                 self._stimulus(mark)
 
     def draw(self, picture: Picture) -> None:
-        """Draw the picture where nobody sees it, until `flip` brings it onto the screen."""
+        """Draw the picture out of sight, until `flip` brings it onto the screen."""
         from pyglet.gl import glFinish
 
         with self._loss.told():
             self._window.clearBuffer()
             for mark in picture.marks:
                 self._stimulus(mark).draw()
-            # Else OpenGL would do the work within the flip.
+            # Otherwise OpenGL would do the work within the flip.
             glFinish()
 
     def flip(self, screenshot: Path | None = None) -> float:
-        """Bring what is drawn onto the screen, and return when it was there, by the window's clock [s].
+        """Bring what is drawn onto the screen, and return when it appeared, by the window's clock [s].
 
         Parameters
         ----------
@@ -237,7 +237,7 @@ class Screen:
     def close(self) -> None:
         """Close the window; never raises."""
         if self._loss.happened:
-            # Nothing is left to close, and OpenGL would crash: neither here nor as the process ends.
+            # Nothing is left to close, and OpenGL would crash if asked to, now or as the process ends.
             self._window._closed = True
             return
         try:
@@ -266,7 +266,7 @@ class Screen:
             covered = self._typesetter.cover(mark, self.size)
         rows, columns = covered.alpha.shape
         image = np.empty((rows, columns, 4), dtype=np.float32)
-        # Unlike everywhere else in PsychoPy, colours count from 0 to 1 in an image with opacity.
+        # Unlike everywhere else in PsychoPy, colours run from 0 to 1 in an image with opacity.
         image[..., :3] = [int(mark.fill[place : place + 2], 16) / 255 for place in (1, 3, 5)]
         image[..., 3] = covered.alpha
         return self._visual.ImageStim(
@@ -281,7 +281,7 @@ class Screen:
 
 
 def _import_psychopy() -> tuple[Any, Any]:
-    """Import PsychoPy's drawing half quietly, and return its modules ``visual`` and ``monitors``."""
+    """Import the drawing part of PsychoPy quietly, and return its modules ``visual`` and ``monitors``."""
     prepare_environment()
     try:
         with few_imports():

@@ -1,4 +1,4 @@
-"""A simulated participant: a psychophysical observer that answers, with no window."""
+"""A simulated participant: a psychophysical observer that answers without a window."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Observing(Protocol):
 
 @dataclass(frozen=True)
 class Answerer:
-    """Someone who answers by what the fingers feel.
+    """A simulated observer who answers by what the fingers feel.
 
     Attributes
     ----------
@@ -56,8 +56,8 @@ class Answerer:
     felt : callable
         Peak speeds under the fingers in a trial, from left to right [m/s].
     generator : numpy.random.Generator
-        Source of chance. It is never advanced: each trial has a stream of its own, so that a resumed session
-        and a repeated trial get the same answers as an uninterrupted one.
+        Source of randomness. It is never advanced: each trial has a stream of its own, so that a resumed session and a
+        repeated trial get the same answers as an uninterrupted one.
     answers : AnswerList
         Answers that the protocol offers.
     scale : ScaleSection or None
@@ -73,15 +73,15 @@ class Answerer:
     _remembered: dict[Trial, tuple[float, ...]] = field(default_factory=dict, repr=False)
 
     def feel(self, trial: Trial, interval: int) -> None:
-        """Keep what is felt in an interval of a trial, one before the last, from 1."""
+        """Remember what is felt in an interval of a trial (from 1) before the last."""
         self._intervals[interval - 1 :] = [self.felt(trial)]
 
     def answer(self, trial: Trial) -> tuple[str, float]:
-        """Return the answer to a trial and its reaction time [s]; its stimulus, or the last one, is felt now."""
+        """Return the answer to a trial and its reaction time [s]; its stimulus, or last interval, is felt now."""
         speeds, stream = self._feel(trial), self._stream(int(trial.practice), trial.index)
         if self._intervals and any(answer.interval for answer in self.answers):
             return self.participant.compare([*self._intervals, speeds], stream, self.answers)
-        # One finger alone is like two that feel the same: what it can tell is whether there was anything.
+        # One finger alone counts as two that feel the same: it can only tell whether there was anything.
         of = speeds[0], speeds[-1], trial.condition.finger_condition
         return self.participant.answer(*of, stream, self.answers, *speeds[1:-1])
 
@@ -95,19 +95,19 @@ class Answerer:
     def rate(self, trial: Trial | None, scale: ScaleSection | None, names: Iterable[str], name: str = "") -> Rated:
         """Return the answer to a question of strength, its number on a scale, and the reaction time [s].
 
-        The stronger the vibration, the larger the number, and the later the answer in a list. Where there is no trial,
-        every place is as likely.
+        The stronger the vibration, the larger the number, and the later the answer in a list. Without a trial, all are
+        equally likely.
 
         Parameters
         ----------
         trial : Trial or None
             What was presented, if anything.
         scale : ScaleSection or None
-            What is answered on; None for a list.
+            The scale; None for a list of answers.
         names : iterable of str
             The answers.
         name : str
-            Of the question, if it is a further one.
+            Name of a further question; empty for the first.
         """
         number, listed = zlib.crc32(name.encode()), list(names)
         if trial is None:
@@ -123,12 +123,12 @@ class Answerer:
         return listed[int(share * len(listed))], None, reaction_time
 
     def _feel(self, trial: Trial) -> tuple[float, ...]:
-        """Return what the fingers feel now, and remember it of this trial alone."""
+        """Return what the fingers feel now, and remember it for this trial only."""
         self._remembered.clear()
         return self._remembered.setdefault(trial, self.felt(trial))
 
     def _stream(self, *key: int) -> np.random.Generator:
-        """Return the source of chance of one answer.
+        """Return the random generator of one answer.
 
         Raises
         ------
@@ -160,11 +160,11 @@ class SimulatedParticipant(AnswerWindow):
     after_longest : str
         ``ask``, or ``time_out`` where the trial ends with the longest stimulus.
     time_out : float
-        Longest time to an answer, from where its reaction time counts [s].
+        Longest reaction time [s].
     clock : Clock
-        By which reaction times and pauses pass.
+        Clock of reaction times and pauses.
     step : float, optional
-        Time between two ticks [s]; by a virtual clock, for which nobody waits, ten times as long if not given.
+        Time between two ticks [s]; by default 1 ms, or 10 ms on a virtual clock.
     """
 
     def __init__(
@@ -197,7 +197,7 @@ class SimulatedParticipant(AnswerWindow):
     welcome = place_fingers = tell_stall = announce = rest = goodbye = _look
 
     def settle(self, trial: Trial, progress: tuple[int, int], lead: float = 0.0) -> float:
-        """Be at rest already: `wait` has passed."""
+        """Return at once: `wait` has passed."""
         self._tick()
         return self._clock.now() + lead
 
@@ -253,7 +253,7 @@ class SimulatedParticipant(AnswerWindow):
         return paused
 
     def _tick(self) -> bool:
-        """Tick, hold where the experimenter asks for it, and return whether that was so."""
+        """Tick, hold if the experimenter asks for a pause, and return whether that was so."""
         if self._ticks() != "pause":
             return False
         began = self._clock.now()

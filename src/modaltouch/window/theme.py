@@ -15,9 +15,9 @@ class Theme:
     Attributes
     ----------
     ground, text, dim : str
-        Background, words, and words of second rank.
+        Background, text, and secondary text.
     beam, beam_edge, zone : str
-        The bar, its outline and divisions, and the fill of both touched zones.
+        The beam, its outline and divisions, and the fill of all touched zones.
     left, between, right : str
         Everything that belongs to the finger on the left or on the right zone, or to one between them.
     hand, hand_edge, nail : str

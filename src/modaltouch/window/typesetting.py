@@ -1,8 +1,7 @@
 """Typesetting: words of any script as pixels, shaped by HarfBuzz through Pillow's Raqm.
 
-Lines break at spaces, and between ideographs; the order of their letters is that of the Unicode bidirectional algorithm
-(UAX 9, by FriBidi), each paragraph in the direction of its first letter. The first font that has a letter
-draws it.
+Lines break at spaces and between ideographs; their letters are ordered by the Unicode bidirectional algorithm (UAX 9,
+by FriBidi), each paragraph in the direction of its first letter. A letter is drawn in the first font that has it.
 """
 
 from __future__ import annotations
@@ -31,9 +30,9 @@ if TYPE_CHECKING:
 
 
 _ALSO = ("DejaVuSans", "NotoSansCJK-Regular", "wqy-microhei", "DroidSansFallbackFull")
-"""Asked after Noto Sans and the Noto font of a script; the first comes with matplotlib, the rest have CJK."""
+"""Tried after Noto Sans and the Noto font of a script; the first comes with matplotlib, the rest have CJK."""
 _COME_ALONG = {"NotoSans": ("psychopy", "assets/fonts"), "DejaVuSans": ("matplotlib", "mpl-data/fonts/ttf")}
-"""Fonts that packages bring along, so that every machine shows the same picture."""
+"""Fonts bundled with packages, so that every machine shows the same picture."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +51,7 @@ class Font:
     is_emboldened: bool = False
 
     def has(self, character: str) -> bool:
-        """Return whether the font has a glyph for a character; spaces and what is never seen need none."""
+        """Return whether the font has a glyph for a character; spaces and invisible characters need none."""
         return unicodedata.category(character) in ("Cc", "Cf", "Zs") or ord(character) in _coverage(self.path)
 
 
@@ -63,7 +62,7 @@ class Fonts:
     Attributes
     ----------
     named : str
-        File name of an installed font that is asked first, such as ``Amiri-Regular.ttf``, or its absolute path.
+        File name of an installed font that is tried first, such as ``Amiri-Regular.ttf``, or its absolute path.
     """
 
     named: str = ""
@@ -71,7 +70,7 @@ class Fonts:
     def choose(self, text: str, *, bold: bool = False) -> list[Font]:
         """Return the font of each character: one that has it, else that of a hyphen.
 
-        Spaces, digits and punctuation are in the font of the letters before them, where it has them.
+        Spaces, digits and punctuation are in the font of the letters before them, if it has them.
         """
         letters = [character for character in text if unicodedata.category(character)[0] == "L"]
         last, chosen = _first(self.named, letters[0] if letters else "-", bold), []
@@ -83,7 +82,7 @@ class Fonts:
         return chosen
 
     def lacking(self, text: str) -> str:
-        """Return the characters that no font has; those of Western Europe come along, and no font need be read."""
+        """Return the characters that no font has; for Western European texts, which bundled fonts cover, read none."""
         with suppress(UnicodeEncodeError):
             text.encode("cp1252")
             return ""
@@ -102,7 +101,7 @@ def _first(named: str, character: str, bold: bool) -> Font:
 
 @cache
 def find_font(name: str, *, bold: bool = False) -> Font | None:
-    """Return a font that comes along or is installed, or None.
+    """Return a font that is bundled or installed, or None.
 
     Parameters
     ----------
@@ -120,7 +119,7 @@ def find_font(name: str, *, bold: bool = False) -> Font | None:
 
 
 def _find_file(name: str) -> str | None:
-    """Return the file of a font that comes along or is installed, by its name."""
+    """Return the file of a font that is bundled or installed, by its name."""
     from PIL import ImageFont
 
     stem = name.removesuffix(".ttf")
@@ -144,20 +143,20 @@ def _coverage(path: str) -> frozenset[int]:
 
 
 FRIBIDI = {"darwin": "libfribidi.0.dylib", "win32": "fribidi-0.dll"}.get(sys.platform, "libfribidi.so.0")
-"""Library by which Pillow, too, orders letters."""
+"""Library that orders letters, for Pillow as well."""
 _RTL, _LTR = 0x111, 0x110
 """FriBidi's numbers for the direction of a paragraph."""
 _ASCENT, _DESCENT, _LEADING = 0.93, 0.22, 0.21
-"""Extent of a line over and under its baseline, about the middle of its capitals; larger where letters stand out of it;
-and what is between two lines [em]."""
+"""Extent of a line above and below its baseline, symmetric about the middle of its capitals and larger where letters
+protrude; and the space between two lines [em]."""
 _OVERHANG = 0.04
-"""How far letters, such as descenders, may stand out of that extent: words side by side share a baseline [em]."""
+"""How far letters may protrude from that extent, as descenders do, so that words side by side share a baseline [em]."""
 _STROKE = 0.02
 """Thickening where a font has no bold companion [em]."""
 _NARROWER = (0.6, 0.7, 0.8, 0.9)
-"""Shares of the width that are tried so that the last line of several is not a word alone [1]."""
+"""Shares of the width that are tried so that the last of several lines is not a single word [1]."""
 _STEP, _SMALLEST = 0.05, 0.4
-"""Steps in which type is made smaller until it fits, and the least share of its intended size [1]."""
+"""Steps in which type is made smaller until it fits, and its smallest share of the intended size [1]."""
 _NEVER_FIRST = frozenset("ぁぃぅぇぉっゃゅょゎァィゥェォッャュョヮ々")
 """Small kana and the repetition mark, which begin no line."""
 
@@ -240,9 +239,9 @@ class Typesetter:
     Attributes
     ----------
     font : str
-        File name of an installed font that is asked first, or its absolute path; empty for those found by script.
+        File name of an installed font that is tried first, or its absolute path; empty for those found by script.
     language : str
-        BCP 47 code, by which a font may have shapes of its own; empty where unknown.
+        BCP 47 code, for which a font may have letter shapes of its own; empty if unknown.
     """
 
     font: str = ""
@@ -256,7 +255,7 @@ class Typesetter:
         words : Words
             Text, box and intended size.
         window_height : int
-            What its unit is [pixels].
+            Height of the window, the unit of box and size [pixels].
         """
         width, height = words.box.width * window_height, words.box.height * window_height
         share = 1.0
@@ -286,7 +285,7 @@ class Typesetter:
         from PIL import Image, ImageDraw
 
         block = self.set_type(words, window[1])
-        # Swashes and marks may stand out of a line's own extent.
+        # Swashes and marks may protrude from a line's own extent.
         margin = math.ceil(block.size)
         columns, rows = math.ceil(block.width) + 2 * margin, math.ceil(block.height) + 2 * margin
         image = Image.new("L", (columns, rows))
@@ -311,7 +310,7 @@ class Typesetter:
         return {"direction": "rtl" if run.is_rtl else "ltr", "language": self.language or None}
 
     def _break_lines(self, text: str, size: float, width: float, *, bold: bool) -> Iterator[Line]:
-        """Yield the lines of a text, none wider than the width where it can be broken, those of a paragraph alike."""
+        """Yield the lines of a text, within the width where they can be broken, of similar length in a paragraph."""
         for paragraph in text.split("\n"):
             lines = self._fill(paragraph, size, width, bold=bold)
             shares = _NARROWER if len(lines) > 1 else ()
@@ -319,7 +318,7 @@ class Typesetter:
             yield from next((fewer for fewer in narrower if len(fewer) == len(lines)), lines)
 
     def _fill(self, paragraph: str, size: float, width: float, *, bold: bool) -> list[Line]:
-        """Return lines that each take as many words as have room."""
+        """Return lines, each with as many words as fit."""
         is_rtl = first_letter_is_rtl(paragraph)
         lines, begun = [self._line("", size, bold=bold, is_rtl=is_rtl)], ""
         for piece in _pieces(paragraph):
@@ -341,7 +340,7 @@ class Typesetter:
         return Line(runs, sum(_load(run.font.path, size).getlength(run.text, **self._shaping(run)) for run in runs))
 
     def _extended(self, line: Line, size: float) -> Line:
-        """Return a line with its extent over and under the baseline."""
+        """Return a line with its extent above and below the baseline."""
         inks = [_load(run.font.path, size).getbbox(run.text, anchor="ls", **self._shaping(run)) for run in line.runs]
         over = _OVERHANG * size
         ascent, descent = (max(-ink[1] for ink in inks), max(ink[3] for ink in inks)) if inks else (0.0, 0.0)
@@ -349,9 +348,9 @@ class Typesetter:
 
 
 def _pieces(text: str) -> Iterator[str]:
-    """Yield what no line break parts: words with the spaces after them, and ideographs with their punctuation.
+    """Yield the pieces that no line break splits: words with the spaces after them, ideographs with their punctuation.
 
-    A small part of UAX 14: where spaces part words, and for Chinese and Japanese; a zero-width space parts words, too.
+    A small part of UAX 14, for words separated by spaces or zero-width spaces, and for Chinese and Japanese.
     """
     start = 0
     for place in range(1, len(text)):
@@ -371,7 +370,7 @@ def _pieces(text: str) -> Iterator[str]:
 
 
 def first_letter_is_rtl(text: str) -> bool:
-    """Return the direction of a paragraph by rules P2 and P3 of UAX 9."""
+    """Return whether a paragraph runs from right to left, by rules P2 and P3 of UAX 9."""
     strong = (way for way in map(unicodedata.bidirectional, text) if way in ("L", "R", "AL"))
     return next(strong, "L") != "L"
 

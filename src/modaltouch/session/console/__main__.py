@@ -1,8 +1,8 @@
 """The console's own process: draws the state of the session, and sends what the experimenter types.
 
-``python -m modaltouch.session.console KEYS SCREEN EMERGENCY`` with the descriptors of the terminal's two sides and the
-names of the keys for emergencies. Facts come on standard input and requests go to standard output, a JSON object a
-line. It ends when standard input does: so the terminal is given back even if the session was killed.
+``python -m modaltouch.session.console KEYS SCREEN EMERGENCY`` takes the descriptors of the terminal's input and output
+and the names of the emergency keys. Facts come on standard input and requests go to standard output, one JSON object
+per line. The process ends when standard input does, so that the terminal is restored even if the session was killed.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from modaltouch.session.console.keyboard import Dialogue, Keyboard, open_keyboar
 from modaltouch.system import SYSTEM_CLOCK
 
 _GLANCE = 0.1
-"""How often the reader of keys looks whether the session has ended [s]."""
+"""Longest wait of the key reader for a key [s]."""
 _REFRESH = 1.0
-"""The picture is drawn anew this often, for its clock, and over what else was written to the terminal [s]."""
+"""Interval at which the picture is redrawn, to update its times and cover other output to the terminal [s]."""
 
 
 News = queue.Queue[dict[str, Any] | None]
-"""Facts to be shown; empty ones where a key was pressed; None at the end."""
+"""Facts to be shown; empty after a key press; None at the end."""
 
 
 def main() -> None:
     """Show and ask until the session ends."""
     keys, screen, emergency = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3].split(",")
-    # Ctrl-C goes to every process of the terminal; it is the session that ends by it, and ends this one.
+    # Ctrl-C goes to every process of the terminal; the session handles it, and then ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in ("SIGTERM", "SIGHUP"):
         if hasattr(signal, name):

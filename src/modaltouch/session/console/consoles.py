@@ -26,11 +26,11 @@ _OPENING = b'{"time": "'
 LONGEST_LINE = 4096
 """A pipe takes a line of this length whole or not at all (POSIX's PIPE_BUF on Linux) [bytes]."""
 _KEPT = 64
-"""Facts kept for a terminal that takes none: each says everything, so old ones are dropped."""
+"""Facts kept for a terminal that is blocked: each set is complete, so old ones are dropped."""
 _PATIENCE = 2.0
-"""Longest time the process may take to give the terminal back [s]."""
+"""Longest time the process may take to restore the terminal [s]."""
 _LEAVE_SCREEN = b"\x1b[?1049l\x1b[?25h"
-"""Back to the terminal's own page, with its cursor."""
+"""Leaves the alternate screen and shows the cursor."""
 
 
 def open_console(events: Path | None, emergency_keys: Sequence[str], *, plain: bool) -> Console:
@@ -48,12 +48,12 @@ def open_console(events: Path | None, emergency_keys: Sequence[str], *, plain: b
     Raises
     ------
     OSError
-        If the events can be written nowhere.
+        If the events cannot be written there.
     """
     consoles: list[Console] = [] if events is None else [EventLines(events)]
     shown: Console = PlainLines(sys.stderr)
     if _has_terminal() and not plain:
-        # A machine that can start no more processes shows plain lines.
+        # If no process can be started, plain lines are shown.
         with contextlib.suppress(OSError):
             shown = TerminalConsole(sys.stdin.fileno(), sys.stderr.fileno(), emergency_keys, instead=shown)
     return Consoles([*consoles, shown])
@@ -63,7 +63,7 @@ def _has_terminal() -> bool:
     """Return whether somebody can type at this process and see what it draws."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()) or os.environ.get("TERM") == "dumb":
         return False
-    # A job in the background would be stopped by the first key it reads.
+    # A background job would be stopped as soon as it reads from the terminal.
     return sys.platform == "win32" or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
 
 
@@ -89,7 +89,7 @@ class Consoles(Console):
 
 
 class PlainLines(Console):
-    """One line for each answer, pause, break, warning and trouble."""
+    """One line for each answer, pause, break, warning and error."""
 
     def __init__(self, file: TextIO) -> None:
         self._file = file
@@ -108,7 +108,7 @@ class PlainLines(Console):
             words = {"pause": "paused", "focus_lost": "paused: focus lost", "rest": "break", "continued": "going on"}
             self._write(words.get(facts["event"], f"ended: {facts['stopped_by']}"))
         for warning in facts["warnings"]:
-            # A warning counts on with every trial; it is said when it begins.
+            # A warning's count rises from trial to trial; it is printed once.
             if warning.split(" ", 1)[-1][:12] not in self._warned:
                 self._warned.add(warning.split(" ", 1)[-1][:12])
                 self._write(f"warning: {warning}")
@@ -117,17 +117,17 @@ class PlainLines(Console):
             self._write(f"generator: {self._error}")
 
     def _write(self, line: str) -> None:
-        # Nobody may read it any more; the session goes on.
+        # The terminal may be gone; the session goes on.
         with contextlib.suppress(OSError, ValueError):
             self._file.write(line + "\n")
             self._file.flush()
 
 
 class EventLines(Console):
-    """The facts as JSON lines in a file or a named pipe, never waiting for whoever reads it.
+    """The facts as JSON lines in a file or a named pipe, without ever waiting for a reader.
 
-    A line says everything, so one that a full pipe does not take is dropped; the next one that is taken says how
-    many were, under ``n_dropped``.
+    Each line is complete, so one that a full pipe does not take is dropped; the next one written gives the number
+    dropped, as ``n_dropped``.
     """
 
     def __init__(self, path: Path) -> None:
@@ -154,7 +154,7 @@ class EventLines(Console):
         self._n_dropped += 1
 
     def close(self) -> None:
-        """Close it."""
+        """Close the file or pipe."""
         if self._descriptor >= 0:
             os.close(self._descriptor)
             self._descriptor = -1
@@ -194,7 +194,7 @@ class TerminalConsole(Console):
         self._terminal = keys
         self._screen = screen
         self._before = save_terminal(keys)
-        # Numbers of their own: the process's standard input and output are the pipes.
+        # Descriptors of their own: the process's standard input and output are the pipes.
         passed = () if sys.platform == "win32" else (os.dup(keys), os.dup(screen))
         words = [str(number) for number in passed or (keys, screen)]
         self._process = subprocess.Popen(
@@ -231,7 +231,7 @@ class TerminalConsole(Console):
         return requests
 
     def close(self) -> None:
-        """Have the terminal given back; do it here if the process cannot any more."""
+        """End the process, and restore the terminal if the process could not."""
         self._wake.put(False)
         try:
             self._process.wait(_PATIENCE)
@@ -245,7 +245,7 @@ class TerminalConsole(Console):
             self._process.stdout.close()
 
     def _give_back(self) -> None:
-        """Leave the terminal as it was, whether or not the process could."""
+        """Restore the terminal, whether or not the process could."""
         if self._is_given_back:
             return
         self._is_given_back = True
@@ -268,7 +268,7 @@ class TerminalConsole(Console):
             pipe.close()
 
     def _hear(self) -> None:
-        """Keep what the process says was typed."""
+        """Keep the requests that the process sends."""
         pipe = self._process.stdout
         if pipe is None:
             return

@@ -20,18 +20,18 @@ STATES = {
 }
 HELP = ("p pause", "space go on", "r repeat", "n note", "b end after block", "q stop")
 _EFFECT = ": outputs off at once"
-"""What the emergency stop does, said where it fits in a line."""
+"""Effect of the emergency stop, shown if it fits in the line."""
 
 _WIDE = 60
-"""Columns from which it does."""
+"""Least number of columns in which it does."""
 
 _ARROWS = {name: f"{name} arrow" for name in ("left", "right", "up", "down")}
 _BAR = 40
-"""Greatest width of the bar of progress [characters]."""
+"""Greatest width of the progress bar [characters]."""
 _NAMES = 14
 """Width of the column of names [characters]."""
 _BY_ANSWER = ("answer by", "answers")
-"""Rows that grow with the list of answers, of which none may be left out."""
+"""Rows that grow with the list of answers, all of which must be shown."""
 _MOST_WARNINGS = 4
 
 
@@ -43,15 +43,15 @@ def draw_session(
     Parameters
     ----------
     facts : dict
-        How the session stands (`status.Status.facts`).
+        State of the session (`status.Status.facts`).
     prompt : str
-        The line that asks the experimenter something, or tells of a key.
+        The line that asks the experimenter something, or echoes a key.
     width, height : int
         Size of the terminal [characters].
     since_s : float
-        Age of the facts, for the times to run on [s].
+        Age of the facts, by which the times shown are advanced [s].
     emergency : str
-        Name of the key for emergencies.
+        Name of the emergency key.
     """
     mode = "" if facts["mode"] == "real" else f"[{facts['mode'].upper()}] "
     head = f"{mode}{facts['participant']}, session {facts['session']}, {facts['protocol']}"
@@ -65,7 +65,7 @@ def draw_session(
         describe_trial(facts["trial"]),
         _describe_generator(facts),
     )
-    # What matters most comes first: a low terminal does without the last.
+    # The most important rows come first: a terminal with few lines leaves out the last ones.
     rows = [
         ("state", f"{state}{_describe_cause(facts)}"),
         *([("answer by", _describe_question(facts["question"]))] if facts["question"] is not None else []),
@@ -80,7 +80,7 @@ def draw_session(
         ("answers", ", ".join(f"{answer} {count}" for answer, count in sorted(facts["answers"].items())) or "-"),
         generator,
     ]
-    # Two rules, a line for the cursor, and the warnings, of which a low terminal shows the first.
+    # Two rules, a line for the cursor, and the warnings: only the first in a terminal with few lines.
     room = height - 3 - len(foot)
     warnings = _describe_warnings(facts["warnings"][: _MOST_WARNINGS if height >= 24 else 1], width)
     table = [line for name, words in rows for line in _draw_row(name, words, width)][: max(room - len(warnings), 1)]
@@ -104,7 +104,7 @@ def _wrap(words: str, width: int, style: str) -> list[Text]:
 
 
 def describe_progress(facts: Facts, since_s: float = 0.0, width: int = 80) -> str:
-    """Return the bar of progress, as far as it fits a width [characters], the count, and the time left."""
+    """Return the progress bar, if it fits a width [characters], the count, and the time left."""
     done, total = facts["n_answered"], max(facts["n_trials"], 1)
     ticking = since_s if facts["state"] != "ended" else 0.0
     left = max(facts["time_left_s"] - (ticking if facts["state"] == "trial" else 0.0), 0.0)
@@ -167,7 +167,7 @@ def _describe_generator(facts: Facts) -> list[tuple[str, str]]:
 
 
 def _describe_question(question: dict[str, Any]) -> str:
-    """Return by which keys of the console each answer is typed, while a trial is on."""
+    """Return the console keys of each answer, while a trial is on."""
     if not question["open"]:
         return "-"
     named = {

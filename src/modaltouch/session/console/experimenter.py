@@ -1,4 +1,4 @@
-"""What the experimenter asked for, kept until the session acts upon it."""
+"""The experimenter's requests, kept until the session acts upon them."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ if TYPE_CHECKING:
 
 
 class Experimenter:
-    """The session's ear and mouth towards the experimenter.
+    """Shows the session's events to the experimenter, and passes the experimenter's requests to the session.
 
     Parameters
     ----------
     console : Console, optional
-        Where it is shown and asked; nowhere by default.
+        Shows events and takes requests; none by default.
     record : callable, optional
-        Takes what was asked for the record, as ``record(event, **facts)``.
+        Writes requests to the record, as ``record(event, **facts)``.
     status : Status, optional
-        How the session stands; told to no console that shows nothing, which asks nothing either.
+        State of the session; by default a new one, unless the console shows nothing.
     seconds_per_trial : float
-        About how long a trial takes, where no status is given [s].
+        Approximate duration of a trial, used if no status is given [s].
     """
 
     def __init__(
@@ -48,11 +48,11 @@ class Experimenter:
         """Whether the session ends before the next block."""
 
     def tell(self, event: dict[str, Any], *, replayed: bool = False) -> None:
-        """Take in an event of the record, replayed or new, or one that happens now, and show what it changed."""
+        """Take in an event, from the record (replayed or new) or outside it, and show what it changed."""
         if event["event"] in ("answered", "trial"):
             self._last = event
             if self._repeats is not None and self._repeats["n"] == event.get("answered"):
-                # Asked for as the answer stood there, before its trial was over: the line that counts is this one.
+                # Requested between the lines `answered` and `trial` of one presentation: this is the line that counts.
                 self._repeats = event
         elif event["event"] == "withdrawn" and self._last is not None and self._last["n"] in event["lines"]:
             self._last = None
@@ -62,7 +62,7 @@ class Experimenter:
             self._leave_practice()
 
     def attend(self) -> Intervention | None:
-        """Take in what was asked, and return what it asks of the window; cheap, called about every millisecond.
+        """Take in requests, and return what they ask of the window; cheap, called about every millisecond.
 
         Raises
         ------
@@ -78,7 +78,7 @@ class Experimenter:
                 # Nothing is written before the outputs are off; the stop record will say why.
                 raise SessionStopped("emergency stop")
             if request.command == "answer":
-                # The line of the answer says it all; nothing is written while a question is open.
+                # The answer's own line records it; nothing is written while a question is open.
                 answer = status.answer_by(request.text)
                 intervention = (
                     intervention if answer is None else Event(request.at, "answer", request.text, answer=answer)
@@ -101,14 +101,14 @@ class Experimenter:
         return intervention
 
     def take_repeat(self) -> dict[str, Any] | None:
-        """Return the trial event that is to be asked again, once."""
+        """Return the event of the trial to be repeated, and clear the request; None if there is none."""
         repeats, self._repeats = self._repeats, None
         if repeats is not None:
             self._show_requests()
         return repeats
 
     def _leave_practice(self) -> None:
-        """Repeat no practice trial any more: its round is judged, or the trials that count have begun."""
+        """Make practice trials unrepeatable: their round is judged, or the trials that count have begun."""
         if self._last is not None and self._last["trial"]["practice"]:
             self._last = None
         if self._repeats is not None and self._repeats["trial"]["practice"]:

@@ -1,4 +1,4 @@
-"""What a console is told, and what can be asked at it."""
+"""What a console shows, and what can be requested at it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Command = typing.Literal["pause", "go_on", "answer", "repeat", "note", "end_afte
 COMMANDS: tuple[Command, ...] = typing.get_args(Command)
 
 Facts = dict[str, Any]
-"""How a session stands: plain values, keys with units (`status.Status.facts`)."""
+"""State of a session: plain values, keys with units (`status.Status.facts`)."""
 
 
 AT_ONCE: dict[str, tuple[Command, str]] = {
@@ -21,15 +21,15 @@ AT_ONCE: dict[str, tuple[Command, str]] = {
     "enter": ("go_on", ""),
     "x": ("emergency_stop", "EMERGENCY STOP"),
 }
-"""What a key asks for at once, and what is shown then."""
+"""Command that a key requests at once, and the text then shown."""
 
 OWN_KEYS = frozenset({*AT_ONCE, "n", "q", "space", "escape"})
-"""Keys of the console, which never answer."""
+"""Keys of the console itself, which never give an answer."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """What the experimenter asks for.
+    """A request of the experimenter.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Request:
     text : str
         The note, or the key that answers.
     at : float
-        When the key was read that answers, by `clock.SYSTEM_CLOCK` [s].
+        When the answering key was read, by `clock.SYSTEM_CLOCK` [s].
     """
 
     command: Command
@@ -59,7 +59,7 @@ class Console:
         return []
 
     def close(self) -> None:
-        """Show nothing more; the terminal is as it was."""
+        """Show nothing more, and restore the terminal."""
 
     def __enter__(self) -> Self:
         return self

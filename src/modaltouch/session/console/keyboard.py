@@ -1,8 +1,8 @@
 """Single keys from a terminal, without Enter and without echo, and what the experimenter means by them.
 
-Most keys ask at once, a note is typed, the end is asked twice. Where the experimenter gives the answers, the keys of
-the answers are typed here too, while a trial is on. The console's own keys keep their meaning then: `x` has to be the
-emergency at every moment.
+Most keys act at once; a note is typed out, and stopping asks for confirmation. If the experimenter gives the answers,
+their keys are typed here too while a trial is on. The console's own keys keep their meaning then: `x` must be the
+emergency stop at every moment.
 """
 
 from __future__ import annotations
@@ -34,24 +34,24 @@ _WINDOWS_KEYS = {
     "\x85": "f11",
     "\x86": "f12",
 }
-"""What follows a NUL or an 0xE0 in Windows's console for arrows and function keys."""
+"""What follows NUL or 0xE0 on the Windows console for arrows and function keys."""
 _NAMES = {"\r": "enter", "\n": "enter", "\x7f": "backspace", "\b": "backspace", "\x1b": "escape"}
 _KEY = re.compile(r"\x1b[\[O][^@-~]*[@-~]?|.", re.DOTALL)
 """What a key sends: a sequence or a character."""
 _SEQUENCE_PAUSE = 0.05
-"""The rest of a key's sequence comes within this time, or it is Escape itself [s]."""
+"""The rest of a key's sequence comes within this time; otherwise the key is Escape itself [s]."""
 
 
 @contextmanager
 def open_keyboard(descriptor: int) -> Iterator[Keyboard]:
-    """Give the keys of a terminal, one by one, until the end of the context.
+    """Yield a keyboard that reads single keys from a terminal until the end of the context.
 
-    Ctrl-C stays a signal. What would stop the session in the midst of a stimulus (Ctrl-Z, Ctrl-S) does not.
+    Ctrl-C stays a signal. Keys that would halt the session during a stimulus (Ctrl-Z, Ctrl-S) do not.
 
     Parameters
     ----------
     descriptor : int
-        The terminal; without meaning on Windows, where it is the process's console.
+        File descriptor of the terminal; ignored on Windows, where the process's console is read.
     """
     if sys.platform == "win32":
         yield WindowsKeyboard()
@@ -65,7 +65,7 @@ def open_keyboard(descriptor: int) -> Iterator[Keyboard]:
 
 
 def save_terminal(descriptor: int) -> list[Any] | None:
-    """Return how a terminal is set; None where there is nothing to be set."""
+    """Return the settings of a terminal; None if it has none."""
     if sys.platform == "win32":
         return None
     import termios
@@ -77,12 +77,12 @@ def save_terminal(descriptor: int) -> list[Any] | None:
 
 
 def restore_terminal(descriptor: int, before: list[Any] | None) -> None:
-    """Set a terminal as it was; a terminal that is gone needs nothing."""
+    """Restore the settings of a terminal, unless it is gone."""
     if sys.platform == "win32" or before is None:
         return
     import termios
 
-    # TCSANOW: draining what was written would wait for ever on a terminal that somebody has stopped.
+    # TCSANOW: waiting for output to drain would block for ever on a stopped terminal.
     with suppress(termios.error):
         termios.tcsetattr(descriptor, termios.TCSANOW, before)
 
@@ -173,7 +173,7 @@ def split_keys(text: str) -> list[str]:
 
 
 LONGEST_NOTE = 500
-"""A note is a remark, not a protocol [characters]."""
+"""Longest note [characters]."""
 
 
 class Dialogue:
@@ -193,10 +193,10 @@ class Dialogue:
         self._answers: dict[str, str] = {}
         self._is_open = False
         self.prompt = ""
-        """The line that tells what was asked, or is being typed."""
+        """Line that shows what was requested, or is being typed."""
 
     def hear(self, facts: Facts) -> None:
-        """Take in how the session stands: by which keys is answered, and whether now."""
+        """Take in the state of the session: which keys answer, and whether a question is open."""
         question = facts.get("question") or {"open": False, "keys": {}}
         self._answers = {key: answer for answer, keys in question["keys"].items() for key in keys}
         self._is_open = question["open"]

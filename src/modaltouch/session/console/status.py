@@ -1,4 +1,4 @@
-"""The session's events -> how it stands, as plain values with units."""
+"""The session's events -> its state, as plain values with units."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ HASTY = 0.1
 
 
 def read_signs(trials: Sequence[dict[str, Any]], nothing: str | None = None) -> list[str]:
-    """Return what is worth a look, in words; empty where nothing is."""
+    """Return warnings about the answers, in words; empty if there are none."""
     hasty = [event["trial"]["index"] for event in trials if is_hasty(event)]
     caught = [event for event in trials if nothing is not None and is_catch(event)]
     missed = [event["trial"]["index"] for event in caught if event["response"]["answer"] != nothing]
@@ -49,13 +49,14 @@ def _times(count: int) -> str:
 
 
 def typed_keys(keys: Mapping[str, Sequence[str]], answers: Sequence[str] | None) -> dict[str, list[str]]:
-    """Return the keys of each of the `answers`, as they stand on the screen, at a console: the protocol's first.
+    """Return the console keys of each of the `answers`, given in their order on the screen; the protocol's keys first.
 
-    Of a scale, without `answers`, the keys of everything that can be done on it; going on at the console confirms it.
+    For a scale (`answers` is None), return the keys of its actions, except confirmation: that is going on at the
+    console.
 
-    The console's own keys keep their meaning at every moment, so an answer never has one of them. A terminal sends the
-    keypad's digits as any others. Each answer also has the number of its place on the screen, unless that is a key of
-    another answer; one that would be left without a key has the first free digit, or else letter.
+    An answer never gets one of the console's own keys. A terminal sends the keypad's digits like any others. Each
+    answer also gets the number of its place on the screen, unless that is a key of another answer; one that would be
+    left without a key gets the first free digit, or else letter.
 
     Examples
     --------
@@ -91,20 +92,20 @@ TROUBLES = frozenset(
         "probe_refused",
     }
 )
-"""Events of the rig that an experimenter should know of."""
+"""Events of the rig that an experimenter should know about."""
 _QUIET = frozenset({"rig", "exchange", "discarded", "ignored"})
 """Events that change nothing an experimenter looks at."""
 _LONGEST = 300.0
-"""A trial that took longer than this was a break, and tells nothing about the next [s]."""
+"""A trial that took longer than this included a break, and says nothing about the next [s]."""
 
 
 class Status:
-    """How a session stands, kept up to date by its events.
+    """State of a session, kept up to date by its events.
 
     Parameters
     ----------
     seconds_per_trial : float
-        What a trial takes before any has been answered [s].
+        Assumed duration of a trial until three have been timed [s].
     clock : callable
         Monotonic clock [s].
     """
@@ -145,14 +146,14 @@ class Status:
         self._unmasked = ""
 
     def take(self, event: dict[str, Any], *, replayed: bool = False) -> bool:
-        """Take in an event of the record, or one that happens now, and return whether it changed what is shown.
+        """Take in an event, from the record or outside it, and return whether it changed what is shown.
 
         Parameters
         ----------
         event : dict
-            With its name under ``event``, and the number of its line under ``n`` where it is one of the record.
+            Its name under ``event``, and the number of its line under ``n`` if it is in the record.
         replayed : bool
-            Whether it is of an earlier sitting, read again as the session goes on.
+            Whether it is from an earlier sitting, read again as the session is resumed.
         """
         name = str(event["event"])
         react = getattr(self, f"_on_{name}", None)
@@ -177,7 +178,7 @@ class Status:
         return bool(self._facts["state"] == "paused")
 
     def facts(self) -> Facts:
-        """Return how the session stands."""
+        """Return the state of the session."""
         answers = Counter(str(event["response"]["answer"]) for event in self._trials.values())
         left = max(self._total - len(self._trials), 0)
         return {
@@ -195,7 +196,7 @@ class Status:
         }
 
     def _pace(self) -> float:
-        """Return what a trial takes [s]: the median of those answered, once there are three."""
+        """Return the duration of a trial [s]: the median of the last 20, once three have been timed."""
         return statistics.median(self._durations[-20:]) if len(self._durations) >= 3 else self._guess
 
     def _on_start(self, event: dict[str, Any]) -> None:
@@ -221,7 +222,7 @@ class Status:
         self._trials = {index: event for index, event in self._trials.items() if event["event"] == "trial"}
 
     def _ask(self, *, on: bool) -> None:
-        """Take answers at the console, or no more."""
+        """Start or stop taking answers at the console."""
         self._facts["too_early"] = ""
         if self._facts["question"] is not None:
             self._facts["question"] = {"keys": self._keys, "open": on}
@@ -249,7 +250,7 @@ class Status:
         self._facts["generator"] |= {
             "outputs": "on",
             "amplitude_Vpp": list(firing["commanded_amplitude"]),
-            # As it begins nothing is confirmed yet, and nothing speaks against it.
+            # At its beginning a stimulus is not confirmed yet, which is no fault unless there is a reason.
             "confirmed": firing["confirmed"] or (False if firing.get("reason") else None),
         }
 
@@ -267,7 +268,7 @@ class Status:
         if firing.get("stalled"):
             said = f"trial {index}: the computer was held up, and the stimulus comes again"
             self._facts["generator"]["last_error"] = said
-        # Since format 2 of the record the line `answered` has told the answer already.
+        # From format 2 of the record on, the line `answered` has given the answer already.
         if event.get("answered") is None:
             self._on_answered(event)
         if not event["trial"]["practice"]:
@@ -337,7 +338,7 @@ class Status:
 
 
 def _words(name: str, event: dict[str, Any]) -> str:
-    """Return a trouble of the rig in words."""
+    """Return a problem of the rig in words."""
     errors = event.get("errors")
     said = (
         ", ".join(map(str, errors)) if errors else event.get("reason") or event.get("confirmed", {}).get("reason", "")
