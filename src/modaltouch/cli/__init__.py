@@ -1,6 +1,6 @@
-"""The command line: all that is printed, every exit status, and nothing else.
+"""The command line: everything that is printed, every exit status, and nothing else.
 
-In come words, out come lines, JSON and a status; what there is to do is done by the other rooms.
+Arguments go in; lines, JSON and an exit status come out. The work is done by the other rooms.
 """
 
 from __future__ import annotations

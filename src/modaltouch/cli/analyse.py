@@ -112,7 +112,7 @@ def analyse(
 
 
 def _table_format(protocol: str | None, words: dict[str, str] | None, missing: str | None) -> TableFormat:
-    """Return how a CSV is to be read; what reads a protocol is loaded only here."""
+    """Return how a CSV is to be read; the code that reads a protocol is loaded only here."""
     from modaltouch.analysis import TableFormat
     from modaltouch.protocol import Findings
 
@@ -124,7 +124,7 @@ def _table_format(protocol: str | None, words: dict[str, str] | None, missing: s
 
 
 def _mapped(answers: str | None) -> dict[str, str] | None:
-    """Return what words stand for, as they are given in an option."""
+    """Return the answers that words stand for, as given in an option."""
     if answers is None:
         return None
     pairs = [part.strip().partition("=") for part in answers.split(",")]
@@ -134,12 +134,12 @@ def _mapped(answers: str | None) -> dict[str, str] | None:
 
 
 def participants(number: int) -> str:
-    """Return how many there are in words."""
+    """Return a number of participants in words."""
     return "1 participant" if number == 1 else f"{number} participants"
 
 
 def tell(analysis: Any) -> None:
-    """Print what an analysis found and where it is."""
+    """Print what an analysis found and where its files are."""
     values = analysis.as_dict()
     print(f"{values['n_responses']} answers of {participants(values['n_participants'])}")
     for note in values.get("notes", ()):

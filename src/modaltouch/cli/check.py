@@ -115,7 +115,7 @@ def _export(preflight: Preflight, file: Path) -> None:
 
 
 def show(preflight: Preflight, *, compare: bool = False, fingers: str | None = None) -> None:
-    """Print what a session of this protocol will be."""
+    """Print a summary of the sessions of this protocol."""
     from rich.console import Console
     from rich.markup import escape
 
@@ -172,7 +172,7 @@ def show(preflight: Preflight, *, compare: bool = False, fingers: str | None = N
 
 
 def _stimulus_lines(preflight: Preflight, stimuli: list[dict[str, Any]]) -> Iterator[str]:
-    """Yield what each of the stimuli is, a line each."""
+    """Yield one line about each stimulus."""
     protocol, firsts = preflight.experiment.protocol, dict[str, dict[str, Any]]()
     for each in stimuli:
         firsts.setdefault(each.get("stimulus", ""), each)
@@ -189,7 +189,7 @@ def _stimulus_lines(preflight: Preflight, stimuli: list[dict[str, Any]]) -> Iter
 def _explore(
     preflight: Preflight, sensitivity: bool, compared: bool, contrast: bool, tolerance: float | None
 ) -> dict[str, Any]:
-    """Return what was asked for besides the check; what nobody asked for is not computed."""
+    """Return what was asked for besides the check; nothing else is computed."""
     asked: dict[str, Any] = {}
     if not (sensitivity or compared or contrast or tolerance is not None):
         return asked
@@ -288,7 +288,7 @@ def _show_contrast(console: Console, rows: list[dict[str, Any]]) -> None:
 def _by_occasion(
     preflight: Preflight, stimuli: list[dict[str, Any]], fingers: str | None
 ) -> dict[str, list[dict[str, Any]]]:
-    """Return the rows of the tables by the groups and kinds of session that have them; without a name if all do."""
+    """Return the rows of the tables by the groups and kinds of session that share them; without a name if all do."""
     found: list[tuple[list[str], list[dict[str, Any]]]] = []
     for each in (preflight, *preflight.others):
         rows = stimuli if each is preflight else each.as_dict(fingers=fingers)["stimuli"]
@@ -336,12 +336,12 @@ def _touched_table(stimuli: list[dict[str, Any]], whose: str) -> Table:
 def _speed_table(
     title: str, headings: Sequence[str], rows: Sequence[tuple[Any, ...]], wide: Sequence[str] = ()
 ) -> Table:
-    """Return a table of stimuli, each row begun by its own; of several stimuli each is named."""
+    """Return a table in which each row begins with its level, and with its stimulus's name if there are several."""
     from rich.table import Table
 
     table, named = Table(title=title, title_justify="left"), ["stimulus"] * ("stimulus" in rows[0][0])
     for heading in (*named, "level mm/s", *headings):
-        # A narrow terminal may break words, but no number: without its exponent it would be another.
+        # A narrow terminal may break words, but not numbers: without its exponent a number would be another.
         width = 7 if heading in wide else None
         table.add_column(heading, justify="left" if heading in ("stimulus", "pair") else "right", min_width=width)
     for stimulus, *cells in rows:
@@ -350,5 +350,5 @@ def _speed_table(
 
 
 def _in_two_digits(value: float) -> str:
-    """Return whole numbers, and of small ones the digits that tell them apart."""
+    """Return a value as a whole number, or with two significant digits if it is below 10."""
     return f"{value:.0f}" if abs(value) >= 9.95 else f"{value:.2g}"

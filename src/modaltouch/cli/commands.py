@@ -1,4 +1,4 @@
-"""The ``modaltouch`` command and its sub-commands, each loaded when it is asked for."""
+"""The ``modaltouch`` command and its sub-commands, each loaded when it is called."""
 
 from __future__ import annotations
 
@@ -35,17 +35,17 @@ MODULES = {
     "doctor": "records",
     "rig": "rig",
 }
-"""In which module of this room each command is, under its own name, in the order of the list of commands."""
+"""Module of this room in which each command is defined, in the order in which commands are listed."""
 
 
 class _Value:
-    """Reads words and paths, and leaves the rest to typer, which loads pydantic even to read what was not given."""
+    """Reads strings and paths, and leaves the rest to typer, which loads pydantic even for options not given."""
 
     def __init__(self, read_by_typer: Any) -> None:
         self._read_by_typer = read_by_typer
 
     def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
-        """Return what was given, or the default, as what the command takes."""
+        """Return what was given, or the default, in the type that the command takes."""
         kind = param.type_descriptor.annotation
         is_list = get_origin(kind) is list
         if value is None or (value is param.default and not is_list):
@@ -58,35 +58,35 @@ class _Value:
 
 
 def _is_allowed(path: str | Path) -> bool:
-    """Return whether a file may be read, or is not there; another typer refuses."""
+    """Return whether a file is readable or does not exist; any other is left for typer to refuse."""
     return os.access(path, os.R_OK) or not os.path.lexists(path)
 
 
 class _Reading:
-    """Has the values of a command read so."""
+    """Has the values of a command read by `_Value`."""
 
     def get_params(self, ctx: Any) -> list[Any]:
-        """Return the parameters, that of the help included."""
+        """Return the parameters, including the help option."""
         params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
         for each in params:
-            # Another version of typer may read values in another way: then it reads them all.
+            # A version of typer that reads values in another way reads them all.
             if hasattr(each, "get_runtime_param") and "get_runtime_param" not in vars(each):
                 each.get_runtime_param = partial(_Value, each.get_runtime_param)
         return params
 
 
 class _Command(_Reading, TyperCommand):
-    """A command."""
+    """A command whose values are read by `_Value`."""
 
 
 class CommandGroup(_Reading, TyperGroup):
-    """Commands by name; a module is imported when its command is asked for, and all of them for the list."""
+    """Commands by name; a module is imported when its command is called, and all of them for the list."""
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes | {"commands": dict.fromkeys(MODULES)})
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command; None where there is none of that name."""
+        """Return a command; None if there is none of that name."""
         if cmd_name in MODULES and self.commands[cmd_name] is None:
             self.commands[cmd_name] = _load(cmd_name)
         return self.commands.get(cmd_name)
@@ -98,7 +98,7 @@ class CommandGroup(_Reading, TyperGroup):
 
 
 def _find(name: str) -> Any:
-    """Return the function, or the Typer of several, that bears the name of a command."""
+    """Return the function of a command, or its Typer if it has sub-commands."""
     try:
         return getattr(import_module(f"modaltouch.cli.{MODULES[name]}"), name)
     except KeyboardInterrupt:
@@ -106,13 +106,13 @@ def _find(name: str) -> Any:
 
 
 def _summary(command: Any) -> str:
-    """Return what a Typer says of itself, or the whole first line of a function, which the library would cut."""
+    """Return the help of a Typer, or the whole first line of a function's docstring, which typer would shorten."""
     words = command.info.help if isinstance(command, typer.Typer) else command.__doc__
     return str(words).partition("\n")[0]
 
 
 def _load(name: str) -> Any:
-    """Return a command, or a group of such."""
+    """Return a command, or a group of commands."""
     found = _find(name)
     if not isinstance(found, typer.Typer):
         alone = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -137,7 +137,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    # Help as plain text: a library of markup would take four times as long to load as all else.
+    # Help as plain text: Rich would take four times as long to load as everything else.
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )

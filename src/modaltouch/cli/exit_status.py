@@ -42,7 +42,7 @@ def reporting(*, json_output: bool = False) -> Iterator[None]:
 
 def explain(error: BaseException) -> tuple[int | None, list[dict[str, Any]]]:
     """Return the exit status of an error and its problems one by one; no status for a programming error."""
-    # By name of the modules already loaded: a failure must not import PyVISA or pandas to be told.
+    # Found by name in the modules already loaded: reporting a failure must not import PyVISA or pandas.
     from modaltouch.protocol import InputError
 
     if isinstance(error, InputError):
@@ -59,7 +59,7 @@ def explain(error: BaseException) -> tuple[int | None, list[dict[str, Any]]]:
         kind = getattr(sys.modules.get(module), name, None)
         if kind is not None and isinstance(error, kind):
             return status, []
-    # What a session writes is its owner's alone, so to ask whether a file is there is refused to anybody else.
+    # Only its owner may read what a session wrote; others are refused even the question whether a file exists.
     return (BAD_INPUT if _is_forbidden(error) else None), []
 
 
@@ -82,7 +82,7 @@ def leave(
     if json_output:
         print_json({"error": message, "problems": problems or []})
     else:
-        # A terminal that hung up takes no words, and the exit status is to be told all the same.
+        # A terminal that hung up takes no output, but the exit status must be returned all the same.
         with suppress(OSError):
             if status == INTERRUPTED or os.environ.get("TERM") == "dumb":
                 typer.echo(message, err=True)

@@ -129,7 +129,7 @@ def identify(
 
 
 def _show(result: dict[str, Any]) -> None:
-    """Print what was identified: Table I, what half-power cannot say, what else was seen, where it was written."""
+    """Print what was identified: Table I, where half-power fails, what else was seen, and where it was written."""
     from rich.console import Console
     from rich.table import Table
 
@@ -195,7 +195,7 @@ def _table(table_kind: Any, modes: list[dict[str, Any]], gains: list[str]) -> An
 
 
 def _unresolved(modes: list[dict[str, Any]]) -> dict[str, list[str]]:
-    """Return why half-power says no damping, each reason with the names of its modes."""
+    """Return why the half-power method gives no damping, each reason with the names of its modes."""
     reasons: dict[str, list[str]] = {}
     for mode in modes:
         if reason := mode["half_power"]["warning"]:
@@ -205,7 +205,7 @@ def _unresolved(modes: list[dict[str, Any]]) -> dict[str, list[str]]:
 
 
 def _with_interval(pair: dict[str, float | None] | None) -> str:
-    """Return a value with its interval's half-width in the last digits, as 228.855(11)."""
+    """Return a value with its interval's half-width in the last digits, such as 228.855(11)."""
     if pair is None or pair["value"] is None or pair["low"] is None or pair["high"] is None:
         return "-"
     half = (pair["high"] - pair["low"]) / 2

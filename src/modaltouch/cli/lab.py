@@ -1,4 +1,4 @@
-"""Commands of the laboratory: ``calibrate``, ``compare``, ``validate`` and ``fingers``; progress bars, and who aims."""
+"""Commands of the laboratory: ``calibrate``, ``compare``, ``validate`` and ``fingers``; progress bars and prompts."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class LabReport(Protocol):
 
 
 def give(report: LabReport, show: Callable[[dict[str, Any]], None], *, json_output: bool) -> None:
-    """Write a report's files, and print what it holds."""
+    """Write a report's files, and print its contents."""
     (print_json if json_output else show)(report.write())
 
 
 @contextmanager
 def bars() -> Iterator[MeasurementProgress]:
-    """Show on standard error what is being done and how far it is; ask there for the vibrometer to be aimed."""
+    """Show on standard error what is being done and how far it is, and ask there for the vibrometer to be aimed."""
     from modaltouch.lab import MeasurementProgress, TooFewPointsError
 
     shown = make_bars()
@@ -49,7 +49,7 @@ def bars() -> Iterator[MeasurementProgress]:
         shown.update(tasks[what], completed=done, total=total)
 
     def aim(position: float, across: float) -> None:
-        """Ask once for a place, however many records follow each other there."""
+        """Ask once for each position, however many records are taken there in a row."""
         if aimed != [(position, across)]:
             row = f", {across * 1e3:+.2f} mm across from the mid-line" if across else ""
             with _aside(shown):
@@ -68,7 +68,7 @@ def bars() -> Iterator[MeasurementProgress]:
 
 @contextmanager
 def _aside(bars: Progress) -> Iterator[None]:
-    """Have the bars out of the way while somebody is asked for something, and Ctrl-C end that at once."""
+    """Remove the bars while the user is asked for something, and let Ctrl-C end the question at once."""
     bars.stop()
     noting = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
@@ -122,7 +122,7 @@ def calibrate(
 
 
 def _show_calibration(calibration: Calibration, out: Path, protocol: Path) -> None:
-    """Print what was reached."""
+    """Print the errors and levels that were reached."""
     from rich.console import Console
     from rich.markup import escape
 
@@ -144,7 +144,7 @@ def _show_calibration(calibration: Calibration, out: Path, protocol: Path) -> No
 
 
 def _show_stimulus(name: str, own: Any) -> None:
-    """Print what was reached with one stimulus."""
+    """Print the errors and levels that were reached with one stimulus."""
     whose = f"Stimulus {name}: " if name else ""
     turns = [
         (

@@ -60,7 +60,7 @@ def write_study(folder: Path, template: str) -> tuple[Path, ...]:
             for place, text in contents.items():
                 file = folder / place
                 for parent in reversed([each for each in file.parents if not each.exists()]):
-                    # Sessions are for their owner alone, and make no folder that is there already.
+                    # Only their owner may read sessions, and a session leaves the mode of an existing folder as it is.
                     parent.mkdir(mode=0o700 if parent == folder / "results" else 0o777)
                     undo.callback(_remove, parent)
                 with file.open("x", encoding="utf-8", newline="\n") as opened:
@@ -85,7 +85,7 @@ def _contents(template: str) -> dict[str, str]:
         experiments.append(Findings.read(known[own.thresholds_from]).experiment())
     named = [vars(each.sources)[key].path for each in experiments for key in ("protocol", "apparatus", "texts")]
     folder = known[template].parent
-    # Every language and every instrument, so that a protocol need only name another.
+    # Every language and every instrument, so that changing them takes only another name in the protocol.
     others = (file for each in ("apparatus/*.yaml", "texts/*.yaml", "schema/*.json") for file in folder.glob(each))
     files = {file.relative_to(folder).as_posix(): file for file in (*named, *sorted(others))}
     copied = {f"protocols/{place}": file.read_text(encoding="utf-8") for place, file in files.items()}
@@ -94,7 +94,7 @@ def _contents(template: str) -> dict[str, str]:
 
 
 def _readme(protocols: list[Protocol]) -> Iterator[str]:
-    """Yield the lines of the study's README: the commands of its protocol, and of one that is needed before it."""
+    """Yield the lines of the study's README: the commands of its protocol, and of any that is needed before it."""
     from modaltouch.system import version
 
     protocol, name = protocols[0], protocols[0].protocol

@@ -20,7 +20,7 @@ JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object on sta
 
 
 def _find(context: typer.Context, protocol: Path) -> Path:
-    """Refuse a protocol that is not there before what designs its stimulus is loaded."""
+    """Refuse a protocol that does not exist before the modules that design its stimulus are loaded."""
     from modaltouch.protocol import Source
 
     with reporting(json_output=context.params.get("json_output", False)):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 _FAMILIES_BESIDE = 4
-"""Families of tests in a table, so that it fits into a terminal of 80 columns."""
+"""Most families of tests in a table, so that it fits into a terminal of 80 columns."""
 
 _MOST_PARTICIPANTS, _MOST_ANSWERS = 1000, 10_000
 
@@ -104,7 +104,7 @@ def power(
 
 
 def _report(plans: Sequence[Power], target: float, folders: Mapping[str, Path], *, json_output: bool) -> None:
-    """Write and print the plan of each stimulus, also where the last was interrupted."""
+    """Write and print the plan of each stimulus, even if the last was interrupted."""
     values = []
     for found in plans:
         folder = folders.get(found.study.design.stimulus)
@@ -142,7 +142,7 @@ def parse_sizes(words: str, option: str, most: int) -> tuple[int, ...]:
     Raises
     ------
     typer.BadParameter
-        If it names no numbers, or some out of bounds.
+        If it names no numbers, or numbers out of bounds.
 
     Examples
     --------
@@ -212,7 +212,7 @@ def _done(found: Power) -> str:
 
 
 def tell(found: Power, target: float) -> None:
-    """Print a plan: power of each family at each size, the numbers needed, and the floors.
+    """Print a plan: power of each family at each size, participants needed, and least numbers for significance.
 
     Parameters
     ----------

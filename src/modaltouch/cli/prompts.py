@@ -23,7 +23,7 @@ def can_ask() -> bool:
 
 
 def ask_rig(may_ask: bool) -> str:
-    """Return the generator's address, or ``simulated``, asked for with those that this machine can see.
+    """Ask for the generator's address, listing those that this machine can see; return it, or ``simulated``.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def ask_rig(may_ask: bool) -> str:
     Raises
     ------
     typer.BadParameter
-        If nobody is: a forgotten option must not leave a participant at a beam that is silent.
+        If nobody is: a forgotten option must not leave a participant at a silent beam.
     """
     from modaltouch.rig import RigError, find_instruments
     from modaltouch.session import SIMULATED
@@ -88,7 +88,7 @@ def ask_participant(dataset: Path) -> str:
 
 
 def ask_people(fields: Mapping[str, Any], may_ask: bool) -> dict[str, Any]:
-    """Return what the participant says of themselves, consents first: after a no nothing else is asked.
+    """Ask the protocol's questions about the participant, consents first, and return the answers; a refusal ends them.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def ask_people(fields: Mapping[str, Any], may_ask: bool) -> dict[str, Any]:
 
 
 def wait_for_start(setup: Setup, rig: str) -> None:
-    """Show what is about to happen and wait for ``start``; anything else leaves everything as it is."""
+    """Show what is about to happen and wait for ``start``; quitting records nothing."""
     place = setup.place
     show(setup.preflight)
     if own := setup.facts.get("sensation_levels"):

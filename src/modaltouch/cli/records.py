@@ -42,11 +42,11 @@ def verify(
 
 
 _Seen = tuple[dict[str, Any], Sequence[str], Sequence[str]]
-"""What was seen of a record: as plain values, in words, and what is wrong with it."""
+"""What was found in a record: as plain values, in words, and what is wrong with it."""
 
 
 def _look_at(place: Path, look: Callable[[Path, bool], _Seen], *, json_output: bool) -> None:
-    """Say what is found in the record that a path names, or in all of a folder; the exit status tells the worst."""
+    """Print what is found in a record, or in all records of a folder; the exit status is that of the worst."""
     from modaltouch.record import RecordError, SessionFolder
 
     logs = SessionFolder.logs_under(place)
@@ -54,7 +54,7 @@ def _look_at(place: Path, look: Callable[[Path, bool], _Seen], *, json_output: b
     for log in logs if several else [place]:
         try:
             values, lines, problems = look(log, several)
-        except RecordError as error:  # of many, one that cannot be read keeps no other from being looked at
+        except RecordError as error:  # among several, one that cannot be read must not keep the others from being read
             if not several:
                 raise
             values, lines, problems = {"session": str(log), "sound": False}, (), (str(error),)
@@ -124,7 +124,7 @@ def doctor(
 
 
 def _examine_record(session: Path, several: bool, into: Path | None) -> _Seen:
-    """Return what a record proves, and write it anew where that is asked; of several, those alone that need it."""
+    """Return what can be verified in a record, and recover it if asked; among several, only if it is damaged."""
     from modaltouch.record import survey
 
     found = survey(session)
@@ -143,7 +143,7 @@ def _examine_record(session: Path, several: bool, into: Path | None) -> _Seen:
 
 
 def _measure(rig: str, apparatus: Path, *, json_output: bool) -> None:
-    """Say how exactly window, keyboard, generator and clock keep time; one that cannot be reached is a fault."""
+    """Print how accurately window, keyboard, generator and clock keep time; one that cannot be reached is a fault."""
     from modaltouch.rig import RigError
     from modaltouch.system import measure_clock
     from modaltouch.window import WindowError, measure_timing
@@ -214,7 +214,7 @@ def study(
 
 
 def _write_page(file: Path, results: Path, told: list[dict[str, Any]]) -> None:
-    """Write the page, over an earlier one alone."""
+    """Write the page; replace only an earlier one."""
     from modaltouch.record import RecordError, prepare_file, replace_file
     from modaltouch.report import render_page
     from modaltouch.system import version
@@ -250,7 +250,7 @@ _ORDER_HEADINGS = ("order", "complete", "left incomplete", "open")
 
 
 def _tell(dataset: dict[str, Any]) -> dict[str, Any]:
-    """Return what a dataset holds in words: rows of the two tables, remarks, and who is next."""
+    """Return a dataset in words: rows of the two tables, remarks, and who is next."""
     rows, n_each = dataset["sessions"], dataset["sessions_each"]
     n_complete = sum(row["state"] == "complete" for row in rows)
     title, mode = dataset["title"] or dataset["protocol"], dataset["mode"]
@@ -294,7 +294,7 @@ def _tell(dataset: dict[str, Any]) -> dict[str, Any]:
 
 
 def _order(row: dict[str, Any]) -> str:
-    """Return an order of finger conditions in words, with the placement where it is not the usual one."""
+    """Return an order of finger conditions in words, with the placement if it is not the normal one."""
     placed = "" if row["placement"] == "normal" else f" ({row['placement']})"
     named = ", ".join(row[key] for key in ("group", "session_kind") if key in row)
     return (f"{named}: " if named else "") + " then ".join(row["finger_conditions"]) + placed
@@ -302,12 +302,12 @@ def _order(row: dict[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class MachineCheck:
-    """One thing that was looked at.
+    """One thing that was checked.
 
     Attributes
     ----------
     subject : str
-        What was looked at.
+        What was checked.
     state : str
         ``ok``, ``warning`` (something optional is absent) or ``fault`` (a session cannot run).
     found : str
@@ -323,7 +323,7 @@ class MachineCheck:
 
 
 def examine_machine(results: Path) -> tuple[MachineCheck, ...]:
-    """Look at everything a session needs, and draw a letter in the window; no instrument is opened."""
+    """Check everything a session needs, and draw a letter in the window; no instrument is opened."""
     from modaltouch.window import examine_surroundings
 
     return (
@@ -337,7 +337,7 @@ def examine_machine(results: Path) -> tuple[MachineCheck, ...]:
 
 
 def missing_packages() -> list[str]:
-    """Return the Debian packages that hold what this machine lacks for a session, a test or the demonstration."""
+    """Return the Debian packages that this machine lacks for a session, a test or the demonstration."""
     from modaltouch.window import examine_surroundings
 
     return [package for check in examine_surroundings(quick=True) for package in check.packages]
@@ -375,7 +375,7 @@ def _usb() -> MachineCheck:
 
 
 def _precedence() -> MachineCheck:
-    """Find out whether the process that triggers bursts may go before others (`modaltouch.rig.watchdog_process`)."""
+    """Check whether `modaltouch.rig.watchdog_process`, which triggers bursts, may have real-time priority."""
     if sys.platform != "linux":
         return MachineCheck("real time", "ok", "as the system shares out its processors")
     import resource

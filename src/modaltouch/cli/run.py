@@ -160,7 +160,7 @@ def _refuse_people(people: Path | None, answers: AnswersChoice) -> None:
 
 
 def _with_people(setup: Setup, people: Path | None, may_ask: bool) -> Setup:
-    """Return a session with what its protocol asks of the participant before the first one, from a file or asked."""
+    """Return the setup with the answers to the protocol's questions about the participant, from a file or a prompt."""
     from modaltouch.cli.prompts import ask_people
 
     if not setup.to_ask:
@@ -170,7 +170,7 @@ def _with_people(setup: Setup, people: Path | None, may_ask: bool) -> Setup:
 
 
 def _try_masking(setup: Setup) -> None:
-    """Open the masking noise for a moment, silently, so that what it lacks is told before anything begins."""
+    """Open the masking noise briefly and silently, so that a fault is reported before anything begins."""
     with setup.open_masking(lambda event, **facts: None) as masking:
         found = masking.describe()
     if found is not None and found["state"] != "masked":
@@ -257,7 +257,7 @@ def demonstrate(
     tell: Callable[[str], None],
     on_progress: Callable[[int, int], None],
 ) -> dict[str, Path]:
-    """Run the demonstration, a new session in the simulated tree of the results, and return where its traces are."""
+    """Run the demonstration, a new session in the simulated tree of the results, and return where its files are."""
     from modaltouch.analysis import analyse
     from modaltouch.preflight import examine
     from modaltouch.protocol import Source
@@ -300,7 +300,7 @@ def _chosen(
     screen: int | None = None,
     screenshots: Path | None = None,
 ) -> dict[str, Any]:
-    """Return those options of the answer window that were given."""
+    """Return the options of the answer window that were given."""
     given = {
         "fullscreen": fullscreen,
         "size": None if size is None else _read_size(size),
@@ -322,7 +322,7 @@ def _read_size(size: str) -> tuple[int, int]:
 def _conduct(
     sit: Callable[[Setup], Session], setup: Setup, events: Path | None, *, plain: bool, json_output: bool
 ) -> None:
-    """Run a sitting before the experimenter's console, and say what came of it."""
+    """Run a sitting with the experimenter's console, and print its outcome."""
     from modaltouch.session import open_console
 
     emergency_keys = setup.preflight.experiment.protocol.answers.emergency_keys

@@ -31,7 +31,7 @@ def simulate(
     from modaltouch.session import simulate_session
 
     with reporting(json_output=json_output):
-        # An observer that does not exist is told before a protocol is designed.
+        # An observer that does not exist is reported before the protocol's stimuli are designed.
         given = None if observer is None else read_observer(observer)
         preflight = examine(protocol, calibration, marked=with_marked_calibration).require()
         population = given or read_observer(usual_observer(preflight.experiment.protocol))

@@ -11,9 +11,9 @@ if TYPE_CHECKING:
 
 
 def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], *, n_words: int = 1) -> None:
-    """Print a table; cells may have Rich's markup, and hold numbers but in the first `n_words` columns.
+    """Print a table; cells may have Rich's markup, and all columns but the first `n_words` hold numbers.
 
-    Headings and words are wrapped where the screen is narrow, between words; numbers never.
+    On a narrow screen headings and words are wrapped between words; numbers never are.
     """
     from rich.console import Console
     from rich.table import Table
@@ -45,7 +45,7 @@ def make_bars() -> Progress:
 
 @contextmanager
 def progress(what: str) -> Iterator[Callable[[int, int], None]]:
-    """Show how far something is; yield what is called with (done, total)."""
+    """Show a progress bar; yield a function to be called with (done, total)."""
     with make_bars() as bars:
         task = bars.add_task(what, total=None)
         yield lambda done, total: bars.update(task, completed=done, total=total)
