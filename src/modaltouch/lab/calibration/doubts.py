@@ -109,8 +109,9 @@ def refuse_changing_beam(decays: Sequence[Decay], shapes: FloatArray) -> None:
             raise RigError(
                 f"the mode near {one.pole.imag[mode] / (2 * np.pi):.0f} Hz moved by {moved[mode]:.0%} of its half "
                 f"bandwidth between the probes of two outputs: allowed {LARGEST_STRAIN:.0%}; the outputs are off; the "
-                "beam drifts, or its frequencies change with the amplitude: let beam, patches and amplifier reach a "
-                "steady temperature, check the patches and the suspension, and calibrate again"
+                "beam drifts, its frequencies change with the amplitude, or the records of a point are late: let beam, "
+                "patches and amplifier reach a steady temperature, check the patches, the suspension and the trigger, "
+                "and calibrate again"
             )
 
 
@@ -325,24 +326,31 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]
             f"but the measured peaks fall short by {outcome.drive_shortfall[output]:.1%}; lower the highest level, or "
             "set amplifier.limit_V to its true value"
         )
-    elif float(last.shown_slip.max()) > max(allowed / 2, noise):
+    # What changes the frequencies hardly makes the points disagree: a late record at one of them does both.
+    elif float(last.shown_slip.max()) > max(allowed / 2, noise, float(last.disagreement.max())):
         yield _changed_frequencies(outcome)
-    elif noise > allowed / 2 or 100 * level_noise > limits.level_percent * highest:
-        yield (
-            f"the velocity is noisy: {noise * 1e3:.2g} mm/s of a mode and {level_noise * 1e3:.2g} mm/s of a level "
-            "remain unknown; focus the vibrometer on a spot that reflects, fasten the sensor, and choose the "
-            "smallest range that covers the velocity"
-        )
     elif any((s.disagreement > np.maximum(4 * s.spread, allowed / 4)).any() for s in (last, outcome.halfway.state)):
         yield (
-            "the points along the beam disagree: the sensor is loose, or its spot is in the wrong place; fasten it, "
-            "aim it again, and calibrate again"
+            "the points along the beam disagree: the sensor is loose, its spot is in the wrong place, or a record is "
+            "late; fasten it, aim it again, check the trigger, and calibrate again"
+        )
+    elif noise > allowed / 2:
+        yield (
+            f"the velocity is noisy: the uncertainty is {noise * 1e3:.2g} mm/s per mode and {level_noise * 1e3:.2g} "
+            "mm/s per level; focus the vibrometer on a spot that reflects, fasten the sensor, and choose the "
+            "smallest range that covers the velocity"
         )
     elif any(each["limit"] == "focus_percent" for each in missed):
         yield (
-            f"at the focus the beam moves {1 + excess:.2f} times as fast as the points along the beam tell: the spot "
+            f"at the focus the beam moves {1 + excess:.2f} times as fast as the other points predict: the spot "
             "misses the centre of the focus zone, or the vibrometer's angle or range is different there; aim it again, "
             "and calibrate again"
+        )
+    elif 100 * level_noise > limits.level_percent * highest:
+        yield (
+            f"at the focus the records leave {level_noise * 1e3:.2g} mm/s of a level uncertain, though the other points "
+            "agree: the spot reflects badly there, or the records are late; aim the vibrometer again, check the "
+            "trigger, and calibrate again"
         )
     elif all(each["level_mm_s"] != outcome.inputs.reference for each in missed):
         yield HYSTERESIS
