@@ -141,6 +141,11 @@ def test_points_exchanged_are_no_lack_of_drive(clean: FrequencyResponses) -> Non
     assert "drive harder" not in str(refusal.value)
 
 
+def test_modes_split_by_drift_are_no_exchanged_points(apparatus: Apparatus) -> None:
+    """Case 322 of `make spoilt`: torsion of no mode's shape stands out, but each missing mode is two resonances."""
+    assert spoilt.outcome("drift", 322, apparatus)["right"]
+
+
 def test_low_coherence_over_the_band_is_said(beam: TrueBeam) -> None:
     """Median of 0.2 where every peak is still seen."""
     found = identify(spoilt.measured(*spoilt.response_of(beam), seed=0, noise=50.0), 0.1, most=0)

@@ -348,8 +348,8 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]
         )
     elif 100 * level_noise > limits.level_percent * highest:
         yield (
-            f"at the focus the records leave {level_noise * 1e3:.2g} mm/s of a level uncertain, though the other points "
-            "agree: the spot reflects badly there, or the records are late; aim the vibrometer again, check the "
+            f"at the focus the records leave {level_noise * 1e3:.2g} mm/s of a level uncertain, though the other "
+            "points agree: the spot reflects badly there, or the records are late; aim the vibrometer again, check the "
             "trigger, and calibrate again"
         )
     elif all(each["level_mm_s"] != outcome.inputs.reference for each in missed):

@@ -51,8 +51,11 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     """
     found = {mode.label: mode for mode in identification.modes if mode.label is not None}
     spoilt = identification.misfit > WELL_FITTED or any(mode.rest.share > MARKED_ELSE for mode in identification.modes)
-    strange = "" if spoilt else _strange(identification.modes, [label for label in labels if label not in found])
-    split = "" if strange else _split(identification.modes)
+    modes, missing = identification.modes, [label for label in labels if label not in found]
+    # Of a beam that drifts, a missing mode is split; of exchanged points, it has one resonance of a strange shape.
+    split = _split([mode for mode in modes if mode.label or _may_be(missing, mode, modes)])
+    strange = "" if spoilt or split else _strange(modes, missing)
+    split = split or ("" if strange else _split(modes))
     remedy = "" if spoilt or split or strange else "; drive harder, average more, or look higher with --highest-kHz"
     lines = []
     for label in labels:
@@ -85,7 +88,6 @@ def _split(modes: Sequence[IdentifiedMode]) -> str:
 
 def _strange(modes: Sequence[IdentifiedMode], missing: Sequence[int]) -> str:
     """Describe strong, well-fitted resonances without a mode's shape where a mode is missing; empty if none."""
-    labelled = [(mode.label, mode.natural_frequency.value) for mode in modes if mode.label is not None]
     least = AS_HIGH * float(np.median([mode.half_power.height for mode in modes]))
     strange = []
     for one in modes:
@@ -93,15 +95,21 @@ def _strange(modes: Sequence[IdentifiedMode], missing: Sequence[int]) -> str:
         alone = all(abs(each.natural_frequency.value / own - 1) > width for each in modes if each is not one)
         fitted = one.half_power.height > least and one.rest.share <= MARKED_ELSE
         if alone and fitted and not (one.label or one.torsion):
-            below = max((label for label, frequency in labelled if frequency < own), default=0)
-            above = min((label for label, frequency in labelled if frequency > own), default=np.inf)
-            strange += [one.name] * any(below < label < above for label in missing)
+            strange += [one.name] * _may_be(missing, one, modes)
     if not strange:
         return ""
     return (
         f"the shape at {', '.join(strange)} is not that of a mode: check the positions of the points (two may be "
         "exchanged) and the length of the beam"
     )
+
+
+def _may_be(missing: Sequence[int], one: IdentifiedMode, modes: Sequence[IdentifiedMode]) -> bool:
+    """Whether a missing mode may lie at a resonance: between the labelled ones below and above it."""
+    labelled, own = [mode for mode in modes if mode.label is not None], one.natural_frequency.value
+    below = max((mode.label or 0 for mode in labelled if mode.natural_frequency.value < own), default=0)
+    above = min((mode.label or 0 for mode in labelled if mode.natural_frequency.value > own), default=np.inf)
+    return any(below < label < above for label in missing)
 
 
 def check_all(identification: Identification) -> None:
