@@ -2,6 +2,9 @@
 
 Of each protocol at fixed levels a few participants are simulated and analysed; R must fit what can be fitted, say why
 of what cannot, and find the same p, intervals and estimates as `reference.R` tells them.
+
+On Debian brms needs r-cran-brms, r-cran-rcppeigen, r-cran-rcppparallel and r-cran-bh, and a link that rstan looks for:
+``ln -s /usr/include /usr/lib/R/site-library/BH/include``. A model takes it minutes; without it, it is skipped.
 """
 
 from __future__ import annotations
