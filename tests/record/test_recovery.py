@@ -149,7 +149,7 @@ def test_what_is_lost_is_said_in_words_and_values(damaged, sound):
     n_lines, answers = len(sound.splitlines()), len(trial_lines(sound))
     first, *_, last = trial_lines(sound)
     whole = survey(damaged(lambda lines: lines))
-    assert whole.lines == [f"{n_lines} lines are intact, {answers} answers among them"]
+    assert whole.lines == [f"{n_lines} lines are intact, including {answers} answers"]
     assert whole.as_dict()["sound"] is True
 
     def spoil(lines):
@@ -161,10 +161,10 @@ def test_what_is_lost_is_said_in_words_and_values(damaged, sound):
     gone = [first - 1, first, first + 1, last + 1]
     assert found.missing == tuple(gone)
     assert found.lines == [
-        f"{n_lines - 4} lines are intact, {answers - 2} answers among them",
+        f"{n_lines - 4} lines are intact, including {answers - 2} answers",
         f"line {first - 1} is left out: it was changed, or the line before it is missing, so it cannot be proved",
         f"line {last - 1} is left out: it was changed, or the line before it is missing, so it cannot be proved",
-        f"gone: the lines numbered {first - 1} to {first + 1}, {last + 1}",
+        f"missing: lines {first - 1} to {first + 1}, {last + 1}",
     ]
     plain = found.as_dict()
     assert plain["session"] == str(path)
@@ -183,7 +183,7 @@ def test_moved_lines_are_said_to_be_moved(damaged):
 
     found = survey(damaged(swap))
     assert not found.is_sound
-    assert found.lines[1:] == ["they were moved; the order in which they were written is known"]
+    assert found.lines[1:] == ["lines were moved; their original order is known"]
     assert sorted(found.numbers) == list(range(1, len(found.numbers) + 1))
 
 
@@ -301,4 +301,4 @@ def test_lines_that_are_gone_from_the_end_are_missed_by_the_view(damaged, sound,
     assert found.missing == tuple(range(n_lines - 8, n_lines + 2))
     assert not found.is_sound
     assert not found.is_cut
-    assert found.lines[1] == f"gone: the lines numbered {n_lines - 8} to {n_lines + 1}"
+    assert found.lines[1] == f"missing: lines {n_lines - 8} to {n_lines + 1}"

@@ -191,7 +191,9 @@ def test_other_fingers_in_the_record_are_noticed(session: Session, tmp_path: Pat
         lines.append(line)
     log.write_bytes(b"".join(lines))
     problems = audit_session(Session.find(log)).problems
-    assert any("the drive for the fingers that were measured (A-C) is not the one it says" in each for each in problems)
+    assert any(
+        "the drive for the fingers that were measured (A-C) is not the one recorded" in each for each in problems
+    )
     assert any("Vpp were commanded" in each for each in problems)
     assert any("the fingers found in its burst give a delivered speed_left_mm_s of" in each for each in problems)
 

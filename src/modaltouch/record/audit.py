@@ -230,7 +230,7 @@ def _check_gap(session: Session, protocol: Protocol, place: str) -> tuple[bool, 
     if kind is None or not kind.min_gap_days or not times or "begins_anew" in session.start:
         return True, ""
     days = (datetime.fromisoformat(begun) - datetime.fromisoformat(times[-1])) / timedelta(days=1)
-    said = f"begun {days:.2f} days after the session before"
+    said = f"begun {days:.2f} days after the previous session"
     if days >= kind.min_gap_days:
         return True, said
     said += f", where {kind.name} has min_gap_days: {kind.min_gap_days:g}"

@@ -92,14 +92,14 @@ class Recovery:
     def lines(self) -> list[str]:
         """Sentences on what can be recovered and what cannot."""
         answers = sum(event.get("event") == "trial" for event in self.events)
-        said = [f"{len(self.events)} lines are intact, {answers} answers among them"]
+        said = [f"{len(self.events)} lines are intact, including {answers} answers"]
         if self.numbers != tuple(sorted(self.numbers)):
-            said.append("they were moved; the order in which they were written is known")
+            said.append("lines were moved; their original order is known")
         if self.has_carriage_returns:
             said.append("every line ends in CR LF: a program that converts line ends changed the file")
         said += [f"line {line.number} is left out: {line.reason}" for line in self.left_out]
         if self.missing:
-            said.append(f"gone: the lines numbered {_ranges(self.missing)}")
+            said.append(f"missing: line{'s' * (len(self.missing) > 1)} {_ranges(self.missing)}")
         return said
 
     def as_dict(self) -> dict[str, Any]:

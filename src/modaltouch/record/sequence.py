@@ -55,7 +55,7 @@ def check_form(event: Event, protocol: Protocol, done: set[str]) -> Iterator[str
     """
     name, asked = event["name"], protocol.closing
     if name not in asked or name in done:
-        yield f"the form {'has no question' if name not in asked else 'has an answer already to'} {name!r}"
+        yield f"the form {'has no question' if name not in asked else 'already has an answer to'} {name!r}"
         return
     done.add(name)
     yield from (f"{name} of the form: {fault}" for fault in _check_response(event["response"], asked[name]))
@@ -325,11 +325,12 @@ class EventSequence:
             level = 1e3 * float(stimulus.velocity_at_focus([inputs.centre_mm * 1e-3], inputs.reference * 1e-3)[0])
             highest = restored.preflight.designs[said["design"]].attainable
             if said["content_hash"] != stimulus.burst.content_hash:
-                yield f"the drive for the fingers that were measured ({said['design']}) is not the one it says"
+                yield f"the drive for the fingers that were measured ({said['design']}) is not the one recorded"
             if abs(said["level_mm_s"] - level) > SPEED or abs(said["attainable_mm_s"] - highest) > SPEED:
                 yield (
                     f"under the fingers that were measured ({said['design']}) the level is {level:.6g} mm/s, at most "
-                    f"{highest:.6g} mm/s, but it says {said['level_mm_s']:.6g} and {said['attainable_mm_s']:.6g} mm/s"
+                    f"{highest:.6g} mm/s, but the record says {said['level_mm_s']:.6g} and "
+                    f"{said['attainable_mm_s']:.6g} mm/s"
                 )
 
     def _due(self) -> Key | None:
@@ -418,7 +419,10 @@ class EventSequence:
         outcome = judge_round(self._counted.values(), event["round"], section.practice_trials, protocol)
         found = outcome.n_judged, outcome.n_agreed, outcome.passes(section.practice_criterion)
         if number > self._whole_from and found != (event["n_judged"], event["n_agreed"], event["passed"]):
-            yield f"in practice round {event['round']} {found[1]} of {found[0]} answers agreed, but it says otherwise"
+            yield (
+                f"in practice round {event['round']}, {found[1]} of {found[0]} answers agreed, but the record says "
+                "otherwise"
+            )
 
     def _stopped(self, number: int, event: Event) -> Iterator[str]:
         """Check the number of answered trials stated at the end of a sitting."""

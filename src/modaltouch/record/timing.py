@@ -55,7 +55,7 @@ def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterato
     asked, played, whole, dropped = counts = [bursts[name] for name in _COUNTS]
     first, around = bursts["first_s"], bursts["uncertainty_s"]
     if any(each is not None and (type(each) is not int or each < 0) for each in counts):
-        yield f"its bursts are counted as {counts}"
+        yield f"its burst counts are not whole numbers from 0: {counts}"
         return
     repeats = given.restored.preflight.experiment.apparatus.generator.repeats
     if confirmed["repetition"] != repeats:
@@ -66,10 +66,10 @@ def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterato
             yield "is confirmed, although its bursts are not all counted"
             return
         if whole != played or played + dropped != asked:
-            yield f"is confirmed with {asked} bursts asked, {played} played, {whole} whole and {dropped} dropped"
+            yield f"is confirmed with {asked} bursts due, {played} played, {whole} whole and {dropped} dropped"
         yield from _check_number(event, trial, given)
     if not _rises(whole, played, asked) or not _rises(dropped, asked):
-        yield f"has {asked} bursts asked, {played} played, {whole} whole and {dropped} dropped"
+        yield f"has {asked} bursts due, {played} played, {whole} whole and {dropped} dropped"
     if first is None:
         return
     said = event["instants"]["first_burst"]
@@ -85,12 +85,12 @@ def _check_number(event: Event, trial: Trial, given: TrialExpectation) -> Iterat
     asked, rate = event["bursts"]["asked"], given.protocol.stimulus_of(trial.condition.stimulus).repetition_rate_Hz
     if trial.condition.is_catch:
         if asked:
-            yield f"is a catch trial with {asked} bursts asked"
+            yield f"is a catch trial with {asked} bursts due"
         return
     most = given.protocol.n_bursts(trial.condition.stimulus)
     if given.protocol.answers.stimulus_until == "question":
         if (asked, event["bursts"]["dropped"]) != (most, 0):
-            yield f"is confirmed with {asked} of {most} bursts asked and {event['bursts']['dropped']} dropped"
+            yield f"is confirmed with {asked} of {most} bursts due and {event['bursts']['dropped']} dropped"
         return
     first, around = event["bursts"]["first_s"], event["bursts"]["uncertainty_s"]
     answer = event["instants"]["answer"]
@@ -98,8 +98,8 @@ def _check_number(event: Event, trial: Trial, given: TrialExpectation) -> Iterat
     possible = (event["clock"] - first + around) * rate + 1
     if not (min(due - 1 - _LATE, most) <= asked <= most and event["bursts"]["played"] <= possible + _LATE):
         yield (
-            f"{asked} bursts were asked, at {rate:g} Hz {max(due, 1):.0f} were due by its answer and {possible:.0f} by "
-            f"its end, at most {most}"
+            f"its record says {asked} bursts due, but at {rate:g} Hz {max(due, 1):.0f} were due by its answer and "
+            f"{possible:.0f} by its end, at most {most}"
         )
 
 

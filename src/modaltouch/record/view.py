@@ -48,7 +48,7 @@ COLUMNS: dict[str, dict[str, Any]] = {
             "mirrored_swapped": "both",
         },
     },
-    "velocity_mm_s": {"Description": "Peak velocity asked at the focus", "Units": "mm/s"},
+    "velocity_mm_s": {"Description": "Peak velocity requested at the focus", "Units": "mm/s"},
     "repetition": {"Description": "Number of this presentation of the condition, from 1"},
     "response": {"Description": "Where the participant felt the stimulation"},
     "response_time": {"Description": "Time from the onset in response_onset to the answer", "Units": "s"},
@@ -352,7 +352,7 @@ def check_view(session: Session) -> ViewFound:
         return ViewFound(problem=f"{side}: is missing; `modaltouch resume` writes it", is_mendable=True)
     if session.trials != shown.trials:
         behind = len(checks) - len(shown.events)
-        return ViewFound(f"BIDS view agrees, {behind} lines behind the log: `modaltouch resume` brings it up")
+        return ViewFound(f"BIDS view agrees, {behind} lines behind the log: `modaltouch resume` brings it up to date")
     said = f"BIDS view agrees: {len(session.trials)} answers, practice included"
     return ViewFound(said, is_current=n_lines == len(checks))
 
