@@ -208,7 +208,7 @@ def test_participants_who_lack_a_level_are_counted_beside_a_comparison_of_groups
     whole = rated(low=(40, 80), high=(40, 80))
     lacking = whole.frame[~((whole.frame["participant"] == "p0") & (whole.frame["velocity_mm_s"] == 80))]
     findings, _ = found(replace(whole, frame=lacking))
-    said = "participants without a value in some cell, who count by the others: 1"
+    said = "participants without a value in some cell, averaged over the others: 1"
     assert findings["rating between groups", "low - high"].note.endswith(said)
     assert "some cell" not in found(whole)[0]["rating between groups", "low - high"].note
 
@@ -218,7 +218,7 @@ def test_groups_without_a_common_cell_are_described_and_not_tested() -> None:
     findings, _ = found(rated(low=(40,), high=(80, 160)))
     between = findings["rating between groups", "low - high"]
     assert math.isnan(between.p) and math.isnan(between.estimate) and between.family == ""
-    assert "no value of both groups in cells that both met" in between.note
+    assert "no values from both groups in cells that both met" in between.note
 
 
 def test_felt_or_not_gives_a_threshold_and_d_prime_by_level() -> None:

@@ -38,8 +38,8 @@ def test_numbers_are_filled_in(paper_frame) -> None:
         "Yes, in 4 of 6 tests: one zone is chosen more than the other on average. Clearest: P(C) - P("
     )
     assert re.search(r"= 1 \[.*\] \(two hands, C and E\), p = 0.002, Holm p = 0.012", told["a2"])
-    assert "Yes, in 4 of 6 tests: one zone is chosen more than the other for somebody." in told["a2"]
-    assert "the choice changes with the level for somebody: none of 6 tests could reach p ≤ 0.05." in told["b"]
+    assert "Yes, in 4 of 6 tests: one zone is chosen more than the other for at least one participant." in told["a2"]
+    assert "changes with the level for at least one participant: none of 6 tests could reach p ≤ 0.05." in told["b"]
     assert told["e"].startswith("Gwet AC1 from 0.")
     rows = find(count_answers(paper_frame), paper_frame)
     (row,) = [row for row in rows if (row.family, row.scope) == ("a2 mean", "one_hand C-E")]

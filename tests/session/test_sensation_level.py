@@ -295,5 +295,5 @@ def test_what_needs_the_same_velocities_for_all_refuses_it(preflight: Preflight,
     """Power and fits know velocities: refused with a reason, never a traceback."""
     with pytest.raises(InputError, match="levels calibrated by participant, which depend on thresholds not yet known"):
         designs_for(preflight, FAINT)
-    with pytest.raises(InputError, match="levels calibrated by participant, each of whom felt other velocities"):
+    with pytest.raises(InputError, match="levels calibrated by participant, so each felt different velocities"):
         fit_answers(preflight, results / "simulated" / "sensation_levels", FAINT)

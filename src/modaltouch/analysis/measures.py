@@ -158,7 +158,7 @@ def mean_findings(values: Sequence[Own], scale: LevelScale, groups: Mapping[str,
             "geometric mean" if measure.is_ratio else "",
             *({each.note for each in own} if len({each.note for each in own}) == 1 else ()),
             f"{left_out} participants without a value left out" if left_out else "",
-            f"without a bound of their own on one side: {n_open}" if n_open else "",
+            f"participants whose own interval is open on one side: {n_open}" if n_open else "",
             "" if tested else "described, not tested",
             f"not a 95 % interval of the true mean: {why_not}" if why_not else "",
         ]
@@ -226,20 +226,20 @@ def group_findings(
         first, second = (np.array([n for who, n in numbers.items() if groups.get(who) == name]) for name in names)
         scope, quantity = f"{a} - {b}", f"{_difference(measure)} of {measure.quantity}"
         if not (first.size and second.size):
-            why = "described, not tested: no value of both groups in cells that both met"
+            why = "described, not tested: no values from both groups in cells that both met"
             name = f"{measure.name} between groups"
             yield finding_of("group", name, scope, None, quantity, Interval.point(math.nan, 0), 0, notes=[why])
             continue
         test, interval = group_test(first, second)
         n_values = Counter(each.participant for each in compared[measure] if math.isfinite(linear(each)))
-        n_partial = sum(n < max(n_values.values()) for n in n_values.values())
+        n_part = sum(n < max(n_values.values()) for n in n_values.values())
         yield finding_of(
             "group", f"{measure.name} between groups, permutation test of participants", scope, test, quantity,
             as_told(measure, interval), first.size + second.size, family="groups",
             notes=[
                 f"{a}: {first.size}, {b}: {second.size} participants; interval of a shift",
                 "over the cells that both groups met" if shared is not values else "",
-                f"participants without a value in some cell, who count by the others: {n_partial}" if n_partial else "",
+                f"participants without a value in some cell, averaged over the others: {n_part}" if n_part else "",
             ],
         )  # fmt: skip
 

@@ -20,7 +20,7 @@ FAULTS = {
     "stop": "sittings ended early",
     "rig": "instrument problems, all overcome or followed by the end of the session",
     "masking_lost": "losses of the masking noise",
-    "drifted": "trials whose whole 95 % interval lies over 5 % above or below the predicted speed",
+    "drifted": "trials whose whole 95 % interval lies more than 5 % above or below the predicted speed",
     "unheard": "trials for which the vibrometer gave no delivered speed",
     "torn": "lines cut while they were written",
 }

@@ -147,7 +147,7 @@ def design_limits(analysis: Analysis) -> list[str]:
         (
             len(answers.finger_conditions) > 1,
             f"With n = {n}, finger conditions can be shown to be alike on average within {1 - 0.05 ** (1 / n):.2f} at "
-            "best, if nobody's answers differ: people who differ may be missing by chance.",
+            "best, if no participant's answers differ: participants who differ may be missing by chance.",
         ),
         (
             "trial" not in analysis.responses.frame.columns and len(answers.finger_conditions) > 1,

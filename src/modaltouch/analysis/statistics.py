@@ -270,7 +270,7 @@ STATISTICS: dict[str, Statistic] = {
         lambda answers: means_of(_scores(dominance(answers))),
     ),
     "b": Statistic(
-        "b", "does the choice change with the level in anybody",
+        "b", "does the choice change with the level in any participant",
         "exact trend test that no participant's answers change with the level", level_tests,
         "", lambda levels, n, n_repetitions, margin: smallest_trend_p(levels, n, n_repetitions),
     ),
@@ -279,7 +279,7 @@ STATISTICS: dict[str, Statistic] = {
         lambda answers: means_of(slopes(answers)), "slope per 100 mm/s",
     ),
     "c": Statistic(
-        "c", "do the answers differ between finger conditions in anybody", _ANYBODY,
+        "c", "do the answers differ between finger conditions in any participant", _ANYBODY,
         lambda answers: signs_of(conditions_compared(answers)),
     ),
     "c mean": Statistic(
@@ -294,7 +294,7 @@ STATISTICS: dict[str, Statistic] = {
         when_alike=True,
     ),
     "d": Statistic(
-        "d", "do the pairs of zones differ in anybody", _ANYBODY,
+        "d", "do the pairs of zones differ in any participant", _ANYBODY,
         lambda answers: signs_of(pairs_compared(answers)),
     ),
     "d mean": Statistic(

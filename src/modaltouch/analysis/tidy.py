@@ -355,9 +355,11 @@ class _Columns:
             name, f"0 to {_LONGEST:g} s, or nothing", lambda value: 0 <= value <= _LONGEST, empty=True
         )
         if (middle := values.median()) > _LONG:
-            line, given = int(values.index[values > _LONG][0]), f"times of {middle:g} s in the median"
+            line, given = int(values.index[values > _LONG][0]), f"a median time of {middle:g} s"
             remedy = "divide times in milliseconds by 1000"
-            self.problems.append(self._table.problem(line, name, given, f"seconds, {_LONG:g} in the median", remedy))
+            self.problems.append(
+                self._table.problem(line, name, given, f"seconds, with a median of at most {_LONG:g}", remedy)
+            )
         return values
 
     def check_words(self, where: pd.Series, design: Mapping[str, Any]) -> None:

@@ -14,7 +14,7 @@ from modaltouch.report import say_number
 
 HEADINGS = {
     "sensitivity": ("How well can the stimuli be distinguished?", "d' or the criterion differs"),
-    "function": ("At which level does the answer turn?", "the threshold, the PSE or the JND differs"),
+    "function": ("At which level does the answer change?", "the threshold, the PSE or the JND differs"),
     "rating": ("What do the ratings say?", "ratings differ"),
     "group": ("Do the groups of participants differ?", "the groups differ"),
     "a1": ("Do the answers of a cell differ from guessing?", "answers differ from guessing"),
@@ -135,7 +135,7 @@ def _claim(claim: str, family: str) -> str:
         return "the finger conditions are alike on average, within the margin"
     if family.endswith(" mean"):
         return f"{claim} on average"
-    return f"{claim} for somebody" if f"{family} mean" in STATISTICS else claim
+    return f"{claim} for at least one participant" if f"{family} mean" in STATISTICS else claim
 
 
 def _answer_family(tested: Sequence[Finding], claim: str, answers: AnswerCounts) -> str:

@@ -122,7 +122,7 @@ def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCoun
     experiment, remedy = preflight.experiment, "give the protocol that these answers belong to"
     _refuse_adaptive(path, is_adaptive=responses.is_adaptive)
     if responses.in_multiples:
-        given = "sessions with levels calibrated by participant, each of whom felt other velocities"
+        given = "sessions with levels calibrated by participant, so each felt different velocities"
         raise InputError.of(path, given, "sessions with the same levels for all")
     answers = responses.count(experiment.protocol.stimulus.focus)
     zones = experiment.apparatus.zones
