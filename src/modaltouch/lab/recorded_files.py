@@ -120,8 +120,8 @@ class RecordedFiles(Scope):
             before = seen
             time.sleep(POLL)
         raise RigError(
-            f"no record arrived as {self._folder / name}.csv or .npz within {self.slowest / 60:g} min that can be "
-            f"used{why}; the outputs are off; get the scope ready and run the command again"
+            f"no usable record arrived as {self._folder / name}.csv or .npz within {self.slowest / 60:g} min{why}; "
+            f"the outputs are off; get the scope ready and run the command again"
         )
 
     def close(self) -> None:
@@ -159,12 +159,12 @@ class RecordedFiles(Scope):
     def _recording(self, path: Path, *others: Path, position: float) -> Recording:
         """Return the recording in a file, cut to the requested window; refuse further files of the same name."""
         if others:
-            raise ValueError(f"{path}: {others[0].name} is there too; delete one of them")
+            raise ValueError(f"{path}: {others[0].name} also exists; delete one of the two")
         asked, table = self._asked, READERS[path.suffix.lower()](path)
         names = ["velocity_m_s" if "velocity_m_s" in table else "velocity_V", *(f"drive_{n}_V" for n in asked.drives)]
         for name in ("time_s", *names):
             if name not in table:
-                raise ValueError(f"{path}:1: the column {name} is missing; there are {', '.join(table)}")
+                raise ValueError(f"{path}:1: the column {name} is missing; found: {', '.join(table)}")
             if not np.isfinite(table[name]).all():
                 raise ValueError(f"{_place(path, ~np.isfinite(table[name]))}: {name} is not a finite number")
         begin, step, first, n_samples = _window(path, table["time_s"], asked)
@@ -192,10 +192,10 @@ class RecordedFiles(Scope):
         """Refuse a record identical to an earlier one, since two bursts never have the same noise."""
         marks = [hashlib.blake2b(record.tobytes(), digest_size=16).digest() for record in velocity]
         if len(marks) > len(set(marks)) == 1:
-            raise ValueError(f"{path}: its {len(marks)} records are one and the same; record {len(marks)} bursts")
+            raise ValueError(f"{path}: its {len(marks)} records are identical; record {len(marks)} bursts")
         former = next((self._former[mark] for mark in marks if mark in self._former), None)
         if former is not None:
-            raise ValueError(f"{path}: its velocity is, sample by sample, that of {former}; arm the scope anew")
+            raise ValueError(f"{path}: its velocity is identical to that of {former}; arm the scope again")
         self._former |= dict.fromkeys(marks, path.name)
 
 
@@ -204,7 +204,7 @@ def _window(path: Path, time_s: FloatArray, asked: Acquisition) -> tuple[float, 
     n_records, n = time_s.shape
     if n_records != asked.n_records or n < 2:
         raise ValueError(
-            f"{path}: it contains {n_records} records of {n} samples; {asked.n_records} records were asked for"
+            f"{path}: it contains {n_records} records of {n} samples; {asked.n_records} records were requested"
         )
     # Files contain few digits: all samples together give the instants more accurately than any single one.
     order = np.arange(n) - (n - 1) / 2
@@ -228,7 +228,7 @@ def _window(path: Path, time_s: FloatArray, asked: Acquisition) -> tuple[float, 
     if start > asked.start + step or first + n_kept > n:
         raise ValueError(
             f"{path}: its records last from {start * 1e3:.6g} to {(start + step * (n - 1)) * 1e3:.6g} ms after the "
-            f"trigger; {asked.start * 1e3:.6g} to {(asked.start + length) * 1e3:.6g} ms were asked for"
+            f"trigger; {asked.start * 1e3:.6g} to {(asked.start + length) * 1e3:.6g} ms were requested"
         )
     return start + step * first, step, first, n_kept
 
@@ -256,9 +256,9 @@ def _read_csv(path: Path) -> dict[str, FloatArray]:
     header, *rows = path.read_text(encoding="utf-8-sig", errors="replace").splitlines() or [""]
     names = [name.strip() for name in header.split(",")]
     if "time_s" not in names:
-        raise ValueError(f"{path}:1: the column time_s is missing; there are {header[:80]!r}; {FORM}")
+        raise ValueError(f"{path}:1: the column time_s is missing; found: {header[:80]!r}; {FORM}")
     if len(set(names)) < len(names):
-        raise ValueError(f"{path}:1: a column is there twice among {', '.join(names)}")
+        raise ValueError(f"{path}:1: a column appears twice in {', '.join(names)}")
     values = np.array([_numbers(path, line, row, len(names)) for line, row in enumerate(rows or [""], start=2)])
     time_s = values[:, names.index("time_s")]
     if not np.isfinite(time_s).all():

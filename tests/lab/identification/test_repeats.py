@@ -100,7 +100,9 @@ def test_double_impacts_are_left_out_and_counted(tmp_path: Path) -> None:
     )
     assert len(responses.repeats) == 4
     assert responses.n_averages == 4
-    assert responses.marks == ("2 of 6 hits of a.csv were left out: double impacts, or cut by the end of the record",)
+    assert responses.marks == (
+        "2 of 6 hits of a.csv were left out: double impacts, or cut off by the end of the record",
+    )
     found = identify_each(responses.between(60, 900))
     assert [mode.natural_frequency.value for mode in found.modes] == pytest.approx([own for own, _ in POLES], rel=2e-4)
     rng, once, twice = np.random.default_rng(4), hit([60]), hit([60, 183])

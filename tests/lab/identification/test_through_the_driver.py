@@ -220,8 +220,8 @@ def test_excitation_is_flat_and_periodic(apparatus: Apparatus, kind: Excitation)
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("side", 300.0, 50e3), "an excitation of 300 V was asked for: allowed above 0 and up to 250 V"),
-        (("side", 20.0, 300e3), "an excitation up to 300 kHz was asked for"),
+        (("side", 300.0, 50e3), "an excitation of 300 V was requested: allowed above 0 and up to 250 V"),
+        (("side", 20.0, 300e3), "an excitation up to 300 kHz was requested"),
     ],
 )
 def test_excitation_out_of_bounds_is_refused(apparatus: Apparatus, arguments: Any, words: str) -> None:

@@ -147,7 +147,7 @@ def changed(line: int, text: str) -> list[str]:
     ("lines", "said"),
     [
         ([], r"csv:1: the column time_s is missing"),
-        (["time_s,velocity_V", "0,1"], r"csv:1: the column drive_1_V is missing; there are time_s, velocity_V"),
+        (["time_s,velocity_V", "0,1"], r"csv:1: the column drive_1_V is missing; found: time_s, velocity_V"),
         (["time_s,speed,drive_1_V", "0,1,2"], r"csv:1: the column velocity_V is missing"),
         (changed(4, "0.00102,oops,0"), r"csv:4:2: 'oops' is not a number"),
         (changed(7, "0.00105,0.1"), r"csv:7: the line has 2 cells, but the header has 3"),
@@ -157,18 +157,18 @@ def changed(line: int, text: str) -> list[str]:
         (changed(4, "0.00102,0.1\udcb5,0"), r"csv:4:2: '0.1\ufffd' is not a number"),
         (changed(12, "0.001105,0.1,0"), r"csv:12: time_s is not evenly spaced"),
         (csv_of()[:-1], r"csv:52: the record that begins here has 49 samples, but the first has 50"),
-        (csv_of(n_records=3), r"contains 3 records of 50 samples; 2 records were asked for"),
+        (csv_of(n_records=3), r"contains 3 records of 50 samples; 2 records were requested"),
         (csv_of(rate=5e4), r"was sampled at 50 kHz; allowed: 100 to 5000 kHz"),
-        (csv_of(first=2e-3), r"last from 2 to 2\.49 ms after the trigger; 1 to 1\.49 ms were asked for"),
+        (csv_of(first=2e-3), r"last from 2 to 2\.49 ms after the trigger; 1 to 1\.49 ms were requested"),
         (csv_of(n=40), r"last from 1 to 1\.39 ms"),
         (csv_of(late=1e-6), r"its records differ by 1000 ns, at most 20 ns are allowed; switch off interpolation"),
-        ([csv_of()[0], *csv_of()[1:51], *csv_of()[1:51]], r"its 2 records are one and the same; record 2 bursts"),
+        ([csv_of()[0], *csv_of()[1:51], *csv_of()[1:51]], r"its 2 records are identical; record 2 bursts"),
         (
             [line.replace(",", ";") for line in csv_of()],
             r"time_s is missing; .*; save it as UTF-8, with commas between",
         ),
         ([line.replace(".", ",") for line in csv_of()], r"csv:2: the line has 6 cells.* points in decimals"),
-        ([csv_of()[0] + ",velocity_V", *(line + ",9" for line in csv_of()[1:])], r"csv:1: a column is there twice"),
+        ([csv_of()[0] + ",velocity_V", *(line + ",9" for line in csv_of()[1:])], r"csv:1: a column appears twice"),
     ],
 )
 def test_a_wrong_file_is_refused_with_its_place_and_written_again(
@@ -232,7 +232,7 @@ def test_other_instants_than_before_are_refused(
     answered(time, volts)
     answered(time + 10e-9, 2 * volts)
     monkeypatch.setattr(RecordedFiles, "slowest", 0.2)
-    with pytest.raises(RigError, match=r"no record arrived as .*0003\.csv or \.npz within"):
+    with pytest.raises(RigError, match=r"no usable record arrived as .*0003\.csv or \.npz within"):
         answered(time + 30e-9, 3 * volts)
 
 
@@ -243,7 +243,7 @@ def test_a_trace_saved_twice_is_refused(answered: Callable[..., Recording], monk
     answered(time, volts)
     monkeypatch.setattr(RecordedFiles, "slowest", 0.2)
     with pytest.raises(
-        RigError, match=r"that can be used \(.*0002.npz: its velocity is, sample by sample, that of 0001.npz; arm the"
+        RigError, match=r"no usable record .* \(.*0002.npz: its velocity is identical to that of 0001.npz; arm the"
     ):
         answered(time, volts[::-1])
 
@@ -253,9 +253,9 @@ def test_a_trace_saved_twice_is_refused(answered: Callable[..., Recording], monk
     ("endings", "shape", "said"),
     [
         ([".NPZ"], (2, 60), ""),
-        ([".npz", ".NPZ"], (2, 60), r"0001\.NPZ: 0001\.npz is there too; delete one of them"),
+        ([".npz", ".NPZ"], (2, 60), r"0001\.NPZ: 0001\.npz also exists; delete one of the two"),
         ([".npz"], (1, 2, 60), "cannot be read .an array has more than 2 dimensions"),
-        ([".npz"], (60,), "its 2 records are one and the same"),
+        ([".npz"], (60,), "its 2 records are identical"),
     ],
 )
 def test_a_name_has_one_file_of_records(
@@ -281,7 +281,7 @@ def test_a_name_has_one_file_of_records(
         if not said:
             assert scope.measure(0.0).velocity.shape == (2, 49)
             return
-        with pytest.raises(RigError, match="no record arrived"):
+        with pytest.raises(RigError, match="no usable record arrived"):
             scope.measure(0.0)
     assert re.search(said, heard[1])
 
@@ -297,6 +297,6 @@ def test_commands_wait_for_files(order: str, tmp_path: Path, monkeypatch: pytest
         "calibrate": lambda: calibrate(PROTOCOLS / "demo.yaml", out, record=folder),
         "validate": lambda: validate(PROTOCOLS / "demo.yaml", out=out, record=folder),
     }
-    with pytest.raises(RigError, match=r"no record arrived as .*records.0001\.csv or \.npz within 0\.00"):
+    with pytest.raises(RigError, match=r"no usable record arrived as .*records.0001\.csv or \.npz within 0\.00"):
         orders[order]()
     assert not out.exists()

@@ -71,7 +71,7 @@ def test_scans_of_another_stimulus_are_refused(edit, kept, evidences):
     from modaltouch.preflight import examine
 
     other = examine(edit("differentiated_stimulation.yaml", ("base_mm: 56", "base_mm: 58"))).require()
-    with pytest.raises(RecordInputError, match="the stimulus played there is not this protocol's with the law"):
+    with pytest.raises(RecordInputError, match="the stimulus played there is not that of this protocol with the law"):
         read_laws(other.inputs, kept)
 
 

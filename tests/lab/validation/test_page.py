@@ -82,8 +82,8 @@ def test_a_drive_that_is_not_the_predicted_one_is_told(written):
         output: {**peak, "measured": peaks["2" if output == "1" else "1"]["measured"]} for output, peak in peaks.items()
     }
     told = findings(figures)[-2:]
-    assert re.search("output 1 by law “exact” was measured as .* V were predicted: check which probe", told[0])
-    assert "output 2 by law “exact”" in told[1]
+    assert re.search("output 1 with law “exact” was measured as .* V were predicted: check which probe", told[0])
+    assert "output 2 with law “exact”" in told[1]
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.25])

@@ -143,7 +143,7 @@ def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> No
     common = float(np.median(ratio[known]))
     if not SPEEDS[0] <= common <= SPEEDS[1] and np.median(np.abs(ratio[known] / common - 1)) < ALIKE:
         raise RigError(
-            f"the modes move {common:.2f} times as fast as their listed gains say: allowed {SPEEDS[0]:g} to "
+            f"the modes move {common:.2f} times as fast as their listed gains predict: allowed {SPEEDS[0]:g} to "
             f"{SPEEDS[1]:g}; the outputs are off; check that the vibrometer is set to the listed "
             "`acquisition.sensitivity_mm_s_per_V` and that the actuators have no strong hysteresis, or identify the "
             "beam again with `modaltouch identify`"

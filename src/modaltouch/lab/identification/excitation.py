@@ -81,11 +81,11 @@ def excite(apparatus: Apparatus, set_name: str, voltage: float, highest: float, 
     limit = apparatus.amplifier.limit_V
     if not 0 < voltage <= limit:
         raise ValueError(
-            f"an excitation of {voltage:g} V was asked for: allowed above 0 and up to {limit:g} V at the beam"
+            f"an excitation of {voltage:g} V was requested: allowed above 0 and up to {limit:g} V at the beam"
         )
     if not 10 * LOWEST < highest <= HIGHEST:
         raise ValueError(
-            f"an excitation up to {highest * 1e-3:g} kHz was asked for: allowed {LOWEST / 100:g} to {HIGHEST / 1e3:g} "
+            f"an excitation up to {highest * 1e-3:g} kHz was requested: allowed {LOWEST / 100:g} to {HIGHEST / 1e3:g} "
             "kHz"
         )
     duration = N_SAMPLES / RATE
@@ -263,7 +263,7 @@ def evenly(length: float, n_points: int, margin: float) -> tuple[float, ...]:
     if not 0 <= margin < length / 4:
         raise ValueError(f"a margin of {margin * 1e3:g} mm was given: allowed 0 to {length * 250:g} mm")
     if n_points < 2:
-        raise ValueError(f"{n_points} points were asked for: give at least 2")
+        raise ValueError(f"{n_points} points were requested: give at least 2")
     return tuple(float(each) for each in np.linspace(-length / 2 + margin, length / 2 - margin, n_points))
 
 

@@ -24,7 +24,7 @@ DRAWN_BINS = 1500
 
 STABILITIES: tuple[tuple[str, dict[str, Any]], ...] = (
     ("new", {"marker": "x", "ms": 3, "color": FAINT}),
-    ("frequency within 1 % of the order before", {"marker": "o", "mfc": "white"}),
+    ("frequency within 1 % of the previous order", {"marker": "o", "mfc": "white"}),
     ("and damping ratio within 5 %", {"marker": "o"}),
 )
 """Labels and markers for the stability of a pole."""
@@ -54,7 +54,7 @@ def draw_responses(identification: Identification) -> Figure:
             axes.set_ylabel(f"{name}\n{_unit(identification)}")
         _frequency_axis(panels[-1, 0], responses.frequency)
         figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
-        figure.suptitle("Sum over the points: root mean square of the responses", fontsize=10)
+        figure.suptitle("Root mean square of the responses over the points", fontsize=10)
     return figure
 
 

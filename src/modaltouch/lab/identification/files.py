@@ -363,7 +363,7 @@ def _read_npz(path: Path, how: ResponseFormat) -> Part:
             across = np.broadcast_to(arrays.get("across", 0.0), n_points)
             places = [Place(*map(float, each)) for each in zip(arrays["positions"], across, strict=True)]
         if values.shape[-3:] != (len(sets), len(places), axis.size) or values.ndim > 4:
-            raise ValueError(f"{'drive' if over_time else 'response'} has the form {values.shape}")
+            raise ValueError(f"{'drive' if over_time else 'response'} has the shape {values.shape}")
         values = values.reshape(-1, *values.shape[-3:])
         coherence = np.asarray(arrays.get("coherence", np.nan), dtype=float) * np.ones(values.shape)
     # A damaged file makes numpy and zipfile raise almost anything.
@@ -397,7 +397,7 @@ def _step(path: Path, time: FloatArray) -> float:
     if time.size > 1 and not off < step / 2:
         raise ValueError(
             f"{path}: its times are not evenly spaced and increasing: samples are missing, or the time has too few "
-            "digits; export them so"
+            "digits; export them evenly spaced, with more digits"
         )
     return step
 

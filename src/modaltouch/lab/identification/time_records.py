@@ -150,7 +150,7 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
     if not found:
         raise ValueError(f"{path}: all {n_hits} impacts are double hits: strike again, or leave the file out")
     if n_double:
-        words = "were left out: double impacts, or cut by the end of the record"
+        words = "were left out: double impacts, or cut off by the end of the record"
         marks.append(f"{n_double} of {n_hits} hits of {path.name} {words}")
     n_bins = min(frequency.size for _, frequency, _, _ in found)
     axis = found[0][1][:n_bins]  # spectra of equal records differ in how far their drive reaches

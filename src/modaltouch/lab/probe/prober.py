@@ -79,9 +79,10 @@ class Prober:
         low, high = COMMON_FACTORS
         if not low <= common <= high:
             raise ValueError(
-                f"the modes move {common:.2f} times as fast as their listed gains say: allowed {low:g} to {high:g}; "
-                "check that the vibrometer is set to the listed `acquisition.sensitivity_mm_s_per_V` and the amplifier "
-                "to its `amplifier.gain`, or identify the beam again with `modaltouch identify --modes all`"
+                f"the modes move {common:.2f} times as fast as their listed gains predict: allowed {low:g} to "
+                f"{high:g}; check that the vibrometer is set to the listed `acquisition.sensitivity_mm_s_per_V` and "
+                "the amplifier to its `amplifier.gain`, or identify the beam again with `modaltouch identify --modes "
+                "all`"
             )
         return {"misfit": round(self._beam.misfit, 3), "modes": self._modes(self._beam.model)}
 

@@ -220,7 +220,7 @@ def _compared(figures: Sequence[Figures]) -> str:
     field = min(figures, key=lambda f: float(f["field_error"]["measured_from_selected_modes"]["rms_mm_s"]))
     return (
         f"Law “{best['law']}” has the smaller worst modal error: {', '.join(parts)}. "
-        f"The measured field is closest to that of the selected modes by law “{field['law']}”, "
+        f"The measured field is closest to that of the selected modes with law “{field['law']}”, "
         f"{field['field_error']['measured_from_selected_modes']['rms_mm_s']:.2f} mm/s rms."
     )
 
@@ -230,7 +230,7 @@ def _doubtful_drives(f: Figures) -> Iterator[str]:
         # An output without drive shows only the noise of its probe.
         if not GAINS[0] * peak["predicted"] <= peak["measured"] <= GAINS[1] * max(peak["predicted"], 1.0):
             yield (
-                f"The drive of output {output} by law “{f['law']}” was measured as {peak['measured']:.0f} V, and "
+                f"The drive of output {output} with law “{f['law']}” was measured as {peak['measured']:.0f} V, and "
                 f"{peak['predicted']:.0f} V were predicted: check which probe is at which amplifier, and "
                 "`acquisition.probe_attenuation`."
             )
@@ -240,8 +240,8 @@ def _doubtful_speeds(f: Figures) -> Iterator[str]:
     ratio = float(np.median([peak["measured"] / peak["predicted"] for peak in f["zone_peak_mm_s"].values()]))
     if not COMMON_FACTORS[0] <= ratio <= COMMON_FACTORS[1]:
         yield (
-            f"By law “{f['law']}” the zones moved {ratio:.2f} times as fast as predicted: check that the vibrometer is "
-            "set to the listed `acquisition.sensitivity_mm_s_per_V` and the amplifier to its `amplifier.gain`, or "
+            f"With law “{f['law']}” the zones moved {ratio:.2f} times as fast as predicted: check that the vibrometer "
+            "is set to the listed `acquisition.sensitivity_mm_s_per_V` and the amplifier to its `amplifier.gain`, or "
             "identify the beam again."
         )
 

@@ -199,8 +199,8 @@ def read_laws(inputs: DesignInputs, folder: Path) -> list[Observation]:
             played = scan.facts["settings"]["burst"]["sha256"]
             if played != stimulus.burst.content_hash:
                 raise RecordInputError(
-                    f"{place}: the stimulus played there is not this protocol's with the law `{law}`; give the "
-                    "protocol and the apparatus of the recording"
+                    f"{place}: the stimulus played there is not that of this protocol with the law `{law}`; give "
+                    "the protocol and the apparatus of the recording"
                 )
             scans.append(scan)
         velocity = float(scans[0].facts["settings"]["velocity_mm_s"]) * 1e-3
