@@ -344,7 +344,10 @@ def test_levels_in_metres_per_second_are_told_once_each_with_what_is_meant(edit:
 def test_a_field_that_no_level_can_play_is_told_at_the_field_once(edit: Edit) -> None:
     """A base of 100 m is flat over the beam: one set is all but silent, and no level suits both."""
     (found,) = faults(edit(FILE, ("base_mm: 56", "base_mm: 100000")))
-    assert "stimulus.field.base_mm: given 100000 mm on a beam of 100 mm, a field that no level can play" in found
+    assert (
+        "stimulus.field.base_mm: given 100000 mm on a beam of 100 mm, a field that cannot be played at any level"
+        in found
+    )
     assert "lower the level" not in found
     assert "raise the level" not in found
 

@@ -70,7 +70,7 @@ def test_a_width_is_where_the_field_has_fallen_to_the_fraction(model):
         right = place[50_000:][~above[50_000:]].min()
         assert projection.width(fraction) == pytest.approx(right - left, abs=4e-6)
     for fraction in (0.0, 1.0, -0.5, 2.0):
-        with pytest.raises(ValueError, match=f"a width is asked at {fraction} of the centre"):
+        with pytest.raises(ValueError, match=f"a width is asked for at {fraction} of the centre"):
             projection.width(fraction)
 
 
@@ -148,7 +148,7 @@ def test_points_that_make_no_field_are_refused(points, message):
 
 def test_width_is_asked_between_nothing_and_the_peak(model):
     """A width at 0 or 100 % means nothing."""
-    with pytest.raises(ValueError, match=r"a width is asked at 1\.0 of the centre"):
+    with pytest.raises(ValueError, match=r"a width is asked for at 1\.0 of the centre"):
         Projection(model, TargetField()).width(1.0)
 
 

@@ -102,7 +102,7 @@ def test_basis_and_model_must_agree(model):
         replace(model, theory="measured")
     with pytest.raises(ValueError, match=r"the measured basis has the modes"):
         replace(model, theory="measured", basis=MeasuredShapes((1,), [-0.05, 0.0, 0.05], [[1.0, 1.0, 1.0]], 0.1))
-    with pytest.raises(ValueError, match=r"the field has the form \(3,\), but the scan grid 41 points"):
+    with pytest.raises(ValueError, match=r"the field has the shape \(3,\), but the scan grid has 41 points"):
         scan(41).project([1.0, 2.0, 3.0])
-    with pytest.raises(ValueError, match=r"the shapes have the form \(1, 2\)"):
+    with pytest.raises(ValueError, match=r"the array of shapes has the shape \(1, 2\)"):
         MeasuredShapes((1, 3), [0.0, 0.01], [[1.0, 2.0]], 0.1)

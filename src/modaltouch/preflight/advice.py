@@ -93,7 +93,7 @@ def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[di
         said.append(f"the gains of these modes are assumed, not measured: {modes}")
     if offered := inputs.apparatus.offered_gains():
         gains = ", ".join(f"{label} ({name}) {gain:.4g}" for label, name, gain in offered)
-        said.append(f"the patches offer gains that are not measured, in mm/s^2 per V by mode and set: {gains}")
+        said.append(f"unmeasured gains, computed from the patches, in mm/s^2 per V by mode and set: {gains}")
     if stimulus.drive.condition_number > 1e6:
         said.append(f"the condition number is {stimulus.drive.condition_number:.1e}: two modes are nearly alike")
     worst = max(figures, key=lambda each: each["worst_modal_error_mm_s"] / each["velocity_mm_s"], default=None)

@@ -115,10 +115,10 @@ def _check_range(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -
         return []
     length, base = inputs.apparatus.beam.length_mm, inputs.section.field.base_mm
     path: tuple[str, ...] = ("stimulus",)
-    given = "a field that no level can play"
+    given = "a field that cannot be played at any level"
     if base > length:
         path = ("stimulus", "field", "base_mm")
-        given = f"{base:g} mm on a beam of {length:g} mm, a field that no level can play"
+        given = f"{base:g} mm on a beam of {length:g} mm, a field that cannot be played at any level"
     given += (
         f" (output {weak} needs at least {_rounded_up(least)} mm/s for the generator's smallest amplitude, and "
         f"amplifier and generator reach at most {_rounded_down(highest)} mm/s)"

@@ -24,7 +24,7 @@ def place_catches(
     if not ways[0][n_catches][1]:
         raise ValueError(
             f"{n_catches} catch trials cannot be spread over {len(order)} trials without the same pair more than "
-            f"{limit} times in a row; use fewer catch trials or allow longer rows"
+            f"{limit} times in a row; use fewer catch trials or allow longer runs"
         )
     placed = []
     left, run = n_catches, 1

@@ -118,7 +118,7 @@ def check_levels(levels: tuple[float, ...], reference: float) -> None:
         require_positive("the velocity level", level, "m/s", MEANT)
         if level > reference * (1 + 1e-12):
             raise ValueError(
-                f"the level of {level * 1e3:g} mm/s passes the reference of {reference * 1e3:g} mm/s, for "
+                f"the level of {level * 1e3:g} mm/s exceeds the reference of {reference * 1e3:g} mm/s, for "
                 f"which the codes fill the generator's range: design for the highest level"
             )
 

@@ -43,7 +43,7 @@ class MeasuredShapes:
         shape = np.array(self.shape, dtype=float)
         if shape.shape != (len(self.label), position.size) or position.ndim != 1:
             raise ValueError(
-                f"the shapes have the form {shape.shape}, but {len(self.label)} modes are labelled on "
+                f"the array of shapes has the shape {shape.shape}, but {len(self.label)} modes are labelled on "
                 f"{position.size} points: give one row to each mode and one column to each point"
             )
         if not (np.isfinite(shape).all() and np.isfinite(position).all()):
@@ -103,7 +103,8 @@ class MeasuredShapes:
         values = np.asarray(field, dtype=float)
         if values.shape != self.position.shape:
             raise ValueError(
-                f"the field has the form {values.shape}, but the scan grid {self.position.size} points: sample it there"
+                f"the field has the shape {values.shape}, but the scan grid has {self.position.size} points: sample it "
+                "there"
             )
         return np.asarray(np.linalg.lstsq(self.shape.T, values, rcond=None)[0])
 

@@ -86,7 +86,7 @@ def mode_shapes(label: ArrayLike, position: ArrayLike, length: float, derivative
     Goncalves, Brennan, Peplow, Tang (2018); Khasawneh and Segalman (2019), arXiv 1811.03222.
     """
     if derivative < 0:
-        raise ValueError(f"the derivative {derivative} of a mode shape is asked; give 0 or above")
+        raise ValueError(f"the derivative {derivative} of a mode shape is asked for; give 0 or above")
     labels = np.atleast_1d(np.asarray(label))
     y = scaled_position(position, length)
     if labels.min(initial=1) < 1:

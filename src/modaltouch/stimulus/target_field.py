@@ -97,7 +97,7 @@ class TargetField:
             first = int(np.flatnonzero(np.diff(values[:, 0]) <= 0)[0]) + 1
             raise ValueError(
                 f"the sampled field goes from {values[first - 1, 0]:g} m to {values[first, 0]:g} m; positions "
-                f"must increase: sort them and leave out doubles"
+                f"must increase: sort them and leave out duplicates"
             )
         if self._at_centre() <= 0:
             raise ValueError(
@@ -266,9 +266,9 @@ class Projection:
         at_centre = float(kept @ self.model.shapes([self.target_field.centre])[:, 0])
         if at_centre < _NOTHING:
             raise ValueError(
-                f"the field at {self.target_field.centre * 1e3:g} mm projects to {at_centre:.2g} of itself on the "
-                f"modes {', '.join(map(str, self.selected))}, which is nothing: select modes that move there, "
-                f"or move the field"
+                f"the field at {self.target_field.centre * 1e3:g} mm has a projection of only {at_centre:.2g} on "
+                f"the modes {', '.join(map(str, self.selected))}, which is zero within rounding: select modes that "
+                f"move there, or move the field"
             )
         return kept * (self.target_field.velocity / at_centre)
 
@@ -318,7 +318,7 @@ class Projection:
             If the fraction does not lie above 0 and below 1.
         """
         if not 0 < fraction < 1:
-            raise ValueError(f"a width is asked at {fraction} of the centre; give a fraction above 0 and below 1")
+            raise ValueError(f"a width is asked for at {fraction} of the centre; give a fraction above 0 and below 1")
         level = fraction * self.target_field.velocity
         brackets = []
         for position, field in self._flanks:

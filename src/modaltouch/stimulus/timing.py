@@ -67,7 +67,7 @@ class Timing:
             )
         if self.hold * self.clock_rate < 1 - 1e-12:
             raise ValueError(
-                f"{self.n_samples} samples in {self.duration:g} s pass the clock of {self.clock_rate:g} Hz: "
+                f"{self.n_samples} samples in {self.duration:g} s exceed the clock rate of {self.clock_rate:g} Hz: "
                 f"take at most {int(self.duration * self.clock_rate)}"
             )
 
