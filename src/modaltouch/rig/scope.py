@@ -92,7 +92,7 @@ class Scope(abc.ABC):
         RigError
             If no trigger came, or the scope fails.
         """
-        raise RigError(f"{self.identity}: no burst was awaited")
+        raise RigError(f"{self.identity}: it was not armed for a burst")
 
     def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
         """Call `send`, which triggers one burst, and return the earliest and latest instant of its onset [s].
