@@ -164,12 +164,13 @@ def test_a_session_sooner_than_its_kind_allows_is_refused(preflight: Preflight, 
     assert survey_results(tmp_path)[0]["next"][0]["from"].startswith(due)
     begun = read_session(next(results.rglob("sub-p01/ses-2/beh/session.jsonl")))
     assert begun.start["any_gap"] is True
-    assert "0.00 days after the session before, where test has min_gap_days: 1, waived by --any-gap" in "".join(
+    assert "0.00 days after the previous session, where test has min_gap_days: 1, waived by --any-gap" in "".join(
         audit_session(begun).lines
     )
     silent = replace(begun, events=({**begun.start, "any_gap": False}, *begun.events[1:]))
     assert (
-        "begun 0.00 days after the session before, where test has min_gap_days: 1" in audit_session(silent).problems[0]
+        "begun 0.00 days after the previous session, where test has min_gap_days: 1"
+        in audit_session(silent).problems[0]
     )
     with pytest.raises(
         RecordInputError, match="given session 2, of the kind test, but .* p03 has had 0; allowed: session 1"
@@ -201,7 +202,7 @@ def test_a_group_that_is_given_stays_that_of_the_participant(preflight: Prefligh
         "given", "the participant's earlier sessions",
     ]  # fmt: skip
     assert [problem for each in (first, second) for problem in audit_session(each).problems] == []
-    with pytest.raises(RecordInputError, match="p01 is of the group far"):
+    with pytest.raises(RecordInputError, match="p01 belongs to group far"):
         sit(preflight, tmp_path, "p01", any_gap=True, session=3, group="near")
     with pytest.raises(RecordInputError, match="given --group middle; allowed: near, far"):
         sit(preflight, tmp_path, "p02", group="middle")

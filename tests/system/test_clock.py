@@ -23,4 +23,4 @@ def test_what_a_person_should_do_is_said() -> None:
     assert "switch power saving off" in judge_clock(GOOD | {"wait_p95_ms": 12.0})
     assert "use another machine" in judge_clock(GOOD | {"is_monotonic": False})
     assert "steps by 16 ms" in judge_clock(GOOD | {"step_ms": 16.0})
-    assert "wait some minutes" in judge_clock(GOOD | {"drift_ppm": -900.0})
+    assert "wait a few minutes" in judge_clock(GOOD | {"drift_ppm": -900.0})

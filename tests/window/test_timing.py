@@ -54,7 +54,7 @@ def test_a_good_machine_is_said_to_be_good() -> None:
         ({"n_lost": 3}, "3 of 60 keys were lost: let the window have the keyboard"),
         ({"key_delay_p95_ms": 17.0}, "Keys are stamped up to 17 ms late (95 %): close other programs"),
         ({"n_dropped": 5}, "5 of 120 frames came late: run full screen"),
-        ({"waits_for_monitor": False}, "and switch vertical retrace on there"),
+        ({"waits_for_monitor": False}, "and switch on vertical synchronisation (vsync) there"),
         (
             {"display": "a virtual display (:1), as there is no screen"},
             "On a virtual display (:1), as there is no screen:",
@@ -68,4 +68,4 @@ def test_a_fault_is_named_with_what_to_do(change: dict[str, Any], words: str) ->
 
 def test_a_window_that_saw_nothing_says_so() -> None:
     """Expected: the keys that were lost, and no word on frames."""
-    assert judge_window(GOOD | {"n_lost": 60, "key_delay_p95_ms": None}).endswith("before none is.")
+    assert judge_window(GOOD | {"n_lost": 60, "key_delay_p95_ms": None}).endswith("until none is.")

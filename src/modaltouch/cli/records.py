@@ -347,7 +347,7 @@ def _python() -> MachineCheck:
     found = f"Python {versions()['python']} on {versions()['system']}"
     if (3, 11) <= sys.version_info[:2] <= (3, 12):
         return MachineCheck("python", "ok", found)
-    return MachineCheck("python", "fault", found, "use Python 3.11 or 3.12: PsychoPy ends below 3.13")
+    return MachineCheck("python", "fault", found, "use Python 3.11 or 3.12: PsychoPy does not support 3.13 or later")
 
 
 def _packages() -> list[MachineCheck]:
@@ -377,14 +377,14 @@ def _usb() -> MachineCheck:
 def _precedence() -> MachineCheck:
     """Check whether `modaltouch.rig.watchdog_process`, which triggers bursts, may have real-time priority."""
     if sys.platform != "linux":
-        return MachineCheck("real time", "ok", "as the system shares out its processors")
+        return MachineCheck("real time", "ok", "left to the system's scheduler")
     import resource
 
     if os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] > 0:
         return MachineCheck("real time", "ok", "bursts are triggered before all other work")
     user = os.environ.get("USER", "NAME")
     remedy = f"put `{user} - rtprio 10` into /etc/security/limits.d/modaltouch.conf and log in again"
-    found = "not allowed: on a busy machine bursts come late, are left out, and trials are repeated"
+    found = "not allowed: on a busy machine bursts may be late or left out, and their trials are repeated"
     return MachineCheck("real time", "warning", found, remedy)
 
 

@@ -108,7 +108,7 @@ def assign_group(place: SessionFolder, protocol: Protocol, seed: int, given: str
         (filled if Session.is_complete_or_running(latest) else left)[own] += 1
         if participant == place.participant:
             if given not in (None, own):
-                raise RecordInputError(f"given --group {given}, but participant {participant} is of the group {own}")
+                raise RecordInputError(f"given --group {given}, but participant {participant} belongs to group {own}")
             return own, "the participant's earlier sessions"
     if given is not None:
         return given, "given"

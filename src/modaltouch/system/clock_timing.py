@@ -63,7 +63,7 @@ def judge_clock(figures: Mapping[str, Any]) -> str:
     advice = "close other programs, and switch power saving off" if p95 > _WAIT_MS + _LATE_MS else "good"
     lines.append(f"A wait of 1 ms takes {median:.2f} ms, 95 % of them under {p95:.1f} ms: {advice}.")
     if abs(figures["drift_ppm"]) > 500:
-        lines.append("The time of day is just being set: wait some minutes.")
+        lines.append("The time of day is being corrected: wait a few minutes.")
     return " ".join(lines)
 
 

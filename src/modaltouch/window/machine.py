@@ -207,7 +207,7 @@ def judge_window(figures: Mapping[str, Any]) -> str:
     if figures["n_lost"]:
         lines.append(
             f"{figures['n_lost']} of {figures['n_keys']} keys were lost: let the window have the keyboard, and do not "
-            "run participants here before none is."
+            "run participants here until none is."
         )
     if delay is None:
         return " ".join(lines)
@@ -221,7 +221,7 @@ def judge_window(figures: Mapping[str, Any]) -> str:
     if not figures["waits_for_monitor"]:
         lines.append(
             "Frames do not wait for a monitor, so the time at which one shows them is unknown: measure on the "
-            "participants' own screen, and switch vertical retrace on there."
+            "participants' own screen, and switch on vertical synchronisation (vsync) there."
         )
     elif figures["n_dropped"] > 0.01 * figures["n_frames"]:
         lines.append(

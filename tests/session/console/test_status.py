@@ -110,7 +110,7 @@ def test_hasty_answers_doubles_and_missed_catch_trials_are_told() -> None:
     ]
     told = read_signs(trials, "none")
     assert any("once answered within 100 ms of the question, last in trial 1" in sign for sign in told)
-    assert any("1 of 2 catch trials felt as real, last trial 3" in sign for sign in told)
+    assert any("1 of 2 catch trials answered as if something was felt, last trial 3" in sign for sign in told)
     assert any("two answers at once, last in trial 2" in sign for sign in told)
     assert not any("catch" in sign for sign in read_signs(trials))
 

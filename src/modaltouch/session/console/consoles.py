@@ -105,7 +105,7 @@ class PlainLines(Console):
             done = f"{facts['n_answered']} of {facts['n_trials']} answered"
             self._write(f"{done}: {describe_last(last)}; {minutes:.0f} min left")
         elif facts["event"] in ("pause", "focus_lost", "continued", "rest", "stop"):
-            words = {"pause": "paused", "focus_lost": "paused: focus lost", "rest": "break", "continued": "going on"}
+            words = {"pause": "paused", "focus_lost": "paused: focus lost", "rest": "break", "continued": "continued"}
             self._write(words.get(facts["event"], f"ended: {facts['stopped_by']}"))
         for warning in facts["warnings"]:
             # A warning's count rises from trial to trial; it is printed once.

@@ -24,7 +24,7 @@ def read_signs(trials: Sequence[dict[str, Any]], nothing: str | None = None) -> 
     doubles = [event["trial"]["index"] for event in trials if event["response"].get("double")]
     said = (
         (hasty, f"{_times(len(hasty))} answered within {HASTY * 1e3:.0f} ms of the question, last in trial"),
-        (missed, f"{len(missed)} of {len(caught)} catch trials felt as real, last trial"),
+        (missed, f"{len(missed)} of {len(caught)} catch trials answered as if something was felt, last trial"),
         (doubles, f"{_times(len(doubles))} two answers at once, last in trial"),
     )
     return [f"{words} {which[-1]}" for which, words in said if which]
