@@ -10,13 +10,11 @@ from pydantic import Discriminator, Field, Tag
 
 from modaltouch.protocol.identified import Interval
 from modaltouch.protocol.reading import read
-from modaltouch.protocol.section import NotNegative, Number, Positive, Section, Text, described
+from modaltouch.protocol.section import NotNegative, Number, Positive, Section, Spread, Text, described
 from modaltouch.protocol.source import Source
 
 if TYPE_CHECKING:
     from modaltouch.stimulus import Finger
-
-Spread = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=3)]
 
 
 class MaxwellSection(Section):

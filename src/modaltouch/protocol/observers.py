@@ -8,12 +8,11 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from modaltouch.protocol.reading import read
-from modaltouch.protocol.section import FileName, NotNegative, Section, Text, described
+from modaltouch.protocol.section import FileName, NotNegative, Section, Spread, Text, described
 from modaltouch.protocol.source import Source
 
 Share = Annotated[float, Field(strict=True, ge=0, le=1)]
 Small = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-10, le=10)]
-Spread = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=3)]
 Gain = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=100)]
 
 

@@ -56,6 +56,7 @@ SMALLEST, LARGEST = 1e-9, 1e12
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=SMALLEST, le=LARGEST)]
 NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=LARGEST)]
+Spread = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=3)]
 DampingRatio = Annotated[float, Field(strict=True, ge=SMALLEST, lt=1, allow_inf_nan=False)]
 Count = Annotated[int, Field(strict=True, ge=1)]
 Label = Annotated[int, Field(strict=True, ge=1, le=1000)]
