@@ -21,6 +21,9 @@ FloatArray = NDArray[np.float64]
 CONFIDENCE = 0.95
 """Confidence of every interval in the analysis."""
 
+DROP, REGION = 1.920729, 2.995732
+"""Half the 95 % points of chi-squared with one and two degrees of freedom."""
+
 
 @dataclass(frozen=True, eq=False)
 class Interval:

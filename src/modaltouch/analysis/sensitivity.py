@@ -23,15 +23,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ncfdtr, ndtr, ndtri, xlog1py, xlogy
 
-from modaltouch.analysis.intervals import Interval, clopper_pearson
+from modaltouch.analysis.intervals import DROP, Interval, clopper_pearson
 
 FloatArray = NDArray[np.float64]
 Statistic = Callable[[FloatArray, FloatArray], FloatArray]
 Count = tuple[int, int]
 """How often an answer was given, and out of how many."""
-
-DROP = 1.920729
-"""Half the 95 % point of chi-squared with one degree of freedom."""
 
 _HALVINGS = 50
 _FARTHEST = 40.0

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.analysis.intervals import Interval
+from modaltouch.analysis.intervals import DROP, REGION, Interval
 
 FloatArray = NDArray[np.float64]
 
@@ -40,10 +40,6 @@ _GUESSES = np.array([0.0, 0.01, 0.025, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5])
 
 _AT_ONCE = 4_000_000
 """Likelihoods in the largest temporary array."""
-
-
-DROP, REGION = 1.920729, 2.995732
-"""Half the 95 % points of chi-squared with one and two degrees of freedom."""
 
 
 @dataclass(frozen=True)
