@@ -379,6 +379,14 @@ def refuse_unequal(place: Path, frame: pd.DataFrame) -> None:
     raise InputError.of(place, given, "the same conditions, equally often, for every participant", remedy)
 
 
+def sum_catches(told: Iterable[tuple[str, str, str, str, int]]) -> dict[tuple[str, str, str], Counter[str]]:
+    """Return the answers to catch trials, each with its count, by participant, finger condition and kind of session."""
+    catches: dict[tuple[str, str, str], Counter[str]] = {}
+    for participant, finger_condition, kind, word, n in told:
+        catches.setdefault((str(participant), str(finger_condition), str(kind)), Counter())[str(word)] += int(n)
+    return catches
+
+
 def kinds_of(design: Mapping[str, Any]) -> dict[str, bool]:
     """Return the kinds of session that the sections of a protocol list, and whether each is analysed."""
     listed = (design.get("schedule") or {}).get("sessions")

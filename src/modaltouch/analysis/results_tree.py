@@ -29,6 +29,7 @@ from modaltouch.analysis.responses import (
     kinds_of,
     refuse_unequal,
     say_unanswered,
+    sum_catches,
     unmirror,
 )
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY
@@ -268,7 +269,11 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
         _source([place, *further], taken, chosen),
         foci.get(stimulus or "", taken[0].focus),
         start,
-        _sum_catches(taken),
+        sum_catches(
+            (item.participant, finger_condition, item.kind[1], word, n)
+            for item in taken
+            for (finger_condition, word), n in item.catches.items()
+        ),
         stimulus or "",
         foci,
         answers,
@@ -391,14 +396,6 @@ def _one_list(place: Path, taken: Sequence[SessionAnswers]) -> AnswerList:
             given = f"sessions with the answers {', '.join(longest.names)}, and with {', '.join(item.answers.names)}"
             raise InputError.of(place, given, "the same answers under the name of one protocol", _ONE_NAMED)
     return longest
-
-
-def _sum_catches(found: Sequence[SessionAnswers]) -> dict[tuple[str, str, str], Counter[str]]:
-    """Return the answers to catch trials by participant, finger condition and kind of session."""
-    catches: dict[tuple[str, str, str], Counter[str]] = {}
-    for item, (finger_condition, word) in ((one, each) for one in found for each in one.catches.elements()):
-        catches.setdefault((item.participant, finger_condition, item.kind[1]), Counter())[word] += 1
-    return catches
 
 
 @contextmanager

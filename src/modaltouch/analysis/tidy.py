@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +23,7 @@ from modaltouch.analysis.responses import (
     answers_per_cell,
     kinds_of,
     say_unanswered,
+    sum_catches,
     unmirror,
 )
 from modaltouch.analysis.scale import OWN_THRESHOLD, VELOCITY
@@ -100,7 +100,11 @@ def read_csv(
         tuple(left_out),
         AnswerSource(table.file, "csv", table.sha256, _mode_of(fields)),
         foci[0],
-        catches=_count_catches(frame[caught & frame["response"].notna()]),
+        catches=sum_catches(
+            frame[caught & frame["response"].notna()]
+            .reindex(columns=["participant", "finger_condition", "session_kind", "response", "n"], fill_value="")
+            .itertuples(index=False, name=None)
+        ),
         answers=answers,
         margin=table_format.margin,
         asked=checked[-1][1] or None,
@@ -256,17 +260,6 @@ def choose_sessions(table: Table) -> tuple[Table, list[ExcludedSource], list[str
     left_out = [ExcludedSource(f"{table.file}: {beyond.sum()} rows", reason)] if beyond.any() else []
     notes = [f"{most} sessions of each participant taken together, as repetitions"] if most > 1 else []
     return replace(table, fields=table.fields[~beyond]), left_out, notes
-
-
-def _count_catches(frame: pd.DataFrame) -> dict[tuple[str, str, str], Counter[str]]:
-    """Return the answers to catch trials by participant, finger condition and kind of session."""
-    kinds = frame["session_kind"] if "session_kind" in frame else [""] * len(frame)
-    catches: dict[tuple[str, str, str], Counter[str]] = {}
-    told = (frame["participant"], frame["finger_condition"], kinds, frame["response"], frame["n"])
-    for participant, finger_condition, kind, word, n in zip(*told, strict=True):
-        key = str(participant), str(finger_condition), str(kind)
-        catches.setdefault(key, Counter())[str(word)] += int(n)
-    return catches
 
 
 class _Columns:
