@@ -309,12 +309,7 @@ class DecayRecorder:
         highest : float
             Highest speed of the mean over records [m/s].
         """
-        whole = replace(
-            self._decay(N_RECORDS // 2),
-            start=0.0,
-            n_samples=int(self.timing.duration * self.rate),
-            sampling_rate=self.rate,
-        )
+        whole = replace(self._decay(N_RECORDS // 2), start=0.0, n_samples=int(self.timing.duration * self.rate))
         burst = self._within(point, level, whole, 1.2 * level)
         highest = float(np.abs(burst.velocity.mean(axis=0)).max())
         decay = self._within(point, level, self._decay(2 * N_RECORDS), highest)

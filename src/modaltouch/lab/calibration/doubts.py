@@ -179,7 +179,7 @@ def refuse_doubtful_velocity(recording: Recording) -> None:
     n_records = len(velocity)
     off = velocity - np.median(velocity, axis=0)
     # Not from the median, which is 0 if most samples agree to within one step of the converter.
-    noise = float(np.quantile(np.abs(off), 0.95)) / 1.96
+    noise = float(np.quantile(np.abs(off), 0.95)) / INTERVAL
     power = float(np.mean(velocity**2))
     if n_records < 4 or power == 0:
         return
