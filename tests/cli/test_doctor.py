@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from modaltouch.cli import records as doctor
+from modaltouch.system import versions
 from modaltouch.window import environment, machine
 from modaltouch.window.interface import WindowError
 
@@ -28,6 +29,13 @@ def test_each_missing_library_is_named_with_its_package(monkeypatch: pytest.Monk
     assert found.found == "missing: libGLU.so.1 (libglu1-mesa), libfontconfig.so.1 (libfontconfig1)"
     assert found.remedy == "apt install libglu1-mesa libfontconfig1"
     assert doctor.missing_packages()[:3] == ["libglu1-mesa", "libfontconfig1", "libportaudio2"]
+
+
+def test_a_missing_python_package_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each package whose version a record states is needed, pyglet too, which draws the window."""
+    monkeypatch.setattr(doctor, "versions", lambda: versions() | {"pyglet": "absent"})
+    found = doctor._packages()
+    assert (found.state, found.found, found.remedy) == ("fault", "missing: pyglet", "reinstall modaltouch")
 
 
 def test_a_graphics_card_with_its_own_drivers_needs_none_of_mesa(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -328,7 +328,7 @@ def examine_machine(results: Path) -> tuple[MachineCheck, ...]:
 
     return (
         _python(),
-        *_packages(),
+        _packages(),
         *(MachineCheck(*check[:4]) for check in examine_surroundings()),
         _usb(),
         _precedence(),
@@ -350,19 +350,11 @@ def _python() -> MachineCheck:
     return MachineCheck("python", "fault", found, "use Python 3.11 or 3.12: PsychoPy does not support 3.13 or later")
 
 
-def _packages() -> list[MachineCheck]:
-    from importlib.metadata import PackageNotFoundError, version
-
-    required = ("numpy", "scipy", "pandas", "statsmodels", "PyVISA", "PyVISA-py", "psychopy")
-    found, missing = [], []
-    for package in required:
-        try:
-            found.append(f"{package} {version(package)}")
-        except PackageNotFoundError:
-            missing.append(package)
-    if missing:
-        return [MachineCheck("packages", "fault", f"missing: {', '.join(missing)}", "reinstall modaltouch")]
-    return [MachineCheck("packages", "ok", ", ".join(found))]
+def _packages() -> MachineCheck:
+    found = {name: version for name, version in versions().items() if name not in ("modaltouch", "python", "system")}
+    if missing := [name for name, version in found.items() if version == "absent"]:
+        return MachineCheck("packages", "fault", f"missing: {', '.join(missing)}", "reinstall modaltouch")
+    return MachineCheck("packages", "ok", ", ".join(f"{name} {version}" for name, version in found.items()))
 
 
 def _usb() -> MachineCheck:
