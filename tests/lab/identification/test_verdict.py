@@ -168,3 +168,17 @@ def test_random_excitation_of_few_averages_is_no_nonlinearity(tmp_path: Path, se
     found = identify(read_responses([tmp_path / "a.npz"], ResponseFormat(n_averages=4)), 0.1)
     check_modes(found, (3, 4, 5))
     assert [found.mode(k).natural_frequency.value for k in (3, 4, 5)] == pytest.approx(own / 2 / np.pi, rel=1e-3)
+
+
+def test_resonances_beside_each_other_explain_only_a_mode_that_belongs_there(clean: FrequencyResponses) -> None:
+    """A resonance beside mode 5, which is found: no drift explains that mode 13, above the band, is missing."""
+    found = identify(clean.between(1200, 15000), 0.1)
+    sound = next(mode for mode in found.modes if mode.label == 5)
+    at = found.modes.index(sound)
+    found = replace(found, modes=(*found.modes[:at], replace(sound, label=None), *found.modes[at:]))
+    with pytest.raises(ValueError, match=r"^mode 13 was not found: .* or name with --modes those to be found$"):
+        check_modes(found, (3, 5, 13))
+    below = [mode for mode in found.modes if mode.natural_frequency.value < 8000]
+    found = replace(found, modes=tuple(replace(mode, label=None) if mode is sound else mode for mode in below))
+    with pytest.raises(ValueError, match=r"(?s)^mode 5 was not found: .*like a single mode that moved"):
+        check_modes(found, (3, 5))

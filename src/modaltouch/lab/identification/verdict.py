@@ -27,6 +27,8 @@ FEWEST_GAINS = 3
 MARKED = {"nonlinearity": 0.004, "drift": 0.004}
 """Amplitude of the residual's smooth part, relative to the responses, above which a warning is given, by cause [1]."""
 
+REMEDY = "; drive harder, average more, look higher with --highest-kHz, or name with --modes those to be found"
+
 WELL_FITTED = 3.0
 """Misfit up to which the residual is noise alone [1]."""
 
@@ -51,12 +53,12 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     """
     found = {mode.label: mode for mode in identification.modes if mode.label is not None}
     spoilt = identification.misfit > WELL_FITTED or any(mode.rest.share > MARKED_ELSE for mode in identification.modes)
-    modes, missing = identification.modes, [label for label in labels if label not in found]
-    # Of a beam that drifts, a missing mode is split; of exchanged points, it has one resonance of a strange shape.
-    split = _split([mode for mode in modes if mode.label or _may_be(missing, mode, modes)])
-    strange = "" if spoilt or split else _strange(modes, missing)
-    split = split or ("" if strange else _split(modes))
-    remedy = "" if spoilt or split or strange else "; drive harder, average more, or look higher with --highest-kHz"
+    missing = [label for label in labels if label not in found]
+    faulty = [label for label, mode in found.items() if label in labels and _faults(f"mode {label}", mode)]
+    # If the beam drifts, a missing mode is split; if points are exchanged, it has one resonance of a strange shape.
+    split = _split(identification.modes, missing, faulty)
+    strange = "" if spoilt or split else _strange(identification.modes, missing)
+    remedy = "" if spoilt or split or strange else REMEDY
     lines = []
     for label in labels:
         if label not in found:
@@ -72,12 +74,17 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
         raise ValueError("\n".join(lines))
 
 
-def _split(modes: Sequence[IdentifiedMode]) -> str:
-    """Describe two resonances within one half-power bandwidth, at least one without a mode's shape; empty if none."""
+def _split(modes: Sequence[IdentifiedMode], missing: Sequence[int] | None = None, faulty: Sequence[int] = ()) -> str:
+    """Describe two resonances within one half-power bandwidth, not both with a mode's shape; empty if there are none.
+
+    With missing or faulty labels, only two that may stand for one of those.
+    """
     for one, other in pairwise(modes):
         apart = other.natural_frequency.value - one.natural_frequency.value
         width = 2 * one.natural_frequency.value * one.damping_ratio.value
-        if apart < width and not all(each.label or each.torsion for each in (one, other)):
+        named = all(each.label or each.torsion for each in (one, other))
+        blamed = missing is None or _lacks(modes, missing, one) or {one.label, other.label} & {*faulty}
+        if apart < width and not named and blamed:
             return (
                 f"the resonances at {one.natural_frequency.value:.6g} and {other.natural_frequency.value:.6g} Hz are "
                 "within one width of each other, like a single mode that moved: the most probable cause is drift or "
@@ -95,7 +102,7 @@ def _strange(modes: Sequence[IdentifiedMode], missing: Sequence[int]) -> str:
         alone = all(abs(each.natural_frequency.value / own - 1) > width for each in modes if each is not one)
         fitted = one.half_power.height > least and one.rest.share <= MARKED_ELSE
         if alone and fitted and not (one.label or one.torsion):
-            strange += [one.name] * _may_be(missing, one, modes)
+            strange += [one.name] * _lacks(modes, missing, one)
     if not strange:
         return ""
     return (
@@ -104,11 +111,12 @@ def _strange(modes: Sequence[IdentifiedMode], missing: Sequence[int]) -> str:
     )
 
 
-def _may_be(missing: Sequence[int], one: IdentifiedMode, modes: Sequence[IdentifiedMode]) -> bool:
-    """Whether a missing mode may lie at a resonance: between the labelled ones below and above it."""
-    labelled, own = [mode for mode in modes if mode.label is not None], one.natural_frequency.value
-    below = max((mode.label or 0 for mode in labelled if mode.natural_frequency.value < own), default=0)
-    above = min((mode.label or 0 for mode in labelled if mode.natural_frequency.value > own), default=np.inf)
+def _lacks(modes: Sequence[IdentifiedMode], missing: Sequence[int], one: IdentifiedMode) -> bool:
+    """Return whether a missing mode belongs between the labelled modes below and above a resonance."""
+    labelled = [(mode.label, mode.natural_frequency.value) for mode in modes if mode.label is not None]
+    own = one.natural_frequency.value
+    below = max((label for label, frequency in labelled if frequency < own), default=0)
+    above = min((label for label, frequency in labelled if frequency > own), default=np.inf)
     return any(below < label < above for label in missing)
 
 
