@@ -58,3 +58,13 @@ def test_samples_that_it_takes_at_their_own_rate_do_not_jitter(edit: Edit) -> No
     assert not any("edges jitter" in each for each in examined.as_dict()["warnings"])
     assert examined.designed is not None
     assert examined.designed.timing.clock_error is None
+
+
+def test_a_generator_that_no_driver_knows_is_told(edit: Edit) -> None:
+    """A series is no model: `run` would drive it like the first generator of the list."""
+    file = edit(FILE, (AFG, KEYSIGHT))
+    assert not any("no driver knows" in said for said in examine(file).as_dict()["warnings"])
+    beam = file.parent / KEYSIGHT
+    beam.write_text(beam.read_text(encoding="utf-8").replace("model: 33522B", "model: 33500B"), encoding="utf-8")
+    told = "no driver knows the generator 33500B: it will be driven like the AFG3022B"
+    assert any(told in said for said in examine(file).as_dict()["warnings"])

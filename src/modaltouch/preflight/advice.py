@@ -9,6 +9,7 @@ from typing import Any
 from modaltouch.preflight.design_inputs import DesignInputs
 from modaltouch.preflight.figures import estimated_duration
 from modaltouch.protocol import Apparatus, Protocol
+from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Stimulus
 
 _FASTER = 1 + 2e-3
@@ -119,16 +120,22 @@ _UNPROMISED = {
 }
 
 
-def repetition_warnings(apparatus: Apparatus) -> list[str]:
-    """Return what a repetition other than ``single`` cannot promise."""
-    section = apparatus.generator
-    if section.repeats == "single":
-        return []
-    former = " (`burst` is its former name)" if section.repetition == "burst" else ""
-    return [
-        f"generator.repetition is {section.repeats}{former}: {_UNPROMISED[section.repeats]}, and only the watchdog "
-        "process ends it if this program dies; `single` promises all three"
-    ]
+def generator_warnings(apparatus: Apparatus) -> list[str]:
+    """Return that no driver knows the generator, and what a repetition other than ``single`` cannot promise."""
+    section, instrument = apparatus.generator, instrument_of(apparatus)
+    said = []
+    if section.model not in instrument.models:
+        said.append(
+            f"no driver knows the generator {section.model}: it will be driven like the {instrument.models[0]}; `rig "
+            "check` says whether it can be"
+        )
+    if section.repeats != "single":
+        former = " (`burst` is its former name)" if section.repetition == "burst" else ""
+        said.append(
+            f"generator.repetition is {section.repeats}{former}: {_UNPROMISED[section.repeats]}, and only the watchdog "
+            "process ends it if this program dies; `single` promises all three"
+        )
+    return said
 
 
 def design_warnings(protocol: Protocol) -> list[str]:

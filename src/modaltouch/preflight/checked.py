@@ -350,7 +350,7 @@ class Preflight:
                 *advice.design_warnings(protocol),
                 *advice.answer_warnings(protocol),
                 *advice.interval_warnings(protocol),
-                *advice.repetition_warnings(self.experiment.apparatus),
+                *advice.generator_warnings(self.experiment.apparatus),
                 *advice.sound_warnings(protocol, self.experiment.apparatus),
                 *advice.default_warnings(values["defaults"]),
             ],
