@@ -461,7 +461,8 @@ def test_the_limit_holds_at_the_upper_end_of_identified_gains(edit: Edit) -> Non
     file = limited(edit, 145, (line, f"{line}, {interval}"))
     problems = examine(file).problems
     assert problems
-    assert all("the upper end of the identification's intervals (10.0%) included" in each.given for each in problems)
+    which = "if the gain of mode 13 by centre is at the end of its interval, 10.0% above its value"
+    assert all(which in each.given for each in problems)
 
 
 def test_the_level_first_is_labelled_and_reaches_any_level(edit: Edit) -> None:

@@ -133,7 +133,7 @@ def _moves_fast(inputs: DesignInputs, stimulus: Stimulus) -> bool:
     highest = max((level for level in inputs.levels.values() if level <= limit), default=0.0)
     if highest == 0:
         return False
-    least = limit * 1e-3 / _uncertain(inputs)
+    least = limit * 1e-3 / _uncertain(inputs)[0]
     if stimulus.passes(_zone_points(inputs).ravel(), highest * 1e-3, least):
         return True
     return any((speeds > least).any() for speeds in _speeds_when_lifted(inputs, stimulus, highest, least).values())
@@ -158,14 +158,15 @@ def _speeds_when_lifted(
     return speeds
 
 
-def _uncertain(inputs: DesignInputs) -> float:
-    """Return how many times the predicted speed the true one may be, by the upper ends of the gains' intervals [1]."""
-    highest = 1.0
+def _uncertain(inputs: DesignInputs) -> tuple[float, str]:
+    """Return how many times the predicted speed the true one may be, by the gains' intervals [1], and by which gain."""
+    highest = (1.0, "")
     for mode in inputs.apparatus.modes:
         intervals = {} if mode.intervals_95 is None else mode.intervals_95.gain_mm_s2_per_V
         for name, ends in intervals.items():
             gain = mode.gain_mm_s2_per_V.get(name, 0.0)
-            highest = max(highest, *(end / gain for end in ends)) if gain else highest
+            which = f"mode {mode.label} by {name}"
+            highest = max(highest, *((end / gain, which) for end in ends)) if gain else highest
     return highest
 
 
@@ -182,7 +183,7 @@ def _check_safety(
     limit, zones, points = inputs.velocity_limit, inputs.apparatus.ordered_zones, _zone_points(inputs)
     if level > limit:
         return  # reported by the protocol's own check
-    uncertain = _uncertain(inputs)
+    uncertain, which = _uncertain(inputs)
     # With a level at the limit, rounding of the codes may exceed it at the focus.
     most = limit * (1 + 1e-3)
     speeds = {"": stimulus.peak_velocity(points.ravel(), level * 1e-3)}
@@ -192,7 +193,7 @@ def _check_safety(
     if speed > most:
         fastest = int(speeds[said].argmax()) // points.shape[1]
         if uncertain > 1:
-            said += f", the upper end of the identification's intervals ({uncertain - 1:.1%}) included"
+            said += f" if the gain of {which} is at the end of its interval, {uncertain - 1:.1%} above its value"
         given = f"{level:g} mm/s, which moves zone {list(zones)[fastest]} at {speed:.0f} mm/s{said}"
         allowed = f"at most {limit:g} mm/s anywhere in a zone ({_rounded_down(level * limit / speed)} mm/s)"
         remedy = "lower the level; the limit is set in the section safety of the apparatus"
@@ -203,7 +204,7 @@ def attainable_level(inputs: DesignInputs, stimulus: Stimulus) -> float:
     """Return the highest level that amplifier, generator and safety allow, also if fingers are lifted [mm/s]."""
     amplifier = inputs.apparatus.amplifier.limit_V / float(stimulus.peak_drive(inputs.reference * 1e-3).max())
     generator = _highest_amplitude(inputs) / max(stimulus.burst.full_scale_for(inputs.reference * 1e-3))
-    level, most = inputs.reference * min(amplifier, generator), inputs.velocity_limit * 1e-3 / _uncertain(inputs)
+    level, most = inputs.reference * min(amplifier, generator), inputs.velocity_limit * 1e-3 / _uncertain(inputs)[0]
     speeds = _speeds_when_lifted(inputs, stimulus, level, most)
     speeds[""] = stimulus.peak_velocity(_zone_points(inputs).ravel(), level * 1e-3)
     level *= min(most / max(float(each.max()) for each in speeds.values()), 1.0)
