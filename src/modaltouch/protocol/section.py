@@ -209,6 +209,7 @@ _UNITS = {
     "N_s_per_m": "N s/m",
     "mm_s": "mm/s",
     "V_per_V": "V/V",
+    "mm_s_per_V": "mm/s per V",
     "mm_s2_per_V": "mm/s^2 per V",
 }
 
@@ -216,8 +217,8 @@ _UNITS = {
 def _unit(key: str) -> str:
     """Return the unit that ends a key, or an empty string.
 
-    >>> _unit("peak_velocities_mm_s"), _unit("gain_V_per_V"), _unit("zones")
-    ('mm/s', 'V/V', '')
+    >>> _unit("peak_velocities_mm_s"), _unit("gain_V_per_V"), _unit("sensitivity_mm_s_per_V"), _unit("zones")
+    ('mm/s', 'V/V', 'mm/s per V', '')
     """
     words = key.split("_")
     return next((_UNITS[end] for n in range(1, len(words)) if (end := "_".join(words[n:])) in _UNITS), "")
