@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -58,6 +59,19 @@ def test_the_page_holds_what_a_preregistration_needs(page: Path) -> None:
     assert "share of 20 simulated experiments" in text and "seed 1" in text
     assert ", commit `" in text
     assert "&" not in text
+
+
+def test_the_command_on_the_page_repeats_every_power_of_it(page: Path) -> None:
+    """Of all nine families; a shipped protocol is named, so that no path of this machine is published."""
+    text = page.read_text(encoding="utf-8")
+    assert "from\n`demo` (SHA-256" in text
+    command = next(line for line in text.splitlines() if line.endswith("repeats this simulation.")).split("`")[1]
+    repeated = json.loads(run(*shlex.split(command)[1:], "--json").stdout)["power"]
+    rows = [line.split(" | ") for line in text.partition("| family | power |")[2].split("\n\n")[0].splitlines()[2:]]
+    assert len(rows) == 9
+    assert [(name.strip("| "), float(power)) for name, power, *_ in rows] == [
+        (row["family"], pytest.approx(row["power"], abs=1e-3)) for row in repeated
+    ]
 
 
 def test_an_analysis_that_keeps_to_it_departs_in_nothing(analysis: Analysis) -> None:

@@ -251,5 +251,8 @@ def test_the_console_takes_the_keys_of_a_further_question() -> None:
 
 def test_power_refuses_a_scale_in_its_place() -> None:
     """It simulates how two fingers are compared."""
-    with pytest.raises(InputError, match="answers.scale: given the answers rated, .* simulate sessions and analyse"):
+    with pytest.raises(
+        InputError,
+        match="answers.scale: given the answers rated, .* analyse those, as `modaltouch prereg` does",
+    ):
         designs_for(examine("magnitude").require(), read_observer("paper"))

@@ -28,7 +28,7 @@ from modaltouch.planning.observer import Observer
 from modaltouch.planning.power import plan
 from modaltouch.planning.presented import designs_for, refuse_own_levels
 from modaltouch.preflight import Preflight
-from modaltouch.protocol import InputError, Protocol
+from modaltouch.protocol import InputError, Protocol, Source
 from modaltouch.report import render_page
 from modaltouch.system import commit, version
 
@@ -101,7 +101,10 @@ def preregister(
         If anything is wrong with the protocol, or its levels depend on a threshold that is not given.
     """
     protocol, source = preflight.experiment.protocol, preflight.experiment.sources.protocol
-    path, given = source.path.as_posix(), f" --threshold {threshold_mm_s:g}" if threshold_mm_s else ""
+    # The name of a shipped file is the same everywhere, and its path may hold the name of a person.
+    shipped = {file: name for name, file in Source.shipped("protocol").items()}
+    path = shipped.get(source.path.absolute(), source.path.as_posix())
+    given = f" --threshold {threshold_mm_s:g}" if threshold_mm_s else ""
     if threshold_mm_s is None:
         refuse_own_levels(preflight, "give the threshold that you expect with --threshold")
     if threshold_mm_s is not None or not (design := _counted(preflight, observer)):
@@ -155,6 +158,7 @@ def _by_counts(
     described = [_describe_family(family, design) for family in study.families]
     tests = {family["name"]: len(family["scopes"]) for family in described}
     again = "modaltouch power {path} -n {n} --experiments {experiments} --observer {observer} --seed {seed}"
+    again += f" --questions '{','.join(study.families)}'"
     return _Plan(planned, terms_of(planned, tests), described, rows, n_experiments, again)
 
 

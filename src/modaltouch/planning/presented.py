@@ -15,7 +15,7 @@ from modaltouch.preflight import Preflight
 from modaltouch.protocol import InputError, Protocol, Schedule
 
 _KNOWN = ("one_hand", "two_hands")
-_SIMULATE = "simulate sessions and analyse those"
+_SIMULATE = "simulate sessions and analyse those, as `modaltouch prereg` does"
 
 
 def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
