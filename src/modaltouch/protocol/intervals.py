@@ -90,6 +90,7 @@ def presented_levels(reading: Reading[Any]) -> dict[tuple[Step, ...], float]:
     """Return the valid levels of a protocol by path [mm/s], including the standard's if it is not one of them."""
     section = ("conditions", "peak_velocities_mm_s")
     levels: dict[tuple[Step, ...], float] = {(*section, index): level for index, level in reading.items(*section)}
-    if (standard := reading.sound(*STANDARD_LEVEL)) and standard not in levels.values():
+    presented = reading.value is None or reading.value.intervals is not None
+    if presented and (standard := reading.sound(*STANDARD_LEVEL)) and standard not in levels.values():
         levels[STANDARD_LEVEL] = standard
     return levels

@@ -402,14 +402,22 @@ class Protocol(Section):
     def with_stimulus(self, name: str) -> Protocol:
         """Return the protocol with one stimulus alone, crossed with its levels; no intervals if not its standard."""
         levels = self.conditions.peak_velocities_mm_s
-        # Catch trials use the settings of the lowest level of all, and a standard has its own level.
-        if self.uncrossed_by[:1] == ("conditions",) and not (self.schedule.catch_trials or self.intervals):
+        standard = None if self.intervals is None else self.intervals.standard
+        # Those that differ in nothing but rate, masking and number of bursts share their records, hence their levels.
+        records = [
+            self.stimulus_of(each).model_copy(update={"repetition_rate_Hz": 1}) for each in (name, *self.stimuli)
+        ]
+        alike = [each for each, own in zip(self.stimuli, records[1:], strict=True) if own == records[0]]
+        fits = standard is not None and standard.stimulus in (None, *alike)
+        at_every_level = standard is not None and standard.velocity_mm_s is None and standard.stimulus in alike
+        # Catch trials use the settings of the lowest level of all.
+        if self.uncrossed_by[:1] == ("conditions",) and not (self.schedule.catch_trials or at_every_level):
             cells = [cell for fingers in self.conditions.finger_conditions for cell in self.cells(fingers)]
-            own_levels = {level for _, level, stimulus in cells if stimulus == name}
+            own_levels = {level for _, level, stimulus in cells if stimulus in alike}
             levels = tuple(level for level in levels if level in own_levels)
+            levels = levels or ((standard.velocity_mm_s,) if fits and standard and standard.velocity_mm_s else ())
         update = {"cells": (), "exclude": (), "peak_velocities_mm_s": levels}
         crossed = self.conditions.model_copy(update=update)
-        fits = self.intervals is not None and self.intervals.standard.stimulus in (None, name)
         own = {"stimulus": self.stimulus_of(name), "stimuli": {}, "intervals": self.intervals if fits else None}
         return self.model_copy(update={**own, "conditions": crossed})
 

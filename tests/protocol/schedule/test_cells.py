@@ -177,11 +177,47 @@ def test_a_stimulus_is_designed_for_its_own_levels_alone(folder: Path) -> None:
     fields = "stimuli:\n  sharp: {field: {base_mm: 56}}\n  blunt: {field: {shape: raised_cosine, base_mm: 100}}\n\n"
     cells = "  cells:\n    - {pair: [A, C], peak_velocities_mm_s: [260], stimuli: [sharp]}\n"
     cells += "    - {pair: [A, C], peak_velocities_mm_s: [80, 120], stimuli: [blunt]}\n"
-    read(folder, cells)
-    file = folder / "own.yaml"
-    file.write_text(file.read_text("utf-8").replace("conditions:\n", fields + "conditions:\n"), "utf-8")
+    assert own_levels(folder, fields, cells) == {"sharp": [260.0], "blunt": [80.0, 120.0]}
+
+
+def own_levels(folder: Path, stimuli: str, conditions: str, intervals: str = "") -> dict[str, list[float]]:
+    """Return the levels at which each of several stimuli is designed [mm/s]."""
+    read(folder, conditions)
+    file, extra = folder / "own.yaml", f"{stimuli}{intervals}conditions:\n"
+    text = file.read_text("utf-8").replace("conditions:\n", extra)
+    if intervals:
+        text = text.replace("stimulus_until: answer", "stimulus_until: question")
+        text = text[: text.index("  keys:")] + "  keys: {first: [left], second: [right]}\n"
+        text += "  intervals: {first: 1, second: 2}\n"
+    file.write_text(text, "utf-8")
     parts = dict(Findings.read(file).each_stimulus())
-    assert [part.protocol.items("conditions", "peak_velocities_mm_s") for part in parts.values()] == [
-        [(0, 260.0)],
-        [(0, 80.0), (1, 120.0)],
-    ]
+    assert not [problem for part in parts.values() for problem in part.problems]
+    return {name: sorted(part.levels.values()) for name, part in parts.items()}
+
+
+def test_stimuli_with_the_same_records_share_their_levels(folder: Path) -> None:
+    """Bursts, masking and rate do not change a record, so that four such stimuli fit into the memories."""
+    stimuli = "stimuli:\n  few: {presentation_bursts: 2}\n  slow: {repetition_rate_Hz: 3.5}\n"
+    stimuli += "  blunt: {field: {shape: raised_cosine, base_mm: 100}}\n\n"
+    cells = "".join(
+        f"    - {{pair: [A, C], peak_velocities_mm_s: [{level}], stimuli: [{name}]}}\n"
+        for name, level in (("few", 80), ("slow", 150), ("blunt", 60))
+    )
+    shared = own_levels(folder, stimuli, f"  cells:\n{cells}")
+    assert shared == {"few": [80.0, 150.0], "slow": [80.0, 150.0], "blunt": [60.0]}
+
+
+@pytest.mark.parametrize(
+    ("standard", "levels"),
+    [
+        ("{velocity_mm_s: 100, stimulus: blunt}", {"sharp": [80.0, 200.0], "blunt": [100.0]}),
+        ("{stimulus: blunt}", {"sharp": [80.0, 200.0], "blunt": [80.0, 200.0]}),
+    ],
+)
+def test_a_standard_of_another_field_is_designed_for_its_level_alone(
+    folder: Path, standard: str, levels: dict[str, list[float]]
+) -> None:
+    """Unless it takes the level of the comparison."""
+    fields = "stimuli:\n  sharp: {field: {base_mm: 56}}\n  blunt: {field: {shape: raised_cosine, base_mm: 100}}\n\n"
+    intervals = f"intervals: {{number: 2, standard: {standard}, asked: comparison}}\n"
+    assert own_levels(folder, fields, CROSSED + "  exclude: [{stimulus: blunt}]\n", intervals) == levels
