@@ -128,6 +128,14 @@ def test_each_fault_of_fingers_zones_and_answers_has_its_place(
     assert any(fault in each for each in found), found
 
 
+def test_a_misspelt_finger_of_an_answer_is_told_once(edit: Edit) -> None:
+    """Not also as an answer that is missing for the finger."""
+    keys = "    a: [left]\n    b: [up]\n    c: [right]\n  ways: {three: lifting}\n"
+    fingers = "  fingers: {a: [left], b: [center], c: [right]}\n"
+    found = faults(edit("demo.yaml", THREE, (PAIRS, "zones: [[A, C, E]]"), (KEYS, keys + fingers)))
+    assert [each for each in found if "answers.fingers" in each and "has no text" not in each] == found[:1], found
+
+
 def test_trials_lie_on_as_many_zones_as_there_are_fingers(edit: Edit) -> None:
     """One finger has its zone on the left; a turned beam has the last of three zones there."""
     labels = (KEYS, "    yes: [y]\n    none: [n]\n  ways: {three: lifting}\n")

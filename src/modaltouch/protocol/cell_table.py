@@ -165,7 +165,7 @@ def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
             given = f"{key} with {other}, which sets its own levels"
             yield reading.problem(("conditions", key), given, "one of the two", "remove one of them")
             return
-    names = {"finger_condition": conditions.finger_conditions, "stimulus": tuple(reading.sound("stimuli") or ())}
+    names = {"finger_condition": conditions.finger_conditions, "stimulus": tuple(reading.keys("stimuli") or ())}
     nouns = "a finger condition of the protocol", "a stimulus of the protocol"
     for index in range(len(conditions.cells)):
         for key, noun, known in zip(("finger_conditions", "stimuli"), nouns, names.values(), strict=True):

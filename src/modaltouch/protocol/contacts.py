@@ -103,7 +103,9 @@ def _check_answers(reading: Reading[Protocol], name: str, number: int) -> Iterat
         odd = next((answer.name for answer in offered if not set(answer.fingers or ()) <= set(SIDES[number])), None)
         allowed, remedy = "left, right or both of them", "leave `between` out"
         alone = [side for side in SIDES[3] if offered.naming(side) is not None]
-        if number == 3 and 0 < len(alone) < 3:
+        # A fault of a finger's place is reported there.
+        is_sound = len(reading.items("answers", "fingers")) == len(reading.keys("answers", "fingers") or ())
+        if number == 3 and 0 < len(alone) < 3 and is_sound:
             odd = next(answer.name for answer in offered if answer.fingers)
             allowed, remedy = (
                 "an answer for each of the three fingers",

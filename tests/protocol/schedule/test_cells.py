@@ -172,6 +172,15 @@ def test_conditions_that_contradict_themselves_are_refused(folder: Path, conditi
     assert any(told in each for each in said), said
 
 
+def test_a_faulty_stimulus_is_still_known_by_its_name(folder: Path) -> None:
+    """And is not called unknown where its cells are left out."""
+    read(folder, CROSSED + "  exclude: [{stimulus: sharp}]\n")
+    file, fields = folder / "own.yaml", "stimuli:\n  sharp: {}\n  blunt: {field: {shape: gausian}}\n"
+    file.write_text(file.read_text("utf-8").replace("conditions:\n", fields + "conditions:\n"), "utf-8")
+    (said,) = faults(Findings.read(file))
+    assert "'gausian'" in said
+
+
 def test_a_stimulus_is_designed_for_its_own_levels_alone(folder: Path) -> None:
     """A blunt field that no amplifier drives at the level of the sharp one is not asked to."""
     fields = "stimuli:\n  sharp: {field: {base_mm: 56}}\n  blunt: {field: {shape: raised_cosine, base_mm: 100}}\n\n"
