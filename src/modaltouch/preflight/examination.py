@@ -111,7 +111,8 @@ def _check_range(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -
     highest = level * min(limit / float(stimulus.peak_voltage.max()), _highest_amplitude(inputs) / max(full.values()))
     weak = min(sounding, key=sounding.__getitem__)
     least = level * instrument_of(inputs.apparatus).lowest_amplitude / sounding[weak]
-    if least <= highest:
+    # Levels that round to nothing come of an instant or a length in seconds.
+    if least <= highest and float(_rounded_down(highest)):
         return []
     length, base = inputs.apparatus.beam.length_mm, inputs.section.field.base_mm
     path: tuple[str, ...] = ("stimulus",)
@@ -124,7 +125,11 @@ def _check_range(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -
         f"amplifier and generator reach at most {_rounded_down(highest)} mm/s)"
     )
     allowed = f"up to {length:g} mm" if base > length else ""
-    return [findings.problem(path, given, allowed, "choose another field, focus or modes; no other level will do")]
+    return [
+        findings.problem(
+            path, given, allowed, "choose another field, focus, modes or focusing_instant_ms; no other level will do"
+        )
+    ]
 
 
 def _moves_fast(inputs: DesignInputs, stimulus: Stimulus) -> bool:
