@@ -52,3 +52,15 @@ def test_the_shipped_protocol_is_sound() -> None:
     preflight = examine(SHIPPED).require()
     assert preflight.experiment.protocol.n_trials == 90
     assert [each["velocity_mm_s"] for each in preflight.stimuli] == [2, 200]
+
+
+def test_what_may_be_a_success_is_listed_once(tmp_path: Path) -> None:
+    """Though an answer has the name of a rule."""
+    text = SHIPPED.read_text(encoding="utf-8").replace("success: focus_named", "success: sure")
+    for name in ("apparatus/", "texts/"):
+        text = text.replace(f": {name}", f": {SHIPPED.parent / name}/")
+    keys = "  keys: {felt: [up], not_felt: [down]}\n  fingers: {not_felt: []}\n"
+    file = tmp_path / "own.yaml"
+    file.write_text(text[: text.index("  keys:")] + keys, encoding="utf-8")
+    (problem,) = examine(file).problems
+    assert "'sure', which is not a rule or an answer; allowed: focus_named, felt, correct, not_felt" in problem.message

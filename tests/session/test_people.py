@@ -76,11 +76,11 @@ def test_what_must_identify_a_person_says_so(edit: Callable[..., Path]) -> None:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("sex: {kind: choice, question: Sex?, choices: [x]}", "given 1 choices for a choice"),
+        ("sex: {kind: choice, question: Sex?, choices: [x]}", "given 1 choice for a choice"),
         ("sex: {kind: choice, question: Sex?, choices: [x, x, y]}", "given 3 choices for a choice"),
         ("age: {kind: number, question: Age?, choices: [1, 2]}", "people.age.choices"),
-        ("age: {kind: number, question: Age?, lowest: 30, highest: 20}", "given bounds for a number, 30.0 to 20.0"),
-        ("note: {kind: text, question: Note?, lowest: 30}", "given bounds for a text"),
+        ("age: {kind: number, question: Age?, lowest: 30, highest: 20}", "given bounds for a number, 30 to 20"),
+        ("note: {kind: text, question: Note?, lowest: 30}", "given bounds for a text, 30 to any"),
         ("participant_id: {kind: text, question: Code?}", "given participant_id, which is already a column"),
     ],
 )

@@ -230,7 +230,9 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
     if success == "correct":
         yield from _check_correct(reading, offered)
     elif success not in ("focus_named", "felt", *offered.names):
-        yield reading.unknown(at, "a rule or an answer", ["focus_named", "felt", "correct", *offered.names])
+        yield reading.unknown(
+            at, "a rule or an answer", dict.fromkeys(["focus_named", "felt", "correct", *offered.names])
+        )
     yield from reading.faults(
         (
             success == "felt" and "felt" not in offered.names and offered.naming() is None,

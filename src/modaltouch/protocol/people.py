@@ -48,18 +48,16 @@ class PersonField(Section):
         n_choices, low, high = len(set(self.choices)), self.lowest, self.highest
         if (n_choices < 2 or n_choices < len(self.choices)) if self.kind == "choice" else n_choices:
             given, allowed = (
-                f"{len(self.choices)} choices for a {self.kind}",
+                f"{len(self.choices)} choice{'s' * (len(self.choices) != 1)} for a {self.kind}",
                 "at least two different choices, and only for `choice`",
             )
             raise fault(given, allowed, "change the choices or the kind")
         if (low, high) != (None, None) and (
             self.kind != "number" or (low is not None and high is not None and low > high)
         ):
-            given, allowed = (
-                f"bounds for a {self.kind}, {low} to {high}",
-                "only for a number, with lowest below highest",
-            )
-            raise fault(given, allowed, "change the bounds or the kind")
+            ends = " to ".join("any" if each is None else f"{each:g}" for each in (low, high))
+            allowed = "only for a number, with lowest below highest"
+            raise fault(f"bounds for a {self.kind}, {ends}", allowed, "change the bounds or the kind")
         return self
 
     @property
