@@ -110,6 +110,15 @@ def test_d_prime_of_a_comparison_is_that_of_its_distance_from_the_standard(compa
     assert ("d' over participants", "one_hand A-C 80 mm/s") not in findings
 
 
+def test_an_equally_strong_standard_of_another_field_has_no_right_answer(compared) -> None:
+    """At 80 mm/s neither is stronger: their difference is the point of equality's, and no sensitivity."""
+    design = {**TWO, "intervals": {**TWO["intervals"], "standard": {"velocity_mm_s": 80, "stimulus": "sharp"}}}
+    findings, _ = found(take(compared.assign(stimulus="blunt"), design))
+    told = {scope for name, scope in findings if name == "d' over participants"}
+    assert told == {f"one_hand A-C {level} mm/s" for level in (60, 70, 90, 105, 120)}
+    assert ("PSE over participants", "one_hand A-C") in findings
+
+
 @pytest.mark.parametrize("word", ["unsure", "same"])
 def test_answers_that_name_no_interval_are_left_out(compared, word: str) -> None:
     """Known: with some of each level left unsaid, all measures are those of the rest, and who said it is not wrong."""

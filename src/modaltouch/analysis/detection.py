@@ -60,7 +60,9 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
         yield from _of_differences(frame, task)
     elif task.named:
         for cell, part in cells(frame, scale, by_level=by_level or not task.detects):
-            if not task.is_same(part, scale.column).all():
+            # An equally strong standard of another field leaves no answer right; the PSE tells the two apart.
+            is_right = task.detects or task.tells(cell[-1])
+            if is_right and not task.is_same(part, scale.column).all():
                 why = task.why_no_d_prime
                 yield from _untold(cell, why, part) if why else _told(cell, _of_intervals(part, task, cell[-1]), part)
     elif responses.answers.naming() is not None:
