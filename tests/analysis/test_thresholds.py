@@ -387,6 +387,17 @@ def test_runs_that_tell_no_threshold_are_in_the_legend() -> None:
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["one hand A-C"]
 
 
+def test_trials_of_a_run_are_marked_by_whole_numbers() -> None:
+    """Twenty trials had a mark at 2.5, few trials one at every half."""
+    from modaltouch.analysis.thresholds.figures import draw_runs
+    from modaltouch.analysis.thresholds.runs import Run
+
+    fitted = fit_psychometric([to_dB(60)] * 20, [True] * 20, guess_rate=0.5, most_lapse=0.0)
+    run = Run("p01", 1, "one_hand", "A-C", "", np.full(4, 60.0), np.ones(4, dtype=bool), fitted)
+    marks = draw_runs([run], (2.0, 200.0)).axes[0].get_xticks()
+    assert list(marks) == [round(mark) for mark in marks]
+
+
 def test_kinds_of_runs_are_told_apart_by_colour_and_mark() -> None:
     """Two finger conditions, two pairs and two stimuli are eight kinds; no two share both."""
     from modaltouch.analysis.thresholds.figures import draw_thresholds

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
 from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.thresholds.runs import Run, in_words
@@ -56,6 +56,7 @@ def _draw_track(axes: Axes, run: Run, bounds: tuple[float, float]) -> None:
     _mark_levels(axes.yaxis)
     axes.set_ylabel("level [mm/s]")
     axes.set_title(run.kind, loc="left", fontsize=9)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     quiet_grid(axes)
 
 
