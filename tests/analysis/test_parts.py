@@ -108,6 +108,15 @@ def test_a_part_that_nobody_answered_has_no_test_and_no_figure() -> None:
     assert pictures == ["part_1_one_hand.png"]
 
 
+def test_a_figure_names_its_part_in_its_title(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As a picture on a slide it stands without the page's heading."""
+    titles: list[str] = []
+    monkeypatch.setattr("matplotlib.figure.Figure.suptitle", lambda figure, title, **_: titles.append(title))
+    every = [row | {"stimulus": name} for row in rows() for name in ("sharp", "blunt") if row["zone_left"] != "B"]
+    render_parts(analyse_parts(responses(every)))
+    assert [title.split(":")[0] for title in titles] == ["blunt, one hand", "sharp, one hand"]
+
+
 def test_answers_of_three_intervals_are_not_held_against_an_even_split() -> None:
     """Who guesses names a standard twice as often, since two of three intervals hold one: no choice of the standard."""
     places = np.random.default_rng(1).integers(1, 4, (2, 400))

@@ -44,7 +44,9 @@ LETTER = 0.6 / 72
 """Mean width of a letter relative to its type size [inch/point]."""
 
 
-def draw_counts(table: pd.DataFrame, finger_condition: str, n_participants: int | None = None) -> Figure:
+def draw_counts(
+    table: pd.DataFrame, finger_condition: str, n_participants: int | None = None, part: str = ""
+) -> Figure:
     """Draw the answers of one finger condition as bars, in the form of Fig. 10 and Fig. 11.
 
     Parameters
@@ -56,6 +58,8 @@ def draw_counts(table: pd.DataFrame, finger_condition: str, n_participants: int 
     n_participants : int, optional
         If each participant gave several answers in a cell: intervals as if each had given one, the most cautious
         reading. By default, every answer counts as that of a different participant.
+    part : str, optional
+        Stimulus, group or kind of session of the answers, named first in the title.
 
     Returns
     -------
@@ -78,9 +82,8 @@ def draw_counts(table: pd.DataFrame, finger_condition: str, n_participants: int 
             quiet_grid(axes)
         panels[-1, 0].set_xlabel(f"answer, and below each bar the {scale_of([str(table.columns.name)]).quantity}")
         named = finger_condition.replace("_", " ")
-        figure.suptitle(
-            f"{named}: {FINGERS[finger_condition]}" if finger_condition in FINGERS else named, fontsize=10.5
-        )
+        title = f"{named}: {FINGERS[finger_condition]}" if finger_condition in FINGERS else named
+        figure.suptitle(", ".join(filter(None, (part, title))), fontsize=10.5)
     return figure
 
 

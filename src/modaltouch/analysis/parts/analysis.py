@@ -248,6 +248,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
                 zone_table(part.counts, condition),
                 condition,
                 part.counts.n_participants if part.counts.n_repetitions > 1 else None,
+                " ".join(filter(None, part.factors.values())),
             ),
             part.name,
         )
