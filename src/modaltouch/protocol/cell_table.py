@@ -11,6 +11,7 @@ from typing import Any
 from modaltouch.protocol.problems import Problem, suggest
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.source import Source
+from modaltouch.protocol.stimulus_sections import StimulusVariant
 from modaltouch.protocol.tree import Node, resolve
 
 DERIVED = ("zone_pairs", "peak_velocities_mm_s", "finger_conditions", "zones")
@@ -94,6 +95,8 @@ def _read_table(source: Source) -> tuple[Node, list[Problem]]:
         if name not in COLUMNS or names.count(name) > 1:
             meant = suggest(name, COLUMNS)
             remedy = f"did you mean '{meant}'?" if meant and meant not in names else "remove it"
+            if name in StimulusVariant.model_fields:
+                remedy = f"give it to the `stimuli` of the protocol ({name}), and name one in the column stimulus"
             problems.append(
                 Problem(path, 1, column, "", f"the column {name!r}", f"once each: {', '.join(COLUMNS)}", remedy)
             )

@@ -135,6 +135,11 @@ def test_every_order_presents_the_same_cells(folder: Path, order: str) -> None:
         (TABLE.replace("one_hand", "on_hand"), "cells.csv:4:9 given 'on_hand', which is not a finger condition"),
         (TABLE.replace("C,E,100,,", "C,E,100"), "cells.csv:5:1 given 3 fields; allowed: 5, one for each column"),
         (TABLE.replace("peak_velocity_mm_s", "velocity"), "cells.csv:1:1 given a table without the column peak_velo"),
+        (
+            TABLE.replace("weight", "masked"),
+            "cells.csv:1:58 given the column 'masked'; allowed: once each: zone_left, zone_right, peak_velocity_mm_s, "
+            "zone_between, finger_condition, stimulus, weight; give it to the `stimuli` of the protocol (masked), and",
+        ),
         (TABLE.replace("weight", "weigth"), "cells.csv:1:58 given the column 'weigth'; allowed: once each"),
         (TABLE.replace("A,C,80,", 'A,"C","80,5",'), "cells.csv:2:8 given '80,5'; allowed: a number [mm/s] above 0"),
         (
