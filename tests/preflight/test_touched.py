@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +20,14 @@ from typer.testing import CliRunner, Result
 
 from modaltouch.cli.commands import app
 from modaltouch.preflight import Preflight, examine
+from modaltouch.preflight.examination import _error, _zone_points
 from modaltouch.protocol import InputError
 
 Edit = Callable[..., Path]
 FloatArray = NDArray[np.float64]
 PAPER = "differentiated_stimulation"
 PROTOCOLS = Path(__file__).parents[2] / "protocols"
+BEAM = PROTOCOLS / "apparatus" / "beam_100x6x2.yaml"
 ZONE = {"A": -0.04, "B": -0.02, "C": 0.0, "D": 0.02, "E": 0.04}
 PAIRS = ("A-C", "B-D", "C-E")
 FOCUS, LIMIT = 0.025, 250.0
@@ -454,15 +457,44 @@ def test_a_finger_taken_away_must_not_send_the_beam_over_its_limit(edit: Edit) -
     assert all("at most 130 mm/s anywhere in a zone" in problem.allowed for problem in problems)
 
 
-def test_the_limit_holds_at_the_upper_end_of_identified_gains(edit: Edit) -> None:
-    """A gain that may be a tenth larger than the table says makes a beam that may move a tenth faster."""
-    line = "label: 13, natural_frequency_Hz: 58303, damping_ratio: 0.0101, gain_mm_s2_per_V: {centre: -41448}"
-    interval = "intervals_95: {gain_mm_s2_per_V: {centre: [-45592.8, -41000]}}"
-    file = limited(edit, 145, (line, f"{line}, {interval}"))
+MODE_13 = "label: 13, natural_frequency_Hz: 58303, damping_ratio: 0.0101, gain_mm_s2_per_V: {centre: -41448}"
+
+
+def with_intervals(share: float) -> tuple[tuple[str, str], ...]:
+    """Return changes to the beam's file: intervals of so much of each gain, either way."""
+    table = re.findall(r"(label: \d+, .*? gain_mm_s2_per_V: \{(\w+): (-?\d+)\})", BEAM.read_text(encoding="utf-8"))
+    ends = ((line, name, *sorted((float(gain) * (1 - share), float(gain) * (1 + share)))) for line, name, gain in table)
+    return tuple(
+        (line, f"{line}, intervals_95: {{gain_mm_s2_per_V: {{{name}: [{low}, {high}]}}}}")
+        for line, name, low, high in ends
+    )
+
+
+def test_the_limit_holds_for_all_gains_within_their_intervals(edit: Edit) -> None:
+    """Gains known to 5 %: no beam drawn within moves faster, in any zone, than the speed that counts."""
+    file = limited(edit, 500, *with_intervals(0.05))
+    preflight = examine(file).require()
+    stimulus, points = preflight.stimulus, _zone_points(preflight.inputs).ravel()
+    played, unit = stimulus.touched(()), stimulus.volts_per_code(0.1)
+    speed, error = played.peak_velocity(points, unit), _error(preflight.inputs, stimulus, 100.0)
+    assert 0.03 * speed.max() < error.max() < 0.12 * speed.max()
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        factor = 1 + 0.05 * rng.choice([-1, 1], played.model.modal_gain.shape)
+        drawn = replace(played, model=replace(played.model, modal_gain=played.model.modal_gain * factor))
+        assert (drawn.peak_velocity(points, unit) <= speed + error + 1e-9).all()
+    beam = file.parent / "apparatus" / "beam_100x6x2.yaml"
+    beam.write_text(beam.read_text(encoding="utf-8").replace("limit_mm_s: 500", "limit_mm_s: 140"), encoding="utf-8")
     problems = examine(file).problems
     assert problems
-    which = "if the gain of mode 13 by centre is at the end of its interval, 10.0% above its value"
-    assert all(which in each.given for each in problems)
+    assert all("mm/s of it by the intervals of the gains" in each.given for each in problems)
+
+
+def test_a_set_that_hardly_moves_a_mode_does_not_limit_the_level(edit: Edit) -> None:
+    """A gain of 3 known to 300, beside one of 41448: it was taken for a beam a hundred times as fast."""
+    interval = "intervals_95: {gain_mm_s2_per_V: {centre: [-41448, -41448], side: [-297, 303]}}"
+    known = MODE_13.replace("-41448}", "-41448, side: 3}")
+    assert examine(limited(edit, 145, (MODE_13, f"{known}, {interval}"))).problems == ()
 
 
 def test_the_level_first_is_labelled_and_reaches_any_level(edit: Edit) -> None:

@@ -138,7 +138,7 @@ def _moves_fast(inputs: DesignInputs, stimulus: Stimulus) -> bool:
     highest = max((level for level in inputs.levels.values() if level <= limit), default=0.0)
     if highest == 0:
         return False
-    least = limit * 1e-3 / _uncertain(inputs)[0]
+    least = limit * 1e-3 - float(_error(inputs, stimulus, highest).max())
     if stimulus.passes(_zone_points(inputs).ravel(), highest * 1e-3, least):
         return True
     return any((speeds > least).any() for speeds in _speeds_when_lifted(inputs, stimulus, highest, least).values())
@@ -163,16 +163,24 @@ def _speeds_when_lifted(
     return speeds
 
 
-def _uncertain(inputs: DesignInputs) -> tuple[float, str]:
-    """Return how many times the predicted speed the true one may be, by the gains' intervals [1], and by which gain."""
-    highest = (1.0, "")
-    for mode in inputs.apparatus.modes:
-        intervals = {} if mode.intervals_95 is None else mode.intervals_95.gain_mm_s2_per_V
-        for name, ends in intervals.items():
+def _error(inputs: DesignInputs, stimulus: Stimulus, level: float) -> NDArray[np.float64]:
+    """Return the most that errors of identified gains can add to the speeds at the points of the zones [m/s].
+
+    Every gain is off by the further end of its interval, all at their worst at once, on the beam without fingers.
+    """
+    bare, sets = stimulus.touched(()), inputs.apparatus.actuator_sets
+    modes, error = {mode.label: mode for mode in inputs.apparatus.modes}, np.zeros_like(bare.model.modal_gain)
+    for row, mode in enumerate(modes[label] for label in bare.model.label):
+        for name, ends in (mode.intervals_95.gain_mm_s2_per_V if mode.intervals_95 else {}).items():
             gain = mode.gain_mm_s2_per_V.get(name, 0.0)
-            which = f"mode {mode.label} by {name}"
-            highest = max(highest, *((end / gain, which) for end in ends)) if gain else highest
-    return highest
+            error[row, sets[name].channel - 1] = max(abs(end - gain) for end in ends) * 1e-3
+    points = _zone_points(inputs).ravel()
+    if not error.any():
+        return np.zeros(points.size)
+    unit = stimulus.volts_per_code(level * 1e-3)
+    alone = [replace(bare.model, modal_gain=error * (np.arange(unit.size) == output)) for output in range(unit.size)]
+    peaks = sum(replace(bare, model=model).modal_peaks(unit) for model in alone)
+    return np.asarray(peaks @ np.abs(bare.model.shapes(points)))
 
 
 def _zone_points(inputs: DesignInputs) -> NDArray[np.float64]:
@@ -188,17 +196,18 @@ def _check_safety(
     limit, zones, points = inputs.velocity_limit, inputs.apparatus.ordered_zones, _zone_points(inputs)
     if level > limit:
         return  # reported by the protocol's own check
-    uncertain, which = _uncertain(inputs)
+    error = _error(inputs, stimulus, level)
     # With a level at the limit, rounding of the codes may exceed it at the focus.
     most = limit * (1 + 1e-3)
     speeds = {"": stimulus.peak_velocity(points.ravel(), level * 1e-3)}
-    speeds |= _speeds_when_lifted(inputs, stimulus, level, most * 1e-3 / uncertain)
-    said = max(speeds, key=lambda each: float(speeds[each].max()))
-    speed = float(speeds[said].max()) * uncertain * 1e3
+    speeds |= _speeds_when_lifted(inputs, stimulus, level, most * 1e-3 - float(error.max()))
+    said = max(speeds, key=lambda each: float((speeds[each] + error).max()))
+    highest = speeds[said] + error
+    speed = float(highest.max()) * 1e3
     if speed > most:
-        fastest = int(speeds[said].argmax()) // points.shape[1]
-        if uncertain > 1:
-            said += f" if the gain of {which} is at the end of its interval, {uncertain - 1:.1%} above its value"
+        fastest = int(highest.argmax()) // points.shape[1]
+        if error.any():
+            said += f", up to {error.max() * 1e3:.3g} mm/s of it by the intervals of the gains"
         given = f"{level:g} mm/s, which moves zone {list(zones)[fastest]} at {speed:.0f} mm/s{said}"
         allowed = f"at most {limit:g} mm/s anywhere in a zone ({_rounded_down(level * limit / speed)} mm/s)"
         remedy = "lower the level; the limit is set in the section safety of the apparatus"
@@ -209,10 +218,11 @@ def attainable_level(inputs: DesignInputs, stimulus: Stimulus) -> float:
     """Return the highest level that amplifier, generator and safety allow, also if fingers are lifted [mm/s]."""
     amplifier = inputs.apparatus.amplifier.limit_V / float(stimulus.peak_drive(inputs.reference * 1e-3).max())
     generator = _highest_amplitude(inputs) / max(stimulus.burst.full_scale_for(inputs.reference * 1e-3))
-    level, most = inputs.reference * min(amplifier, generator), inputs.velocity_limit * 1e-3 / _uncertain(inputs)[0]
-    speeds = _speeds_when_lifted(inputs, stimulus, level, most)
+    level, most = inputs.reference * min(amplifier, generator), inputs.velocity_limit * 1e-3
+    error = _error(inputs, stimulus, level)
+    speeds = _speeds_when_lifted(inputs, stimulus, level, most - float(error.max()))
     speeds[""] = stimulus.peak_velocity(_zone_points(inputs).ravel(), level * 1e-3)
-    level *= min(most / max(float(each.max()) for each in speeds.values()), 1.0)
+    level *= min(most / max(float((each + error).max()) for each in speeds.values()), 1.0)
     # Rounded down to a thousandth, as it is recorded.
     return math.floor(level * 1e3) / 1e3
 

@@ -156,6 +156,11 @@ class QuantisedStimulus:
             known.update(zip(place, response.peak(output).tolist(), strict=True))
         return np.array([known[point] for point in place]) * scale
 
+    def modal_peaks(self, unit: FloatArray) -> FloatArray:
+        """Return the highest modal velocities until the next burst, (n_modes,) array [m/s]."""
+        response, _, scale = self._response(unit)
+        return np.asarray(response.peak(self.system.velocity) * scale)
+
     def velocity_at(self, positions: ArrayLike, instants: ArrayLike, unit: FloatArray) -> FloatArray:
         """Return the velocity at points, each at its own instant of the burst [s], (n_positions,) array [m/s]."""
         shapes, codes, system = self.model.shapes(positions), self.codes * unit[:, None], self.system
