@@ -355,7 +355,7 @@ def test_a_field_that_no_level_can_play_is_told_at_the_field_once(edit: Edit) ->
 def test_a_focusing_instant_in_seconds_is_told_once(edit: Edit) -> None:
     """25 us are too short for any voltage: not at each level, in millions of mm/s."""
     (found,) = faults(edit(FILE, ("focusing_instant_ms: 25", "focusing_instant_ms: 0.025")))
-    assert "given a field that no level can play" in found
+    assert "given a field that cannot be played at any level" in found
     assert "or focusing_instant_ms; no other level will do" in found
 
 
