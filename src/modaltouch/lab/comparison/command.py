@@ -405,7 +405,7 @@ def compare(
         responses = learn(preflight, n_points=points, n_records=averages, folder=scan, progress=heard)
         found = contest(preflight, responses, n_beams=beams, seed=seed, progress=heard)
     about = {
-        "title": experiment.protocol.title or experiment.protocol.protocol,
+        "title": preflight.title,
         "protocol": str(protocol),
         "apparatus": experiment.apparatus.apparatus,
         "seed": seed,

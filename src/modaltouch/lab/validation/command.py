@@ -206,7 +206,7 @@ def _observe(
 def _context(preflight: Preflight, protocol: Path, field: Scan) -> dict[str, Any]:
     experiment, calibration = preflight.experiment, preflight.findings.calibration
     return {
-        "title": experiment.protocol.title or experiment.protocol.protocol,
+        "title": preflight.title,
         "protocol": str(protocol),
         "apparatus": experiment.apparatus.apparatus,
         "mode": field.mode,
