@@ -244,9 +244,3 @@ def test_the_record_of_one_stimulus_has_no_word_of_it(tmp_path: Path) -> None:
     session = read_session(begin(wire_run(preflight, "p01", answers="simulated", results=tmp_path)).path)
     assert all("stimulus" not in event["trial"]["condition"] for event in session.trials)
     assert "content_hashes" not in session.start["stimulus"]
-
-
-def test_what_takes_one_stimulus_says_which() -> None:
-    """`validate` and `compare` take the first of several; their pages are titled with its name."""
-    assert examine(SHIPPED).title == "Sharp and blunt fields, stimulus sharp"
-    assert examine(SHIPPED.with_name("threshold.yaml")).title == "Threshold of differentiation"

@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.collections import Collection
 
+    from modaltouch.preflight import Preflight
+
 DARK, MIDDLE, LIGHT = "#0b3c8c", "#5bb8e8", "#dbe3ee"
 """Colours of measured, predicted and target: far apart in lightness, so that they differ without colour."""
 
@@ -23,6 +25,12 @@ def draw_map(axes: Axes, along: FloatArray, across: FloatArray, values: FloatArr
     drawn = axes.tripcolor(along * 1e3, across * 1e3, values, shading="gouraud", **look)
     axes.set(xlim=(along.min() * 1e3, along.max() * 1e3), ylim=(across.min() * 1e3, across.max() * 1e3))
     return drawn
+
+
+def title_of(preflight: Preflight) -> str:
+    """Return a protocol's title, or its name, and of several stimuli that of the first, which is the one taken."""
+    protocol, name = preflight.experiment.protocol, next(iter(preflight.designs), "")
+    return (protocol.title or protocol.protocol) + (f", stimulus {name}" if name else "")
 
 
 def rounded(value: Any, digits: int) -> Any:

@@ -94,12 +94,6 @@ class Preflight:
         """
         return self.sound[1]
 
-    @property
-    def title(self) -> str:
-        """The protocol's title, or its name, and which of several stimuli `stimulus` is."""
-        protocol, name = self.experiment.protocol, next(iter(self.designs), "")
-        return (protocol.title or protocol.protocol) + (f", stimulus {name}" if name else "")
-
     def of_untouched_beam(self) -> Self:
         """Return the preflight itself if its stimuli are designed for the untouched beam, which a lab measures.
 

@@ -62,7 +62,7 @@ def _check_amplifier(
     limit = inputs.apparatus.amplifier.limit_V
     needed = float(stimulus.peak_voltage.max()) * level * 1e-3 / stimulus.target_field.velocity
     if needed > limit * (1 + 1e-9):
-        highest = _rounded_down(limit / needed * level)
+        highest = _rounded(limit / needed * level)
         given = f"{level:g} mm/s, which needs {needed:.0f} V at the beam"
         allowed = f"at most {limit:g} V there ({highest} mm/s)"
         remedy = "lower the level, or choose a law, field or focus that needs less"
@@ -79,13 +79,13 @@ def _check_generator(
     strong, weak = max(full, key=full.__getitem__), min(sounding, key=sounding.__getitem__)
     if full[strong] > largest:
         given = f"{level:g} mm/s, which needs {full[strong]:.4g} V peak to peak of output {strong}"
-        highest = _rounded_down(level * largest / full[strong])
+        highest = _rounded(level * largest / full[strong])
         allowed = f"at most {largest:g} V into an open circuit ({highest} mm/s)"
         yield findings.problem(path, given, allowed, "lower the level, or use an amplifier with a higher gain")
     if sounding[weak] < smallest:
         given = f"{level:g} mm/s, which needs {sounding[weak]:.4g} V peak to peak of output {weak}"
         least = level * smallest / sounding[weak]
-        allowed = f"at least {smallest:g} V, the generator's smallest amplitude (about {_rounded_up(least)} mm/s)"
+        allowed = f"at least {smallest:g} V, the generator's smallest amplitude (about {_rounded(least, up=True)} mm/s)"
         # A lab that thinks in m/s writes 0.08 for 80 mm/s.
         meant = level * 1e3 if level < 1 and least <= level * 1e3 <= inputs.velocity_limit else None
         remedy = "raise the level" if meant is None else f"did you mean {meant:g} mm/s? Levels are in mm/s, not m/s"
@@ -112,7 +112,7 @@ def _check_range(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -
     weak = min(sounding, key=sounding.__getitem__)
     least = level * instrument_of(inputs.apparatus).lowest_amplitude / sounding[weak]
     # Levels that round to nothing come of an instant or a length in seconds.
-    if least <= highest and float(_rounded_down(highest)):
+    if least <= highest and float(_rounded(highest)):
         return []
     length, base = inputs.apparatus.beam.length_mm, inputs.section.field.base_mm
     path: tuple[str, ...] = ("stimulus",)
@@ -121,8 +121,8 @@ def _check_range(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -
         path = ("stimulus", "field", "base_mm")
         given = f"{base:g} mm on a beam of {length:g} mm, a field that cannot be played at any level"
     given += (
-        f" (output {weak} needs at least {_rounded_up(least)} mm/s for the generator's smallest amplitude, and "
-        f"amplifier and generator reach at most {_rounded_down(highest)} mm/s)"
+        f" (output {weak} needs at least {_rounded(least, up=True)} mm/s for the generator's smallest amplitude, and "
+        f"amplifier and generator reach at most {_rounded(highest)} mm/s)"
     )
     allowed = f"up to {length:g} mm" if base > length else ""
     return [
@@ -147,10 +147,7 @@ def _moves_fast(inputs: DesignInputs, stimulus: Stimulus) -> bool:
 def _speeds_when_lifted(
     inputs: DesignInputs, stimulus: Stimulus, level: float, floor: float
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the highest speeds if fingers are lifted at any time of a burst, by the words for it [m/s].
-
-    They are at the points of the zones; those below a floor are returned as the floor.
-    """
+    """Return the highest speeds at the zones' points if fingers are lifted, or a floor, by the words for it [m/s]."""
     speeds: dict[str, NDArray[np.float64]] = {}
     if not inputs.fingers:
         return speeds
@@ -209,7 +206,7 @@ def _check_safety(
         if error.any():
             said += f", up to {error.max() * 1e3:.3g} mm/s of it by the intervals of the gains"
         given = f"{level:g} mm/s, which moves zone {list(zones)[fastest]} at {speed:.0f} mm/s{said}"
-        allowed = f"at most {limit:g} mm/s anywhere in a zone ({_rounded_down(level * limit / speed)} mm/s)"
+        allowed = f"at most {limit:g} mm/s anywhere in a zone ({_rounded(level * limit / speed)} mm/s)"
         remedy = "lower the level; the limit is set in the section safety of the apparatus"
         yield findings.problem(path, given, allowed, remedy)
 
@@ -227,14 +224,10 @@ def attainable_level(inputs: DesignInputs, stimulus: Stimulus) -> float:
     return math.floor(level * 1e3) / 1e3
 
 
-def _rounded_down(value: float) -> str:
-    """Return a level rounded down, so that it does not exceed a limit [mm/s]."""
-    return f"{math.floor(value):d}" if value >= 10 else f"{math.floor(value * 1000) / 1000:g}"
-
-
-def _rounded_up(value: float) -> str:
-    """Return a level rounded up, so that it is not too small [mm/s]."""
-    return f"{math.ceil(value):d}" if value >= 10 else f"{math.ceil(value * 10) / 10:g}"
+def _rounded(value: float, *, up: bool = False) -> str:
+    """Return a level rounded down, so that it does not exceed a limit, or up, so that it is not too small [mm/s]."""
+    way, fine = (math.ceil, 10) if up else (math.floor, 1000)
+    return f"{way(value):d}" if value >= 10 else f"{way(value * fine) / fine:g}"
 
 
 def examine(

@@ -13,6 +13,8 @@ from typer.testing import CliRunner
 from modaltouch.cli.commands import app
 from modaltouch.lab.comparison.command import ComparisonReport, Criterion, criteria, rows_of
 from modaltouch.lab.comparison.contest import contend, true_delay, without_mismatch
+from modaltouch.lab.output import title_of
+from modaltouch.preflight import examine
 from modaltouch.rig import Simulator
 
 pytestmark = pytest.mark.usefixtures("svg_alone")
@@ -124,3 +126,12 @@ def test_command_refuses_bad_options(tmp_path, words, message):
     assert done.exit_code == 2
     assert message in done.output
     assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "title"),
+    [("two_fields", "Sharp and blunt fields, stimulus sharp"), ("threshold", "Threshold of differentiation")],
+)
+def test_the_title_says_which_stimulus_is_taken(name, title):
+    """`validate` and `compare` take the first of several."""
+    assert title_of(examine(SHIPPED.with_name(f"{name}.yaml"))) == title

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 from modaltouch.lab.comparison.contest import Contest, DriveAssessment, contest, learn
 from modaltouch.lab.laboratory import UNTOLD, MeasurementProgress, TooFewPointsError
-from modaltouch.lab.output import DARK, MIDDLE, rounded
+from modaltouch.lab.output import DARK, MIDDLE, rounded, title_of
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
 from modaltouch.report import (
@@ -405,7 +405,7 @@ def compare(
         responses = learn(preflight, n_points=points, n_records=averages, folder=scan, progress=heard)
         found = contest(preflight, responses, n_beams=beams, seed=seed, progress=heard)
     about = {
-        "title": preflight.title,
+        "title": title_of(preflight),
         "protocol": str(protocol),
         "apparatus": experiment.apparatus.apparatus,
         "seed": seed,

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from modaltouch.lab.laboratory import SIMULATED, UNTOLD, MeasurementProgress, TooFewPointsError
-from modaltouch.lab.output import rounded
+from modaltouch.lab.output import rounded, title_of
 from modaltouch.lab.recorded_files import open_measurement
 from modaltouch.lab.scan import Scan
 from modaltouch.lab.scan_plan import rows_over
@@ -206,7 +206,7 @@ def _observe(
 def _context(preflight: Preflight, protocol: Path, field: Scan) -> dict[str, Any]:
     experiment, calibration = preflight.experiment, preflight.findings.calibration
     return {
-        "title": preflight.title,
+        "title": title_of(preflight),
         "protocol": str(protocol),
         "apparatus": experiment.apparatus.apparatus,
         "mode": field.mode,
