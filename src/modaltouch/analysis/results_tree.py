@@ -221,7 +221,7 @@ def _in_time(whole: pd.DataFrame, answers: AnswerList, *, keep: bool) -> pd.Data
 
 
 def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: str | None = None) -> Responses:
-    """Return the answers of the complete, sound sessions in a folder, or in those of several labs.
+    """Return the answers of the complete, valid sessions in a folder, or in those of several labs.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
     mode : {"real", "pilot", "simulated"}, optional
         Which sessions to take; by default the real ones, and if there are none the only kind there is.
     stimulus : str, optional
-        Stimulus whose trials to take, if sessions at fixed levels have several; by default all.
+        Stimulus whose trials to take, of several at fixed levels; by default all.
 
     Raises
     ------
@@ -262,6 +262,7 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
     if levels != "adaptive" and is_crossed:
         notes += say_unanswered(whole, frame)
     foci, start = taken[0].foci, read_session(taken[0].path).start
+    caught = ((one.participant, name, one.kind[1], word, n) for one in taken for (name, word), n in one.catches.items())
     return Responses(
         frame,
         tuple(item.facts for item in taken if item.facts is not None),
@@ -269,11 +270,7 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
         _source([place, *further], taken, chosen),
         foci.get(stimulus or "", taken[0].focus),
         start,
-        sum_catches(
-            (item.participant, finger_condition, item.kind[1], word, n)
-            for item in taken
-            for (finger_condition, word), n in item.catches.items()
-        ),
+        sum_catches(caught),
         stimulus or "",
         foci,
         answers,

@@ -41,6 +41,7 @@ _LONGEST, _LONG = 86_400.0, 60.0
 """Longest reaction time, and longest median of all [s]; longer ones must be in milliseconds."""
 
 _CAUGHT = "catch trials, counted apart"
+_TOLD = ["participant", "finger_condition", "session_kind", "response", "n"]
 _LEFT_OUT = ("excluded", "exclude", "withdrawn", "invalid")
 """Columns of 0 and 1 in which a lab marks the rows that do not count."""
 
@@ -93,18 +94,14 @@ def read_csv(
     is_crossed = is_whole and len(parts) < 2
     kept = asked if is_crossed else _told_apart(parts, [usual for _, usual in checked], table_format.design)
     kept, foci = _in_order(kept, table_format.design), _foci(kept, table_format.design)
-    given = kept[kept["response"].notna()]
+    given, silent = kept[kept["response"].notna()], frame[caught & frame["response"].notna()]
     return Responses(
         given,
         (),
         tuple(left_out),
         AnswerSource(table.file, "csv", table.sha256, _mode_of(fields)),
         foci[0],
-        catches=sum_catches(
-            frame[caught & frame["response"].notna()]
-            .reindex(columns=["participant", "finger_condition", "session_kind", "response", "n"], fill_value="")
-            .itertuples(index=False, name=None)
-        ),
+        catches=sum_catches(silent.reindex(columns=_TOLD, fill_value="").itertuples(index=False, name=None)),
         answers=answers,
         margin=table_format.margin,
         asked=checked[-1][1] or None,

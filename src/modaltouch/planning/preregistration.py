@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -87,9 +88,8 @@ def preregister(
     n_participants, n_experiments, seed : int
         Planned participants, simulated experiments, and their seed.
     study : callable
-        Takes a seed, and returns the answers of a whole experiment in simulated sessions, for designs that cannot be
-        simulated as counts: several intervals, ratings, one finger, adaptive runs, cells that are not crossed, several
-        stimuli.
+        Takes a seed, and returns the answers of a whole experiment in simulated sessions, for designs not simulated as
+        counts: several intervals or stimuli, ratings, one finger, adaptive runs, cells that are not crossed.
     threshold_mm_s : float, optional
         Assumed threshold of every simulated participant, if levels are calibrated by participant [mm/s].
     on_progress : callable, optional
@@ -100,10 +100,7 @@ def preregister(
     InputError
         If anything is wrong with the protocol, or its levels depend on a threshold that is not given.
     """
-    protocol, source = preflight.experiment.protocol, preflight.experiment.sources.protocol
-    # The name of a shipped file is the same everywhere, and its path may hold the name of a person.
-    shipped = {file: name for name, file in Source.shipped("protocol").items()}
-    path = shipped.get(source.path.absolute(), source.path.as_posix())
+    protocol, path = preflight.experiment.protocol, _public(preflight.experiment.sources.protocol.path)
     given = f" --threshold {threshold_mm_s:g}" if threshold_mm_s else ""
     if threshold_mm_s is None:
         refuse_own_levels(preflight, "give the threshold that you expect with --threshold")
@@ -129,6 +126,12 @@ def preregister(
         block=json.dumps(terms, indent=1, ensure_ascii=False),
         program=(version(), commit()),
     )
+
+
+def _public(path: Path) -> str:
+    """Return a protocol's path, or the name of a shipped one: it is the same everywhere, and tells no user's name."""
+    shipped = {file: name for name, file in Source.shipped("protocol").items()}
+    return shipped.get(path.absolute(), path.as_posix())
 
 
 def _counted(preflight: Preflight, observer: Observer) -> Design | None:

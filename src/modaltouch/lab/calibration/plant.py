@@ -25,8 +25,7 @@ INTERVAL = 1.96
 """Half-width of a 95 % interval, in standard errors [1]."""
 
 DISAGREEMENT = 1.3
-"""Standard error from the disagreement of eight points over that from the noise, up to which noise explains it (95 %)
-[1]."""
+"""Standard error from the disagreement of eight points over that from noise, up to which noise explains it [1]."""
 
 SHORTEST_LAG = 20e-9
 """Lag below which the amplifier counts as instantaneous [s]."""

@@ -368,15 +368,13 @@ def compare(
     ----------
     protocol : Path
         A YAML file, or the name of a shipped protocol.
-    out : Path, optional
-        Folder for page, figures and tables; ``comparison/<protocol>`` if not given.
-    scan : Path, optional
-        Folder for the recordings, in which an interrupted comparison continues.
+    out, scan : Path, optional
+        Folder for page, figures and tables (``comparison/<protocol>`` by default), and one for the recordings, in which
+        an interrupted comparison continues.
     points, averages : int
         Control points along the beam, and records at each.
     beams, seed : int
-        Number of other beams on which the drives are played, and the seed of the first; the others have the following
-        seeds.
+        Other beams on which the drives are played, and the seed of the first; the others follow.
     progress : MeasurementProgress, optional
         Reports progress and lets the user interrupt.
 
@@ -391,7 +389,7 @@ def compare(
     RigError
         If the twin's generator does not confirm a drive.
     ValueError
-        If a mode of the table was not found in the recordings, or is not fitted well.
+        If a mode of the table was not found, or is not fitted well.
     """
     preflight = examine(protocol).of_untouched_beam()
     experiment = preflight.experiment
