@@ -30,7 +30,7 @@ def test_three_levels_at_equal_ratios_are_verified_between_the_bounds() -> None:
 def test_levels_that_a_run_may_play_are_met_between_those_that_were_verified(
     make_bench: Callable, shipped_apparatus: Apparatus
 ) -> None:
-    """Amplitudes come out 2 % higher for each decade below 15 Vpp: 4 % at 2 mm/s, and what is between within 1 %."""
+    """Amplitudes come out 2 % higher for each decade below 15 Vpp; between, levels hold to 1 % or 0.3 mm/s."""
     preflight = examine(THRESHOLD).require()
     grounds, between = design_inputs_of(preflight), levels_between(preflight.experiment.protocol)
     bench = make_bench(shipped_apparatus, 1, lambda amplitude: 1 + 0.02 * math.log10(15 / max(amplitude, 0.01)))
@@ -43,5 +43,5 @@ def test_levels_that_a_run_may_play_are_met_between_those_that_were_verified(
         true = bench.true_state(stimulus.burst, level, stimulus.timing.focusing_instant)
         at_focus = float(shapes @ np.concatenate([true.velocity, true.unlisted_velocity]))
         proportional = stimulus.burst.amplitude[0] * level / stimulus.burst.velocity
-        assert at_focus == pytest.approx(level, rel=0.01)
-        assert stimulus.burst.amplitude_for(level)[0] < 0.99 * proportional or level > 0.1
+        assert at_focus == pytest.approx(level, rel=0.01, abs=0.3e-3)
+        assert stimulus.burst.amplitude_for(level)[0] < proportional

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.fingers import FingerSection
@@ -16,7 +17,7 @@ from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.scope import _moved
+from modaltouch.rig.simulator.scope import _moved, normal_quantiles
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.stimulus.burst import Burst
 
@@ -211,6 +212,24 @@ def test_the_converter_s_noise_adds_to_the_vibrometer_s(at: Callable[..., Record
         assert power[some].mean() == pytest.approx(expected, rel=4 / np.sqrt(some.sum()) + 0.03)
 
 
+def test_the_vibrometer_s_noise_is_as_large_at_the_start(at: Callable[..., Recording]) -> None:
+    """Of 4,000 records, the first sample scatters as the twentieth does: by sqrt(pi/2 * corner) times the density."""
+    vibrometer = Vibrometer(bandwidth_kHz=100.0, delay_us=0.0, noise_um_s_per_sqrt_Hz=2.0, offset_mm=0.0)
+    asked = Acquisition(sampling_rate=2.5e6, n_samples=20, n_records=4000, drives=())
+    noise = at(asked=asked, vibrometer=vibrometer).velocity - at(asked=asked).velocity
+    spread = 2e-6 * np.sqrt(np.pi / 2 * 100e3)
+    np.testing.assert_allclose(noise.std(axis=0), spread, rtol=4 / np.sqrt(2 * 4000))
+    assert np.corrcoef(noise[:, 0], noise[:, 1])[0, 1] == pytest.approx(np.exp(-2 * np.pi * 0.04), abs=0.02)
+
+
+def test_the_table_of_quantiles_is_normal() -> None:
+    """Its distribution is the normal one to within half a step of 2**-16; variance 1, kurtosis 3 to 1e-3."""
+    values = normal_quantiles()
+    np.testing.assert_allclose(norm.cdf(values), (np.arange(2**16) + 0.5) / 2**16, atol=2**-17)
+    assert values.std() == pytest.approx(1, abs=1e-12)
+    assert (values**4).mean() == pytest.approx(3, rel=1e-3)
+
+
 def test_delays_add_up(at: Callable[..., Recording]) -> None:
     """Velocity late by amplifier and vibrometer, drive by the amplifier, both early by the trigger's latency."""
     asked = Acquisition(sampling_rate=1e6, n_samples=5000, start=0.3e-6)
@@ -256,7 +275,7 @@ def test_many_records_of_a_small_jitter_are_those_of_the_instants(apparatus: App
         motions = simulator.twin.motions(
             [None, drive], 0.05, offset=0.0, bandwidth=None, touched=(), span=(-1e-8, 8e-5)
         )
-        together = list(_moved(motions, time, shifts))
+        together = _moved(motions, time, shifts)
     for moved, shift in zip(together, shifts, strict=True):
         alone = motions[0].at(time + shift)
         np.testing.assert_allclose(moved, alone, atol=3e-5 * np.abs(alone).max())

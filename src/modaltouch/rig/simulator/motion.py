@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
@@ -16,7 +15,7 @@ from modaltouch.stimulus import Amplifier, BlockKernel, DiagonalSystem
 SAME_POLE = 1e-6
 """Relative distance below which two poles count as one [1]."""
 
-AT_ONCE = 8192
+AT_ONCE = 32768
 """Instants evaluated together: limits the memory used, and keeps intermediate results in the cache."""
 
 SPARE = 64
@@ -267,15 +266,15 @@ class SampledDrive:
     change: FloatArray
     room: FloatArray
 
-    def moved(self, shifts: FloatArray) -> Iterator[FloatArray]:
-        """Yield the voltage at the instants shifted by each of `shifts` [s], each in an array of its own [V]."""
+    def move(self, shifts: FloatArray, out: FloatArray) -> None:
+        """Write the voltage at the instants shifted by each of `shifts` [s] into a row of `out` [V]."""
         anew = np.flatnonzero(self.room <= np.abs(shifts).max())
-        for shift in shifts:
-            voltage = self.change * (1.0 if self.drive.pole is None else math.exp(-self.drive.pole * shift))
+        for shift, voltage in zip(shifts, out, strict=True):
+            faded = 1.0 if self.drive.pole is None else math.exp(-self.drive.pole * shift)
+            np.multiply(self.change, faded, out=voltage)
             voltage += self.target
             if anew.size:
                 voltage[anew] = self.drive.at(self.time[anew] + shift)
-            yield voltage
 
 
 def low_passed(

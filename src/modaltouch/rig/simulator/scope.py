@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,16 +14,13 @@ from modaltouch.rig.acquisition import Acquisition, Inputs, Recording
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.scope import Scope
 from modaltouch.rig.simulator.held import FloatArray
-from modaltouch.rig.simulator.motion import Motion
+from modaltouch.rig.simulator.motion import AT_ONCE, Motion
 from modaltouch.rig.simulator.timeline import Playback, Timeline
 from modaltouch.rig.simulator.twin import Twin
 
 if TYPE_CHECKING:
     from modaltouch.rig.simulator.motion import SampledDrive
     from modaltouch.stimulus import Finger
-
-FORGOTTEN = 1e-9
-"""Correlation below which noise counts as new [1]."""
 
 ASKED_EVERY = 0.5e-3
 """Time between two polls of a scope over USB for a full record [s]."""
@@ -32,6 +30,19 @@ DROPOUT = 0.2e-3
 
 SMALL_TURN = 0.01
 """Largest phase of the fastest mode within the trigger's jitter for which a record is shifted along its slope [rad]."""
+
+
+@lru_cache(maxsize=1)
+def normal_quantiles() -> FloatArray:
+    """Return values, equally likely each, that together are normal with standard deviation 1, (65536,) array.
+
+    Drawing one by 16 random bits costs a fifth of a draw from the normal distribution itself, from which their
+    distribution is nowhere further than 2**-17; the largest is 4.3.
+    """
+    from scipy.special import ndtri
+
+    values = ndtri((np.arange(2**16) + 0.5) / 2**16)
+    return np.asarray(values / values.std())
 
 
 class SimulatedScope(Scope):
@@ -68,7 +79,7 @@ class SimulatedScope(Scope):
         )
         # A random stream of its own: measurements do not change the beam.
         self._rng = np.random.Generator(np.random.SFC64([twin.seed, 1]))
-        self._noise = np.empty(0)
+        self._noise = np.empty(AT_ONCE)
         self._sampled: dict[int, tuple[tuple[object, ...], SampledDrive | None]] = {}
         self.configure(Acquisition())
 
@@ -156,33 +167,26 @@ class SimulatedScope(Scope):
             touched=self._touched(),
             span=(float(elapsed[0] - reach), float(elapsed[-1] + reach)),
         )
-        voltages = [self._drive(number, playbacks, elapsed, jitter) for number in asked.drives]
-        velocity = np.empty((n_records, asked.n_samples))
-        voltage = np.empty((n_records, len(voltages), asked.n_samples))
-        overloaded: dict[str, bool] = {}
-        for record, exact in enumerate(_moved(motions, elapsed - late, jitter)):
-            over = self._see_velocity(exact)
-            velocity[record] = exact
-            overloaded["velocity"] = overloaded.get("velocity", False) or over
-            for row, (number, drive) in enumerate(zip(asked.drives, voltages, strict=True)):
-                volts, name = next(drive), f"drive {number}"
-                volts += self._white_noise(volts.size, self._converter_noise(self._inputs.attenuation, self._ranges[1]))
-                over = self._convert(volts, self._inputs.attenuation, self._ranges[1])
-                voltage[record, row] = volts
-                overloaded[name] = overloaded.get(name, False) or over
+        drives = [self._drive(number, playbacks, elapsed) for number in asked.drives]
+        velocity = _moved(motions, elapsed - late, jitter)
+        voltage = np.zeros((n_records, len(drives), asked.n_samples))
+        over = [self._see_velocity(record) for record in velocity]
+        overloaded = {"velocity": any(over)}
+        for row, (number, drive) in enumerate(zip(asked.drives, drives, strict=True)):
+            if drive is not None:
+                drive.move(jitter, voltage[:, row])
+            over = [self._see_drive(record) for record in voltage[:, row]]
+            overloaded[f"drive {number}"] = any(over)
         names = tuple(name for name, over in overloaded.items() if over)
         return Recording(position, nominal, velocity, voltage, self._rate, names)
 
-    def _drive(
-        self, number: int, playbacks: Sequence[Playback | None], elapsed: FloatArray, jitter: FloatArray
-    ) -> Iterator[FloatArray]:
-        """Yield the voltage of a drive in each record [V]; at the points of a scan it is the same except for jitter."""
+    def _drive(self, number: int, playbacks: Sequence[Playback | None], elapsed: FloatArray) -> SampledDrive | None:
+        """Return the voltage of a drive; at the points of a scan it is the same except for jitter."""
         key = (*playbacks, self._twin.tripped, elapsed[0], elapsed[-1], elapsed.size)
         if number not in self._sampled or self._sampled[number][0] != key:
             drive = self._twin.drive(playbacks, number - 1)
             self._sampled[number] = key, None if drive is None else drive.sampled(elapsed)
-        sampled = self._sampled[number][1]
-        return (np.zeros(elapsed.size) for _ in jitter) if sampled is None else sampled.moved(jitter)
+        return self._sampled[number][1]
 
     def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
         """Call `send`, and return the earliest and latest onset of its burst, as a periodically polled scope would."""
@@ -198,22 +202,33 @@ class SimulatedScope(Scope):
 
     def _see_velocity(self, values: FloatArray) -> bool:
         """Convert a velocity in place into what the scope records [m/s], and return whether it exceeded a range."""
-        limit = self._inputs.highest_velocity
+        limit, over = self._inputs.highest_velocity, False
         for start in self._dropouts(values.size):
             values[start : start + max(1, int(DROPOUT * self._rate))] = 0.0
-        values += self._velocity_noise(values.size)
-        beyond = bool(values.max() > limit or values.min() < -limit)
-        if beyond:
-            np.clip(values, -limit, limit, out=values)
-        return self._convert(values, self._inputs.sensitivity, self._ranges[0]) or beyond
+        for some, noise in zip(_parts(values), self._velocity_noise(_parts(values)), strict=True):
+            some += noise
+            beyond = bool(some.max() > limit or some.min() < -limit)
+            if beyond:
+                np.clip(some, -limit, limit, out=some)
+            over |= self._convert(some, self._inputs.sensitivity, self._ranges[0]) or beyond
+        return over
+
+    def _see_drive(self, values: FloatArray) -> bool:
+        """Convert a voltage in place into what the scope records [V], and return whether it exceeded the range."""
+        deviation, over = self._converter_noise(self._inputs.attenuation, self._ranges[1]), False
+        table = normal_quantiles() * deviation
+        for some in _parts(values):
+            some += self._white_noise(some.size, table)
+            over |= self._convert(some, self._inputs.attenuation, self._ranges[1])
+        return over
 
     def _dropouts(self, n_samples: int) -> list[int]:
         """Return the samples at which signal dropouts of the vibrometer begin."""
         often = self._twin.apparatus.twin.vibrometer.dropouts_Hz * n_samples / self._rate
         return self._rng.integers(n_samples, size=self._rng.poisson(often)).tolist() if often else []
 
-    def _velocity_noise(self, n_samples: int) -> FloatArray:
-        r"""Return the noise of vibrometer and converter, as sampled [m/s].
+    def _velocity_noise(self, parts: Iterable[FloatArray]) -> Iterator[FloatArray]:
+        r"""Yield the noise of vibrometer and converter for each part of a record, as sampled [m/s].
 
         The vibrometer's is white noise behind its low-pass, with all its power, aliased where necessary: :math:`v_n = a
         v_{n-1} + s e_n`. Together with the converter's white noise of standard deviation c it has the spectrum of one
@@ -225,7 +240,9 @@ class SimulatedScope(Scope):
         density = true.noise_um_s_per_sqrt_Hz * 1e-6
         added = self._converter_noise(self._inputs.sensitivity, self._ranges[0])
         if true.bandwidth_kHz is None:
-            return self._white_noise(n_samples, math.hypot(density * math.sqrt(self._rate / 2), added))
+            table = normal_quantiles() * math.hypot(density * math.sqrt(self._rate / 2), added)
+            yield from (self._white_noise(part.size, table) for part in parts)
+            return
         corner = true.bandwidth_kHz * 1e3
         decay = 2 * np.pi * corner / self._rate
         spread = density * np.sqrt(np.pi / 2 * corner * -np.expm1(-2 * decay))
@@ -234,23 +251,23 @@ class SimulatedScope(Scope):
         pole = math.exp(-decay)
         half = (spread**2 + added**2 * (1 + pole**2)) / 2
         gain = math.sqrt(half + math.sqrt(max(half**2 - (added**2 * pole) ** 2, 0.0)))
-        # The lead lets the start-up transient of the filter die out.
-        lead = int(-np.log(FORGOTTEN) / decay)
-        taps = [1.0, -pole * (added / gain) ** 2 if gain else 0.0]
-        return np.asarray(lfilter(taps, [1.0, -pole], self._white_noise(lead + n_samples, gain))[lead:])
+        fed_back = -pole * (added / gain) ** 2 if gain else 0.0
+        table = normal_quantiles() * gain
+        # The filter has been running for ever: its state is drawn as such.
+        state = self._rng.standard_normal(1) * gain * (pole + fed_back) / math.sqrt(-math.expm1(-2 * decay))
+        for part in parts:
+            noise, state = lfilter([1.0, fed_back], [1.0, -pole], self._white_noise(part.size, table), zi=state)
+            yield noise
 
     def _converter_noise(self, per_volt: float, input_range: float) -> float:
         """Return the standard deviation of a converter's noise, in units of the measured quantity."""
         scope = self._twin.apparatus.twin.scope
         return float(scope.noise_steps * input_range / (2 ** (scope.bits - 1) - 1) * per_volt)
 
-    def _white_noise(self, n: int, deviation: float) -> FloatArray:
-        """Return normal white noise; the array is reused by the next call."""
-        if self._noise.size < n:
-            self._noise = np.empty(n)
-        noise = self._rng.standard_normal(out=self._noise[:n])
-        noise *= deviation
-        return noise
+    def _white_noise(self, n: int, table: FloatArray) -> FloatArray:
+        """Return normal white noise from a table of its quantiles; the array is reused by the next call."""
+        drawn = self._rng.bit_generator.random_raw(-(-n // 4)).view(np.uint16)[:n]
+        return np.take(table, drawn, out=self._noise[:n], mode="wrap")
 
     def _convert(self, values: FloatArray, per_volt: float, input_range: float) -> bool:
         """Convert values in place as the converter does, and return whether it reached the end of its range.
@@ -276,16 +293,22 @@ class SimulatedScope(Scope):
         return over
 
 
-def _moved(motions: Sequence[Motion], time: FloatArray, shifts: FloatArray) -> Iterator[FloatArray]:
-    """Yield the velocity at instants shifted by each of `shifts` [s], each in an array of its own [m/s]."""
+def _parts(values: FloatArray) -> Iterator[FloatArray]:
+    """Yield the parts of a record that a processor keeps at hand."""
+    return (values[start : start + AT_ONCE] for start in range(0, values.size, AT_ONCE))
+
+
+def _moved(motions: Sequence[Motion], time: FloatArray, shifts: FloatArray) -> FloatArray:
+    """Return the velocity at instants shifted by each of `shifts` [s], (n_shifts, n_times) array [m/s]."""
+    moved = np.empty((shifts.size, time.size))
     furthest = float(np.abs(shifts).max())
     fastest = max((float(np.abs(motion.exponent.imag).max()) for motion in motions), default=0.0)
     if fastest * furthest > SMALL_TURN:
-        for shift in shifts:
-            yield sum((motion.at(time + shift) for motion in motions), np.zeros(time.size))
-        return
+        for row, shift in zip(moved, shifts, strict=True):
+            row[:] = sum((motion.at(time + shift) for motion in motions), np.zeros(time.size))
+        return moved
     middle, slope = sum((motion.course(time) for motion in motions), np.zeros((2, time.size)))
-    for shift in shifts:
-        moved = shift * slope
-        moved += middle
-        yield moved
+    for row, shift in zip(moved, shifts, strict=True):
+        np.multiply(slope, shift, out=row)
+        row += middle
+    return moved
