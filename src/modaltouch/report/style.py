@@ -37,6 +37,8 @@ _RC: dict[Any, Any] = {
     "axes.spines.right": False,
     "axes.linewidth": 0.8,
     "figure.constrained_layout.use": True,
+    # Where a title stands by itself; to look for ticks above the axes would cost a fifth of the time of drawing.
+    "axes.titley": 1.0,
     "figure.facecolor": "white",
     "savefig.facecolor": "white",
     "hatch.linewidth": 0.6,

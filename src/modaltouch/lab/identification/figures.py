@@ -148,7 +148,9 @@ def draw_complexity(identification: Identification) -> Figure:
             straight = straight / np.abs(straight).max()
             axes.axhline(0, color=LIGHT, lw=0.8)
             axes.axvline(0, color=LIGHT, lw=0.8)
-            axes.plot([0 * straight.real, straight.real], [0 * straight.imag, straight.imag], color=DARK, lw=0.7)
+            # One line for all: each from the origin, then a gap.
+            spokes = np.outer(straight, [0, 1, np.nan]).ravel()
+            axes.plot(spokes.real, spokes.imag, color=DARK, lw=0.7)
             axes.plot(straight.real, straight.imag, "o", ms=2.2, color=DARK)
             name = f"mode {mode.name}" if mode.label or mode.torsion else mode.name
             collinearity, deviation = phase_collinearity(mode.residue), math.degrees(phase_deviation(mode.residue))
