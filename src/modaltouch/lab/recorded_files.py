@@ -99,6 +99,8 @@ class RecordedFiles(Scope):
         """Request a record, and return it as soon as a valid file arrives."""
         taken = [int(each.stem) for each in self._folder.iterdir() if each.stem.isdecimal()]
         name = f"{max(taken, default=0) + 1:04d}"
+        if taken and not self._former:
+            self._remember(f"{max(taken):04d}")
         self._ask(name, position, across)
         before, refused, why = None, None, ""
         deadline = time.monotonic() + self.slowest
@@ -187,6 +189,13 @@ class RecordedFiles(Scope):
             sampling_rate=1 / step,
             overloaded=("velocity",) if over else (),
         )
+
+    def _remember(self, name: str) -> None:
+        """Know the last record of an earlier command by which this folder was filled, if it can be read."""
+        for path in self._folder.glob(f"{name}.*"):
+            with suppress(KeyError, OSError, ValueError):
+                table = READERS[path.suffix.lower()](path)
+                self._refuse_former(path, table["velocity_m_s" if "velocity_m_s" in table else "velocity_V"])
 
     def _refuse_former(self, path: Path, velocity: FloatArray) -> None:
         """Refuse a record identical to an earlier one, since two bursts never have the same noise."""
@@ -281,7 +290,8 @@ def _numbers(path: Path, line: int, row: str, n_columns: int) -> list[float]:
     if len(cells) != n_columns:
         raise ValueError(f"{path}:{line}: the line has {len(cells)} cells, but the header has {n_columns}; {FORM}")
     try:
-        numbers.extend(map(float, cells))
+        # Python alone reads 1_000 as a number.
+        numbers.extend(float(cell.replace("_", "?")) for cell in cells)
     except ValueError:
         column = len(numbers) + 1
         raise ValueError(f"{path}:{line}:{column}: {cells[len(numbers)][:40]!r} is not a number") from None

@@ -151,6 +151,7 @@ def changed(line: int, text: str) -> list[str]:
         (["time_s,speed,drive_1_V", "0,1,2"], r"csv:1: the column velocity_V is missing"),
         (changed(4, "0.00102,oops,0"), r"csv:4:2: 'oops' is not a number"),
         (changed(7, "0.00105,0.1"), r"csv:7: the line has 2 cells, but the header has 3"),
+        (changed(4, "0.00102,1_000,0"), r"csv:4:2: '1_000' is not a number"),
         (changed(9, "0.00107,nan,0"), r"csv:9: velocity_V is not a finite number"),
         (changed(2, "nan,0.1,0"), r"csv:2: time_s is not a finite number"),
         (changed(9, "inf,0.1,0"), r"csv:9: time_s is not a finite number"),
@@ -194,22 +195,29 @@ def test_a_wrong_file_is_refused_with_its_place_and_written_again(
     assert recording.overloaded == ()
 
 
-@pytest.fixture
-def answered(apparatus: Apparatus, tmp_path: Path) -> Iterator[Callable[..., Recording]]:
-    """Return what measures once, a file of these velocities being there [V]."""
+@contextlib.contextmanager
+def answering(apparatus: Apparatus, folder: Path) -> Iterator[Callable[..., Recording]]:
+    """Open a folder for one command, and give what measures once, a file of these velocities being there [V]."""
 
     def hear(text: str) -> None:
-        name = json.loads((tmp_path / "wanted.json").read_text(encoding="utf-8"))["file"]
-        np.savez(tmp_path / f"{name}.npz", time_s=answer[0], velocity_V=answer[1], drive_1_V=answer[1])
+        name = json.loads((folder / "wanted.json").read_text(encoding="utf-8"))["file"]
+        np.savez(folder / f"{name}.npz", time_s=answer[0], velocity_V=answer[1], drive_1_V=answer[1])
 
     answer: list[np.ndarray] = []
-    with RecordedFiles(tmp_path, apparatus, MeasurementProgress(say=hear)) as scope:
+    with RecordedFiles(folder, apparatus, MeasurementProgress(say=hear)) as scope:
 
         def measure(time: np.ndarray, volts: np.ndarray) -> Recording:
             answer[:] = time, volts
             scope.configure(ASKED)
             return scope.measure(0.0)
 
+        yield measure
+
+
+@pytest.fixture
+def answered(apparatus: Apparatus, tmp_path: Path) -> Iterator[Callable[..., Recording]]:
+    """Return what measures once, in a folder of its own."""
+    with answering(apparatus, tmp_path) as measure:
         yield measure
 
 
@@ -246,6 +254,25 @@ def test_a_trace_saved_twice_is_refused(answered: Callable[..., Recording], monk
         RigError, match=r"no usable record .* \(.*0002.npz: its velocity is identical to that of 0001.npz; arm the"
     ):
         answered(time, volts[::-1])
+
+
+@pytest.mark.usefixtures("quickly")
+def test_a_trace_saved_twice_is_refused_by_the_next_command(
+    apparatus: Apparatus, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A scan is resumed; the scope still holds the last trace of the command before, or a file that is none."""
+    time, volts = 1e-3 + np.arange(60) / 1e5, np.sin(np.arange(120)).reshape(2, 60) / 100
+    with answering(apparatus, tmp_path) as measure:
+        measure(time, volts)
+    monkeypatch.setattr(RecordedFiles, "slowest", 0.2)
+    with (
+        answering(apparatus, tmp_path) as measure,
+        pytest.raises(RigError, match=r"0002.npz: its velocity is identical to that of 0001.npz; arm the"),
+    ):
+        measure(time, volts)
+    (tmp_path / "0003.npz").write_bytes(b"no zip file")
+    with answering(apparatus, tmp_path) as measure:
+        measure(time, 2 * volts)
 
 
 @pytest.mark.usefixtures("quickly")
