@@ -137,6 +137,11 @@ LONG = [
         "stimuli.b.repetition_rate_Hz: given 50 ms at 19.5 bursts per second",
         "48.7179",
     ),
+    (
+        [("\nconditions:", "\ngroups:\n  a: {}\n  b: {stimulus: {repetition_rate_Hz: 19.5}}\n\nconditions:")],
+        "22:38: stimulus.repetition_rate_Hz: given 50 ms at 19.5 bursts per second",
+        "48.7179",
+    ),
 ]
 
 

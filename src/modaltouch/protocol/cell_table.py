@@ -204,8 +204,13 @@ def _check_excluded(reading: Reading[Any]) -> Iterator[Problem]:
         if not any(left_out.holds(*each) for each in every):
             given, remedy = "cells that are not in the design", "correct it, or remove it"
             yield reading.problem(("conditions", "exclude", index), given, "cells of the design", remedy)
+    empty = [name for name in conditions.finger_conditions if not protocol.cells(name)]
+    if conditions.exclude and len(empty) == len(conditions.finger_conditions):
+        given, allowed = "every cell of the design", "some of them, so that there are trials"
+        yield reading.problem(("conditions", "exclude"), given, allowed, "leave out one of the entries")
+        return
     for index, name in enumerate(conditions.finger_conditions):
-        if not protocol.cells(name):
+        if name in empty:
             given, remedy = f"{name}, which has no cells left", "leave it out, or give it cells"
             yield reading.problem(
                 ("conditions", "finger_conditions", index), given, "finger conditions with cells", remedy

@@ -19,7 +19,7 @@ from modaltouch.protocol.problems import Problem, suggest
 from modaltouch.protocol.questions import MOST_ANSWERS, check_key, check_questions
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.sections import AnswersSection, Protocol
-from modaltouch.protocol.stimulus_sections import check_target_field
+from modaltouch.protocol.stimulus_sections import check_target_field, is_elsewhere
 from modaltouch.protocol.trial import TIME_OUT
 
 TRIAL_LIMIT = 10_000
@@ -153,7 +153,9 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
     if duration is not None and rate is not None and duration * rate > 1e3:
         given = f"{duration:g} ms at {rate:g} bursts per second"
         allowed = f"at most {1e3 / rate:g} ms, the time from one burst to the next"
-        yield reading.problem((*section, "duration_ms"), given, allowed, "shorten the burst or repeat it less often")
+        is_rate = is_elsewhere(reading, "repetition_rate_Hz") and not is_elsewhere(reading, "duration_ms")
+        key = "repetition_rate_Hz" if is_rate else "duration_ms"
+        yield reading.problem((*section, key), given, allowed, "shorten the burst or repeat it less often")
     if duration is not None and instant is not None and instant >= duration:
         given = f"{instant:g} ms, outside the burst of {duration:g} ms"
         yield reading.problem((*section, "focusing_instant_ms"), given, f"below {duration:g} ms", "move one of them")

@@ -9,6 +9,7 @@ from modaltouch.protocol.intervals import STANDARD_LEVEL
 from modaltouch.protocol.problems import Problem
 from modaltouch.protocol.reading import Reading
 from modaltouch.protocol.sections import Protocol, whole_bursts
+from modaltouch.protocol.stimulus_sections import is_elsewhere
 
 WHOLE = 5e-3
 """Tolerance of a duration, in bursts, for its rounding in the file [1]."""
@@ -86,7 +87,10 @@ def _check_period(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) ->
         given = f"{duration:g} ms at {rate:g} bursts per second"
         allowed = f"at most {MOST_OF_PERIOD * 1e3 / rate:.6g} ms, so that a burst is over before the next is triggered"
         remedy = "shorten the burst, repeat it less often, or set generator.repetition to continuous"
-        key = "duration_ms" if protocol.sound(*section, "duration_ms") is not None else "repetition_rate_Hz"
+        is_rate = (
+            protocol.sound(*section, "duration_ms") is None if own else is_elsewhere(protocol, "repetition_rate_Hz")
+        )
+        key = "repetition_rate_Hz" if is_rate else "duration_ms"
         yield protocol.problem((*section, key), given, allowed, remedy)
 
 

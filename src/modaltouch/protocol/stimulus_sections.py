@@ -149,6 +149,16 @@ Points = tuple[tuple[float, float], ...]
 COLUMNS = ("position_mm", "velocity")
 """Header of a file of points."""
 
+
+def is_elsewhere(reading: Reading[Any], key: str) -> bool:
+    """Return whether a group, a kind of session or one of several stimuli gives a key of the section stimulus."""
+    node, root, value = reading.find(("stimulus", key)), reading.root, reading.sound("stimulus", key)
+    if node is None or root is None:
+        return bool(value != StimulusSection.model_fields[key].default)
+    above = [(place, name) for name, place in root.keys.items() if place <= (node.line, node.column)]
+    return node.content != value or max(above)[1] != "stimulus"
+
+
 _FIELD = ("stimulus", "field")
 
 

@@ -168,6 +168,10 @@ def test_a_fault_of_a_table_is_told_in_its_line_and_column(folder: Path, table: 
         ("  table: none.csv\n", "given 'none.csv', a file that does not exist"),
         (CROSSED + "  exclude: [{pair: [A, D]}]\n", "given cells that are not in the design"),
         (CROSSED + "  exclude: [{finger_condition: one_hand}]\n", "given one_hand, which has no cells left"),
+        (
+            CROSSED + "  exclude: [{finger_condition: one_hand}, {finger_condition: two_hands}]\n",
+            "given every cell of the design; allowed: some of them",
+        ),
         (CROSSED + "  exclude: [{stimulus: wide}]\n", "given 'wide', which is not a stimulus of the protocol"),
     ],
 )
