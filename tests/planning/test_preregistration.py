@@ -96,6 +96,16 @@ def test_every_departure_is_said(analysis: Analysis, page: Path) -> None:
     assert len(departures) == 5
 
 
+def test_a_page_that_appears_meanwhile_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The simulation takes minutes, in which a colleague may register the same protocol."""
+    file = tmp_path / "demo.prereg.md"
+    monkeypatch.setattr("modaltouch.planning.preregister", lambda *_, **__: str(file.write_text("theirs", "utf-8")))
+    done = run("prereg", DEMO, "-n", 2, "--out", file)
+    assert done.exit_code == 4
+    assert "demo.prereg.md: exists already and is not overwritten; give another file" in done.stderr
+    assert file.read_text("utf-8") == "theirs"
+
+
 def test_the_page_beside_the_protocol_is_found(tmp_path: Path) -> None:
     """As `prereg` writes it where nobody says otherwise; what is there already stays."""
     assert run("new", tmp_path / "study", "--from", "demo").exit_code == 0

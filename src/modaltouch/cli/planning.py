@@ -336,6 +336,7 @@ def prereg(
                 on_progress=on_progress,
                 study=partial(_simulate_study, preflight, population, participants, threshold),
             )  # fmt: skip
+        prepare_file(file)  # a page may have been written there meanwhile
         replace_file(file, text.encode(), "give another file with --out")
         print_json({"file": str(file)}) if json_output else print(
             f"{file}\nPut it where nobody can change it, such as OSF."
