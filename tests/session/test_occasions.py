@@ -159,21 +159,21 @@ def test_a_session_sooner_than_its_kind_allows_is_refused(preflight: Preflight, 
     """Where it is begun all the same the record says so."""
     sit(preflight, tmp_path, "p01")
     due = (datetime.now(UTC) + timedelta(days=1)).strftime("%Y-%m-%d")
-    with pytest.raises(RecordInputError, match=f"has min_gap_days: 1 .* from {due} .* --any-gap"):
+    with pytest.raises(RecordInputError, match=f"kind 'test' has min_gap_days: 1 .* from {due} .* --any-gap"):
         sit(preflight, tmp_path, "p01")
     assert survey_results(tmp_path)[0]["next"][0]["from"].startswith(due)
     begun = read_session(next(results.rglob("sub-p01/ses-2/beh/session.jsonl")))
     assert begun.start["any_gap"] is True
-    assert "0.00 days after the previous session, where test has min_gap_days: 1, waived by --any-gap" in "".join(
+    assert "0.00 days after the previous session, where 'test' has min_gap_days: 1, waived by --any-gap" in "".join(
         audit_session(begun).lines
     )
     silent = replace(begun, events=({**begun.start, "any_gap": False}, *begun.events[1:]))
     assert (
-        "begun 0.00 days after the previous session, where test has min_gap_days: 1"
+        "begun 0.00 days after the previous session, where 'test' has min_gap_days: 1"
         in audit_session(silent).problems[0]
     )
     with pytest.raises(
-        RecordInputError, match="given session 2, of the kind test, but .* p03 has had 0; allowed: session 1"
+        RecordInputError, match="given session 2, of the kind 'test', but .* p03 has had 0; allowed: session 1"
     ):
         sit(preflight, tmp_path, "p03", session=2)
 

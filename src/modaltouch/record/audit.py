@@ -233,7 +233,7 @@ def _check_gap(session: Session, protocol: Protocol, place: str) -> tuple[bool, 
     said = f"begun {days:.2f} days after the previous session"
     if days >= kind.min_gap_days:
         return True, said
-    said += f", where {kind.name} has min_gap_days: {kind.min_gap_days:g}"
+    said += f", where '{kind.name}' has min_gap_days: {kind.min_gap_days:g}"
     return (True, f"{said}, waived by --any-gap") if session.start.get("any_gap") else (False, f"{place} {said}")
 
 

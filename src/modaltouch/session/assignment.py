@@ -124,7 +124,7 @@ def is_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datet
     logs = SessionFolder.logs_of(place.dataset / f"sub-{place.participant}")
     if kind is not None and len(logs) < drawn_as - 1:
         return (
-            f"given session {drawn_as}, of the kind {kind.name}, but participant {place.participant} has had "
+            f"given session {drawn_as}, of the kind '{kind.name}', but participant {place.participant} has had "
             f"{len(logs)}; allowed: session {len(logs) + 1}; leave --session out, or begin it anyway with --any-gap, "
             f"which is then recorded"
         )
@@ -137,7 +137,7 @@ def is_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datet
         ""
         if now >= due
         else (
-            f"{logs[-1]}: the session before ended {ended:%Y-%m-%d %H:%M} UTC, and a session of the kind {kind.name} "
+            f"{logs[-1]}: the session before ended {ended:%Y-%m-%d %H:%M} UTC, and a session of the kind '{kind.name}' "
             f"has min_gap_days: {kind.min_gap_days:g} (schedule.sessions), so it may begin from {due:%Y-%m-%d %H:%M} "
             "UTC on; wait, or begin it anyway with --any-gap, which is then recorded"
         )
