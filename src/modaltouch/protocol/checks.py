@@ -152,10 +152,11 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
     duration, instant, rate, n_samples = (reading.sound(*section, key) for key in keys)
     if duration is not None and rate is not None and duration * rate > 1e3:
         given = f"{duration:g} ms at {rate:g} bursts per second"
-        allowed = f"at most {1e3 / rate:g} ms, the time from one burst to the next"
-        is_rate = is_elsewhere(reading, "repetition_rate_Hz") and not is_elsewhere(reading, "duration_ms")
-        key = "repetition_rate_Hz" if is_rate else "duration_ms"
-        yield reading.problem((*section, key), given, allowed, "shorten the burst or repeat it less often")
+        key, most = "duration_ms", f"{1e3 / rate:g} ms, the time from one burst to the next"
+        if is_elsewhere(reading, keys[2]) and not is_elsewhere(reading, key):
+            key, most = keys[2], f"{1e3 / duration:g} bursts per second, each as long as {duration:g} ms"
+        remedy = "shorten the burst or repeat it less often"
+        yield reading.problem((*section, key), given, f"at most {most}", remedy)
     if duration is not None and instant is not None and instant >= duration:
         given = f"{instant:g} ms, outside the burst of {duration:g} ms"
         yield reading.problem((*section, "focusing_instant_ms"), given, f"below {duration:g} ms", "move one of them")
