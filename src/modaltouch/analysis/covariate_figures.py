@@ -44,9 +44,7 @@ def draw_order(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
     shares = ranked["dominant"].groupby([(trials - 1) // step * step + (step + 1) / 2, labels]).mean().unstack()
     with house_style(6.4, 2.8) as (figure, [[axes]]):
         for (label, colour), marker in zip(
-            pair_colours([pair.label for pair in answers.pairs]).items(),
-            "os^Dvp" * len(answers.pairs),
-            strict=False,
+            pair_colours([pair.label for pair in answers.pairs]).items(), "os^Dvp" * len(answers.pairs), strict=False
         ):
             axes.plot(
                 shares.index, shares[label], linestyle="none", marker=marker, markersize=4.5, color=colour,

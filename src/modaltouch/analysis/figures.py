@@ -27,10 +27,7 @@ def pair_colours(labels: Sequence[str]) -> dict[str, str]:
     return {label: PAIR_COLOURS[i % len(PAIR_COLOURS)] for i, label in enumerate(labels)}
 
 
-FINGERS = {
-    "one_hand": "index and middle finger of one hand",
-    "two_hands": "index fingers of both hands",
-}
+FINGERS = {"one_hand": "index and middle finger of one hand", "two_hands": "index fingers of both hands"}
 PAIRS_PER_ROW = 3
 LEVEL_SIZE, ANSWER_SIZE, LONG_ANSWER_SIZE = 6.2, 9.5, 7.5
 """Type sizes below the bars: levels, answers, and answers that are too long for one line [points]."""

@@ -58,8 +58,4 @@ def terms_of(answers: AnswerCounts, tests: Mapping[str, int]) -> dict[str, Any]:
 
 def terms_of_tests(tests: Mapping[str, int]) -> dict[str, Any]:
     """Return the terms of every analysis with tests."""
-    return {
-        "tests by family": dict(tests),
-        "level of significance": ALPHA,
-        "shortest reaction time [s]": ANTICIPATION,
-    }
+    return {"tests by family": dict(tests), "level of significance": ALPHA, "shortest reaction time [s]": ANTICIPATION}

@@ -222,11 +222,7 @@ def _ranges(frame: pd.DataFrame, columns: list[str]) -> list[dict[str, Any]]:
     )  # fmt: skip
     rows = said.unstack(level, fill_value="").reindex(columns=sorted(frame[level].unique()), fill_value="")
     return [
-        {
-            "finger_condition": say_condition(condition),
-            "pair": say_zones(zones),
-            "cells": list(cells),
-        }
+        {"finger_condition": say_condition(condition), "pair": say_zones(zones), "cells": list(cells)}
         for (condition, *zones), cells in zip(rows.index, rows.to_numpy(), strict=True)
     ]
 

@@ -108,10 +108,7 @@ def _normal_trend(counts: IntArray, answered: IntArray, scores: IntArray) -> Exa
             left, end = left - taken, end + taken * scores[level]
         ends.append(np.abs(end.sum(axis=-1)))
     return ExactTest(
-        deviation,
-        lambda: p(np.abs(deviation)),
-        lambda: p(np.maximum(*ends)),
-        np.count_nonzero(variance > 0, axis=-1),
+        deviation, lambda: p(np.abs(deviation)), lambda: p(np.maximum(*ends)), np.count_nonzero(variance > 0, axis=-1)
     )
 
 

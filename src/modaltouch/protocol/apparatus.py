@@ -204,8 +204,7 @@ class Sound(Section):
         "Samples per second [Hz].", default=48_000.0
     )
     full_scale_dB_SPL: Annotated[float, Field(strict=True, ge=0, le=200)] | None = described(  # noqa: N815
-        "Sound pressure level at the ear for a sine of full scale [dB SPL]; null if not measured.",
-        default=None,
+        "Sound pressure level at the ear for a sine of full scale [dB SPL]; null if not measured.", default=None
     )
 
 

@@ -27,8 +27,7 @@ class StandardSection(Section):
         default=None,
     )
     stimulus: Word | None = described(
-        "Name, under stimuli, of the stimulus that is the standard; null for that of the comparison.",
-        default=None,
+        "Name, under stimuli, of the stimulus that is the standard; null for that of the comparison.", default=None
     )
 
 

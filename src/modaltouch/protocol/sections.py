@@ -89,9 +89,7 @@ class AnswersSection(AskedSection):
         default={},
     )
     change_until_confirmed: bool = Field(
-        strict=True,
-        default=False,
-        description="Whether an answer may be changed until it is chosen a second time.",
+        strict=True, default=False, description="Whether an answer may be changed until it is chosen a second time."
     )
     stimulus_until: Literal["answer", "question"] = described(
         "Whether the stimulus plays until the answer, or stops before the question.", default="answer"

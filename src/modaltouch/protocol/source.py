@@ -20,12 +20,7 @@ SIZE_LIMIT = 256 * 1024
 
 Kind = Literal["protocol", "apparatus", "observer", "fingers"]
 
-_FOLDERS: dict[Kind, str] = {
-    "protocol": ".",
-    "apparatus": "apparatus",
-    "observer": "observers",
-    "fingers": "fingers",
-}
+_FOLDERS: dict[Kind, str] = {"protocol": ".", "apparatus": "apparatus", "observer": "observers", "fingers": "fingers"}
 
 
 @dataclass(frozen=True)

@@ -46,8 +46,7 @@ class FieldSection(Section):
 
 
 Selection = Annotated[
-    Annotated[Count, Tag("number")] | Annotated[tuple[Label, ...], Field(min_length=1), Tag("list")],
-    NUMBER_OR_LIST,
+    Annotated[Count, Tag("number")] | Annotated[tuple[Label, ...], Field(min_length=1), Tag("list")], NUMBER_OR_LIST
 ]
 
 
@@ -79,8 +78,7 @@ class StimulusSection(Section):
     )
     duration_ms: Positive = described("Length of a burst [ms].", default=50.0)
     release: Literal["braked", "free"] = described(
-        "After the focusing instant: braked to rest at the end of the burst, or free to decay.",
-        default="braked",
+        "After the focusing instant: braked to rest at the end of the burst, or free to decay.", default="braked"
     )
     n_samples: SampleCount = described(
         "Number of samples of a burst; with 125,000, the generator holds each for exactly 100 clock cycles.",

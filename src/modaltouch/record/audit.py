@@ -198,10 +198,7 @@ def _check_shown(start: dict[str, Any], restored: RestoredExperiment, place: str
         design = " ".join(filter(None, (row.get("stimulus", ""), row.get("placement", ""))))
         peaks = restored.preflight.zone_peaks(design, row["velocity_mm_s"])
         if not _agree(row["zone_peak_mm_s"], {zone: peak * 1e3 for zone, peak in peaks.items()}):
-            return (
-                False,
-                f"{place} its speeds at the zones at {row['velocity_mm_s']:g} mm/s are not those recomputed",
-            )
+            return (False, f"{place} its speeds at the zones at {row['velocity_mm_s']:g} mm/s are not those recomputed")
     recorded = start["stimulus"].get("fields")  # earlier versions recorded none
     own = start.get("sensation_levels")
     if recorded is not None and not _agree(recorded, restored.fields(tuple(own["levels_mm_s"]) if own else ())):

@@ -25,12 +25,7 @@ READABLE = (1, 2)
 """Versions that can be read."""
 
 _NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] = {
-    "start": (
-        (("mode",), str),
-        (("participant",), str),
-        (("protocol",), str),
-        (("schedule", "n_trials"), int),
-    ),
+    "start": ((("mode",), str), (("participant",), str), (("protocol",), str), (("schedule", "n_trials"), int)),
     "start, to be repeated": (
         (("session",), int),
         (("seed",), int),

@@ -22,10 +22,7 @@ from modaltouch.record.session import Session
 COLUMNS: dict[str, dict[str, Any]] = {
     "trial": {"Description": "Place in the session, from 1; practice trials are counted separately"},
     "block": {"Description": "Block (one finger condition), from 1; 0 for practice"},
-    "practice": {
-        "Description": "Practice trial, to be left out of the analysis",
-        "Levels": {"0": "no", "1": "yes"},
-    },
+    "practice": {"Description": "Practice trial, to be left out of the analysis", "Levels": {"0": "no", "1": "yes"}},
     "finger_condition": {
         "Description": "Which fingers are on the zones, by their name in the protocol",
         "Levels": {
@@ -105,13 +102,11 @@ DELIVERED: dict[str, dict[str, Any]] = {
     "delivered_mm_s": {
         "Description": "Peak speed of the beam under the faster finger, from a record of the first burst",
         "Units": "mm/s",
-    },
+    }
 }
 """Columns of sessions whose fingers are measured."""
 
-LINE: dict[str, dict[str, Any]] = {
-    "log_line": {"Description": f"Line number in {LOG_NAME}"},
-}
+LINE: dict[str, dict[str, Any]] = {"log_line": {"Description": f"Line number in {LOG_NAME}"}}
 
 _FORMATS = {
     **dict.fromkeys(("velocity_mm_s", "multiple_of_threshold", "standard_mm_s"), "g"),
@@ -146,10 +141,7 @@ QUESTION_TIME: dict[str, Any] = {"Description": "Time from the question to its a
 
 INTERVALS: dict[str, dict[str, Any]] = {
     "interval": {"Description": "Interval of the trial in which this condition was presented, from 1"},
-    "standard_mm_s": {
-        "Description": "Level at the focus in the other intervals, 0 for silence",
-        "Units": "mm/s",
-    },
+    "standard_mm_s": {"Description": "Level at the focus in the other intervals, 0 for silence", "Units": "mm/s"},
     "correct": {
         "Description": "Whether the answer is right; n/a if any answer may be right, and at a time-out",
         "Levels": {"0": "no", "1": "yes"},

@@ -145,10 +145,7 @@ def render_runs(analysis: ThresholdAnalysis) -> dict[str, Any]:
 
 
 def _report_files(
-    analysis: ThresholdAnalysis,
-    together: list[dict[str, Any]],
-    pictures: Sequence[ReportFigure],
-    n_sessions: int,
+    analysis: ThresholdAnalysis, together: list[dict[str, Any]], pictures: Sequence[ReportFigure], n_sessions: int
 ) -> dict[str, Any]:
     from modaltouch.analysis.provenance import describe_record
 

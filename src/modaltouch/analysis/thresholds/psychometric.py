@@ -286,10 +286,7 @@ def _why_not(x: FloatArray, hits: FloatArray, tries: FloatArray, gain: float, th
     """Return why these answers give no threshold; empty if they do."""
     lowest, highest = (f"{10 ** (level / 20):.3g} {unit}" for level in (x[0], x[-1]))
     reasons = (
-        (
-            hits.sum() == tries.sum(),
-            f"every answer was a success: the threshold lies below {lowest}, or there is none",
-        ),
+        (hits.sum() == tries.sum(), f"every answer was a success: the threshold lies below {lowest}, or there is none"),
         (hits.sum() == 0, f"no answer was a success: the threshold lies above {highest}, or there is none"),
         (gain < DROP, "successes do not depend on the level: a constant probability explains the answers equally well"),
         (threshold < x[0], f"the threshold lies below the levels that were presented, from {lowest}"),
