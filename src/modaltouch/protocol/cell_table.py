@@ -190,14 +190,16 @@ def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
             if (name := getattr(left_out, kind)) is not None and name not in known:
                 yield reading.unknown(("conditions", "exclude", index, kind), noun, known, _NAME_IT)
                 return
-    if reading.value is None or (reading.value.stimuli and not names["stimulus"]):
-        return
-    yield from _check_excluded(reading)
 
 
-def _check_excluded(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield excluded cells that are not in the design, and finger conditions in which no cell is left."""
+def check_excluded(reading: Reading[Any]) -> Iterator[Problem]:
+    """Yield excluded cells that are not in the design, and finger conditions without cells, if nothing else is wrong.
+
+    Only for a design whose zones are known, since cells of a misspelt zone would be missed here as well.
+    """
     protocol: Any = reading.value
+    if protocol is None or (protocol.stimuli and not reading.keys("stimuli")) or any(check_cells(reading)):
+        return
     conditions = protocol.conditions
     every = [(name, cell) for name in conditions.finger_conditions for cell in protocol.cells(name, excluded=True)]
     for index, left_out in enumerate(conditions.exclude):

@@ -28,8 +28,7 @@ TRIAL_LIMIT = 10_000
 
 def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
     """Yield the faults between the keys of the sections conditions and schedule, as far as valid parts show them."""
-    if any(reading.find(("conditions", key)) for key in ("table", "cells", "exclude")):
-        # Most designs are crossed.
+    if _is_uncrossed(reading):
         from modaltouch.protocol.cell_table import check_cells
 
         yield from check_cells(reading)
@@ -83,6 +82,11 @@ def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
             "add a pair of zones or lift the limit",
         ),
     )
+
+
+def _is_uncrossed(reading: Reading[Protocol]) -> bool:
+    """Return whether cells are listed or excluded; most designs do neither, and spare the code that checks them."""
+    return any(reading.find(("conditions", key)) for key in ("table", "cells", "exclude"))
 
 
 def _check_stimuli(reading: Reading[Protocol]) -> Iterator[Problem]:
@@ -313,13 +317,21 @@ LEAST_SAMPLES_PER_CYCLE = 2.5
 
 def check_fit(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> list[Problem]:
     """Return what a protocol needs and its apparatus lacks, as far as the valid parts of both show it."""
+    zones = list(_check_zones(protocol, apparatus))
     return [
-        *_check_zones(protocol, apparatus),
+        *(zones or _check_excluded(protocol)),
         *_check_modes(protocol, apparatus),
         *_check_delay(protocol, apparatus),
         *_check_levels(protocol, apparatus),
         *check_masking(protocol, apparatus),
     ]
+
+
+def _check_excluded(protocol: Reading[Protocol]) -> Iterator[Problem]:
+    if _is_uncrossed(protocol):
+        from modaltouch.protocol.cell_table import check_excluded
+
+        yield from check_excluded(protocol)
 
 
 def _check_zones(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:

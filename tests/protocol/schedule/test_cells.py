@@ -181,6 +181,15 @@ def test_conditions_that_contradict_themselves_are_refused(folder: Path, conditi
     assert any(told in each for each in said), said
 
 
+def test_of_a_misspelt_zone_only_the_zone_is_told(folder: Path) -> None:
+    """Not also that the cells with its right name, which are left out, are not in the design."""
+    cells = (
+        "  cells:\n    - {pair: [A, C], peak_velocities_mm_s: [80]}\n    - {pair: [B, Q], peak_velocities_mm_s: [80]}\n"
+    )
+    (said,) = faults(read(folder, cells + "  exclude: [{pair: [B, D]}]\n"))
+    assert "given 'Q', which is not a zone of this beam; allowed: A, B, C, D, E" in said
+
+
 def test_a_faulty_stimulus_is_still_known_by_its_name(folder: Path) -> None:
     """And is not called unknown where its cells are left out."""
     read(folder, CROSSED + "  exclude: [{stimulus: sharp}]\n")
