@@ -23,6 +23,9 @@ FloatArray = NDArray[np.float64]
 
 _SEED, _DRAWS, _TAIL = 20080501, 1999, (1 - CONFIDENCE) / 2
 
+_AT_ONCE = 1_000_000
+"""Random weights held at once: limits the memory used [1]."""
+
 _LEVEL = 0.05
 """Significance level of the tests within participants [1]."""
 
@@ -50,13 +53,15 @@ def ac1_interval(answers: ArrayLike) -> Interval:
         return Interval(estimate[..., 0], *(np.full(table.shape[:-3], each)[()] for each in (-1.0, 1.0, n)))
     order = np.lexsort(np.moveaxis(table.reshape(*table.shape[:-2], -1), -1, 0))  # so that names do not matter
     table = np.take_along_axis(table, order[..., np.newaxis, np.newaxis], axis=-3)
-    weights = np.random.default_rng(_SEED).dirichlet(np.ones(n + 1), _DRAWS)
-    bounds = []
-    total = table.sum(axis=-3, keepdims=True)
-    for chosen, tail in ((total.min(axis=-1, keepdims=True), _TAIL), (total.max(axis=-1, keepdims=True), 1 - _TAIL)):
-        further = (total == chosen).astype(float)
-        _, drawn = agreement_between(np.concatenate([table, further], axis=-3), weights)
-        bounds.append(np.quantile(drawn, tail, axis=-1))
+    total, rng = table.sum(axis=-3, keepdims=True), np.random.default_rng(_SEED)
+    extremes = total.min(axis=-1, keepdims=True), total.max(axis=-1, keepdims=True)
+    tables = [np.concatenate([table, (total == chosen).astype(float)], axis=-3) for chosen in extremes]
+    n_at_once, drawn = max(1, _AT_ONCE // (n + 1)), list[list[FloatArray]]()
+    for start in range(0, _DRAWS, n_at_once):
+        weights = rng.dirichlet(np.ones(n + 1), min(n_at_once, _DRAWS - start))
+        drawn.append([agreement_between(each, weights)[1] for each in tables])
+    each_bound = zip(zip(*drawn, strict=True), (_TAIL, 1 - _TAIL), strict=True)
+    bounds = [np.quantile(np.concatenate(parts, axis=-1), tail, axis=-1) for parts, tail in each_bound]
     low, high = np.minimum(bounds[0], estimate[..., 0]), np.maximum(bounds[1], estimate[..., 0])
     return Interval(estimate[..., 0], low, high, n)
 
