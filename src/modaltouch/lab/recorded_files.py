@@ -290,7 +290,7 @@ def _numbers(path: Path, line: int, row: str, n_columns: int) -> list[float]:
     if len(cells) != n_columns:
         raise ValueError(f"{path}:{line}: the line has {len(cells)} cells, but the header has {n_columns}; {FORM}")
     try:
-        # Python alone reads 1_000 as a number.
+        # float() would accept 1_000.
         numbers.extend(float(cell.replace("_", "?")) for cell in cells)
     except ValueError:
         column = len(numbers) + 1

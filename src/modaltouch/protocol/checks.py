@@ -85,7 +85,7 @@ def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def _is_uncrossed(reading: Reading[Protocol]) -> bool:
-    """Return whether cells are listed or excluded; most designs do neither, and spare the code that checks them."""
+    """Return whether cells are listed or excluded; most designs do neither, and need no code for it."""
     return any(reading.find(("conditions", key)) for key in ("table", "cells", "exclude"))
 
 

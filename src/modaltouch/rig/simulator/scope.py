@@ -36,8 +36,8 @@ SMALL_TURN = 0.01
 def normal_quantiles() -> FloatArray:
     """Return values, equally likely each, that together are normal with standard deviation 1, (65536,) array.
 
-    Drawing one by 16 random bits costs a fifth of a draw from the normal distribution itself, from which their
-    distribution is nowhere further than 2**-17; the largest is 4.3.
+    Choosing one by 16 random bits is cheaper than drawing from the normal distribution. The two distribution functions
+    differ by at most 2**-17, and the largest value is 4.3.
     """
     from scipy.special import ndtri
 
