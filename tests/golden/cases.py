@@ -151,7 +151,7 @@ def refusal(case: Refusal, folder: Path) -> dict[str, Any]:
 def words_of(done: Outcome, folder: Path) -> list[str]:
     """Return the lines on standard error without what differs from day to day, and without the words of Typer."""
     said = without_places(done.stderr, folder)
-    for pattern in (r"(?<=127\.0\.0\.1,)\d+", r"\d+\.\d+(?= s after the first burst)", r"\d+(?= min left)"):
+    for pattern in (r"(?<=127\.0\.0\.1,)\d+", r"\d+\.\d+(?= s after the first burst)", r"\d+ (?:s|min)(?= left)"):
         said = re.sub(pattern, "{number}", said)
     said = re.sub(r"^(Usage: |Try ').*\n", "", said, flags=re.MULTILINE)
     said = re.sub(r"^(Error: (?:No such \w+|Missing \w+|Invalid value for)).*", r"\1", said, flags=re.MULTILINE)

@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TextIO
 
-from modaltouch.session.console.drawing import describe_last
+from modaltouch.session.console.drawing import describe_last, describe_time
 from modaltouch.session.console.interface import COMMANDS, Console, Facts, Request
 from modaltouch.session.console.keyboard import restore_terminal, save_terminal
 
@@ -99,11 +99,11 @@ class PlainLines(Console):
 
     def show(self, facts: Facts) -> None:
         """Write what is new."""
-        last, minutes = facts["last"], facts["time_left_s"] / 60
+        last = facts["last"]
         if facts["event"] in ("answered", "trial") and last["line"] != self._told:
             self._told = last["line"]
             done = f"{facts['n_answered']} of {facts['n_trials']} answered"
-            self._write(f"{done}: {describe_last(last)}; {minutes:.0f} min left")
+            self._write(f"{done}: {describe_last(last)}; {describe_time(facts['time_left_s'])} left")
         elif facts["event"] in ("pause", "focus_lost", "continued", "rest", "stop"):
             words = {"pause": "paused", "focus_lost": "paused: focus lost", "rest": "break", "continued": "continued"}
             self._write(words.get(facts["event"], f"ended: {facts['stopped_by']}"))

@@ -108,10 +108,15 @@ def describe_progress(facts: Facts, since_s: float = 0.0, width: int = 80) -> st
     done, total = facts["n_answered"], max(facts["n_trials"], 1)
     ticking = since_s if facts["state"] != "ended" else 0.0
     left = max(facts["time_left_s"] - (ticking if facts["state"] == "trial" else 0.0), 0.0)
-    said = f"{done} of {facts['n_trials']}, {f'{left:.0f} s' if left < 90 else f'{left / 60:.0f} min'} left"
+    said = f"{done} of {facts['n_trials']}, {describe_time(left)} left"
     length = min(_BAR, width - len(said) - 3)
     full = round(length * min(done / total, 1))
     return f"{'#' * full}{'.' * (length - full)} {said}" if length > 5 else said
+
+
+def describe_time(seconds: float) -> str:
+    """Return a time in seconds below 90 s, in minutes above."""
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
 
 
 def describe_trial(trial: dict[str, Any] | None) -> list[tuple[str, str]]:
