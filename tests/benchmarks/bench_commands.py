@@ -6,6 +6,7 @@ and its ratio to an import is about the same on another one. Where a bar is in s
 """
 
 import math
+import os
 import re
 import resource
 import subprocess
@@ -21,6 +22,8 @@ PROTOCOLS = ROOT / "protocols"
 PAPER = "differentiated_stimulation.yaml"
 HEAVY = ("psychopy", "pyvisa", "pandas", "matplotlib", "scipy", "statsmodels")
 ROUNDS = 7
+USERS = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+"""Environment of the commands: what only developers set would have every module compiled anew each time."""
 ON_THE_TWIN = (
     ("identify", [], "identify"),
     ("validate", [str(PROTOCOLS / PAPER)], "validate"),
@@ -48,7 +51,7 @@ print("late", statistics.median(took[-200:]) / statistics.median(took[50:250]))
 def run(arguments: list[str], status: int = 0) -> tuple[float, subprocess.CompletedProcess[str]]:
     """Return the processor time of one process [s], and what it said."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, *arguments], capture_output=True, text=True, check=False, env=USERS)
     if done.returncode != status:
         raise SystemExit(f"{' '.join(arguments)} ended with {done.returncode}:\n{done.stdout}{done.stderr}")
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
