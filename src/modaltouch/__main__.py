@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 
 # What loading makes stays: to look for what could go would cost a twentieth of the time.
 gc.set_threshold(100_000)
-# Nor is it taken apart piece by piece at the end, which took a sixth of the time of a check: the system frees it at once.
+# Nor is it taken apart at the end, which took a sixth of the time of a check: the system frees it at once.
 atexit.register(gc.freeze)
 # Before NumPy is imported. The matrices are small: further threads of BLAS only wait for each other, busily, and take
 # the processor from the window and from the process that watches the outputs.

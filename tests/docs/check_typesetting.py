@@ -8,7 +8,8 @@ import pytest
 from browser import CHROMIUM, Browser
 from ruamel.yaml import YAML
 
-from modaltouch.window.typesetting import Fonts, Typesetter
+from modaltouch.window.fonts import Fonts
+from modaltouch.window.typesetting import Typesetter
 
 TEXTS = Path(__file__).parents[2] / "protocols" / "texts"
 OTHERS = {

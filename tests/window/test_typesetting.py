@@ -13,9 +13,10 @@ import pytest
 from fontTools.ttLib import TTFont
 
 from modaltouch.protocol import AnswerList
+from modaltouch.window.fonts import Font, Fonts, find_font
 from modaltouch.window.layout import lay_out
 from modaltouch.window.shapes import Box, Words
-from modaltouch.window.typesetting import Font, Fonts, TypeBlock, Typesetter, find_font
+from modaltouch.window.typesetting import TypeBlock, Typesetter
 
 
 def set_type(text: str, *, width: float = 1.0, height: float = 1.0, size: float = 0.1, bold: bool = False) -> TypeBlock:

@@ -91,8 +91,7 @@ def check(
             for problem in preflight.problems:
                 typer.secho(str(problem), err=True, fg=typer.colors.RED)
         else:
-            show(preflight, compare=compare, fingers=fingers)
-            _show_explored(asked)
+            show(preflight, compare=compare, fingers=fingers, asked=asked)
         if preflight.problems:
             raise typer.Exit(BAD_INPUT)
 
@@ -114,8 +113,10 @@ def _export(preflight: Preflight, file: Path) -> None:
         raise typer.BadParameter(f"--export cannot write {file} ({error.strerror}); choose another file") from None
 
 
-def show(preflight: Preflight, *, compare: bool = False, fingers: str | None = None) -> None:
-    """Print a summary of the sessions of this protocol."""
+def show(
+    preflight: Preflight, *, compare: bool = False, fingers: str | None = None, asked: dict[str, Any] | None = None
+) -> None:
+    """Print a summary of the sessions of this protocol, and what was asked for besides."""
     from rich.console import Console
     from rich.markup import escape
 
@@ -169,6 +170,7 @@ def show(preflight: Preflight, *, compare: bool = False, fingers: str | None = N
         console.print(f"[dim]{escape(fallback['warning'])}[/]")
     for warning in values["warnings"]:
         console.print(f"[yellow]{escape(warning)}[/]")
+    _show_explored(console, asked or {})
 
 
 def _stimulus_lines(preflight: Preflight, stimuli: list[dict[str, Any]]) -> Iterator[str]:
@@ -210,10 +212,7 @@ def _explore(
     return asked
 
 
-def _show_explored(asked: dict[str, Any]) -> None:
-    from rich.console import Console
-
-    console = Console()
+def _show_explored(console: Console, asked: dict[str, Any]) -> None:
     if found := asked.get("sensitivity"):
         print_table(
             f"What an error of a parameter does at {found['velocity_mm_s']:g} mm/s",

@@ -12,7 +12,7 @@ from modaltouch.preflight.design_inputs import DesignInputs
 from modaltouch.preflight.figures import by_name, finite, zone_centres
 from modaltouch.protocol import Apparatus, Findings
 from modaltouch.rig import instrument_of
-from modaltouch.stimulus import ModalModel, Stimulus, cheapest_samples, focus_sensitivity, scatter
+from modaltouch.stimulus import ModalModel, Stimulus
 
 Design = tuple[DesignInputs, Stimulus]
 """A stimulus and what it was designed from."""
@@ -35,6 +35,8 @@ def sensitivity_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, A
     stimulus : Stimulus
         The stimulus, at its highest level.
     """
+    from modaltouch.stimulus import focus_sensitivity, scatter
+
     half = inputs.apparatus.beam.length_mm * 0.5e-3
     rows = focus_sensitivity(stimulus, np.linspace(-half, half, 201), **ERRORS)
     spread = scatter(stimulus, zone_centres(inputs), **SPREAD)
@@ -149,6 +151,8 @@ def sample_figures(inputs: DesignInputs, stimulus: Stimulus, tolerance: float) -
     ValueError
         If the tolerance is not above zero.
     """
+    from modaltouch.stimulus import cheapest_samples
+
     found = cheapest_samples(stimulus, tolerance, zone_centres(inputs))
     return {
         "tolerance": tolerance,

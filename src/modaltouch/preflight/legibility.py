@@ -69,12 +69,13 @@ def _check_type(findings: Findings, window: tuple[int, int] | None) -> Iterator[
     from modaltouch.window import smallest_type
 
     size = window or (screen.width_px, screen.height_px)
-    trials = Schedule.draw(protocol, "p01", 1).trials
     placements = {
-        (each.condition.finger_condition, each.condition.zones, each.condition.placement): each for each in trials
+        (each.condition.finger_condition, each.condition.zones, each.condition.placement): each
+        for each in Schedule.draw(protocol, "p01", 1).trials
     }
-    zones = experiment.apparatus.zone_spans
-    pixels, text = smallest_type(protocol, experiment.texts, zones, [*placements.values()], size)
+    pixels, text = smallest_type(
+        protocol, experiment.texts, experiment.apparatus.zone_spans, [*placements.values()], size
+    )
     height = pixels * screen.width_mm / screen.width_px
     angle = math.degrees(2 * math.atan(height / 2 / screen.distance_mm)) * 60
     if angle < LEAST_ANGLE:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
+    from modaltouch.window.fonts import Fonts, find_font
     from modaltouch.window.interface import (
         AnswerWindow,
         Event,
@@ -27,12 +28,11 @@ if TYPE_CHECKING:
     from modaltouch.window.masking import highest_level, open_masking
     from modaltouch.window.opening import AnswersBy, WindowOptions, open_window
     from modaltouch.window.simulated import Answerer
-    from modaltouch.window.typesetting import Fonts, find_font
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "typesetting": "Fonts find_font",
+            "fonts": "Fonts find_font",
             "interface": (
                 "AnswerWindow Event Intervention Masking Presentation SessionStopped Tick TrialInterrupted WindowError"
             ),

@@ -18,11 +18,11 @@ import numpy as np
 
 from modaltouch.window.display_loop import POLL_INTERVAL
 from modaltouch.window.environment import LIBRARIES, is_loadable, missing_libraries, some_display
+from modaltouch.window.fonts import Fonts
 from modaltouch.window.interface import WindowError
 from modaltouch.window.masking import DeviceError, default_device
 from modaltouch.window.screen import Screen
 from modaltouch.window.shapes import Box, Picture, Words, rectangle
-from modaltouch.window.typesetting import Fonts
 
 _LATE_FRAME = 1.5
 """A frame counts as dropped when it takes this many times the usual [1]."""
