@@ -93,6 +93,16 @@ def test_a_record_of_the_papers_answers_says_no_more_than_before(shipped) -> Non
             "    rechts: [up]\n",
             "answers.rechts: given nothing; allowed: a text, since demo.yaml offers the answer rechts",
         ),
+        (
+            BOTH,
+            "    very strong: [up]\n",
+            "given 'very strong' as a key; allowed: a word of letters, digits, _ and -; write 'very_strong'",
+        ),
+        (
+            BOTH,
+            "    very strong: [up]\n",
+            "given nothing; allowed: a text, since demo.yaml offers the answer very_strong",
+        ),
     ],
 )
 def test_what_is_wrong_with_a_list_is_said_at_its_place(edit: Edit, old: str, new: str, fault: str) -> None:

@@ -40,6 +40,11 @@ def faults(file: Path) -> list[str]:
             "conditions: given neither zones nor zone_pairs; allowed: one of the two; add `zone_pairs: [[A, C]]`",
         ),
         (
+            [(PAIRS, "zone_pairs: [[A, C, E]]")],
+            "conditions.zone_pairs[0]: given a list of 3; allowed: a list of exactly 2, each the name of a zone of the "
+            "beam; for one finger or three, conditions.zones and conditions.fingers",
+        ),
+        (
             [(PAIRS, "zones: [[A, C], [C]]")],
             "conditions.zones[1]: given [C], one for the two of one_hand; allowed: as many zones as fingers; change",
         ),

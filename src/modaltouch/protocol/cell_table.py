@@ -193,13 +193,8 @@ def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def check_excluded(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield excluded cells that are not in the design, and finger conditions without cells, if nothing else is wrong.
-
-    Only for a design whose zones are known, since cells of a misspelt zone would be missed here as well.
-    """
-    protocol: Any = reading.value
-    if protocol is None or (protocol.stimuli and not reading.keys("stimuli")) or any(check_cells(reading)):
-        return
+    """Yield excluded cells that are not in a design without other faults, and finger conditions without cells."""
+    protocol = reading.require()
     conditions = protocol.conditions
     every = [(name, cell) for name in conditions.finger_conditions for cell in protocol.cells(name, excluded=True)]
     for index, left_out in enumerate(conditions.exclude):

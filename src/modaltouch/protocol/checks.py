@@ -317,21 +317,13 @@ LEAST_SAMPLES_PER_CYCLE = 2.5
 
 def check_fit(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> list[Problem]:
     """Return what a protocol needs and its apparatus lacks, as far as the valid parts of both show it."""
-    zones = list(_check_zones(protocol, apparatus))
     return [
-        *(zones or _check_excluded(protocol)),
+        *_check_zones(protocol, apparatus),
         *_check_modes(protocol, apparatus),
         *_check_delay(protocol, apparatus),
         *_check_levels(protocol, apparatus),
         *check_masking(protocol, apparatus),
     ]
-
-
-def _check_excluded(protocol: Reading[Protocol]) -> Iterator[Problem]:
-    if _is_uncrossed(protocol):
-        from modaltouch.protocol.cell_table import check_excluded
-
-        yield from check_excluded(protocol)
 
 
 def _check_zones(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
@@ -341,8 +333,13 @@ def _check_zones(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
     if (focus := protocol.sound("stimulus", "focus")) is not None and focus not in zones:
         yield protocol.unknown(("stimulus", "focus"), kind, zones)
     yield from protocol.unlisted(("stimulus", "further_foci"), kind, zones)
-    keys = ("conditions", "zones"), ("conditions", "zone_pairs")
-    for path in ((*key, index) for key in keys for index in range(protocol.length(*key) or 0)):
+    keys = ("zones",), ("zone_pairs",), ("exclude", "pair")
+    each = [
+        ("conditions", key, index, *own)
+        for key, *own in keys
+        for index in range(protocol.length("conditions", key) or 0)
+    ]
+    for path in each:
         unknown = [position for position, name in protocol.items(*path) if name not in zones]
         yield from (protocol.unknown((*path, position), kind, zones) for position in unknown)
         listed = protocol.sound(*path)

@@ -24,7 +24,11 @@ _UNIQUE = {"uniqueItems": True}
 Cell = tuple[tuple[str, ...], float, str]
 """The zones under the fingers, a peak velocity [mm/s], and the name of a stimulus."""
 
-ZonePair = tuple[ZoneName, ZoneName]
+_TWO = (
+    "a list of exactly 2, each the name of a zone of the beam; for one finger or three, conditions.zones and "
+    "conditions.fingers"
+)
+ZonePair = Annotated[tuple[ZoneName, ZoneName], Field(json_schema_extra={"x-allowed": _TWO})]
 Contacts = Annotated[tuple[ZoneName, ...], Field(min_length=1, max_length=3)]
 
 

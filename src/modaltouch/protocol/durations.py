@@ -85,12 +85,14 @@ def _check_period(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) ->
         if duration * rate > 1e3:
             continue  # longer than the period, which is reported elsewhere
         given = f"{duration:g} ms at {rate:g} bursts per second"
-        allowed = f"at most {MOST_OF_PERIOD * 1e3 / rate:.6g} ms, so that a burst is over before the next is triggered"
-        remedy = "shorten the burst, repeat it less often, or set generator.repetition to continuous"
         is_rate = (
             protocol.sound(*section, "duration_ms") is None if own else is_elsewhere(protocol, "repetition_rate_Hz")
         )
-        key = "repetition_rate_Hz" if is_rate else "duration_ms"
+        key, most, unit = "duration_ms", MOST_OF_PERIOD * 1e3 / rate, "ms"
+        if is_rate:
+            key, most, unit = "repetition_rate_Hz", MOST_OF_PERIOD * 1e3 / duration, "bursts per second"
+        allowed = f"at most {most:.6g} {unit}, so that a burst is over before the next is triggered"
+        remedy = "shorten the burst, repeat it less often, or set generator.repetition to continuous"
         yield protocol.problem((*section, key), given, allowed, remedy)
 
 

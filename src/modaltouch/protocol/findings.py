@@ -267,7 +267,7 @@ class Findings:
                 yield self.problem(path, given, problem.allowed, problem.remedy)
             else:
                 at = f"stimuli.{name}.{problem.path}" if own else problem.path
-                yield replace(problem, given=given, path=at)
+                yield replace(problem, given=given, path=at, written="" if own else problem.written)
 
     @classmethod
     def restored(cls, sources: Sources, occasion: tuple[str, str] = ("", "")) -> Findings:
@@ -371,6 +371,12 @@ class Findings:
 
             fingers = load_fingers(protocol, problems)
             problems += check_measured(protocol, apparatus)
+        if protocol.value is not None and protocol.value.uncrossed_by[:1] == ("conditions",):
+            from modaltouch.protocol.cell_table import check_excluded
+
+            # A name that is misspelt elsewhere would be missed among the cells as well.
+            known = not any(each.path.startswith(("conditions", "adaptive", "stimuli")) for each in problems)
+            problems += check_excluded(protocol) if known else ()
         return cls(
             protocol, apparatus, texts, tuple(sorted(set(problems))), calibrated, field, fingers, table, occasion
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -26,6 +26,8 @@ class Problem:
         Key within the file, as in ``conditions.zone_pairs[1]``; empty for the file as a whole.
     given, allowed, remedy : str
         What is there, what is allowed, and what to do (empty if `allowed` says it).
+    written : str
+        Path where the user wrote it, below a group, a kind of session or a cell; empty if that is `path`.
     """
 
     file: str
@@ -35,6 +37,7 @@ class Problem:
     given: str
     allowed: str
     remedy: str = ""
+    written: str = field(default="", compare=False)
 
     @property
     def message(self) -> str:
@@ -44,13 +47,14 @@ class Problem:
         return f"given {self.given}{allowed}{remedy}"
 
     def __str__(self) -> str:
-        path = f" {self.path}:" if self.path else ""
+        path = f" {self.written or self.path}:" if self.path else ""
         place = f"{self.file}:{self.line}:{self.column}" if self.line else self.file
         return f"{place}:{path} {self.message}"
 
     def as_dict(self) -> dict[str, Any]:
         """Return the problem as plain values for ``--json``."""
-        return {**asdict(self), "message": self.message}
+        values = asdict(self) | {"path": self.written or self.path, "message": self.message}
+        return {key: value for key, value in values.items() if key != "written"}
 
 
 class InputError(Exception):

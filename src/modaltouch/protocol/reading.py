@@ -10,7 +10,17 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from modaltouch.protocol.problems import InputError, Problem, format_path, suggest
-from modaltouch.protocol.section import LARGEST, SMALLEST, Step, adapter, annotation_at, describe, keys_of, number_meant
+from modaltouch.protocol.section import (
+    LARGEST,
+    SMALLEST,
+    Step,
+    adapter,
+    annotation_at,
+    describe,
+    keys_of,
+    number_meant,
+    plain_word,
+)
 from modaltouch.protocol.source import Source
 from modaltouch.protocol.tree import Node, parse_tree
 
@@ -143,8 +153,9 @@ class Reading(Generic[Model]):
     ) -> Problem:
         """Return a problem with the place of the value (or key) at a path, or of its nearest existing parent."""
         steps = tuple(path)
-        file, line, column = self._place(steps, at_key=at_key)
-        return Problem(file or str(self.source.path), line, column, format_path(steps), given, allowed, remedy)
+        (file, line, column), written = self._place(steps, at_key=at_key)
+        place = file or str(self.source.path), line, column
+        return Problem(*place, format_path(steps), given, allowed, remedy, format_path(written))
 
     def faults(self, *known: tuple[object, Iterable[Step], str, str, str]) -> Iterator[Problem]:
         """Yield a problem for each tuple (condition, path, given, allowed, remedy) whose condition is true."""
@@ -154,22 +165,23 @@ class Reading(Generic[Model]):
         """Return the keys that the file leaves out and their defaults, in the schema's order."""
         return [] if self.root is None else list(_absent(self.model, self.root, ""))
 
-    def _place(self, path: tuple[Step, ...], *, at_key: bool) -> tuple[str, int, int]:
+    def _place(self, path: tuple[Step, ...], *, at_key: bool) -> tuple[tuple[str, int, int], tuple[Step, ...]]:
+        """Return file, line and column of the value (or key) at a path, and its path where it is written."""
+        if self.root is None:
+            return ("", 1, 1), path
         node = self.root
-        if node is None:
-            return "", 1, 1
-        place = (node.line, node.column)
-        for depth, step in enumerate(path):
-            child = node.child(step)
-            if child is None:
-                # A missing key is reported where its section is named.
-                break
+        place, depth = (node.line, node.column), 0
+        while depth < len(path) and (child := node.child(path[depth])) is not None:
+            step = path[depth]
             key_place = node.keys.get(step, place) if isinstance(step, str) else (child.line, child.column)
             # A block mapping begins on the line below its key, but users look at the key.
             is_section = isinstance(child.content, dict) or (at_key and depth == len(path) - 1)
             place = key_place if is_section else (child.line, child.column)
-            node = child
-        return node.file, *place
+            node, depth = child, depth + 1
+        # A missing key is reported where its section is named.
+        # A group's value, or a cell's, is in the tree twice: below its group or cell, and where it counts.
+        written = max(self.root.paths_of(node), key=len, default=path[:depth])
+        return (node.file, *place), (*written, *path[depth:])
 
 
 def read(source: Source, model: type[Model]) -> Reading[Model]:
@@ -227,7 +239,9 @@ def _translate(reading: Reading[Any], details: Any) -> Problem:
         return reading.unknown(path, "a key here", known, _home_of(reading.model, path), at_key=True)
     if details["loc"] and details["loc"][-1] == "[key]":
         allowed = context.get("expected") or "a word of letters, digits, _ and -"
-        return reading.problem(path, f"{path[-1]!r} as a key", allowed.replace(" or ", ", "), at_key=True)
+        meant = "" if "expected" in context else plain_word(path[-1])
+        remedy = f"write '{meant}'" if meant else ""
+        return reading.problem(path, f"{path[-1]!r} as a key", allowed.replace(" or ", ", "), remedy, at_key=True)
     if kind == "missing" and path and isinstance(path[-1], str):
         allowed = describe(reading.model, path)
         return reading.problem(path, "nothing", allowed, f"add the missing key `{path[-1]}`")

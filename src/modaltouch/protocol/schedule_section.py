@@ -62,7 +62,9 @@ class ScheduleSection(Section):
         description="Whether the finger condition that comes first alternates between participants.",
     )
     catch_trials: Annotated[int, Field(strict=True, ge=0, le=100)] = described(
-        "Number of trials without a stimulus in each finger condition; none comes first, and no two are adjacent.",
+        "Number of trials without a stimulus in each finger condition; none comes first, and no two are adjacent. The "
+        "pair of each is drawn at random (with the order by_pair, that of the trial before it), so pairs may get "
+        "unequal numbers. An adaptive run fits its guess rate to those of its own pair; give several per pair.",
         default=0,
     )
     balance: Literal["by_number", "least_filled"] = described(

@@ -76,6 +76,15 @@ FileName = Annotated[
 ]
 
 
+def plain_word(name: object) -> str:
+    """Return the `Word` nearest to a name.
+
+    >>> plain_word("very strong"), plain_word("強い")
+    ('very_strong', '')
+    """
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", str(name)).strip("_")[:32]
+
+
 NUMBER_OR_LIST = Discriminator(lambda value: "list" if isinstance(value, list | tuple) else "number")
 """Chooses between branches tagged ``number`` and ``list``."""
 

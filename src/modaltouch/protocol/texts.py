@@ -15,7 +15,7 @@ from modaltouch.protocol.conditions import FingerName
 from modaltouch.protocol.problems import Problem, fault, suggest
 from modaltouch.protocol.questions import RATED
 from modaltouch.protocol.reading import Reading
-from modaltouch.protocol.section import Section, Text, Word, described
+from modaltouch.protocol.section import Section, Text, Word, described, plain_word
 from modaltouch.protocol.sections import Protocol
 
 _PLACEHOLDERS: dict[str, frozenset[str]] = {
@@ -222,7 +222,8 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Prob
     file, offered = protocol.source.path.name, offered_answers(protocol)
     absent = [name for name in SHIPPED if name not in offered.names]
     for answer in offered if offered.names != (RATED,) else ():
-        needed = [(answer.name,) if answer.name in SHIPPED else ("answers", answer.name)]
+        name = plain_word(answer.name) or answer.name
+        needed = [(name,) if name in SHIPPED else ("answers", name)]
         needed += [("how_to_answer_or_none",)] if answer.says_nothing_felt else []
         for path in needed:
             field, node = Texts.model_fields[path[0]], texts.find(path)
@@ -244,7 +245,7 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Prob
                 remedy = f"did you mean '{meant}'? Else add `{'.'.join(path)}` to the texts"
                 problems.append(protocol.problem(place, given, f"{allowed}, or a label", remedy))
                 continue
-            allowed = f"a text, since {file} offers the answer {answer.name}"
+            allowed = f"a text, since {file} offers the answer {name}"
             problems.append(texts.problem(path, "nothing", allowed, f"add the missing key `{'.'.join(path)}`"))
     return [*problems, *_lacking_fingers(protocol, texts)]
 

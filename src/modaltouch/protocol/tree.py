@@ -6,6 +6,7 @@ The tree is built from the parser's events, so that nesting, aliases and tags ar
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any, NoReturn
@@ -116,6 +117,13 @@ class Node:
         if isinstance(self.content, list) and isinstance(key, int) and 0 <= key < len(self.content):
             return self.content[key]
         return None
+
+    def paths_of(self, wanted: Node) -> Iterator[tuple[str | int, ...]]:
+        """Yield every path to a node, which may be below several keys."""
+        for step, child in self.content.items() if isinstance(self.content, dict) else enumerate(self.children):
+            if child is wanted:
+                yield (step,)
+            yield from ((step, *rest) for rest in child.paths_of(wanted))
 
     def with_child(self, key: str, child: Node) -> Node:
         """Return the mapping with a value under a key; the place of a new key is where the value begins."""

@@ -45,6 +45,23 @@ def test_each_group_in_each_kind_of_session_is_a_protocol_of_its_own(read: Calla
     assert [every["low", "test"].schedule.kind_of(n).name for n in (1, 2, 3, 4)] == ["training", "test", "test", "test"]
 
 
+@pytest.mark.parametrize(
+    ("change", "path"),
+    [
+        (("high: {conditions: {zone_pairs: [[A, C]]}", "high: {conditions: {zone_pairs: [[A, Q]]}"),
+         "groups.high.conditions.zone_pairs[0][1]"),
+        (("practice_trials: 3}", "practice_trails: 3}"), "schedule.sessions[0].schedule.practice_trails"),
+        (("finger_conditions: [one_hand]", "finger_conditions: [one_hnd]"),
+         "schedule.sessions[0].conditions.finger_conditions[0]"),
+    ],
+)  # fmt: skip
+def test_a_fault_has_the_path_of_its_group_or_kind(
+    read: Callable[..., Findings], change: tuple[str, str], path: str
+) -> None:
+    """Under which the key is found in the file, not that of the section for all."""
+    assert {each.as_dict()["path"] for each in read(change).problems} == {path}
+
+
 def test_a_record_gives_the_protocol_of_its_own_occasion(read: Callable[..., Findings]) -> None:
     """From the one text that it keeps."""
     first = read()
