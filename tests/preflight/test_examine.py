@@ -489,3 +489,10 @@ def test_bursts_released_freely_are_told_apart(edit: Edit, preflight: Preflight)
     free = examine(edit(FILE, ("release: braked ", "release: free "))).as_dict()["stimuli"][-1]
     assert free["worst_modal_error_mm_s"] < 1e-4
     assert 5e-3 < free["worst_modal_error_steady_mm_s"] < 1e-2
+
+
+def test_a_noise_that_is_too_loud_is_told_once_for_all_stimuli(edit: Callable[..., Path]) -> None:
+    """It is the same noise, and the same key."""
+    own = "stimuli: {heard: {masked: false}, usual: {}}\nmasking: {level_dB_FS: 30}\n\nconditions:\n"
+    (found,) = examine(edit("demo.yaml", ("conditions:\n", own))).problems
+    assert (found.path, found.given.split(",")[0]) == ("masking.level_dB_FS", "30 dB FS")

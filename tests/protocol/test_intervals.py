@@ -145,6 +145,10 @@ ADAPTIVE = "adaptive: {method: staircase, trials: 8, start_mm_s: 130, success: c
             "answers.intervals: given no answer for interval 2, which may hold the comparison; allowed: an answer for",
         ),
         (
+            [(MEANINGS, "intervals: {first: same}")],
+            "answers.intervals: given same alone, so that the other answer is never right; allowed: same and different",
+        ),
+        (
             [(MEANINGS, "intervals: {first: 1, second: different}")],
             "answers.intervals.second: given different together with the number of an interval; allowed: only",
         ),

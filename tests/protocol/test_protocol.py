@@ -379,3 +379,10 @@ def test_a_record_with_a_short_pause_is_restored(edit: Edit) -> None:
     sources = replace(experiment.sources, protocol=replace(experiment.sources.protocol, text=text))
     answers = Findings.restored(sources).experiment().protocol.answers
     assert (answers.pause("one_hand"), answers.pause("two_hands")) == (1.0, 1.5)
+
+
+def test_a_misspelt_section_is_told_once(edit: Edit) -> None:
+    """As the key that it is, not also as the section that is missing."""
+    (said,) = faults(edit(FILE, ("\nconditions:", "\ncondition:")))
+    assert "condition: given 'condition', which is not a key here" in said
+    assert said.endswith("did you mean 'conditions'?")

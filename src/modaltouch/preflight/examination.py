@@ -365,18 +365,19 @@ def _check_generator_itself(inputs: DesignInputs, findings: Findings) -> Iterato
 def _examine_several(findings: Findings) -> Preflight:
     """Return the check of a protocol with several stimuli: of each alone, and of all together."""
     variants = {name: examine_findings(alone) for name, alone in findings.each_stimulus()}
-    problems = {problem for name, part in variants.items() for problem in findings.at_stimulus(name, part.problems)}
+    shared = {*_check_schedule(findings), *_check_masking_level(findings)}
+    own = {name: set(part.problems) - shared for name, part in variants.items()}
+    problems = {problem for name, each in own.items() for problem in findings.at_stimulus(name, each)}
     first = next(iter(variants.values()))
     together = Preflight(findings, (), first.inputs, first.designed, variants)
-    if not problems and first.inputs is not None:
+    if not problems | shared and first.inputs is not None:
         by_placement: dict[str, list[Burst]] = {}
         for part in variants.values():
             for place, each in part.by_placement.items():
                 by_placement.setdefault(place, []).append(each.stimulus.burst)
         for bursts in by_placement.values():
             problems.update(_check_memories(findings, first.inputs.apparatus, bursts))
-    problems.update([*_check_schedule(findings), *_check_masking_level(findings)])
-    return replace(together, problems=tuple(sorted(problems)))
+    return replace(together, problems=tuple(sorted(problems | shared)))
 
 
 def _check_memories(findings: Findings, apparatus: Apparatus, bursts: Sequence[Burst]) -> Iterator[Problem]:

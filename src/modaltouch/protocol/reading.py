@@ -20,6 +20,7 @@ from modaltouch.protocol.section import (
     keys_of,
     number_meant,
     plain_word,
+    unit_of,
 )
 from modaltouch.protocol.source import Source
 from modaltouch.protocol.tree import Node, parse_tree
@@ -221,8 +222,11 @@ def read_tree(source: Source, model: type[Model], root: Node | None, problems: I
 
 
 def _follows(details: Any, errors: Iterable[Any]) -> bool:
-    """Return whether a list is too short only because some of its items are invalid."""
+    """Return whether a list is too short only by its invalid items, or a key is absent only by its misspelling."""
     loc = details["loc"]
+    if details["type"] == "missing":
+        beside = [other["loc"] for other in errors if other["type"] == "extra_forbidden"]
+        return any(other[:-1] == loc[:-1] and suggest(str(other[-1]), [str(loc[-1])]) for other in beside)
     return details["type"] == "too_short" and any(
         len(other["loc"]) > len(loc) and other["loc"][: len(loc)] == loc for other in errors
     )
@@ -307,9 +311,11 @@ def _remedy(reading: Reading[Any], path: tuple[Step, ...], node: Node | None) ->
     if node is None:
         return ""
     if isinstance(node.content, str):
-        if "number" in allowed and number_meant(node.content):
-            unit = "; the unit is part of the key" if path and "_" in str(path[-1]) else ""
-            return f"write only the number: {number_meant(node.content)}{unit}"
+        number, after = number_meant(node.content) if "number" in allowed else ("", "")
+        if number and (unit := unit_of(path)) and after not in ("", unit):
+            return f"write the number in {unit}, without the unit"
+        if number:
+            return f"write only the number: {number}" + ("; the unit is part of the key" if unit else "")
         meant = suggest(node.content, allowed.split(", "))
         return f"did you mean '{meant}'?" if meant else ""
     if allowed == "text" and not isinstance(node.content, list | dict | None):

@@ -127,7 +127,7 @@ def describe(model: type[BaseModel], path: Iterable[Step]) -> str:
         return ""
     schema = known.json_schema()
     words = _in_words(schema, schema)
-    unit = next((_unit(step) for step in reversed(steps) if isinstance(step, str)), "")
+    unit = unit_of(steps)
     return words.replace("number", f"number [{unit}]", 1) if unit else words
 
 
@@ -223,6 +223,11 @@ _UNITS = {
 }
 
 
+def unit_of(path: Iterable[Step]) -> str:
+    """Return the unit that ends the last key of a path, or an empty string."""
+    return next((_unit(step) for step in reversed(tuple(path)) if isinstance(step, str)), "")
+
+
 def _unit(key: str) -> str:
     """Return the unit that ends a key, or an empty string.
 
@@ -234,16 +239,14 @@ def _unit(key: str) -> str:
 
 
 # A unit must follow, if anything: the 1 of 1_000, of 1/3 or of a date is not the number that was meant.
-_WITH_UNIT = re.compile(
-    r"\s*([-+]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?)\s*(?:(?:[^\W\d_]|[%°]).*|)"
-)
+_WITH_UNIT = re.compile(r"\s*([-+]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?)\s*((?:[^\W\d_]|[%°]).*|)")
 
 
-def number_meant(word: str) -> str:
-    """Return the number in a word such as ``80 mm/s``, or an empty string.
+def number_meant(word: str) -> tuple[str, str]:
+    """Return the number in a word such as ``80 mm/s`` and what follows it; both are empty if it is no number.
 
     >>> number_meant("80 mm/s"), number_meant("0,5"), number_meant("many")
-    ('80', '0.5', '')
+    (('80', 'mm/s'), ('0.5', ''), ('', ''))
     """
     match = _WITH_UNIT.fullmatch(word)
-    return match.group(1).replace(",", ".") if match else ""
+    return (match.group(1).replace(",", "."), match.group(2).strip()) if match else ("", "")
