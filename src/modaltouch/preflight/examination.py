@@ -366,8 +366,11 @@ def _examine_several(findings: Findings) -> Preflight:
     """Return the check of a protocol with several stimuli: of each alone, and of all together."""
     variants = {name: examine_findings(alone) for name, alone in findings.each_stimulus()}
     shared = {*_check_schedule(findings), *_check_masking_level(findings)}
-    own = {name: set(part.problems) - shared for name, part in variants.items()}
-    problems = {problem for name, each in own.items() for problem in findings.at_stimulus(name, each)}
+    problems = {
+        problem
+        for name, part in variants.items()
+        for problem in findings.at_stimulus(name, set(part.problems) - shared)
+    }
     first = next(iter(variants.values()))
     together = Preflight(findings, (), first.inputs, first.designed, variants)
     if not problems | shared and first.inputs is not None:

@@ -189,7 +189,6 @@ def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
         for noun, (kind, known) in zip(nouns, names.items(), strict=True):
             if (name := getattr(left_out, kind)) is not None and name not in known:
                 yield reading.unknown(("conditions", "exclude", index, kind), noun, known, _NAME_IT)
-                return
 
 
 def check_excluded(reading: Reading[Any]) -> Iterator[Problem]:

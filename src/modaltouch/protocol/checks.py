@@ -28,7 +28,8 @@ TRIAL_LIMIT = 10_000
 
 def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
     """Yield the faults between the keys of the sections conditions and schedule, as far as valid parts show them."""
-    if _is_uncrossed(reading):
+    # Most designs list and exclude no cells, and need no code for it.
+    if any(reading.find(("conditions", key)) for key in ("table", "cells", "exclude")):
         from modaltouch.protocol.cell_table import check_cells
 
         yield from check_cells(reading)
@@ -82,11 +83,6 @@ def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
             "add a pair of zones or lift the limit",
         ),
     )
-
-
-def _is_uncrossed(reading: Reading[Protocol]) -> bool:
-    """Return whether cells are listed or excluded; most designs do neither, and need no code for it."""
-    return any(reading.find(("conditions", key)) for key in ("table", "cells", "exclude"))
 
 
 def _check_stimuli(reading: Reading[Protocol]) -> Iterator[Problem]:
@@ -333,13 +329,9 @@ def _check_zones(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
     if (focus := protocol.sound("stimulus", "focus")) is not None and focus not in zones:
         yield protocol.unknown(("stimulus", "focus"), kind, zones)
     yield from protocol.unlisted(("stimulus", "further_foci"), kind, zones)
-    keys = ("zones",), ("zone_pairs",), ("exclude", "pair")
-    each = [
-        ("conditions", key, index, *own)
-        for key, *own in keys
-        for index in range(protocol.length("conditions", key) or 0)
-    ]
-    for path in each:
+    keys: tuple[tuple[str, ...], ...] = ("zones",), ("zone_pairs",), ("exclude", "pair")
+    for key, index in ((key, index) for key in keys for index in range(protocol.length("conditions", key[0]) or 0)):
+        path: tuple[str | int, ...] = "conditions", key[0], index, *key[1:]
         unknown = [position for position, name in protocol.items(*path) if name not in zones]
         yield from (protocol.unknown((*path, position), kind, zones) for position in unknown)
         listed = protocol.sound(*path)

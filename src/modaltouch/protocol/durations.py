@@ -88,10 +88,12 @@ def _check_period(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) ->
         is_rate = (
             protocol.sound(*section, "duration_ms") is None if own else is_elsewhere(protocol, "repetition_rate_Hz")
         )
-        key, most, unit = "duration_ms", MOST_OF_PERIOD * 1e3 / rate, "ms"
-        if is_rate:
-            key, most, unit = "repetition_rate_Hz", MOST_OF_PERIOD * 1e3 / duration, "bursts per second"
-        allowed = f"at most {most:.6g} {unit}, so that a burst is over before the next is triggered"
+        key, other, unit = (
+            ("repetition_rate_Hz", duration, "bursts per second") if is_rate else ("duration_ms", rate, "ms")
+        )
+        allowed = (
+            f"at most {MOST_OF_PERIOD * 1e3 / other:.6g} {unit}, so that a burst is over before the next is triggered"
+        )
         remedy = "shorten the burst, repeat it less often, or set generator.repetition to continuous"
         yield protocol.problem((*section, key), given, allowed, remedy)
 

@@ -98,13 +98,16 @@ class Findings:
         """
         if self.problems or not (self.protocol and self.apparatus and self.texts):
             raise InputError(self.problems)
-        protocol, apparatus, texts = self.protocol.value, self.apparatus.value, self.texts.value
-        if protocol is None or apparatus is None or texts is None:
-            raise InputError(self.problems)
-        calibration = None if self.calibration is None else self.calibration.source
-        fingers = None if self.fingers is None else self.fingers.source
-        files = self.protocol.source, self.apparatus.source, self.texts.source
-        sources = Sources(*files, calibration, self.field, fingers, self.table)
+        protocol, apparatus, texts = self.protocol.require(), self.apparatus.require(), self.texts.require()
+        sources = Sources(
+            self.protocol.source,
+            self.apparatus.source,
+            self.texts.source,
+            None if self.calibration is None else self.calibration.source,
+            self.field,
+            None if self.fingers is None else self.fingers.source,
+            self.table,
+        )
         if protocol.instructions:
             texts = texts.model_copy(update={"instructions": texts.named(protocol.instructions)})
         return Experiment(protocol, apparatus, texts, sources)
@@ -371,12 +374,12 @@ class Findings:
 
             fingers = load_fingers(protocol, problems)
             problems += check_measured(protocol, apparatus)
-        if protocol.value is not None and protocol.value.uncrossed_by[:1] == ("conditions",):
+        # A name that is misspelt elsewhere would be missed among the cells as well.
+        others = any(each.path.startswith(("conditions", "adaptive", "stimuli")) for each in problems)
+        if protocol.value is not None and protocol.value.uncrossed_by[:1] == ("conditions",) and not others:
             from modaltouch.protocol.cell_table import check_excluded
 
-            # A name that is misspelt elsewhere would be missed among the cells as well.
-            known = not any(each.path.startswith(("conditions", "adaptive", "stimuli")) for each in problems)
-            problems += check_excluded(protocol) if known else ()
+            problems += check_excluded(protocol)
         return cls(
             protocol, apparatus, texts, tuple(sorted(set(problems))), calibrated, field, fingers, table, occasion
         )

@@ -113,8 +113,12 @@ def _check_asked(reading: Reading[Any]) -> Iterator[Problem]:
             yield reading.problem(("answers", "intervals", step), given, allowed, "ask one of these questions")
     alone = {meaning for _, meaning in meanings} & {"same", "different"}
     if len(alone) == 1 and not named:
-        given = f"{alone.pop()} alone, so that the other answer is never right"
-        yield reading.problem(("answers", "intervals"), given, "same and different", "give both answers a meaning")
+        yield reading.problem(
+            ("answers", "intervals"),
+            f"{alone.pop()} alone, so that the other answer is never right",
+            "same and different",
+            "give both answers a meaning",
+        )
     places = reading.sound("intervals", "comparison_in") or range(1, 1 + (number or 0))
     if named and (unnamed := [place for place in places if place not in dict(meanings).values()]):
         given = f"no answer for interval {unnamed[0]}, which may hold the comparison"

@@ -88,24 +88,29 @@ def check_groups(source: Source, root: Node) -> list[Problem]:
         given = "a column group beside that of the protocol's groups"
         where = people.keys["group"]
         problems.append(Problem(str(source.path), *where, "people.group", given, "another name", "choose another"))
-    for name, group in _overrides(root, "groups").items():
-        schedule = group.child("schedule")
+
+    def refuse_sessions(node: Node, path: str, *said: str) -> None:
+        schedule = node.child("schedule")
         if schedule is not None and "sessions" in schedule.keys:
-            path, place = f"groups.{name}.schedule.sessions", schedule.keys["sessions"]
-            allowed, remedy = "the same sessions for all groups", "write them under schedule.sessions"
-            problems.append(Problem(str(source.path), *place, path, "sessions of one group", allowed, remedy))
+            problems.append(Problem(str(source.path), *schedule.keys["sessions"], f"{path}.schedule.sessions", *said))
+
+    for name, group in _overrides(root, "groups").items():
+        refuse_sessions(
+            group,
+            f"groups.{name}",
+            "sessions of one group",
+            "the same sessions for all groups",
+            "write them under schedule.sessions",
+        )
     section = root.child("schedule")
     listed, seen = None if section is None else section.child("sessions"), list[str]()
     for index, kind in enumerate(() if listed is None else listed.children):
-        called, schedule, path = kind.child("name"), kind.child("schedule"), f"schedule.sessions[{index}]"
+        called, path = kind.child("name"), f"schedule.sessions[{index}]"
         if called is not None and called.text in seen:
             given, place, remedy = f"{called.text!r} again", (called.line, called.column), "choose another, or `times`"
             problems.append(Problem(str(source.path), *place, f"{path}.name", given, "each name once", remedy))
         seen += [] if called is None else [called.text]
-        if schedule is not None and "sessions" in schedule.keys:
-            place, allowed, remedy = schedule.keys["sessions"], "none", "write `times`, or another kind"
-            path = f"{path}.schedule.sessions"
-            problems.append(Problem(str(source.path), *place, path, "sessions of one kind", allowed, remedy))
+        refuse_sessions(kind, path, "sessions of one kind", "none", "write `times`, or another kind")
     return problems
 
 

@@ -53,8 +53,8 @@ class Problem:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the problem as plain values for ``--json``."""
-        values = asdict(self) | {"path": self.written or self.path, "message": self.message}
-        return {key: value for key, value in values.items() if key != "written"}
+        own = {"path": self.written or self.path, "message": self.message}
+        return {key: value for key, value in (asdict(self) | own).items() if key != "written"}
 
 
 class InputError(Exception):

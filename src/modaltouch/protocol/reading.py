@@ -100,12 +100,11 @@ class Reading(Generic[Model]):
         node = self.find(path)
         if node is None or not isinstance(node.content, dict | list):
             value = self.sound(*path)
-            if isinstance(value, dict):
-                return list(value.items())
-            return list(enumerate(value)) if isinstance(value, tuple) else []
+            return list(
+                value.items() if isinstance(value, dict) else enumerate(value if isinstance(value, tuple) else ())
+            )
         steps = list(node.content) if isinstance(node.content, dict) else list(range(len(node.content)))
-        values = [(step, self.sound(*path, step)) for step in steps]
-        return [(step, value) for step, value in values if value is not None]
+        return [(step, value) for step in steps if (value := self.sound(*path, step)) is not None]
 
     def require(self) -> Model:
         """Return the content of the text; raise `InputError` with every fault if there is any."""
@@ -155,8 +154,8 @@ class Reading(Generic[Model]):
         """Return a problem with the place of the value (or key) at a path, or of its nearest existing parent."""
         steps = tuple(path)
         (file, line, column), written = self._place(steps, at_key=at_key)
-        place = file or str(self.source.path), line, column
-        return Problem(*place, format_path(steps), given, allowed, remedy, format_path(written))
+        own = file or str(self.source.path)
+        return Problem(own, line, column, format_path(steps), given, allowed, remedy, format_path(written))
 
     def faults(self, *known: tuple[object, Iterable[Step], str, str, str]) -> Iterator[Problem]:
         """Yield a problem for each tuple (condition, path, given, allowed, remedy) whose condition is true."""
@@ -223,12 +222,15 @@ def read_tree(source: Source, model: type[Model], root: Node | None, problems: I
 
 def _follows(details: Any, errors: Iterable[Any]) -> bool:
     """Return whether a list is too short only by its invalid items, or a key is absent only by its misspelling."""
-    loc = details["loc"]
-    if details["type"] == "missing":
-        beside = [other["loc"] for other in errors if other["type"] == "extra_forbidden"]
-        return any(other[:-1] == loc[:-1] and suggest(str(other[-1]), [str(loc[-1])]) for other in beside)
-    return details["type"] == "too_short" and any(
-        len(other["loc"]) > len(loc) and other["loc"][: len(loc)] == loc for other in errors
+    loc, kind = details["loc"], details["type"]
+    return any(
+        (kind == "too_short" and len(other["loc"]) > len(loc) and other["loc"][: len(loc)] == loc)
+        or (
+            (kind, other["type"]) == ("missing", "extra_forbidden")
+            and other["loc"][:-1] == loc[:-1]
+            and suggest(str(other["loc"][-1]), [str(loc[-1])])
+        )
+        for other in errors
     )
 
 
@@ -243,8 +245,7 @@ def _translate(reading: Reading[Any], details: Any) -> Problem:
         return reading.unknown(path, "a key here", known, _home_of(reading.model, path), at_key=True)
     if details["loc"] and details["loc"][-1] == "[key]":
         allowed = context.get("expected") or "a word of letters, digits, _ and -"
-        meant = "" if "expected" in context else plain_word(path[-1])
-        remedy = f"write '{meant}'" if meant else ""
+        remedy = f"write '{meant}'" if "expected" not in context and (meant := plain_word(path[-1])) else ""
         return reading.problem(path, f"{path[-1]!r} as a key", allowed.replace(" or ", ", "), remedy, at_key=True)
     if kind == "missing" and path and isinstance(path[-1], str):
         allowed = describe(reading.model, path)
@@ -312,10 +313,10 @@ def _remedy(reading: Reading[Any], path: tuple[Step, ...], node: Node | None) ->
         return ""
     if isinstance(node.content, str):
         number, after = number_meant(node.content) if "number" in allowed else ("", "")
-        if number and (unit := unit_of(path)) and after not in ("", unit):
-            return f"write the number in {unit}, without the unit"
         if number:
-            return f"write only the number: {number}" + ("; the unit is part of the key" if unit else "")
+            unit = unit_of(path)
+            only = f"write only the number: {number}" + ("; the unit is part of the key" if unit else "")
+            return f"write the number in {unit}, without the unit" if unit and after not in ("", unit) else only
         meant = suggest(node.content, allowed.split(", "))
         return f"did you mean '{meant}'?" if meant else ""
     if allowed == "text" and not isinstance(node.content, list | dict | None):

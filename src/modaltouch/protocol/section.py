@@ -224,17 +224,12 @@ _UNITS = {
 
 
 def unit_of(path: Iterable[Step]) -> str:
-    """Return the unit that ends the last key of a path, or an empty string."""
-    return next((_unit(step) for step in reversed(tuple(path)) if isinstance(step, str)), "")
+    """Return the unit that ends the last key of a path, or an empty string.
 
-
-def _unit(key: str) -> str:
-    """Return the unit that ends a key, or an empty string.
-
-    >>> _unit("peak_velocities_mm_s"), _unit("gain_V_per_V"), _unit("sensitivity_mm_s_per_V"), _unit("zones")
-    ('mm/s', 'V/V', 'mm/s per V', '')
+    >>> [unit_of([key, 0]) for key in ("peak_velocities_mm_s", "gain_V_per_V", "sensitivity_mm_s_per_V", "zones")]
+    ['mm/s', 'V/V', 'mm/s per V', '']
     """
-    words = key.split("_")
+    words = next((step for step in reversed(tuple(path)) if isinstance(step, str)), "").split("_")
     return next((_UNITS[end] for n in range(1, len(words)) if (end := "_".join(words[n:])) in _UNITS), "")
 
 

@@ -6,7 +6,6 @@ The tree is built from the parser's events, so that nesting, aliases and tags ar
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import Any, NoReturn
@@ -118,12 +117,12 @@ class Node:
             return self.content[key]
         return None
 
-    def paths_of(self, wanted: Node) -> Iterator[tuple[str | int, ...]]:
-        """Yield every path to a node, which may be below several keys."""
+    def paths_of(self, wanted: Node) -> list[tuple[str | int, ...]]:
+        """Return every path to a node, which may be below several keys; empty for the node itself."""
+        found: list[tuple[str | int, ...]] = [()] if self is wanted else []
         for step, child in self.content.items() if isinstance(self.content, dict) else enumerate(self.children):
-            if child is wanted:
-                yield (step,)
-            yield from ((step, *rest) for rest in child.paths_of(wanted))
+            found += [(step, *rest) for rest in child.paths_of(wanted)]
+        return found
 
     def with_child(self, key: str, child: Node) -> Node:
         """Return the mapping with a value under a key; the place of a new key is where the value begins."""
