@@ -198,8 +198,12 @@ def check_excluded(reading: Reading[Any]) -> Iterator[Problem]:
     every = [(name, cell) for name in conditions.finger_conditions for cell in protocol.cells(name, excluded=True)]
     for index, left_out in enumerate(conditions.exclude):
         if not any(left_out.holds(*each) for each in every):
-            given, remedy = "cells that are not in the design", "correct it, or remove it"
-            yield reading.problem(("conditions", "exclude", index), given, "cells of the design", remedy)
+            yield reading.problem(
+                ("conditions", "exclude", index),
+                "cells that are not in the design",
+                "cells of the design",
+                "correct it, or remove it",
+            )
     empty = [name for name in conditions.finger_conditions if not protocol.cells(name)]
     if conditions.exclude and len(empty) == len(conditions.finger_conditions):
         given, allowed = "every cell of the design", "some of them, so that there are trials"

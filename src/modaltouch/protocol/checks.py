@@ -330,7 +330,7 @@ def _check_zones(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> 
         yield protocol.unknown(("stimulus", "focus"), kind, zones)
     yield from protocol.unlisted(("stimulus", "further_foci"), kind, zones)
     keys: tuple[tuple[str, ...], ...] = ("zones",), ("zone_pairs",), ("exclude", "pair")
-    for key, index in ((key, index) for key in keys for index in range(protocol.length("conditions", key[0]) or 0)):
+    for key, index in ((each, index) for each in keys for index in range(protocol.length("conditions", each[0]) or 0)):
         path: tuple[str | int, ...] = "conditions", key[0], index, *key[1:]
         unknown = [position for position, name in protocol.items(*path) if name not in zones]
         yield from (protocol.unknown((*path, position), kind, zones) for position in unknown)

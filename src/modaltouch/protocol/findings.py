@@ -99,15 +99,8 @@ class Findings:
         if self.problems or not (self.protocol and self.apparatus and self.texts):
             raise InputError(self.problems)
         protocol, apparatus, texts = self.protocol.require(), self.apparatus.require(), self.texts.require()
-        sources = Sources(
-            self.protocol.source,
-            self.apparatus.source,
-            self.texts.source,
-            None if self.calibration is None else self.calibration.source,
-            self.field,
-            None if self.fingers is None else self.fingers.source,
-            self.table,
-        )
+        files = getattr(self.calibration, "source", None), self.field, getattr(self.fingers, "source", None), self.table
+        sources = Sources(self.protocol.source, self.apparatus.source, self.texts.source, *files)
         if protocol.instructions:
             texts = texts.model_copy(update={"instructions": texts.named(protocol.instructions)})
         return Experiment(protocol, apparatus, texts, sources)
@@ -117,10 +110,8 @@ class Findings:
 
         Parameters
         ----------
-        path : iterable of str or int
-            Key within the file.
-        given, allowed, remedy : str
-            As in `Problem`.
+        path, given, allowed, remedy
+            As in `Reading.problem`.
 
         Raises
         ------

@@ -154,8 +154,16 @@ class Reading(Generic[Model]):
         """Return a problem with the place of the value (or key) at a path, or of its nearest existing parent."""
         steps = tuple(path)
         (file, line, column), written = self._place(steps, at_key=at_key)
-        own = file or str(self.source.path)
-        return Problem(own, line, column, format_path(steps), given, allowed, remedy, format_path(written))
+        return Problem(
+            file or str(self.source.path),
+            line,
+            column,
+            format_path(steps),
+            given,
+            allowed,
+            remedy,
+            format_path(written),
+        )
 
     def faults(self, *known: tuple[object, Iterable[Step], str, str, str]) -> Iterator[Problem]:
         """Yield a problem for each tuple (condition, path, given, allowed, remedy) whose condition is true."""
