@@ -595,6 +595,19 @@ def test_a_word_for_no_answer_stands_for_no_rating_either(write_csv, paper_rows)
     assert (len(read.frame), read.frame["value"].min()) == (len(rows) - 1, 4)
 
 
+@pytest.mark.parametrize("left_out", [{"response": ""}, {"response": "n/a"}, {}])
+def test_ratings_need_no_word_for_the_response(write_csv, paper_rows, left_out) -> None:
+    """Reference: the same numbers beside the record's own word; a row without a number has no answer."""
+    design = {"answers": {"scale": {"kind": "likert"}}}
+    form = TableFormat(AnswerList.of(design["answers"]), design=design)
+    rows = [row | {"value": 1 + place % 7 if place else ""} for place, row in enumerate(paper_rows)]
+    told = write_csv([row | {"response": "rated"} for row in rows])
+    bare = write_csv([{k: v for k, v in row.items() if k != "response"} | left_out for row in rows], "bare.csv")
+    expected, found = (read_responses(path, table_format=form).frame for path in (told, bare))
+    assert len(found) == len(rows) - 1 and found["value"].tolist() == expected["value"].tolist()
+    assert set(found["response"]) == {"rated"}
+
+
 def test_a_level_of_zero_is_said_to_be_that_of_a_catch_trial(write_csv, paper_rows) -> None:
     """As the record's own table writes it, where the column `catch` was lost."""
     with pytest.raises(InputError, match=r"given '0'; allowed: .*; mark catch trials by a 1 in a column `catch`"):

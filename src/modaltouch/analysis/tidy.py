@@ -62,7 +62,7 @@ def read_csv(
         also ``exclude``, ``withdrawn``, ``invalid``), ``mode``, ``stimulus``, ``session``, ``session_kind`` and any
         others, which are kept. If any response is ``none``, that was an answer, unless `table_format` has the answers.
         If ``multiple_of_threshold`` is filled in, it is the level. Sessions of a kind count as repetitions, as many as
-        all participants have.
+        all participants have. If the answers are ratings, ``response`` may be left out.
     table_format : TableFormat, optional
         How the words are to be read.
     mode, stimulus : str, optional
@@ -74,7 +74,7 @@ def read_csv(
         With all faults of the fields; if there are none, with all faults of the balance.
     """
     table_format = table_format or TableFormat()
-    table = choose_rows(read_table(path, (*REQUIRED, *table_format.asked)), "mode", mode)
+    table = choose_rows(_with_responses(path, table_format), "mode", mode)
     table = table if stimulus is None else choose_rows(table, "stimulus", stimulus)
     table, left_out, notes = choose_sessions(table)
     fields, columns = table.fields, _Columns(table)
@@ -99,7 +99,7 @@ def read_csv(
         given,
         (),
         tuple(left_out),
-        AnswerSource(table.file, "csv", table.sha256, _mode_of(fields)),
+        AnswerSource(table.file, "csv", table.sha256, next(iter({*fields.get("mode", ())} - {*_EMPTY}), "")),
         foci[0],
         catches=sum_catches(silent.reindex(columns=_TOLD, fill_value="").itertuples(index=False, name=None)),
         answers=answers,
@@ -111,9 +111,14 @@ def read_csv(
     )
 
 
-def _mode_of(fields: pd.DataFrame) -> str:
-    """Return the mode that a table states; empty if it does not."""
-    return next((mode for mode in fields.get("mode", ()) if mode not in _EMPTY), "")
+def _with_responses(path: Path, table_format: TableFormat) -> Table:
+    """Return a table with a column of responses, which ratings may do without: the number itself is the answer."""
+    is_rated = "value" in table_format.asked
+    table = read_table(path, (*REQUIRED[: -1 if is_rated else None], *table_format.asked))
+    if not is_rated or set(table.fields.get("response", ())) - set(_EMPTY):
+        return table
+    (rated,) = AnswerList.of(table_format.design["answers"]).names
+    return replace(table, fields=table.fields.assign(response=pd.Categorical([rated] * len(table.fields))))
 
 
 def _with_missing(part: pd.DataFrame, usual: int) -> pd.DataFrame:
@@ -215,7 +220,7 @@ def _frame_of(
             frame[name] = columns.numbers(name, "a number, or nothing", empty=True)
         else:
             frame[name] = fields[name].astype("str")
-    if "value" in frame and "value" in table_format.asked:
+    if "value" in table_format.asked:
         frame["response"] = frame["response"].where(frame["value"].notna())  # no rating is no answer
     if "interval" in table_format.asked:
         frame["interval"] = columns.whole_numbers("interval", 1, table_format.design["intervals"]["number"])
@@ -253,8 +258,8 @@ def choose_sessions(table: Table) -> tuple[Table, list[ExcludedSource], list[str
     place = session.groupby([who, kind], sort=False).transform(lambda own: pd.factorize(own)[0])
     fewest = place.groupby([who, kind]).max().groupby(level=1).min() + 1
     beyond, most = place >= kind.map(fewest), int(fewest.max())
-    reason = f"sessions beyond the first {most}: not every participant has that many"
-    left_out = [ExcludedSource(f"{table.file}: {beyond.sum()} rows", reason)] if beyond.any() else []
+    why = f"sessions beyond the first {most}: not every participant has that many"
+    left_out = [ExcludedSource(f"{table.file}: {beyond.sum()} rows", why)] * bool(beyond.any())
     notes = [f"{most} sessions of each participant taken together, as repetitions"] if most > 1 else []
     return replace(table, fields=table.fields[~beyond]), left_out, notes
 
