@@ -55,7 +55,7 @@ def test_the_page_holds_what_a_preregistration_needs(page: Path) -> None:
     for heading in ("Design", "Hypotheses and tests", "Margins", "Exclusion rules", "Sample size"):
         assert f"\n## {heading}\n" in text
     assert "| participants | 3 |" in text
-    assert "| a2 | is one zone chosen more than the other? | exact sign-flip test of net dominance | 6: one" in text
+    assert "| a2 | is one zone chosen more than the other by any participant? | exact sign-flip test of net dom" in text
     assert "share of 20 simulated experiments" in text and "seed 1" in text
     assert ", commit `" in text
     assert "&" not in text

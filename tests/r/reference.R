@@ -16,7 +16,7 @@ rows_of <- function(name) tests[grepl(name, tests$name, fixed = TRUE) & !is.na(t
 scope_of <- function(table) paste(table$finger_condition, table$pair)
 
 # Cells against chance, and the share that chose the dominant zone: outcomes counted one by one, and binom.test.
-cells <- rows_of("exact multinomial test against chance")
+cells <- rows_of("exact multinomial test of all answers against chance")
 if (nrow(cells) && "zone" %in% names(answers)) {
   likelihood <- function(k) 2 * sum(ifelse(k > 0, k * log(k * length(k) / sum(k)), 0))
   exact <- function(k) {

@@ -34,7 +34,8 @@ def _cautions(answers: AnswerCounts) -> dict[str, str]:
     """Return what a reader of a question's numbers should know, by question."""
     felt = [answers.answers[place].name for place in answers.felt]
     return {
-        "a1": f"Cells are tested against an even split over {', '.join(felt[:-1])} and {felt[-1]}"
+        "a1": "Each p is of all answers in a cell, tested against an even split over "
+        f"{', '.join(felt[:-1])} and {felt[-1]}; each interval is of one share, and may hold chance, however small p is"
         + (
             "; an answer that nothing was felt is left out of this test, and counts in every share."
             * answers.offers_none

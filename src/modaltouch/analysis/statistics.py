@@ -171,9 +171,8 @@ def level_tests(answers: AnswerCounts) -> FamilyResult | None:
         return None
     scopes, labels, shares = _levels_of(answers)
     test = trend_test(shares.given, answers.levels, shares.answered if shares.is_short else shares.asked)
-    alone = []
-    if (shares.answered.sum(axis=-1) > MOST_EXACT).any():
-        alone.append(f"p by the normal law of the sum, as there are more than {MOST_EXACT} answers of each participant")
+    n_most = shares.answered.sum(axis=-1).max()
+    many = f"p by the normal law of the sum, as there are more than {MOST_EXACT} answers of each participant"
     return FamilyResult(
         scopes,
         [f"change of P({label}) with the level" for label in labels],
@@ -181,7 +180,7 @@ def level_tests(answers: AnswerCounts) -> FamilyResult | None:
         Interval.point(np.full(test.statistic.shape, math.nan), answers.n_participants),
         notes=lambda place: [
             f"{test.n_informative[place]} of {answers.n_participants} participants changed their answer",
-            *alone,
+            many if n_most > MOST_EXACT else "",
         ],
     )
 
@@ -258,11 +257,12 @@ _ON_AVERAGE = "mean over participants, test and interval of a bounded mean"
 
 STATISTICS: dict[str, Statistic] = {
     "a1": Statistic(
-        "a1", "does a cell differ from guessing", "exact multinomial test against chance", chance_tests,
-        "share", lambda levels, n, n_repetitions, margin: float(multinomial_test([n, 0, 0]).p), against_guessing=True,
+        "a1", "does a cell differ from guessing",
+        "exact multinomial test of all answers against chance, interval of one share", chance_tests, "share",
+        lambda levels, n, n_repetitions, margin: float(multinomial_test([n, 0, 0]).p), against_guessing=True,
     ),
     "a2": Statistic(
-        "a2", "is one zone chosen more than the other", "exact sign-flip test of net dominance",
+        "a2", "is one zone chosen more than the other by any participant", "exact sign-flip test of net dominance",
         lambda answers: signs_of(dominance(answers)),
     ),
     "a2 mean": Statistic(
