@@ -149,7 +149,7 @@ def _whole(file: str, given: str, allowed: str, remedy: str) -> Problem:
 
 
 def _form(required: Sequence[str]) -> str:
-    return f"a table with the columns {', '.join(required)}"
+    return f"a table with one answer per row and the columns {', '.join(required)}"
 
 
 def _read_text(path: Path) -> tuple[bytes, str]:
@@ -191,7 +191,7 @@ def _check_header(file: str, line: int, header: list[str], required: Sequence[st
         raise InputError([Problem(file, line, 1, "", given, _form(required), "name the columns in the first line")])
     for name in missing:
         meant = suggest(name, [other for other in header if other and other not in {*required, "session"}])
-        remedy = f"rename {meant!r}" if meant else f"add the column {name}"
+        remedy = f"rename {meant!r}" if meant else f"add the column {name}, or rename the one that holds it"
         problems.append(Problem(file, line, 1, name, f"columns {found}", _form(required), remedy))
     for name in sorted({name for name in header if header.count(name) > 1}):
         given = f"{header.count(name)} columns named {name!r}"

@@ -228,10 +228,10 @@ def tell(found: Power, target: float) -> None:
 
     console = Console()
     study = found.study
-    what = "False alarms where no effect is simulated" if study.null else "Power"
+    what = "False alarms, with no effect simulated, of" if study.null else "Power of"
     observer = escape(study.observer.name)
     console.print(
-        f"[bold]{what}[/] of {study.design.title} with observer {observer}: share of {_done(found)} in "
+        f"[bold]{what}[/] {study.design.title} with observer {observer}: share of {_done(found)} in "
         f"which at least one test of a family is significant at {study.alpha:g} after Holm's correction, in per cent "
         "with a 95 % interval"
     )
