@@ -16,6 +16,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from modaltouch.analysis.findings import ALPHA
 from modaltouch.analysis.intervals import CONFIDENCE, Interval
 from modaltouch.analysis.shares import mean_of_known
 
@@ -25,9 +26,6 @@ _SEED, _DRAWS, _TAIL = 20080501, 1999, (1 - CONFIDENCE) / 2
 
 _AT_ONCE = 1_000_000
 """Random weights held at once: limits the memory used [1]."""
-
-_LEVEL = 0.05
-"""Significance level of the tests within participants [1]."""
 
 
 def ac1_interval(answers: ArrayLike) -> Interval:
@@ -114,4 +112,4 @@ def prevalence(n_positive: int, n_participants: int) -> float:
     float
         Ince et al. (2021): (k/n - alpha) / (1 - alpha), not below zero [1].
     """
-    return max((n_positive / n_participants - _LEVEL) / (1 - _LEVEL), 0.0)
+    return max((n_positive / n_participants - ALPHA) / (1 - ALPHA), 0.0)

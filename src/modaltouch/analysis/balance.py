@@ -85,7 +85,7 @@ def say_doubled(table: Table) -> list[str]:
     """Return a note if every row of a table occurs several times, which repetitions alone seldom cause."""
     times = math.gcd(*pd.util.hash_pandas_object(table.fields, index=False).value_counts().tolist())
     said = f"every row occurs {times} times, taken as repetitions: if the table was pasted together, remove the copies"
-    return [said] if times > 1 else []
+    return [said] * (times > 1)
 
 
 def check_unit(table: Table, frame: pd.DataFrame, design: Mapping[str, Any]) -> list[Problem]:

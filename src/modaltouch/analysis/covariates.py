@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -192,8 +191,7 @@ def _rounded(interval: Interval, known: float) -> Interval:
     if not known > 0:
         return interval
     digits = max(0, -math.ceil(math.log10(known)))
-    estimate, low, high = (round(each, digits) for each in (interval.estimate, interval.low, interval.high))
-    return replace(interval, estimate=estimate, low=low, high=high)
+    return interval.changed(lambda value: round(value, digits))
 
 
 def speed_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Finding]:

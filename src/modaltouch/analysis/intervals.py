@@ -151,8 +151,4 @@ def matched_odds_ratio(only_first: int, only_second: int) -> Interval:
         0 to infinity, with NaN as the estimate, if no pair is discordant.
     """
     share = clopper_pearson(only_first, only_first + only_second)
-
-    def odds(p: float) -> float:
-        return math.inf if p == 1 else p / (1 - p)
-
-    return Interval(odds(share.estimate), odds(share.low), odds(share.high), share.n_effective)
+    return share.changed(lambda p: math.inf if p == 1 else p / (1 - p))
