@@ -5,11 +5,15 @@ from __future__ import annotations
 from itertools import combinations, product
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy import optimize, stats
 from statsmodels.stats.multitest import multipletests
 
 from modaltouch.analysis.agreement import ac1_interval, agreement_between
+from modaltouch.analysis.consistency import consistency_findings
+from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.covariates import side_findings
 from modaltouch.analysis.exact import multinomial_test, sign_flip_test
 from modaltouch.analysis.findings import holm
 from modaltouch.analysis.intervals import matched_odds_ratio
@@ -118,3 +122,34 @@ def test_the_multinomial_test_and_the_exponent_are_those_of_scipy(rng) -> None:
     line, found = stats.linregress(np.log(levels), np.log(rated)), power_law(levels, rated)
     half = stats.t.ppf(0.975, 10) * line.stderr
     assert (found.estimate, found.low, found.high) == pytest.approx((line.slope, line.slope - half, line.slope + half))
+
+
+def test_agreement_side_bias_and_prevalence_are_those_of_single_answers(rng) -> None:
+    """Six people, five answers a cell: pairs of people for AC1, shares for the side, scipy's sign test of each."""
+    kinds, pairs = ("left", "both", "right"), (("A", "C"), ("C", "E"))
+    cells = [*product(range(6), pairs, (80.0, 150.0), range(5))]
+    words = [str(rng.choice(kinds, p=(0.2, 0.2, 0.6) if pair[1] == "C" else (0.5, 0.3, 0.2))) for _, pair, *_ in cells]
+    rows = [
+        {"participant": f"p{who}", "finger_condition": "one_hand", "zone_left": left, "zone_right": right,
+         "velocity_mm_s": level, "response": word, "n": 1}
+        for (who, (left, right), level, _), word in zip(cells, words, strict=True)
+    ]  # fmt: skip
+    answers = count_answers(pd.DataFrame(rows), "C")
+    found = {
+        row.name.split(",")[0]: row for row in (*side_findings(answers), *reversed([*consistency_findings(answers)]))
+    }
+    given = np.zeros((6, 2, 2, 3))
+    for (who, pair, level, _), word in zip(cells, words, strict=True):
+        given[who, pairs.index(pair), int(level > 100), kinds.index(word)] += 1 / 5
+    own = given[:, 0]
+    alike = np.mean([(own[a] * own[b]).sum(axis=-1) for a, b in combinations(range(6), 2)])
+    popular = own.mean(axis=(0, 1))
+    chance = (popular * (1 - popular)).sum() / 2
+    assert close(found["agreement between participants"].estimate, (alike - chance) / (1 - chance))
+    side = given[:, 0, :, 2].mean() - given[:, 1, :, 0].mean()
+    assert close(found["side bias"].estimate, side)
+    ahead = [(round(5 * each[:, 2].sum()), round(5 * each[:, 0].sum())) for each in own]
+    n_shown = sum(a > b and stats.binomtest(a, a + b).pvalue <= 0.05 for a, b in ahead)
+    exact = stats.binomtest(n_shown, 6).proportion_ci(method="exact")
+    shown = found["prevalence of dominance"]
+    assert (shown.estimate, shown.low, shown.high) == pytest.approx((n_shown / 6, exact.low, exact.high))
