@@ -9,6 +9,7 @@ import pytest
 
 from modaltouch.analysis.contrasts import Contrast, signs_of
 from modaltouch.analysis.counts import count_answers
+from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import holm, to_frame
 from modaltouch.analysis.shares import Shares
 from modaltouch.analysis.statistics import find, level_tests
@@ -236,3 +237,25 @@ def test_equivalence_is_said_where_it_is_shown_and_where_it_is_not(paper_frame) 
         inside = (-margin < alike["low"]) & (alike["high"] < margin)
         assert inside.equals(alike["p"] <= 0.05)
     assert "c alike" not in set(run_tests(paper_frame)["family"])
+
+
+def test_flips_leave_out_who_has_far_more_answers_to_one_of_two() -> None:
+    """Eight answers against one, all as likely: of 400 experiments of rare answers a fifth were significant."""
+    rng, shape = np.random.default_rng(8), (400, 1, 20, 4)
+    first, second = (Shares(rng.binomial(n, 0.01, shape), np.full(shape, n), 8) for n in (8, 1))
+    naive = (first.given * second.answered - second.given * first.answered).sum(axis=-1)
+    assert (sign_flip_test(naive).p <= 0.05).mean() > 0.15
+    assert (signs_of(Contrast(["all"], ["P"], first, second)).test.p == 1).all()
+
+
+def test_half_as_many_answers_still_count() -> None:
+    """Eight against four: the level holds, and the note says who was left out of another test."""
+    rng, shape = np.random.default_rng(9), (2000, 1, 20, 4)
+    first, second = (Shares(rng.binomial(n, 0.03, shape), np.full(shape, n), 8) for n in (8, 4))
+    found = signs_of(Contrast(["all"], ["P"], first, second))
+    assert 0.02 < (found.test.p <= 0.05).mean() < 0.05
+    few = np.where(np.arange(20) < 3, 1, 8)[None, :, None]
+    told = signs_of(Contrast(["all"], ["P"], Shares(few * 0, few, 8), Shares(few * 0, 0 * few + 8, 8)))
+    assert told.notes(0) == [
+        "3 participants with more than twice as many answers to one as to the other left out of the test"
+    ]

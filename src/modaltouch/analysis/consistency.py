@@ -19,8 +19,6 @@ from modaltouch.analysis.shares import Shares
 
 IntArray = NDArray[np.int64]
 
-_NO_INTERVAL = Interval(math.nan, math.nan, math.nan, 0.0)
-
 AGREEMENT = "agreement between participants"
 SHARE = "share of answers over levels, interval of a bounded mean over participants"
 PAIRED = "paired difference in a cell, interval of a bounded mean over participants"
@@ -32,8 +30,8 @@ def consistency_findings(answers: AnswerCounts) -> Iterator[Finding]:
     for f, q, scope in answers.pair_cells:
         pair, own = answers.pairs[q], answers.counts[:, f, q]
         agreement = float(agreement_between(own, np.ones((1, n)))[0][0])
-        notes = ["" if math.isnan(agreement) else f"pairwise agreement {agreement:.2f}"]
-        yield finding_of("e", AGREEMENT, scope, None, "Gwet AC1", ac1_interval(own), n, notes=notes)
+        said = "" if math.isnan(agreement) else f"pairwise agreement {agreement:.2f}"
+        yield finding_of("e", AGREEMENT, scope, None, "Gwet AC1", ac1_interval(own), n, notes=[said])
         if answers.compares:
             first, second = (
                 own[..., place(pair)].sum(axis=1) for place in (answers.dominant_place, answers.other_place)
@@ -106,11 +104,12 @@ def _prevalence(answers: AnswerCounts, first: IntArray, second: IntArray, scope:
     least = 2.0 ** (1 - answers.n_answers)
     if least > ALPHA:
         note = f"no information: {answers.n_answers} answers of one participant cannot give p below {least:.2g}"
-        return finding_of("e", "prevalence of dominance", scope, None, quantity, _NO_INTERVAL, n, notes=[note])
+        return finding_of(
+            "e", "prevalence of dominance", scope, None, quantity, Interval.point(math.nan, 0), n, notes=[note]
+        )
     shown = int(shows_dominance(first, second).sum())
     note = (
         f"{shown} of {n} have a significant sign test by themselves; "
         f"likeliest prevalence {prevalence(shown, n):.2f} (Ince 2021)"
     )
-    share = clopper_pearson(shown, n)
-    return finding_of("e", "prevalence of dominance", scope, None, quantity, share, n, notes=[note])
+    return finding_of("e", "prevalence of dominance", scope, None, quantity, clopper_pearson(shown, n), n, notes=[note])

@@ -134,16 +134,29 @@ class Contrast:
 def signs_of(contrast: Contrast | None) -> FamilyResult | None:
     """Return exact tests of the null hypothesis that each participant's two shares are exchangeable.
 
-    Repetitions have no natural partner, so every pairing of answers to the same level counts.
+    Repetitions have no natural partner, so every pairing of answers to the same level counts. Flips hold their level
+    only if neither condition has far more answers, so participants with more than twice as many to one do not count.
     """
     if contrast is None:
         return None
     first, second = contrast.first, contrast.second
     score = (first.given * second.answered - second.given * first.answered).sum(axis=-1)
-    score = score if first.is_short or second.is_short else score // first.asked
     mean = contrast.scores.mean
     interval = Interval.point(mean.estimate, mean.n)
-    return FamilyResult(contrast.scopes, contrast.quantities, sign_flip_test(score), interval, notes=contrast.notes)
+    sizes = np.stack([first.answered, second.answered])
+    totals = np.where(sizes.min(axis=0) > 0, sizes, 0).sum(axis=-1)
+    uneven = totals.max(axis=0) > 2 * totals.min(axis=0)
+
+    def notes(place: int) -> list[str]:
+        n = int(uneven[place].sum())
+        return [
+            *contrast.notes(place),
+            f"{n} participants with more than twice as many answers to one as to the other left out of the test"
+            * (n > 0),
+        ]
+
+    score = np.where(uneven, 0, score if first.is_short or second.is_short else score // first.asked)
+    return FamilyResult(contrast.scopes, contrast.quantities, sign_flip_test(score), interval, notes=notes)
 
 
 def means_of(scores: MeanScores | None) -> FamilyResult | None:

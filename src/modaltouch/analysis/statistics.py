@@ -123,10 +123,10 @@ def dominance(answers: AnswerCounts) -> Contrast | None:
             for label, kind in answers.labelled(pairs[q])
         ]
         chosen = ", ".join(given) + (f" and {last}" if answers.offers_none else f", {last}")
-        leaning = (
-            f"{int((score[place] > 0).sum())} of {answers.n_participants} participants lean to {pairs[q].dominant}"
-        )
-        return [f"{chosen} of {int(first.answered[place].sum())} answers", leaning]
+        return [
+            f"{chosen} of {int(first.answered[place].sum())} answers",
+            f"{int((score[place] > 0).sum())} of {answers.n_participants} participants lean to {pairs[q].dominant}",
+        ]
 
     return Contrast(
         [scope for *_, scope in answers.pair_cells],
@@ -144,13 +144,10 @@ def leaning_findings(answers: AnswerCounts) -> Iterator[Finding]:
     test, share = sign_test(score), clopper_pearson((score > 0).sum(axis=-1), leaning)
     for place, (_, q, scope) in enumerate(answers.pair_cells):
         quantity = f"share leaning to {answers.pairs[q].dominant} of those who lean"
-        name = "exact sign test of leaning participants"
-        yield finding_of("a2", name, scope, test[place], quantity, share[place], int(leaning[place]))
-
-
-def _of(label: str, needed: object) -> str:
-    """Return an answer as the end of a scope, if that would be ambiguous without it."""
-    return f" {label}" if needed else ""
+        yield finding_of(
+            "a2", "exact sign test of leaning participants", scope, test[place], quantity, share[place],
+            int(leaning[place]),
+        )  # fmt: skip
 
 
 def _levels_of(answers: AnswerCounts) -> tuple[list[str], list[str], Shares]:
@@ -161,7 +158,7 @@ def _levels_of(answers: AnswerCounts) -> tuple[list[str], list[str], Shares]:
     shape = (*answers.counts.shape[:-5], -1, *of_pairs.shape[-2:])
     labels = [label for _, q, _ in answers.pair_cells for label, _ in answers.effects(answers.pairs[q])[: len(effects)]]
     places = [scope for *_, scope in answers.pair_cells for _ in effects]
-    scopes = [f"{place}{_of(label, len(effects) > 1)}" for place, label in zip(places, labels, strict=True)]
+    scopes = [f"{place}{f' {label}' * (len(effects) > 1)}" for place, label in zip(places, labels, strict=True)]
     return scopes, labels, Shares(of_pairs.reshape(shape), asked.reshape(shape), answers.n_repetitions)
 
 
@@ -216,7 +213,8 @@ def conditions_compared(answers: AnswerCounts) -> Contrast | None:
     places = list(product(range(len(chosen)), compared, range(len(answers.pairs))))
     return Contrast(
         [
-            f"{names[f]} - {names[g]} {answers.pairs[q].label}{_of(labels[q][nth], nth or not answers.compares)}"
+            f"{names[f]} - {names[g]} {answers.pairs[q].label}"
+            f"{f' {labels[q][nth]}' * bool(nth or not answers.compares)}"
             for nth, (f, g), q in places
         ],
         [f"difference of P({labels[q][nth]})" for nth, _, q in places],
@@ -241,7 +239,7 @@ def pairs_compared(answers: AnswerCounts) -> Contrast | None:
     labels = [label for label, _ in answers.effects(answers.pairs[0])[effects]]
     tests = list(product(labels, answers.finger_conditions, compared))
     return Contrast(
-        [f"{condition} {names[q]} - {names[r]}{_of(label, len(labels) > 1)}" for label, condition, (q, r) in tests],
+        [f"{condition} {names[q]} - {names[r]}{f' {label}' * (len(labels) > 1)}" for label, condition, (q, r) in tests],
         [f"difference of P({label})" for label, _, _ in tests],
         first,
         second,
