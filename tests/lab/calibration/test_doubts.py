@@ -45,12 +45,44 @@ def exchanged(recording: Recording) -> Recording:
     return replace(recording, drive=recording.drive[:, ::-1])
 
 
+def humming(size: float) -> Callable[[Recording], Recording]:
+    """Return what adds 50 Hz and multiples to the velocity, with another phase in each record [m/s]."""
+    rng = np.random.default_rng(0)
+
+    def change(recording: Recording) -> Recording:
+        turns = 2 * np.pi * (50 * recording.time + rng.random((len(recording.velocity), 1)))
+        tones = sum(np.cos(order * turns) / order for order in (1, 2, 3, 5))
+        return replace(recording, velocity=recording.velocity + size * tones)
+
+    return change
+
+
+def inverted_at(place: float) -> Callable[[Recording], Recording]:
+    """Return what turns the velocity at one place."""
+
+    def change(recording: Recording) -> Recording:
+        sign = -1.0 if np.isclose(recording.position, place) else 1.0
+        return replace(recording, velocity=sign * recording.velocity)
+
+    return change
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         (changed(velocity=0.0), r"mode 1 at 229 Hz is not seen: it rises above the noise by 0\.0 standard errors"),
         (changed(velocity=-1.0), r"every mode moves against the sign of its listed gain"),
         (changed(velocity=2.0), r"the modes move (2\.0|1\.9)\d times as fast as their listed .*sensitivity_mm_s_per_V"),
+        (
+            changed(velocity=1.3),
+            r"the modes move 1\.[23]\d times as fast .* allowed 0\.85 to 1\.15; .*sensitivity_mm_s_per_V",
+        ),
+        (humming(1e-4), r"holds a tone near 5\d Hz that does not decay .* hum of the mains"),
+        (humming(2e-2), r"differs from burst to burst; the outputs are off; it has hum of the mains"),
+        (
+            inverted_at(-0.002),
+            r"at -2 mm the modes move -\d\.\d\d times as fast as the other points predict: .* its sign",
+        ),
         (exchanged, r"the drive measured for each output is that of another: the probes are exchanged"),
         (changed(drive=0.1), r"the drive measured at the beam is 0\.10 times what output 1 commands: allowed 0\.67"),
         (changed(drive=-1.0), r"is -\d\.\d\d times what output 1 .* the probe is at its output and not inverted"),
@@ -60,6 +92,10 @@ def exchanged(recording: Recording) -> Recording:
         "dead vibrometer",
         "inverted vibrometer",
         "wrong sensitivity",
+        "somewhat wrong sensitivity",
+        "hum",
+        "strong hum",
+        "a point inverted",
         "exchanged probes",
         "wrong probe",
         "inverted probe",

@@ -296,15 +296,29 @@ def test_coherence_that_is_none_is_refused(tmp_path: Path, frequency: np.ndarray
         read_responses([tmp_path / "a.npz"], ResponseFormat(n_averages=4))
 
 
-def test_amplitudes_are_not_taken_for_real_parts(tmp_path: Path, frequency: np.ndarray) -> None:
-    """Six places, amplitude and phase in degrees: no real part is negative."""
-    values = np.tile(accelerance(frequency, RESIDUES[0]), (1, 6, 1))
-    response = np.abs(values) + 1j * np.degrees(np.angle(values))
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (lambda h: np.abs(h) + 1j * np.degrees(np.angle(h)), "amplitudes were taken for it"),
+        (lambda h: h.real + 0j, "the imaginary part is zero throughout"),
+        (lambda h: 1j * h.imag, "the real part is zero throughout"),
+        (
+            lambda h: (20 * np.log10(np.maximum(np.abs(h), 1e-6)) - 100) * np.exp(1j * np.angle(h)),
+            "as alike as decibels",
+        ),
+    ],
+    ids=["amplitude and phase", "real part", "imaginary part", "decibels"],
+)
+def test_what_is_no_complex_response_is_refused(
+    tmp_path: Path, frequency: np.ndarray, made: Callable, said: str
+) -> None:
+    """At six places: other forms of a response than its real and imaginary part."""
+    response = made(np.tile(accelerance(frequency, RESIDUES[0]), (1, 6, 1)))
     np.savez(
         tmp_path / "a.npz", frequency=frequency, response=response, sets=["v"], quantity="velocity",
         positions=np.arange(6.0),
     )  # fmt: skip
-    with pytest.raises(ValueError, match="amplitudes were taken for it; export real and imaginary part"):
+    with pytest.raises(ValueError, match=f"{said}; export real and imaginary part"):
         read_responses([tmp_path / "a.npz"])
 
 

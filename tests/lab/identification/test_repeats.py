@@ -192,6 +192,16 @@ def test_steps_of_eight_bits_are_no_saturation(tmp_path: Path) -> None:
         read_responses([tmp_path / "b.npz"], ResponseFormat(n_averages=4))
 
 
+def test_a_blow_cut_for_three_samples_is_saturated(tmp_path: Path) -> None:
+    """Equal samples, and far below right beside them: no round peak; its gains would be nearly twice too large."""
+    rng = np.random.default_rng(1)
+    force, motion = hit([40]), moved(hit([40]), rng)
+    assert read_responses([write_csv(tmp_path / "a.csv", [(force, motion)])], ACCELERATION).n_points == 1
+    cut = write_csv(tmp_path / "b.csv", [(np.minimum(force, 0.55 * force.max()), motion)])
+    with pytest.raises(ValueError, match="the excitation stays at .* for 3 samples: it was saturated"):
+        read_responses([cut], ACCELERATION)
+
+
 def test_gains_hold_the_scatter_of_repeated_scans(make) -> None:
     """Two scans of eight points, the second with a drive that reads 10 % low: the gains' intervals hold both."""
     scans = [make(seed, n_points=8, highest=12e3).between(1200, 9000) for seed in (0, 1)]

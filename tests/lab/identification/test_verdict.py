@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -182,3 +183,55 @@ def test_resonances_beside_each_other_explain_only_a_mode_that_belongs_there(cle
     found = replace(found, modes=tuple(replace(mode, label=None) if mode is sound else mode for mode in below))
     with pytest.raises(ValueError, match=r"(?s)^mode 5 was not found: .*like a single mode that moved"):
         check_modes(found, (3, 5))
+
+
+def test_values_far_from_the_listed_ones_are_told(clean: FrequencyResponses, apparatus: Apparatus) -> None:
+    """Volts at the generator, a set turned, a wrong sampling rate: the table may be wrong, so they are marked."""
+    found = identify(clean, 0.1)
+    assert check_gains(found, apparatus, spoilt.LABELS) == []
+    for factor, said in ((25.0, "gains, times those listed: .* for mode 1 by centre.*check units"), (-1.0, ": -[01]")):
+        told = check_gains(identify(replace(clean, response=clean.response * factor), 0.1), apparatus, spoilt.LABELS)
+        assert len(told) == 1
+        assert re.search(said, told[0])
+    (told,) = check_gains(identify(replace(clean, frequency=clean.frequency * 1.1), 0.1), apparatus, spoilt.LABELS)
+    assert told.startswith("natural frequencies, times those listed: 1.1 for mode 1")
+
+
+def test_sets_between_which_the_beam_drifted_are_marked(clean: FrequencyResponses, beam: TrueBeam) -> None:
+    """Two resonances of one shape, each fitted well: no noise is left, yet the gains are wrong."""
+    later = replace(beam.table, natural_frequency=beam.table.natural_frequency * 1.004)
+    response = clean.response.copy()
+    response[1] = spoilt.measured(*spoilt.response_of(replace(beam, table=later)), seed=0).response[1]
+    found = identify(replace(clean, response=response), 0.1)
+    assert any("within one width of each other" in said and "between sets" in said for said in warnings(found))
+
+
+def test_sets_with_other_times_are_named(clean: FrequencyResponses) -> None:
+    """A trigger that is late for one set is no nonlinearity."""
+    late = clean.response * np.exp(-2j * np.pi * clean.frequency * np.array([0, 5e-5])[:, None, None])
+    with pytest.raises(ValueError, match=r"by another time for each set \(centre 0 ms, side 0.05\d* ms\): .* trigger"):
+        identify(replace(clean, response=late), 0.1)
+
+
+def test_exchanged_parts_are_not_called_conjugated(clean: FrequencyResponses) -> None:
+    """`--conjugated` would not help: the responses would then be imaginary."""
+    with pytest.raises(ValueError, match="real and imaginary parts are exchanged; export them again"):
+        identify(replace(clean, response=clean.response.imag + 1j * clean.response.real), 0.1)
+
+
+def test_hum_of_the_mains_is_named(clean: FrequencyResponses) -> None:
+    """Lines at multiples of 50 Hz that a fit leaves are no noise that averaging removes."""
+    rng, response = np.random.default_rng(0), clean.response.copy()
+    at = [int(np.abs(clean.frequency - line).argmin()) for line in range(50, 4000, 50)]
+    turned = np.exp(2j * np.pi * rng.random((2, 21, len(at))))
+    response[:, :, at] += 3 * np.median(np.abs(response)) * turned
+    with pytest.raises(ValueError, match="most probable cause is hum of the mains: .* multiples of 50 Hz"):
+        check_modes(identify(replace(clean, response=response), 0.1), spoilt.LABELS)
+
+
+@pytest.mark.parametrize(("factor", "said"), [(-1.0, "-1 times"), (9.81, "9.81 times")])
+def test_measurement_that_repeats_nothing_is_refused(clean: FrequencyResponses, factor: float, said: str) -> None:
+    """Turned, or in other units: its mean with the first would be that of no beam."""
+    other = replace(clean, response=clean.response * factor)
+    with pytest.raises(ValueError, match=rf"measurement 2 is no repeat of the first: .* {said}; check positions"):
+        FrequencyResponses.of_repeats([clean, other])

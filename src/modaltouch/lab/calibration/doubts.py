@@ -83,14 +83,15 @@ def refuse_doubtful_drive(drive: DriveDelay) -> None:
             raise RigError(
                 f"the drive measured at the beam is {gain:.2f} times what output {number} commands: allowed "
                 f"{GAINS[0]:g} to {GAINS[1]:g}; the outputs are off; check that the amplifier is on, its gain matches "
-                "the apparatus file, the probe is at its output and not inverted, and "
-                "`acquisition.probe_attenuation` is right"
+                "the apparatus file, the probe is at its output and not inverted, "
+                "`acquisition.probe_attenuation` is right, and the scope is triggered by the start of a burst"
             )
     if not believed:
         raise RigError(
             f"{drive.rest:.0%} of the drive measured at the beam is not the commanded drive with a delay and a lag: "
-            f"allowed at most {LARGEST_REST:.0%}; the outputs are off; check that the probes are at the amplifier's "
-            "outputs and that it does not saturate"
+            f"allowed {LARGEST_REST:.0%}; the outputs are off; check that the probes are at the amplifier's "
+            "outputs, that it does not saturate, that the scope is triggered by the start of a burst, and that its "
+            "clock runs at the generator's rate"
         )
 
 
@@ -113,6 +114,45 @@ def refuse_changing_beam(decays: Sequence[Decay], shapes: FloatArray) -> None:
                 "patches and amplifier reach a steady temperature, check the patches, the suspension and the trigger, "
                 "and calibrate again"
             )
+
+
+HUM = ("hum of the mains (multiples of 50 or 60 Hz) or a swinging beam: connect vibrometer, scope and amplifier to one "
+    "earth, keep cables away from transformers, calm the suspension, and calibrate again")  # fmt: skip
+
+HIGHEST_HUM, MOST_DECAYED = 500.0, 0.1
+"""Highest frequency of hum [Hz], and how far it may decay over a record, in time constants [1]; modes decay by 1.2."""
+
+
+def refuse_hum(decay: Decay, n_listed: int, length: float) -> None:
+    """Refuse records of the given length [s] that hold a low tone which does not decay after the burst."""
+    for pole in decay.pole[n_listed:]:
+        frequency = abs(pole.imag) / (2 * np.pi)
+        if frequency < HIGHEST_HUM and -pole.real * length < MOST_DECAYED:
+            raise RigError(
+                f"the velocity holds a tone near {frequency:.0f} Hz that does not decay after the burst; the outputs "
+                f"are off; it is {HUM}"
+            )
+
+
+def refuse_odd_point(decay: Decay, shapes: FloatArray, points: FloatArray) -> None:
+    """Refuse a point whose velocity is not the one that the other points predict, such as one that is inverted."""
+    seen = decay.residue[: len(shapes)].reshape(len(shapes), -1, points.size)
+    here = shapes[:, None]
+    others = ((seen * here).sum(axis=2, keepdims=True) - seen * here) / ((here**2).sum(axis=2, keepdims=True) - here**2)
+    expected = others * here
+    factor = (np.conj(expected) * seen).real.sum(axis=(0, 1)) / (np.abs(expected) ** 2).sum(axis=(0, 1))
+    factor = factor / np.median(factor)
+    odd = int(np.abs(factor - 1).argmax())
+    if abs(factor[odd] - 1) > MOST_ODD:
+        raise RigError(
+            f"at {points[odd] * 1e3:g} mm the modes move {factor[odd]:.2f} times as fast as the other points predict: "
+            f"allowed {1 - MOST_ODD:g} to {1 + MOST_ODD:g}; the outputs are off; check the sensor there, its sign, "
+            "range and place, and whether its records are late; measure again"
+        )
+
+
+MOST_ODD = 0.5
+"""Largest relative deviation of a point's velocity from that expected from the other points [1]."""
 
 
 def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> None:
@@ -140,20 +180,33 @@ def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> No
             "every mode moves against the sign of its listed gain: the vibrometer's signal or the drive is inverted; "
             "the outputs are off; invert the signal"
         )
-    common = float(np.median(ratio[known]))
-    if not SPEEDS[0] <= common <= SPEEDS[1] and np.median(np.abs(ratio[known] / common - 1)) < ALIKE:
-        raise RigError(
-            f"the modes move {common:.2f} times as fast as their listed gains predict: allowed {SPEEDS[0]:g} to "
-            f"{SPEEDS[1]:g}; the outputs are off; check that the vibrometer is set to the listed "
-            "`acquisition.sensitivity_mm_s_per_V` and that the actuators have no strong hysteresis, or identify the "
-            "beam again with `modaltouch identify`"
-        )
+    refuse_common_factor(found, listed, SPEEDS)
     for row, channel in np.argwhere((ratio < 0.4) | (ratio > 2.5)).tolist():
         raise RigError(
             f"the gain of mode {listed.label[row]} by output {channel + 1} is "
             f"{found.modal_gain[row, channel] * 1e3:.4g} mm/s^2 per V, but "
             f"{listed.modal_gain[row, channel] * 1e3:.4g} is listed: allowed 0.4 to 2.5 times that; the outputs are "
             "off; check that the sets are wired as listed, or identify the beam again with `modaltouch identify`"
+        )
+
+
+def common_factor(found: ModalModel, listed: ModalModel) -> float:
+    """Return the factor between found and listed gains [1]; 1 if they have none in common."""
+    known = listed.modal_gain != 0
+    ratio = found.modal_gain[known] / listed.modal_gain[known]
+    common = float(np.median(ratio))
+    return common if np.median(np.abs(ratio / common - 1)) < ALIKE else 1.0
+
+
+def refuse_common_factor(found: ModalModel, listed: ModalModel, allowed: tuple[float, float]) -> None:
+    """Refuse gains that are the listed ones times a factor outside a range."""
+    common, (low, high) = common_factor(found, listed), allowed
+    if not low <= common <= high:
+        raise RigError(
+            f"the modes move {common:.2f} times as fast as their listed gains predict: allowed {low:g} to {high:g}; "
+            "the outputs are off; check that the vibrometer is set to the listed `acquisition.sensitivity_mm_s_per_V`, "
+            "that the amplifier does not saturate and that the actuators have no strong hysteresis, or identify the "
+            "beam again with `modaltouch identify`"
         )
 
 
@@ -191,6 +244,8 @@ def refuse_doubtful_velocity(recording: Recording) -> None:
         "nothing touches the beam; measure again"
     )
     where = f"at {recording.position * 1e3:g} mm"
+    if steady < LEAST_COHERENCE and _hums(off, recording.time):
+        raise RigError(f"{where} the velocity differs from burst to burst; the outputs are off; it has {HUM}")
     if noise > 0 and far > MOST_FAR_OFF:
         raise RigError(
             f"{where} the velocity has gaps or shocks: {far:.3%} of its samples are more than {FAR_OFF:g} standard "
@@ -201,6 +256,16 @@ def refuse_doubtful_velocity(recording: Recording) -> None:
             f"{where} the velocity differs from burst to burst: {max(steady, 0.0):.0%} of its power repeats, at least "
             f"{LEAST_COHERENCE:.0%} must; {remedy}"
         )
+
+
+def _hums(off: FloatArray, time: FloatArray) -> bool:
+    """Return whether multiples of 50 or 60 Hz are most of what differs between records, (n_records, n_samples)."""
+    for base in (50.0, 60.0):
+        turns = 2 * np.pi * base * np.outer(time, np.arange(1, 6))
+        basis = np.linalg.qr(np.concatenate([np.cos(turns), np.sin(turns)], axis=1))[0]
+        if np.sum((off @ basis) ** 2) > 0.5 * np.sum(off**2):
+            return True
+    return False
 
 
 def refuse_saturation(predicted: FloatArray, measured: FloatArray) -> None:

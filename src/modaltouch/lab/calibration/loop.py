@@ -20,11 +20,16 @@ from modaltouch.lab.calibration.acquisition import (
 )
 from modaltouch.lab.calibration.decay import find_poles, fit_residues, missed_swing
 from modaltouch.lab.calibration.doubts import (
+    COMMON_FACTORS,
+    common_factor,
     peak_shortfall,
     refuse_changing_beam,
+    refuse_common_factor,
     refuse_disproportion,
     refuse_doubtful_drive,
     refuse_doubtful_plant,
+    refuse_hum,
+    refuse_odd_point,
     refuse_saturation,
 )
 from modaltouch.lab.calibration.file import (
@@ -178,9 +183,12 @@ class _Loop:
         refuse_saturation(*self._drives("drive before", self._listed, plant))
         corrected_target = listed_target = np.stack([self._target, np.zeros_like(self._target)])
         stimulus = self._corrected(refined, self._correction(corrected_target))
-        if float(stimulus.peak_voltage.max()) > self._apparatus.amplifier.limit_V:
+        low, high = COMMON_FACTORS
+        as_listed = low <= common_factor(plant.model, self._listed.model) <= high
+        if float(stimulus.peak_voltage.max()) > self._apparatus.amplifier.limit_V or not as_listed:
             self._recorder.begin("at half the level", self._points.size)
             refuse_disproportion(turns[0].state, self._turn(0, self._listed, plant, self._reference / 2).state)
+        refuse_common_factor(plant.model, self._listed.model, COMMON_FACTORS)
         self._refuse_beyond_limit(float(stimulus.peak_voltage.max()))
         best, kept = self._measure(1, stimulus, plant), corrected_target
         turns.append(best)
@@ -265,6 +273,7 @@ class _Loop:
             rows.append(decay)
         since = time / (1 + drive.clock) - timing.focusing_instant
         decays = find_poles(since, np.concatenate(rows), listed.model.exponent)
+        refuse_hum(decays, listed.model.n_modes, float(np.ptp(since)))
         refuse_changing_beam([fit_residues(since, each, decays.pole) for each in rows], self._shapes)
         corner = knobs.vibrometer_bandwidth_kHz
         plant = identify_plant(
@@ -278,6 +287,7 @@ class _Loop:
             None if corner is None else corner * 1e3,
         )
         refuse_doubtful_plant(plant, listed.model, self._recorder.margin)
+        refuse_odd_point(decays, self._shapes, self._points)
         return replace(
             plant,
             latency_doubt=knobs.trigger_latency_uncertainty_us * 1e-6,

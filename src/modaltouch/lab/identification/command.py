@@ -362,7 +362,8 @@ class _Beam:
         with _fitting(progress):
             found = over_repeats(fit_jointly(responses, self.length, clock_tolerance=CLOCK_TOLERANCE))
         check_modes(found, self.labels)
-        check_gains(found, self.apparatus)
+        marks = (*responses.marks, *check_gains(found, self.apparatus, self.labels))
+        found = replace(found, responses=replace(found.responses, marks=marks))
         uncertainty = self.apparatus.acquisition.sensitivity_uncertainty_percent * 1e-2
         found = found.with_sensitivity_uncertainty(uncertainty)
         labels = self.labels

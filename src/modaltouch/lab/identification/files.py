@@ -140,6 +140,9 @@ ROUNDING = 1e-3
 FEWEST_SIGNED = 6
 """Number of places from which some response of a beam must have a negative real part."""
 
+LEAST_DECIBELS, ALIKE = 10.0, 3.0
+"""Least median size of numbers that may be decibels, and the ratio of the largest to it, which responses exceed [1]."""
+
 TIME_COLUMNS = ("time_s", "set", "position_mm", "drive", "motion")
 """Columns of time records in a CSV file, drive and motion in SI units."""
 
@@ -214,13 +217,19 @@ def _quantity(path: Path, part: Part, how: ResponseFormat) -> Quantity:
 
 
 def _refuse_amplitudes(path: Path, part: Part) -> None:
-    """Refuse responses at several places whose real parts are nowhere negative: no beam has such responses."""
-    places = {key[1] for key, *_ in part.responses if key[1] is not None}
-    if len(places) >= FEWEST_SIGNED and all((values.real >= 0).all() for _, values, _ in part.responses):
-        raise ValueError(
-            f"{path}: the real part of no response is ever negative: amplitudes were taken for it; export real and "
-            "imaginary part"
-        )
+    """Refuse numbers that are no complex responses of a beam."""
+    values = np.array([each.values for each in part.responses])
+    size, places = np.abs(values), {key[1] for key, *_ in part.responses if key[1] is not None}
+    typical = float(np.median(size))
+    faults = {
+        "the imaginary part is zero throughout": not values.imag.any(),
+        "the real part is zero throughout": not values.real.any(),
+        "the real part of no response is ever negative: amplitudes were taken for it": bool((values.real >= 0).all()),
+        "the numbers are as large and as alike as decibels": typical > LEAST_DECIBELS and size.max() < ALIKE * typical,
+    }
+    fault = next((fault for fault, found in faults.items() if found), None)
+    if fault and len(places) >= FEWEST_SIGNED:
+        raise ValueError(f"{path}: {fault}; export real and imaginary part, in SI units")
 
 
 def _assemble(

@@ -305,22 +305,32 @@ def _rises(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> bool:
     return bool(rising < RESONANCE_REST * whole and rising < CLEARLY_LESS * falling)
 
 
+def _refuse_rising(responses: FrequencyResponses, peaks: Sequence[_Peak], straight: float) -> None:
+    """Refuse responses whose phase rises through their resonances.
+
+    Conjugated responses are real at resonance (`straight` is 1), and imaginary (-1) with their parts exchanged.
+    """
+    turning = sum(np.sign(peak.rotation) * np.sqrt(peak.height) for peak in peaks if peak.rotates)
+    if turning > 0 and _rises(responses, peaks):
+        raise ValueError(
+            "the phase of the responses rises through their resonances, but that of a beam falls: "
+            + (
+                "their real and imaginary parts are exchanged; export them again"
+                if straight < -0.5
+                else "they are conjugated, as if they followed exp(-i w t); say so with --conjugated, or export them "
+                "with exp(+i w t)"
+            )
+        )
+
+
 def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
     """Return the delay that makes the responses real at their peaks [s].
 
     Twice the phase is used, since a shape has both signs. Over a band about a peak the phases before and after it
     cancel, so its frequency need not be known well.
     """
-    turning = sum(np.sign(peak.rotation) * np.sqrt(peak.height) for peak in peaks if peak.rotates)
-    if turning > 0 and _rises(responses, peaks):
-        raise ValueError(
-            "the phase of the responses rises through their resonances, but that of a beam falls: they are "
-            "conjugated, as if they followed exp(-i w t); say so with --conjugated, or export them with exp(+i w t)"
-        )
     spacing = responses.spacing
     resolved = [peak for peak in peaks if peak.rotates and 2 * peak.width >= FEWEST_BINS * spacing]
-    if not resolved:
-        return 0.0
     frequency = np.array([peak.frequency for peak in resolved])
     twice = []
     for peak in resolved:
@@ -330,6 +340,9 @@ def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
         if responses.bandwidth is not None:
             own = own * (1 + 1j * responses.frequency[band] / responses.bandwidth)
         twice.append(complex((own**2).sum()) / max(float((np.abs(own) ** 2).sum()), 1e-300))
+    _refuse_rising(responses, peaks, float(np.mean(np.real(twice[:FEWEST_PHASES]))) if twice else 0.0)
+    if not resolved:
+        return 0.0
     # Delays beyond half a cycle of the lowest frequency are ambiguous; the step is a sixteenth of one of the highest.
     step = 1 / (16 * frequency.max())
     reach = min(0.5 / frequency.min(), 200e-6 + 1 / frequency.max())

@@ -58,6 +58,9 @@ SAME_PLACE = 5e-6
 ROWS_APART = 0.2e-3
 """Least distance across the width between two rows of points; smaller distances are scatter within one row [m]."""
 
+LIKE_THE_FIRST = 0.5
+"""Least share of a repeat's power that is like the first, and least factor between the two [1]."""
+
 FEW_POINTS = 5
 """Number of points below which their mean is used instead of their median."""
 
@@ -161,11 +164,28 @@ class FrequencyResponses:
 
     @classmethod
     def of_repeats(cls, repeats: Sequence[FrequencyResponses]) -> FrequencyResponses:
-        """Return the mean of repeated measurements; without coherences of their own, with that between the repeats."""
+        """Return the mean of repeated measurements; without coherences of their own, with that between the repeats.
+
+        Raises
+        ------
+        ValueError
+            If a repeat is not like the first one.
+        """
         first = repeats[0]
         if len(repeats) == 1:
             return first
         each = np.array([repeat.response for repeat in repeats])
+        power = (np.abs(each) ** 2).sum(axis=(1, 2, 3))
+        shared = (np.conj(each[0]) * each).sum(axis=(1, 2, 3))
+        factor, likeness = shared.real / power[0], np.abs(shared) ** 2 / (power[0] * power)
+        odd = (likeness < LIKE_THE_FIRST) | (np.abs(factor - 1) > 1 - LIKE_THE_FIRST)
+        if odd.any():
+            number = int(odd.argmax())
+            raise ValueError(
+                f"measurement {number + 1} is no repeat of the first: {likeness[number]:.0%} of its power is like the "
+                f"first, which it contains {factor[number]:.3g} times; check positions, sign, units and trigger of "
+                "both, and give only repeats of one measurement"
+            )
         mean, n_averages = each.mean(axis=0), sum(repeat.n_averages for repeat in repeats)
         coherence = np.abs(mean) ** 2 / np.maximum((np.abs(each) ** 2).mean(axis=0), 1e-300)
         if first.coherence is not None:
@@ -224,14 +244,29 @@ class FrequencyResponses:
         :math:`2\tau`. An offset that turns the phase less than half a cycle over the band is left to the fit's delay.
         """
         power = np.abs(self.response) ** 2
-        squares = (self.response**2 / np.maximum(power + self.noise[:, None], 1e-300)).sum(axis=(0, 1))
-        n_fft = 1 << int(np.ceil(np.log2(16 * squares.size)))
-        line = np.abs(np.fft.ifft(squares, n_fft)) * n_fft / max(float(np.abs(squares).sum()), 1e-300)
+        squares = (self.response**2 / np.maximum(power + self.noise[:, None], 1e-300)).sum(axis=1)
+        n_fft = 1 << int(np.ceil(np.log2(16 * squares.shape[1])))
         time = np.fft.fftfreq(n_fft, self.spacing) / 2
-        line[np.abs(time) > min(LONGEST_OFFSET, 1 / (8 * self.spacing))] = 0.0
         resolution = 1 / (2 * (self.frequency[-1] - self.frequency[0]))
-        offset = float(time[line.argmax()])
-        if abs(offset) <= resolution or line.max() < max(CLEAR_LINE, 1.2 * line[np.abs(time) <= resolution].max()):
+        near = np.abs(time) <= resolution
+
+        def found(values: ComplexArray) -> float | None:
+            line = np.abs(np.fft.ifft(values, n_fft)) * n_fft / max(float(np.abs(values).sum()), 1e-300)
+            line[np.abs(time) > min(LONGEST_OFFSET, 1 / (8 * self.spacing))] = 0.0
+            at, at_zero = int(line.argmax()), float(line[near].max())
+            if line[at] < CLEAR_LINE:
+                return None
+            return float(time[at]) if not near[at] and line[at] >= 1.2 * at_zero else 0.0
+
+        offset, own = found(squares.sum(axis=0)), [found(each) for each in squares]
+        known = {name: each for name, each in zip(self.sets, own, strict=True) if each is not None}
+        if known and self.positions is not None and max(known.values()) - min(known.values()) > resolution:
+            said = ", ".join(f"{name} {each * 1e3:.4g} ms" for name, each in known.items())
+            raise ValueError(
+                f"the motion is late by another time for each set ({said}): start all records at their excitation, "
+                "check the trigger, and export them again"
+            )
+        if not offset:
             return self
         turned = self.response * np.exp(2j * np.pi * self.frequency * offset)
         return replace(self, response=turned, offset=self.offset + offset)

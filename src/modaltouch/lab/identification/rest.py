@@ -19,7 +19,8 @@ FEWEST = 8
 
 REMEDIES = {
     "noise": "average more, or drive harder",
-    "nonlinearity": "drive at half the voltage, and compare",
+    "nonlinearity": "drive at half the voltage, and compare; if nothing changes, check the sensor's filters, and the "
+    "window and the trigger of the records",
     "drift": "let the beam warm up, and scan again",
     "a missing mode": "measure with finer bins or at more points, or leave that band out",
     "nonlinearity or a missing mode": "drive at half the voltage, and compare, or measure with finer bins",

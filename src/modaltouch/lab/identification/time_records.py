@@ -45,6 +45,9 @@ MOST_AT_END = 3
 CUT = 4
 """Samples at a record's extreme, relative to those at the next value, above which the record is saturated [1]."""
 
+STEEP = 0.8
+"""Value beside equal samples, relative to theirs, below which they are saturated and no round peak [1]."""
+
 STILL_MOVES = "still moves at the end of a record: record until it rests"
 """Ending of the mark about truncated decays."""
 
@@ -227,7 +230,10 @@ def _last_cut(path: Path, name: str, row: FloatArray, step: float, how: Response
         at = np.flatnonzero(row == end)
         # Without saturation a converter's level holds about as many samples as the level next to it.
         below = np.abs(row[(row != end) & (row / end > 0.9)])
-        if at.size > max(MOST_AT_END, CUT * int((below == below.max(initial=0.0)).sum())):
+        # Three equal samples and a fall right beside them make no round peak, unless a converter has only a few steps.
+        beside = np.abs(row[[max(at[0] - 1, 0), min(at[-1] + 1, row.size - 1)]]).max()
+        flat = at.size == at[-1] - at[0] + 1 >= MOST_AT_END and beside < STEEP * abs(end)
+        if flat or at.size > max(MOST_AT_END, CUT * int((below == below.max(initial=0.0)).sum())):
             cut.append(at)
     last = max((int(at[-1]) for at in cut), default=-1)
     if cut and not how.use_clipped:

@@ -9,6 +9,7 @@ import numpy as np
 
 from modaltouch.lab.identification.estimates import Identification, IdentifiedMode
 from modaltouch.lab.identification.rest import REMEDIES
+from modaltouch.lab.identification.shapes import BELONGS, mac
 from modaltouch.lab.identification.time_records import STILL_MOVES
 from modaltouch.protocol import Apparatus
 
@@ -69,26 +70,33 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
         lines.append(split or strange)
     elif lines and spoilt:
         cut = [mark for mark in identification.responses.marks if mark.endswith(STILL_MOVES)]
-        lines += cut or [_cause(identification.modes)]
+        lines += cut or [_hum(identification) or _cause(identification.modes)]
     if lines:
         raise ValueError("\n".join(lines))
 
 
-def _split(modes: Sequence[IdentifiedMode], missing: Sequence[int] | None = None, faulty: Sequence[int] = ()) -> str:
+def _split(
+    modes: Sequence[IdentifiedMode],
+    missing: Sequence[int] | None = None,
+    faulty: Sequence[int] = (),
+    least_likeness: float = 0.0,
+) -> str:
     """Describe two resonances within one half-power bandwidth, not both with a mode's shape; empty if there are none.
 
-    With missing or faulty labels, only two that may stand for one of those.
+    With missing or faulty labels, only two that may stand for one of those; with a least MAC, only two of one shape.
     """
     for one, other in pairwise(modes):
         apart = other.natural_frequency.value - one.natural_frequency.value
         width = 2 * one.natural_frequency.value * one.damping_ratio.value
         named = all(each.label or each.torsion for each in (one, other))
         blamed = missing is None or _lacks(modes, missing, one) or {one.label, other.label} & {*faulty}
-        if apart < width and not named and blamed:
+        alike = mac(one.residue.real[None], other.residue.real[None])[0, 0] >= least_likeness
+        if apart < width and not named and blamed and alike:
             return (
                 f"the resonances at {one.natural_frequency.value:.6g} and {other.natural_frequency.value:.6g} Hz are "
-                "within one width of each other, like a single mode that moved: the most probable cause is drift or "
-                f"nonlinearity: {REMEDIES['drift']}, or {REMEDIES['nonlinearity']}"
+                "within one width of each other, like a single mode that moved: the most probable cause is drift, also "
+                "between sets or by the mass of a sensor that is moved, or nonlinearity: "
+                f"{REMEDIES['drift']}, or {REMEDIES['nonlinearity']}"
             )
     return ""
 
@@ -149,8 +157,14 @@ AXES = {
 """Factors between frequency units that are often confused, and what they mean."""
 
 
-def check_gains(identification: Identification, apparatus: Apparatus) -> None:
+MOVED, FASTER = 0.05, 2.5
+"""Relative change of a natural frequency, and factor of a gain, from which a warning is given [1]."""
+
+
+def check_gains(identification: Identification, apparatus: Apparatus, labels: Sequence[int] | None = None) -> list[str]:
     """Refuse natural frequencies, or gains of one set or all, that differ from the listed ones by a factor of units.
+
+    Other values far from the listed ones may be right, and are only told of.
 
     Parameters
     ----------
@@ -158,6 +172,14 @@ def check_gains(identification: Identification, apparatus: Apparatus) -> None:
         The modes found.
     apparatus : Apparatus
         The table of the same beam; nothing is checked if fewer than three of its values were found.
+
+    labels : sequence of int, optional
+        Modes of which values far from the listed ones are told; all if not given.
+
+    Returns
+    -------
+    list of str
+        Warnings, a sentence each.
 
     Raises
     ------
@@ -175,16 +197,34 @@ def check_gains(identification: Identification, apparatus: Apparatus) -> None:
         for name, value in mode.gain_mm_s2_per_V.items()
         if mode.label in found and found[mode.label].gain and name in sets and value
     }
-    _refuse_axis(
-        [
-            found[mode.label].natural_frequency.value / mode.natural_frequency_Hz
-            for mode in apparatus.modes
-            if mode.label in found
-        ],
-        apparatus,
-    )
+    ratios = {
+        mode.label: found[mode.label].natural_frequency.value / mode.natural_frequency_Hz
+        for mode in apparatus.modes
+        if mode.label in found
+    }
+    _refuse_axis([*ratios.values()], apparatus)
     for chosen in dict.fromkeys((sets, *((name,) for name in sets))):
         _refuse_factor([each for (name, _), each in listed.items() if name in chosen], chosen, apparatus)
+    if len(ratios) < FEWEST_GAINS:
+        return []
+    told = ratios if labels is None else labels
+    gains = {f"{label} by {name}": ratio for (name, label), (ratio, _) in listed.items() if label in told}
+    unlike = {
+        "natural frequencies, times those listed": (
+            {str(label): ratio for label, ratio in ratios.items() if label in told and abs(ratio - 1) > MOVED},
+            "the sampling rate and the frequency axis",
+        ),
+        "gains, times those listed": (
+            {label: ratio for label, ratio in gains.items() if not 1 / FASTER < ratio < FASTER},
+            "units, settings, signs and wiring of drive and sensor, and which set is which",
+        ),
+    }
+    return [
+        f"{what}: {', '.join(f'{ratio:.3g} for mode {label}' for label, ratio in far.items())}; check {remedy}, or "
+        "give the file of this beam with --apparatus"
+        for what, (far, remedy) in unlike.items()
+        if far
+    ]
 
 
 def _refuse_axis(ratios: Sequence[float], apparatus: Apparatus) -> None:
@@ -238,6 +278,25 @@ def _faults(name: str, mode: IdentifiedMode) -> list[str]:
     return lines
 
 
+MAINS, FEW = (50.0, 60.0), 0.4
+"""Frequencies of the mains [Hz], and the largest fraction of bins near their multiples for hum to stand out [1]."""
+
+
+def _hum(identification: Identification) -> str:
+    """Say that most of the residual lies at multiples of a frequency of the mains; empty if it does not."""
+    responses = identification.responses
+    left = (np.abs(responses.response - identification.fitted) ** 2 / responses.noise[:, None]).sum(axis=(0, 1))
+    for mains in MAINS:
+        off = np.abs(responses.frequency - mains * np.round(responses.frequency / mains))
+        on = off <= 0.51 * responses.spacing
+        if on.mean() < FEW and left[on].sum() > 0.5 * left.sum():
+            return (
+                f"the most probable cause is hum of the mains: most of what is left lies at multiples of {mains:g} Hz; "
+                "connect all instruments to one earth, keep cables away from transformers, and measure again"
+            )
+    return ""
+
+
 def _cause(modes: Sequence[IdentifiedMode]) -> str:
     """Return the most probable cause of the residual and its remedy."""
     weight: dict[str, float] = {}
@@ -267,10 +326,13 @@ def warnings(identification: Identification) -> list[str]:
                 f"up to {left:.1%} of the response around {names} is left, and the intervals may not cover it: "
                 f"{_cause(chosen)}"
             )
-    if identification.misfit > WELL_FITTED:
-        split = _split(identification.modes) if identification.length else ""
+    noisy = identification.misfit <= WELL_FITTED
+    split = _split(identification.modes, least_likeness=BELONGS if noisy else 0.0) if identification.length else ""
+    if split or not noisy:
         said.append(
-            split or f"{misfit_verdict(identification)}: the intervals are widened accordingly, but may not cover it"
+            _hum(identification)
+            or split
+            or f"{misfit_verdict(identification)}: the intervals are widened accordingly, but may not cover it"
         )
     return said
 
