@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -167,6 +168,14 @@ def test_codes_that_are_not_used_limit_the_amplitude(simulator: Simulator) -> No
 def test_what_is_refused(simulator: Simulator, message: str, error: int) -> None:
     """Too few points, a name too long, a code beyond the converter, what does not exist, what passes a limit."""
     assert error_of(simulator, message).split(",")[0] == str(error)
+
+
+def test_an_amplitude_beyond_the_limits_may_be_clipped(simulator: Simulator) -> None:
+    """As some instruments do, without an error: a driver that reads back notices."""
+    said(simulator, "OUTP1:LOAD INF", "SOUR1:VOLT 1", "SOUR1:VOLT:LIM:HIGH 1.5;LOW -1.5;STAT ON")
+    simulator.afg.behaviour = replace(simulator.afg.behaviour, limit_violation="clip")
+    said(simulator, "SOUR1:VOLT 4")
+    assert simulator.afg.channels[1].amplitude == 3.0
 
 
 def test_both_byte_orders_are_read(simulator: Simulator) -> None:

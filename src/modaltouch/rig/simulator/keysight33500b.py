@@ -77,11 +77,15 @@ class TrueformChannel(OutputChannel):
         return (1 if self.record is None else self.record.size) / self.rate
 
     @property
-    def allowed(self) -> bool:
-        """Whether its output stays within the voltage limits that are on, or else within the range of an output."""
-        low, high = (end * self.amplitude / self.span / 2 + self.offset for end in self.ends)
-        lowest, highest = (self.limit_low, self.limit_high) if self.limited else (-HIGHEST / 2, HIGHEST / 2)
-        return lowest - 1e-9 <= low and high <= highest + 1e-9
+    def room(self) -> float:
+        """Highest amplitude within the voltage limits that are on, or else within the range of an output [V]."""
+        edges = (self.limit_low, self.limit_high) if self.limited else (-HIGHEST / 2, HIGHEST / 2)
+        sides = zip((-1, 1), edges, self.ends, strict=True)
+        return (
+            min(((edge - self.offset) / end for side, edge, end in sides if side * end > 0), default=1.0)
+            * 2
+            * self.span
+        )
 
 
 @dataclass
@@ -138,10 +142,11 @@ class Trueform(GeneratorState[TrueformChannel]):
     def change(self, number: int, **settings: Any) -> None:
         """Change amplitude, offset or limits, into an open circuit [V], unless the output would exceed the limits."""
         changed = replace(self.channels[number], **settings)
-        if changed.allowed:
-            self.channels[number] = changed
-        elif "amplitude" not in settings or self.behaviour.limit_violation == "error":
-            raise ScpiError(-221, f"level and limits of output {number}")
+        if changed.amplitude > changed.room + 1e-9:
+            if "amplitude" not in settings or self.behaviour.limit_violation == "error":
+                raise ScpiError(-221, f"level and limits of output {number}")
+            changed = replace(changed, amplitude=max(changed.room, LOWEST))
+        self.channels[number] = changed
 
     def write(self, number: int, arguments: Arguments, scale: float) -> None:
         """Store a record, given as a block or as numbers, under a new name."""
