@@ -45,8 +45,8 @@ FURTHEST = 0.05
 """Largest relative deviation of a natural frequency from the listed one [1]; beyond, it may be that of another mode."""
 
 MOST_LACKING = 0.5
-"""Largest shortfall of the measured drive's peaks for the listed stimulus [1]; see `LARGEST_SHORTFALL` for the
-calibrated one."""
+"""Largest shortfall of the measured drive's peaks for the listed stimulus [1] (see `LARGEST_SHORTFALL` for the
+calibrated one), and largest deviation of a point's velocity from that expected from the other points [1]."""
 
 LARGEST_STRAIN = 0.2
 """Largest change of a natural frequency between two probes, over the mode's decay rate [1]."""
@@ -119,15 +119,13 @@ def refuse_changing_beam(decays: Sequence[Decay], shapes: FloatArray) -> None:
 HUM = ("hum of the mains (multiples of 50 or 60 Hz) or a swinging beam: connect vibrometer, scope and amplifier to one "
     "earth, keep cables away from transformers, calm the suspension, and calibrate again")  # fmt: skip
 
-HIGHEST_HUM, MOST_DECAYED = 500.0, 0.1
-"""Highest frequency of hum [Hz], and how far it may decay over a record, in time constants [1]; modes decay by 1.2."""
-
 
 def refuse_hum(decay: Decay, n_listed: int, length: float) -> None:
     """Refuse records of the given length [s] that hold a low tone which does not decay after the burst."""
     for pole in decay.pole[n_listed:]:
         frequency = abs(pole.imag) / (2 * np.pi)
-        if frequency < HIGHEST_HUM and -pole.real * length < MOST_DECAYED:
+        # Over a record the slowest mode decays by 1.2 time constants.
+        if frequency < 500 and -pole.real * length < 0.1:
             raise RigError(
                 f"the velocity holds a tone near {frequency:.0f} Hz that does not decay after the burst; the outputs "
                 f"are off; it is {HUM}"
@@ -143,16 +141,12 @@ def refuse_odd_point(decay: Decay, shapes: FloatArray, points: FloatArray) -> No
     factor = (np.conj(expected) * seen).real.sum(axis=(0, 1)) / (np.abs(expected) ** 2).sum(axis=(0, 1))
     factor = factor / np.median(factor)
     odd = int(np.abs(factor - 1).argmax())
-    if abs(factor[odd] - 1) > MOST_ODD:
+    if abs(factor[odd] - 1) > MOST_LACKING:
         raise RigError(
             f"at {points[odd] * 1e3:g} mm the modes move {factor[odd]:.2f} times as fast as the other points predict: "
-            f"allowed {1 - MOST_ODD:g} to {1 + MOST_ODD:g}; the outputs are off; check the sensor there, its sign, "
-            "range and place, and whether its records are late; measure again"
+            f"allowed {1 - MOST_LACKING:g} to {1 + MOST_LACKING:g}; the outputs are off; check the sensor there, its "
+            "sign, range and place, and whether its records are late; measure again"
         )
-
-
-MOST_ODD = 0.5
-"""Largest relative deviation of a point's velocity from that expected from the other points [1]."""
 
 
 def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> None:
@@ -260,12 +254,9 @@ def refuse_doubtful_velocity(recording: Recording) -> None:
 
 def _hums(off: FloatArray, time: FloatArray) -> bool:
     """Return whether multiples of 50 or 60 Hz are most of what differs between records, (n_records, n_samples)."""
-    for base in (50.0, 60.0):
-        turns = 2 * np.pi * base * np.outer(time, np.arange(1, 6))
-        basis = np.linalg.qr(np.concatenate([np.cos(turns), np.sin(turns)], axis=1))[0]
-        if np.sum((off @ basis) ** 2) > 0.5 * np.sum(off**2):
-            return True
-    return False
+    turns = 2j * np.pi * np.outer(time, np.arange(1, 6))
+    bases = (np.linalg.qr(np.exp(mains * turns).view(float))[0] for mains in (50, 60))
+    return any(np.sum((off @ basis) ** 2) > 0.5 * np.sum(off**2) for basis in bases)
 
 
 def refuse_saturation(predicted: FloatArray, measured: FloatArray) -> None:

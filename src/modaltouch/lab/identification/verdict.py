@@ -189,13 +189,11 @@ def check_gains(identification: Identification, apparatus: Apparatus, labels: Se
     found = {mode.label: mode for mode in identification.modes}
     sets = identification.responses.sets
     listed = {
-        (name, mode.label): (
-            found[mode.label].gain[sets.index(name)].value * 1e3 / value,
-            found[mode.label].natural_frequency.value,
-        )
+        (name, mode.label): (own.gain[sets.index(name)].value * 1e3 / value, own.natural_frequency.value)
         for mode in apparatus.modes
+        for own in [found.get(mode.label)]
         for name, value in mode.gain_mm_s2_per_V.items()
-        if mode.label in found and found[mode.label].gain and name in sets and value
+        if own is not None and own.gain and name in sets and value
     }
     ratios = {
         mode.label: found[mode.label].natural_frequency.value / mode.natural_frequency_Hz
@@ -208,21 +206,19 @@ def check_gains(identification: Identification, apparatus: Apparatus, labels: Se
     if len(ratios) < FEWEST_GAINS:
         return []
     told = ratios if labels is None else labels
-    gains = {f"{label} by {name}": ratio for (name, label), (ratio, _) in listed.items() if label in told}
-    unlike = {
-        "natural frequencies, times those listed": (
-            {str(label): ratio for label, ratio in ratios.items() if label in told and abs(ratio - 1) > MOVED},
-            "the sampling rate and the frequency axis",
-        ),
-        "gains, times those listed": (
-            {label: ratio for label, ratio in gains.items() if not 1 / FASTER < ratio < FASTER},
-            "units, settings, signs and wiring of drive and sensor, and which set is which",
-        ),
+    moved = {str(label): each for label, each in ratios.items() if label in told and abs(each - 1) > MOVED}
+    other = {
+        f"{label} by {name}": each
+        for (name, label), (each, _) in listed.items()
+        if label in told and not 1 / FASTER < each < FASTER
     }
     return [
-        f"{what}: {', '.join(f'{ratio:.3g} for mode {label}' for label, ratio in far.items())}; check {remedy}, or "
-        "give the file of this beam with --apparatus"
-        for what, (far, remedy) in unlike.items()
+        f"{what}, times those listed: {', '.join(f'{each:.3g} for mode {name}' for name, each in far.items())}; check "
+        f"{remedy}, or give the file of this beam with --apparatus"
+        for what, far, remedy in (
+            ("natural frequencies", moved, "the sampling rate and the frequency axis"),
+            ("gains", other, "units, settings, signs and wiring of drive and sensor, and which set is which"),
+        )
         if far
     ]
 
