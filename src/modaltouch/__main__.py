@@ -1,6 +1,7 @@
 """``python -m modaltouch``, and the ``modaltouch`` command."""
 
 import atexit
+import errno
 import gc
 import os
 import sys
@@ -37,15 +38,35 @@ USAGE_ERROR: Any = typer.BadParameter.__base__
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line, with the given arguments instead of the process's own."""
     words = sys.argv[1:] if arguments is None else arguments
-    if sys.platform == "win32":  # where what is redirected would lack the letters that are not the country's
-        for stream in (sys.stdout, sys.stderr):
-            stream.reconfigure(encoding="utf-8")
+    _open_streams()
     try:
-        if "--json" not in words:
-            app(words)
-        sys.exit(_run_for_a_program(words))
+        try:
+            if "--json" not in words:
+                app(words)
+            sys.exit(_run_for_a_program(words))
+        finally:
+            sys.stdout.flush()
     except KeyboardInterrupt:
         _leave()
+    except OSError as error:
+        if error.filename or error.errno not in (errno.EPIPE, errno.ENOSPC):
+            raise
+        # What could not be printed would be tried again at the exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        told = f"the output cannot be written ({error.strerror}); free some space, or give it another place"
+        sys.exit(1 if error.errno == errno.EPIPE else told)  # `head` leaves once it has what it wants
+
+
+def _open_streams() -> None:
+    """Have all letters printed, those of no encoding too; what a closed stream is told goes nowhere."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        stream = getattr(sys, name)
+        if stream is None:
+            # Its number would go to the next file opened, perhaps a record, and with it what libraries complain of.
+            os.set_inheritable(number := os.open(os.devnull, os.O_RDWR), True)
+            setattr(sys, name, os.fdopen(number, mode))
+        elif mode == "w" and hasattr(stream, "reconfigure"):
+            stream.reconfigure(encoding="utf-8", errors="backslashreplace")
 
 
 def _run_for_a_program(words: list[str]) -> int:

@@ -51,15 +51,36 @@ class _Value:
         if value is None or (value is param.default and not is_list):
             return () if is_list else value
         words, kind = (value, get_args(kind)[0]) if is_list else ([value], kind)
+        if any(word != word.encode(errors="replace").decode() for word in map(str, words)):
+            # The name would have no place in a record, which is UTF-8.
+            raise typer.BadParameter(
+                f"given {', '.join(map(ascii, words))}; allowed: names in UTF-8; rename it", ctx, param
+            )
         if kind is str or (kind is Path and all(map(_is_allowed, words))):
             read = [kind(word) for word in words]
             return read if is_list else read[0]
-        return self._read_by_typer().coerce(value, param=param, ctx=ctx)
+        try:
+            return self._read_by_typer().coerce(value, param=param, ctx=ctx)
+        except typer.BadParameter as error:
+            if kind is not Path:
+                allowed = _allowed(kind, param.type_descriptor.parameter_info)
+                error.message = f"given {', '.join(words)}; allowed: {allowed}"
+            raise
 
 
 def _is_allowed(path: str | Path) -> bool:
     """Return whether a file is readable or does not exist; any other is left for typer to refuse."""
     return os.access(path, os.R_OK) or not os.path.lexists(path)
+
+
+def _allowed(kind: Any, bounds: Any) -> str:
+    """Return in words what a number or a choice may be."""
+    if get_args(kind):
+        return ", ".join(get_args(kind))
+    words = "a whole number" if kind is int else "a number"
+    if bounds.min is None:
+        return words
+    return f"{words} from {bounds.min} to {bounds.max}" if bounds.max else f"{words}, {bounds.min} or more"
 
 
 class _Reading:
