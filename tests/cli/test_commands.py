@@ -293,3 +293,29 @@ def test_a_value_that_an_option_cannot_take_is_told_with_what_it_can(words, told
     """Typer names neither the value nor the choice of whole numbers, and a name in Latin-1 has no place in a record."""
     done = run(*words.split())
     assert (done.returncode, told) == (2, done.stderr.rstrip().rpartition("Invalid value for ")[2])
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a disk that is always full is one of Linux's devices")
+@pytest.mark.parametrize("buffered", [True, False])
+def test_output_that_cannot_be_written_is_told_and_no_traceback(buffered):
+    """A report on a full disk, and one that `head` has read enough of; written at once or at the end."""
+    command = [sys.executable, *([] if buffered else ["-u"]), "-m", "modaltouch", "--help"]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, env=environment, cwd=REPOSITORY)
+    assert done.returncode == 1
+    assert done.stderr.startswith("the output cannot be written (No space left on device)")
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, env=environment, cwd=REPOSITORY)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (1, "")
+
+
+def test_a_closed_stream_gives_its_number_to_nothing_that_is_recorded(monkeypatch):
+    """A session without standard error ended at its first line of progress, and the record would have been number 2."""
+    monkeypatch.setattr(sys, "stderr", None)
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    with sys.stderr as nowhere:
+        assert nowhere.write("a warning of a library")
