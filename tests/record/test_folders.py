@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from modaltouch.protocol import InputError
 from modaltouch.record.chain import RecordError, RecordInputError
 from modaltouch.record.files import make_folder
 from modaltouch.record.folders import SessionFolder, find_log
@@ -121,7 +122,7 @@ def test_what_is_no_session_is_refused(tmp_path):
     (tmp_path / "beh.tsv").touch()
     with pytest.raises(RecordInputError, match="is not a session log; give a session's folder or its session.jsonl"):
         find_log(tmp_path / "beh.tsv")
-    with pytest.raises(RecordInputError, match="no such file or folder"):
+    with pytest.raises(InputError, match="gone: given no such file or folder; allowed: a results folder"):
         find_log(tmp_path / "gone")
-    with pytest.raises(RecordInputError, match="holds 0 sessions, but exactly one is needed"):
+    with pytest.raises(InputError, match="given a folder without a recorded session; allowed: a results folder"):
         find_log(tmp_path)

@@ -236,12 +236,6 @@ def test_a_replaced_answer_stays_replaced_under_its_new_number(tmp_path, damaged
     assert log.with_name("left_out.txt").stat().st_mode & 0o777 == 0o600
 
 
-def test_an_unreadable_file_is_named(tmp_path):
-    """The message says what to give."""
-    with pytest.raises(RecordError, match=r"none.jsonl: no such file or folder; give a session's folder"):
-        survey(tmp_path / "none.jsonl")
-
-
 def test_an_empty_file_proves_nothing(tmp_path):
     """No line is proved and none can be called missing."""
     (tmp_path / "session.jsonl").touch()

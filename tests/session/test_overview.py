@@ -164,10 +164,25 @@ def test_a_log_without_a_sound_line_is_damaged(tmp_path: Path, demo: Preflight, 
     assert [(row["state"], row["n_sittings"]) for row in found["sessions"]] == [("damaged", 0)]
 
 
+def test_a_log_that_lost_lines_that_its_view_has_is_damaged(
+    tmp_path: Path, demo: Preflight, scribe: Callable[..., Path]
+) -> None:
+    """Its lines are sound, but `resume` refuses it: `doctor` is named as the way on."""
+    log = scribe(demo, tmp_path, "p01", n_answered=5)
+    n_lines = len(log.read_bytes().splitlines())
+    log.with_name("sub-p01_beh.json").write_text(f'{{"SessionLog": {{"lines": {n_lines + 3}}}}}')
+    (found,) = survey_results(tmp_path)
+    told = f"{log}:{n_lines}: 3 lines after it are missing"
+    assert [(row["state"], row["why"]) for row in found["sessions"]] == [("damaged", told)]
+    assert [(each["participant"], each["do"]) for each in found["next"]] == [("p01", "doctor"), ("p02", "run")]
+
+
 def test_a_folder_without_sessions_is_refused(tmp_path: Path) -> None:
     """With what to give instead."""
     with pytest.raises(InputError, match="a folder without a recorded session; allowed: a results folder"):
         survey_results(tmp_path)
+    with pytest.raises(InputError, match="given no such file or folder"):
+        survey_results(tmp_path / "none")
 
 
 def test_sessions_are_shown_within_80_columns_and_on_a_page(tree: Path, tmp_path: Path) -> None:

@@ -223,6 +223,7 @@ def test_a_line_that_nobody_can_read_ends_in_a_sentence(sound, tmp_path, command
         assert told.exit_code == 0
     else:
         assert told.exit_code in (2, 4)
+    assert ("nothing can be recovered without its first line" in told.output) == (command == "doctor" and line == 1)
     if command == "recover" and line == 1:
         assert "its start record is not intact" in told.output
     elif command in ("doctor", "recover"):

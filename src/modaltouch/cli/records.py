@@ -26,8 +26,7 @@ MARKS = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "fault": ("FAU
 
 
 def verify(
-    session: Annotated[Path, typer.Argument(help=f"{RECORDS}.", show_default=False)],
-    json_output: JSON = False,
+    session: Annotated[Path, typer.Argument(help=f"{RECORDS}.", show_default=False)], json_output: JSON = False
 ) -> None:
     """Check the record of a session, or of all in a folder: recompute lines, order, drive and BIDS view."""
     from modaltouch.record import Session, audit_session
@@ -35,8 +34,10 @@ def verify(
     with reporting(json_output=json_output):
 
         def look(log: Path, several: bool) -> _Seen:
-            verdict = audit_session(Session.find(log))
-            return verdict.as_dict(), verdict.lines, verdict.problems
+            session = Session.find(log)
+            verdict = audit_session(session)
+            way_on = f"`modaltouch doctor {session.path.parent}` says what can be recovered"
+            return verdict.as_dict(), verdict.lines, verdict.problems + (way_on,) * bool(session.chain.problems)
 
         _look_at(session, look, json_output=json_output)
 
@@ -51,7 +52,7 @@ def _look_at(place: Path, look: Callable[[Path, bool], _Seen], *, json_output: b
 
     logs = SessionFolder.logs_under(place)
     several, found = len(logs) > 1, []
-    for log in logs if several else [place]:
+    for log in logs:
         try:
             values, lines, problems = look(log, several)
         except RecordError as error:  # among several, one that cannot be read must not keep the others from being read
@@ -74,12 +75,10 @@ def _look_at(place: Path, look: Callable[[Path, bool], _Seen], *, json_output: b
 
 def doctor(
     session: Annotated[
-        Path | None,
-        typer.Argument(help=f"{RECORDS}: say what can be recovered.", show_default=False),
+        Path | None, typer.Argument(help=f"{RECORDS}: say what can be recovered.", show_default=False)
     ] = None,
     into: Annotated[
-        Path | None,
-        typer.Option(help="Recover damaged records into this new results folder.", show_default=False),
+        Path | None, typer.Option(help="Recover damaged records into this new results folder.", show_default=False)
     ] = None,
     results: Annotated[Path, typer.Option(help="Folder where sessions would be recorded.")] = Path("results"),
     timing: Annotated[
@@ -137,8 +136,10 @@ def _examine_record(session: Path, several: bool, into: Path | None) -> _Seen:
         lines.append(
             f"continue with `modaltouch resume {found.path.parent}`, which marks the truncated line and keeps the rest"
         )
-    elif not found.is_sound:
+    elif not found.is_sound and found.has_start:
         lines.append("recover it into a new results folder with --into FOLDER; this record is never touched")
+    elif not found.has_start:
+        lines.append("nothing can be recovered without its first line, the start record; look for a copy of the file")
     return {**found.as_dict(), "recovered_into": str(recovered) if recovered else None}, lines, ()
 
 

@@ -60,7 +60,8 @@ class Audit:
             With these problems, as `modaltouch verify` reports them.
         """
         if faults := [each for each in self.problems if each not in self.to_mend]:
-            raise RecordError("\n".join(faults))
+            way_on = f"`modaltouch doctor {self.path.parent}` says what can be recovered"
+            raise RecordError("\n".join([*faults, way_on]))
 
 
 def audit_session(session: Session) -> Audit:

@@ -10,12 +10,13 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, Literal, Self
 
+from modaltouch.protocol import InputError
 from modaltouch.record.chain import RecordError, RecordExistsError, RecordInputError
 from modaltouch.record.files import LOCK_NAME, OWNER_ALONE, hold, is_locked, make_folder, replace_file
 from modaltouch.system import version
@@ -44,9 +45,6 @@ class SessionFolder:
     session : int
         Number of the session, from 1.
     """
-
-    LOG_NAME: ClassVar[str] = LOG_NAME
-    """File name of every session log."""
 
     results: Path
     mode: Mode
@@ -166,8 +164,26 @@ class SessionFolder:
 
     @staticmethod
     def logs_under(place: Path) -> list[Path]:
-        """Return the logs that a path names: the file itself, or all in a folder, in order of their paths."""
-        return [place] if place.is_file() else sorted(place.rglob(LOG_NAME))
+        """Return the logs that a path names: the file itself, or all in a folder, in order of their paths.
+
+        Raises
+        ------
+        InputError
+            If there is none; the message says what to give.
+        """
+        if logs := [place] if place.is_file() else sorted(place.rglob(LOG_NAME)):
+            return logs
+        given = "a folder without a recorded session" if place.exists() else "no such file or folder"
+        remedy = f"give the folder that `modaltouch run` wrote to; it holds files named {LOG_NAME}"
+        raise InputError.of(place, given, "a results folder", remedy)
+
+    @staticmethod
+    def lines_in_view(folder: Path) -> int:
+        """Return from how many lines of the log the BIDS view in a folder was made; 0 if none states it."""
+        for side in folder.glob("*_beh.json"):
+            with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):  # as that of the form
+                return int(json.loads(side.read_text(encoding="utf-8"))["SessionLog"]["lines"])
+        return 0
 
     def describe_dataset(self, title: str) -> None:
         """Write the dataset's description, README and ignore file if there is no description yet.
@@ -270,17 +286,13 @@ def find_log(session: Path) -> Path:
 
     Raises
     ------
-    RecordInputError
-        If there is none, or more than one.
+    InputError, RecordInputError
+        If there is none; if there are more than one, or the file is no log.
     """
-    if session.is_file():
-        if session.suffix != ".jsonl":
-            raise RecordInputError(f"{session}: is not a session log; give a session's folder or its {LOG_NAME}")
-        return session
-    if not session.exists():
-        raise RecordInputError(f"{session}: no such file or folder; give a session's folder or its {LOG_NAME}")
+    if session.is_file() and session.suffix != ".jsonl":
+        raise RecordInputError(f"{session}: is not a session log; give a session's folder or its {LOG_NAME}")
     logs = SessionFolder.logs_under(session)
-    if len(logs) != 1:
+    if len(logs) > 1:
         listed = "".join(f"\n  {log.parent}" for log in logs[:10])
         raise RecordInputError(f"{session}: holds {len(logs)} sessions, but exactly one is needed; give it{listed}")
     return logs[0]

@@ -27,7 +27,6 @@ from modaltouch.record.chain import (
 from modaltouch.record.files import OWNER_ALONE, replace_file
 from modaltouch.record.folders import SessionFolder, find_log
 from modaltouch.record.log import SessionLog
-from modaltouch.record.view import lines_in_view
 
 
 @dataclass(frozen=True)
@@ -89,6 +88,11 @@ class Recovery:
         return is_whole and self.numbers == tuple(sorted(self.numbers))
 
     @property
+    def has_start(self) -> bool:
+        """Whether the start record is proved, without which it is unknown what the answers belong to."""
+        return bool(self.events) and self.events[0].get("event") == "start"
+
+    @property
     def lines(self) -> list[str]:
         """Sentences on what can be recovered and what cannot."""
         answers = sum(event.get("event") == "trial" for event in self.events)
@@ -127,7 +131,7 @@ class Recovery:
         RecordError
             If no start record is proved, or the session exists already.
         """
-        if not self.events or self.events[0].get("event") != "start":
+        if not self.has_start:
             raise RecordError(
                 f"{self.path}: its start record is not intact, so it is unknown what the answers belong to; the lines "
                 "are left as they are"
@@ -199,7 +203,7 @@ def survey(path: Path) -> Recovery:
     events = tuple(proved[number] for number in order)
     written = {event["n"] for event in events}
     # Lines removed from the end leave no gap in the log, but the view states from how many lines it was made.
-    in_view = lines_in_view(path.parent)
+    in_view = SessionFolder.lines_in_view(path.parent)
     missing = tuple(n for n in range(1, max(in_view, *written, 0) + 1) if n not in written)
     chain = parse_chain(data, str(path))
     is_cut = bool(chain.problems and not chain.damage) and in_view <= len(chain.checks) + 1

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from modaltouch.protocol import TIME_OUT, AnswerList
@@ -350,19 +349,3 @@ def check_view(session: Session) -> ViewFound:
 
 
 _REMAKE = "`modaltouch resume` writes it again"
-
-
-def lines_in_view(folder: Path) -> int:
-    """Return the number of lines of the log from which the BIDS view was made; 0 if no view states it.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the log.
-    """
-    for side in folder.glob("*_beh.json"):
-        try:
-            return int(json.loads(side.read_text(encoding="utf-8"))["SessionLog"]["lines"])
-        except (OSError, ValueError, LookupError, TypeError, RecursionError):
-            continue  # the form's sidecar file has no such entry
-    return 0

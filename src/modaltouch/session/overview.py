@@ -35,9 +35,6 @@ def survey_results(place: Path) -> list[dict[str, Any]]:
         If it holds no session.
     """
     logs = SessionFolder.logs_under(place)
-    if not logs:
-        remedy = f"give the folder that `modaltouch run` wrote to; it holds files named {SessionFolder.LOG_NAME}"
-        raise InputError.of(place, "a folder without a recorded session", "a results folder", remedy)
     datasets: dict[Path, list[Path]] = defaultdict(list)
     for log in (log if len(log.parts) > 4 else log.absolute() for log in logs):
         datasets[Path(*log.parts[:-4])].append(log)
@@ -131,6 +128,7 @@ def _named(group: str, kind: str = "") -> dict[str, str]:
 
 def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
     """Return the row of a session, and the session itself; without events if its log cannot be read."""
+    n_in_view = SessionFolder.lines_in_view(log.parent)  # before the log, which grows first
     try:
         session = read_session(log)
         problems = session.problems if session.start else (*session.problems, f"{log}:1: is not a start record")
@@ -138,6 +136,9 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
         session, problems = Session(log, ()), (str(error),)
     if not isinstance(session.start.get("design", {}), dict):
         problems = (*problems, f"{log}:1: the event `start` does not say its design")
+    n_removed = n_in_view - len(session.chain.checks) - bool(session.chain.problems)
+    if n_removed > 0 and not session.chain.damage:
+        problems = (f"{log}:{len(session.chain.checks)}: {n_removed} lines after it are missing", *problems)
     # A truncated last line is the only fault with which a session can still be resumed.
     is_readable = problems == session.chain.problems and not session.chain.damage
     state, why = _state(session) if is_readable else ("damaged", problems[0])
