@@ -139,8 +139,8 @@ def test_brackets_in_a_title_are_words_and_no_markup(tmp_path, title):
 
 
 def test_a_narrow_terminal_cuts_no_number(monkeypatch):
-    """Without its exponent an error of 3.7e-06 would be one of 3.7; each voltage has its channel."""
-    monkeypatch.setenv("COLUMNS", "60")
+    """Without its exponent an error of 3.7e-06 would be one of 3.7; each voltage has its channel; no column is cut."""
+    monkeypatch.setenv("COLUMNS", "40")
     done = run("check", "protocols/demo.yaml")
     assert "3.7e-06" in done.stdout
     assert "74, 12" in done.stdout

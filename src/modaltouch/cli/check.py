@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,7 +15,6 @@ from modaltouch.cli.tables import print_table
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
 
     from modaltouch.preflight import Preflight
 _MOST_ROWS = 12
@@ -42,8 +42,7 @@ def check(
     with_marked_calibration: WITH_MARKED = False,
     json_output: JSON = False,
     compare: Annotated[
-        bool,
-        typer.Option("--compare", help="Also show the other drive law, and the generator without burst mode."),
+        bool, typer.Option("--compare", help="Also show the other drive law, and the generator without burst mode.")
     ] = False,
     sensitivity: Annotated[
         bool, typer.Option("--sensitivity", help="Also show how well the beam must be identified.")
@@ -105,12 +104,12 @@ def _export(preflight: Preflight, file: Path) -> None:
     """Write the voltages at the beam."""
     import numpy as np
 
+    from modaltouch.record import replace_file
+
     if file.suffix != ".npz":
         raise typer.BadParameter(f"--export is {file}; allowed: a file whose name ends with .npz, such as drive.npz")
-    try:
-        np.savez_compressed(file, **preflight.drive_arrays())
-    except OSError as error:
-        raise typer.BadParameter(f"--export cannot write {file} ({error.strerror}); choose another file") from None
+    np.savez_compressed(contents := BytesIO(), **preflight.drive_arrays())
+    replace_file(file, contents.getvalue(), "give another file with --export")
 
 
 def show(
@@ -148,9 +147,9 @@ def show(
             f"{own['thresholds_mm_s'][0]:g} to {own['thresholds_mm_s'][1]:.4g} mm/s; below, the bounds of all levels"
         )
     for whose, rows in _by_occasion(preflight, stimuli, fingers).items():
-        console.print(_level_table(rows, whose))
+        _show_levels(rows, whose)
         if any("touched" in each for each in rows):
-            console.print(_touched_table(rows, whose))
+            _show_touched(rows, whose)
     if any("touched" in each for each in stimuli):
         console.print(f"[dim]{_PULL}[/]")
     elif fingers is None and (said := preflight.untouched_warning()):
@@ -298,7 +297,7 @@ def _by_occasion(
     return {f" ({', '.join(names)})" if len(found) > 1 else "": rows for names, rows in found}
 
 
-def _level_table(stimuli: list[dict[str, Any]], whose: str) -> Table:
+def _show_levels(stimuli: list[dict[str, Any]], whose: str) -> None:
     zones = list(stimuli[0]["zone_peak_mm_s"])
     drive = "peak drive V: " + ", ".join(f"CH{channel}" for channel in stimuli[0]["peak_drive_V"])
     rows = [
@@ -311,10 +310,10 @@ def _level_table(stimuli: list[dict[str, Any]], whose: str) -> Table:
         for stimulus in stimuli
     ]
     title = f"Largest speed at the centre of each zone, mm/s{whose}"
-    return _speed_table(title, (*zones, "modal error mm/s", drive), rows, wide=("modal error mm/s", drive))
+    _show_speeds(title, (*zones, "modal error mm/s", drive), rows)
 
 
-def _touched_table(stimuli: list[dict[str, Any]], whose: str) -> Table:
+def _show_touched(stimuli: list[dict[str, Any]], whose: str) -> None:
     focus, zones = stimuli[0]["focus"], list(stimuli[0]["zone_peak_mm_s"])
     rows = [
         (
@@ -329,23 +328,18 @@ def _touched_table(stimuli: list[dict[str, Any]], whose: str) -> Table:
         for place, found in stimulus["touched"].items()
     ]
     headings = ("pair", *zones, f"{focus} at focus mm/s", f"{focus} at most mm/s", "pull N")
-    return _speed_table(f"The same with fingers on the beam{whose}", headings, rows)
+    _show_speeds(f"The same with fingers on the beam{whose}", headings, rows)
 
 
-def _speed_table(
-    title: str, headings: Sequence[str], rows: Sequence[tuple[Any, ...]], wide: Sequence[str] = ()
-) -> Table:
-    """Return a table in which each row begins with its level, and with its stimulus's name if there are several."""
-    from rich.table import Table
-
-    table, named = Table(title=title, title_justify="left"), ["stimulus"] * ("stimulus" in rows[0][0])
-    for heading in (*named, "level mm/s", *headings):
-        # A narrow terminal may break words, but not numbers: without its exponent a number would be another.
-        width = 7 if heading in wide else None
-        table.add_column(heading, justify="left" if heading in ("stimulus", "pair") else "right", min_width=width)
-    for stimulus, *cells in rows:
-        table.add_row(*(stimulus[name] for name in named), f"{stimulus['velocity_mm_s']:g}", *cells)
-    return table
+def _show_speeds(title: str, headings: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> None:
+    """Print a table in which each row begins with its level, and with its stimulus's name if there are several."""
+    named = ["stimulus"] * ("stimulus" in rows[0][0])
+    print_table(
+        title,
+        (*named, "level mm/s", *headings),
+        [(*map(stimulus.get, named), f"{stimulus['velocity_mm_s']:g}", *cells) for stimulus, *cells in rows],
+        n_words=len(named),
+    )
 
 
 def _in_two_digits(value: float) -> str:

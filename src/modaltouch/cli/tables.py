@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], *, n_words: int = 1) -> None:
     """Print a table; cells may have Rich's markup, and all columns but the first `n_words` hold numbers.
 
-    On a narrow screen headings and words are wrapped between words; numbers never are.
+    On a narrow screen headings and words are wrapped between words; numbers never are, and no column is cut off.
     """
     from rich.console import Console
     from rich.table import Table
@@ -22,7 +22,8 @@ def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str
     lines, console = [[Text.from_markup(cell) for cell in row] for row in rows], Console()
     columns = [[line[place].plain for line in lines] for place in range(len(headings))]
     widest = [max(map(len, [heading, *cells])) for heading, cells in zip(headings, columns, strict=True)]
-    is_narrow = sum(widest) + 3 * len(headings) + 1 > console.width
+    rules = 3 * len(headings) + 1
+    is_narrow = sum(widest) + rules > console.width
     table = Table(title=title, title_justify="left")
     for place, (heading, cells) in enumerate(zip(headings, columns, strict=True)):
         is_words = place < n_words
@@ -31,7 +32,8 @@ def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str
         table.add_column(heading, justify="left" if is_words else "right", min_width=longest, max_width=width)
     for line in lines:
         table.add_row(*line)
-    console.print(table)
+    least = sum(int(column.min_width or 0) for column in table.columns) + rules
+    console.print(table, width=max(console.width, least), crop=False, soft_wrap=False)
 
 
 def make_bars() -> Progress:
