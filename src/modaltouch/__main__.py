@@ -60,8 +60,7 @@ def main(arguments: list[str] | None = None) -> None:
 def _open_streams() -> None:
     """Have all letters printed, those of no encoding too; what a closed stream is told goes nowhere."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        stream = getattr(sys, name)
-        if stream is None:
+        if (stream := getattr(sys, name)) is None:
             # Its number would go to the next file opened, perhaps a record, and with it what libraries complain of.
             os.set_inheritable(number := os.open(os.devnull, os.O_RDWR), True)
             setattr(sys, name, os.fdopen(number, mode))

@@ -13,7 +13,6 @@ from modaltouch.cli.options import JSON, MODE
 if TYPE_CHECKING:
     from modaltouch.analysis import TableFormat
 
-
 _SOURCE = Annotated[
     list[Path],
     typer.Argument(
@@ -26,14 +25,13 @@ _OUT = Annotated[
     Path | None,
     typer.Option(
         help="Folder for the output.",
-        show_default="derivatives/analysis in the results folder, or <name>_analysis next to a CSV",
+        show_default="derivatives/analysis in a protocol's results, analysis in one above it, <name>_analysis by a CSV",
     ),
 ]
 _FIGURES = Annotated[
     str,
     typer.Option(
-        help="Figures besides Fig. 10 and 11: fields, order, reaction_times, speed_ratio, or all.",
-        show_default="none",
+        help="Figures besides Fig. 10 and 11: fields, order, reaction_times, speed_ratio, or all.", show_default="none"
     ),
 ]
 
@@ -43,7 +41,6 @@ _SPEED = Annotated[
         help="Speed used as the level: nominal at the focus, or predicted or delivered under the faster finger."
     ),
 ]
-
 
 _PREREG = Annotated[
     Path | None,
@@ -88,18 +85,15 @@ def analyse(
     """Write the tables and bars of Fig. 10 and Fig. 11, exact statistics, and an HTML report."""
     from modaltouch.analysis import analyse as run_analysis
 
-    words = _mapped(answers)
     with reporting(json_output=json_output):
-        table_format = None
-        if any(option is not None for option in (protocol, answers, missing)):
-            table_format = _table_format(protocol, words, missing)
+        is_table = any(option is not None for option in (protocol, answers, missing))
         analysis = run_analysis(
             source[0],
             out,
             labs=source[1:],
             mode=mode,
             stimulus=stimulus,
-            table_format=table_format,
+            table_format=_table_format(protocol, answers, missing) if is_table else None,
             figures=figures.replace(",", " ").split(),
             prereg=prereg,
             model=model,
@@ -111,22 +105,21 @@ def analyse(
             tell(analysis)
 
 
-def _table_format(protocol: str | None, words: dict[str, str] | None, missing: str | None) -> TableFormat:
+def _table_format(protocol: str | None, answers: str | None, missing: str | None) -> TableFormat:
     """Return how a CSV is to be read; the code that reads a protocol is loaded only here."""
     from modaltouch.analysis import TableFormat
     from modaltouch.protocol import Findings
 
+    words = {} if answers is None else _mapped(answers)
     given = None if protocol is None else Findings.read(protocol).experiment().protocol
     margin = given.analysis.equivalence_margin if given else None
     codes = tuple(word.strip() for word in (missing or "").split(","))
     design = given.model_dump(mode="json") if given else {}
-    return TableFormat(given.answers.offered if given else None, words or {}, codes, margin, design)
+    return TableFormat(given.answers.offered if given else None, words, codes, margin, design)
 
 
-def _mapped(answers: str | None) -> dict[str, str] | None:
+def _mapped(answers: str) -> dict[str, str]:
     """Return the answers that words stand for, as given in an option."""
-    if answers is None:
-        return None
     pairs = [part.strip().partition("=") for part in answers.split(",")]
     if not all(word.strip() and sign and answer.strip() for word, sign, answer in pairs):
         raise typer.BadParameter(f"given --answers {answers!r}; allowed: words and answers, such as L=left,R=right")

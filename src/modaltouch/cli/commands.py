@@ -12,8 +12,6 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from modaltouch.cli.exit_status import INTERRUPTED, leave
-
 MODULES = {
     "demo": "run",
     "new": "new",
@@ -53,9 +51,7 @@ class _Value:
         words, kind = (value, get_args(kind)[0]) if is_list else ([value], kind)
         if any(word != word.encode(errors="replace").decode() for word in map(str, words)):
             # The name would have no place in a record, which is UTF-8.
-            raise typer.BadParameter(
-                f"given {', '.join(map(ascii, words))}; allowed: names in UTF-8; rename it", ctx, param
-            )
+            raise typer.BadParameter(f"given {value!a}; allowed: names in UTF-8; rename it", ctx, param)
         if kind is str or (kind is Path and all(map(_is_allowed, words))):
             read = [kind(word) for word in words]
             return read if is_list else read[0]
@@ -120,10 +116,7 @@ class CommandGroup(_Reading, TyperGroup):
 
 def _find(name: str) -> Any:
     """Return the function of a command, or its Typer if it has sub-commands."""
-    try:
-        return getattr(import_module(f"modaltouch.cli.{MODULES[name]}"), name)
-    except KeyboardInterrupt:
-        leave(INTERRUPTED, "interrupted; nothing was begun")
+    return getattr(import_module(f"modaltouch.cli.{MODULES[name]}"), name)
 
 
 def _summary(command: Any) -> str:

@@ -23,21 +23,14 @@ def reporting(*, json_output: bool = False) -> Iterator[None]:
     """Turn every failure a user may meet into its message and exit status, or into one JSON object."""
     try:
         yield
-    except (typer.Exit, typer.Abort):
+    except (typer.Exit, typer.Abort, typer.BadParameter):
         raise
-    except typer.BadParameter as error:
-        if not json_output:
-            raise
-        leave(BAD_INPUT, error.format_message(), json_output=True)
-    except KeyboardInterrupt as error:
-        kept = getattr(error, "__notes__", ["everything answered is kept"])
-        leave(INTERRUPTED, "; ".join(["interrupted: the outputs are off", *kept]), json_output=json_output)
     except BaseException as error:
         status, problems = explain(error)
         if status is None:
             raise
-        why = f"ended by {error}: the outputs are off" if status == INTERRUPTED else _say(error)
-        leave(status, "; ".join([why, *getattr(error, "__notes__", [])]), problems, json_output=json_output)
+        why = "; ".join([_say(error, status), *getattr(error, "__notes__", [])])
+        leave(status, why, problems, json_output=json_output)
 
 
 def explain(error: BaseException) -> tuple[int | None, list[dict[str, Any]]]:
@@ -48,6 +41,7 @@ def explain(error: BaseException) -> tuple[int | None, list[dict[str, Any]]]:
     if isinstance(error, InputError):
         return BAD_INPUT, [problem.as_dict() for problem in error.problems]
     statuses = {
+        ("builtins", "KeyboardInterrupt"): INTERRUPTED,
         ("modaltouch.rig.interface", "RigError"): RIG_FAILED,
         ("modaltouch.window.interface", "WindowError"): RIG_FAILED,
         ("modaltouch.record.chain", "RecordInputError"): BAD_INPUT,
@@ -56,20 +50,19 @@ def explain(error: BaseException) -> tuple[int | None, list[dict[str, Any]]]:
         ("modaltouch.system.interruption", "Interrupted"): INTERRUPTED,
     }
     for (module, name), status in statuses.items():
-        kind = getattr(sys.modules.get(module), name, None)
-        if kind is not None and isinstance(error, kind):
+        if isinstance(error, getattr(sys.modules.get(module), name, ())):
             return status, []
     # Only its owner may read what a session wrote; others are refused even the question whether a file exists.
-    return (BAD_INPUT if _is_forbidden(error) else None), []
+    return (BAD_INPUT if isinstance(error, PermissionError) and error.filename is not None else None), []
 
 
-def _is_forbidden(error: BaseException) -> bool:
-    return isinstance(error, PermissionError) and error.filename is not None
-
-
-def _say(error: BaseException) -> str:
+def _say(error: BaseException, status: int) -> str:
     """Return an error in words."""
-    if isinstance(error, PermissionError) and _is_forbidden(error):
+    if isinstance(error, KeyboardInterrupt):
+        return "interrupted: the outputs are off" if hasattr(error, "__notes__") else "interrupted"
+    if status == INTERRUPTED:
+        return f"ended by {error}: the outputs are off"
+    if isinstance(error, PermissionError):
         yours = "only its owner may read what a session wrote; work as that user, or give a folder of your own"
         return f"{error.filename}: not for this user ({error.strerror}); {yours}"
     return str(error) or type(error).__name__
@@ -84,10 +77,8 @@ def leave(
     else:
         # A terminal that hung up takes no output, but the exit status must be returned all the same.
         with suppress(OSError):
-            if status == INTERRUPTED or os.environ.get("TERM") == "dumb":
-                typer.echo(message, err=True)
-            else:
-                typer.secho(message, err=True, fg=typer.colors.RED)
+            is_plain = status == INTERRUPTED or os.environ.get("TERM") == "dumb"
+            typer.secho(message, err=True, fg=None if is_plain else typer.colors.RED)
     raise typer.Exit(status)
 
 

@@ -65,8 +65,7 @@ USE_CLIPPED = Annotated[
     bool, typer.Option("--use-clipped", help="Use the free decay after the last saturated sample of a record.")
 ]
 ESTIMATOR = Annotated[
-    Literal["H1", "H2", "Hv"],
-    typer.Option(help="H1; H2 if the measured drive is noisy; Hv lies between."),
+    Literal["H1", "H2", "Hv"], typer.Option(help="H1; H2 if the measured drive is noisy; Hv lies between.")
 ]
 SEED = Annotated[
     int | None, typer.Option(min=0, help="Seed of the simulated rig, instead of the one in the apparatus file.")

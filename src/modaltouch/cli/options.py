@@ -11,7 +11,6 @@ from modaltouch.cli.exit_status import reporting
 
 SHIPPED_APPARATUS = Path("beam_100x6x2")
 
-
 ThemeChoice = Literal["dark", "light"]
 """Colours of the window."""
 
@@ -38,8 +37,7 @@ CALIBRATION = Annotated[
     ),
 ]
 WITH_MARKED = Annotated[
-    bool,
-    typer.Option("--with-marked-calibration", help="Accept a calibration marked as missing its limits."),
+    bool, typer.Option("--with-marked-calibration", help="Accept a calibration marked as missing its limits.")
 ]
 APPARATUS = Annotated[Path, typer.Option("--apparatus", help="Apparatus: a YAML file, or a shipped one.")]
 _OBSERVER = "Who is simulated: a YAML file, or a shipped observer such as `paper` or `near_miss`."

@@ -20,9 +20,7 @@ rig = typer.Typer(
 
 
 @rig.command("list")
-def list_addresses(
-    json_output: JSON = False,
-) -> None:
+def list_addresses(json_output: JSON = False) -> None:
     """List the VISA addresses of the instruments that this machine can see."""
     from modaltouch.rig import find_instruments
 
@@ -41,8 +39,7 @@ def check(
     address: Annotated[str, typer.Argument(help="VISA address, or `simulated`.", show_default=False)],
     apparatus: APPARATUS = SHIPPED_APPARATUS,
     scope: Annotated[
-        bool,
-        typer.Option("--scope", help="Measure the trigger's latency with a PicoScope at the trigger output."),
+        bool, typer.Option("--scope", help="Measure the trigger's latency with a PicoScope at the trigger output.")
     ] = False,
     json_output: JSON = False,
 ) -> None:
