@@ -89,7 +89,8 @@ def write_statuses(folder: Path) -> None:
     )
     rows = [(f"`{known[name]}`", meaning) for name, meaning in STATUSES]
     bug = (
-        "A fault of the program itself, with a traceback: please report it. The outputs are off; the answers are kept."
+        "The output could not be printed: its disk is full, or, without a word, nobody reads it any more. With a "
+        "traceback, a fault of the program itself: please report it. The outputs are off; the answers are kept."
     )
     rows.insert(1, ("`1`", bug))
     write(folder / "exit_statuses.md", page("Exit statuses", lead, table(("status", "meaning"), rows)))

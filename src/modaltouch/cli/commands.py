@@ -52,7 +52,9 @@ class _Value:
         if any(word != word.encode(errors="replace").decode() for word in map(str, words)):
             # The name would have no place in a record, which is UTF-8.
             raise typer.BadParameter(f"given {value!a}; allowed: names in UTF-8; rename it", ctx, param)
-        if kind is str or (kind is Path and all(map(_is_allowed, words))):
+        # A file that exists and cannot be read is left for typer to refuse.
+        is_open = kind is Path and all(os.access(word, os.R_OK) or not os.path.lexists(word) for word in words)
+        if kind is str or is_open:
             read = [kind(word) for word in words]
             return read if is_list else read[0]
         try:
@@ -62,11 +64,6 @@ class _Value:
                 allowed = _allowed(kind, param.type_descriptor.parameter_info)
                 error.message = f"given {', '.join(words)}; allowed: {allowed}"
             raise
-
-
-def _is_allowed(path: str | Path) -> bool:
-    """Return whether a file is readable or does not exist; any other is left for typer to refuse."""
-    return os.access(path, os.R_OK) or not os.path.lexists(path)
 
 
 def _allowed(kind: Any, bounds: Any) -> str:

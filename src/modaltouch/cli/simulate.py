@@ -49,5 +49,5 @@ def simulate(
         if json_output:
             print_json({"sessions": [str(session.path.parent) for session in sessions], "dataset": str(dataset)})
         else:
-            print(f"{len(sessions)} sessions in {dataset}")
+            print(f"{len(sessions)} session{'s' * (len(sessions) > 1)} in {dataset}")
             print(f"Next: modaltouch analyse {dataset}")

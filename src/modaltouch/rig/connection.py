@@ -142,9 +142,12 @@ class Connection:
                 "or, if there is none (a lost connection may still be open), switch the generator off and on"
             ) from error
         except LinkError as error:
+            way = "check that it is on and connected, and find its address"
+            if "::" not in self.address:
+                way = "give a VISA address such as TCPIP::192.168.1.20::INSTR, or find it"
             raise RigError(
-                f"no generator answers at {self.address}: {error}{self._reported()}; no output was switched on; check "
-                "that it is on and connected, and find its address with `modaltouch rig list`"
+                f"no generator answers at {self.address}: {error}{self._reported()}; no output was switched on; {way} "
+                "with `modaltouch rig list`"
             ) from error
         except Unconfirmed as error:
             raise RigError(
