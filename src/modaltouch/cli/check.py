@@ -30,6 +30,8 @@ _PULL = (
 _TOLERANCE = Annotated[
     float | None,
     typer.Option(
+        min=1e-6,
+        max=0.999,
         help="Also show the fewest samples that keep the field around the focus within this share of the level.",
         show_default=False,
     ),
@@ -79,9 +81,9 @@ def check(
     from modaltouch.preflight import check_legibility, examine
 
     with reporting(json_output=json_output):
-        _refuse_tolerance(tolerance)
         preflight = check_legibility(examine(protocol, calibration, marked=with_marked_calibration))
-        asked = {} if preflight.problems else _explore(preflight, sensitivity, designs, contrast, tolerance)
+        more = (sensitivity, designs, contrast, tolerance)
+        asked = _explore(preflight, *more) if any(more) and not preflight.problems else {}
         if export is not None and not preflight.problems:
             _export(preflight, export)
         if json_output:
@@ -93,11 +95,6 @@ def check(
             show(preflight, compare=compare, fingers=fingers, asked=asked)
         if preflight.problems:
             raise typer.Exit(BAD_INPUT)
-
-
-def _refuse_tolerance(tolerance: float | None) -> None:
-    if tolerance is not None and not 0 < tolerance < 1:
-        raise typer.BadParameter(f"--tolerance is {tolerance:g}; allowed: above 0 and below 1, such as 0.001")
 
 
 def _export(preflight: Preflight, file: Path) -> None:
@@ -192,8 +189,6 @@ def _explore(
 ) -> dict[str, Any]:
     """Return what was asked for besides the check; nothing else is computed."""
     asked: dict[str, Any] = {}
-    if not (sensitivity or compared or contrast or tolerance is not None):
-        return asked
     from modaltouch.preflight import contrast_figures, design_figures, sample_figures, sensitivity_figures
 
     inputs, stimulus = preflight.of_one_stimulus().sound
@@ -309,8 +304,7 @@ def _show_levels(stimuli: list[dict[str, Any]], whose: str) -> None:
         )
         for stimulus in stimuli
     ]
-    title = f"Largest speed at the centre of each zone, mm/s{whose}"
-    _show_speeds(title, (*zones, "modal error mm/s", drive), rows)
+    _show_speeds(f"Largest speed at the centre of each zone, mm/s{whose}", (*zones, "modal error mm/s", drive), rows)
 
 
 def _show_touched(stimuli: list[dict[str, Any]], whose: str) -> None:

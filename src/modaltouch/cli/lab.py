@@ -155,8 +155,11 @@ def _show_stimulus(name: str, own: Any) -> None:
         )
         for each in own.iterations
     ]
-    headings = ("iteration", "worst velocity error mm/s", "worst w eta error mm/s", "peak voltage V")
-    print_table(f"{whose}Errors at the focusing instant, as measured", headings, turns)
+    print_table(
+        f"{whose}Errors at the focusing instant, as measured",
+        ("iteration", "worst velocity error mm/s", "worst w eta error mm/s", "peak voltage V"),
+        turns,
+    )
     levels = [
         (
             f"{level.velocity_mm_s:g}",
@@ -166,8 +169,11 @@ def _show_stimulus(name: str, own: Any) -> None:
         )
         for level in own.levels
     ]
-    headings = ("level", "at the focusing instant", "highest over the burst", "amplitude Vpp")
-    print_table(f"{whose}Levels at the centre of the focus zone, mm/s", headings, levels)
+    print_table(
+        f"{whose}Levels at the centre of the focus zone, mm/s",
+        ("level", "at the focusing instant", "highest over the burst", "amplitude Vpp"),
+        levels,
+    )
 
 
 COLUMNS = {
@@ -233,13 +239,16 @@ def compare(
 def _show_comparison(lines: list[dict[str, Any]], values: dict[str, Any]) -> None:
     """Print the methods side by side, and where the page is."""
     methods = values["methods"]
-    title = f"Target: {values['velocity_mm_s']:g} mm/s at the focus; the best of each column bold"
     shown = [line for line in lines if line["key"] in COLUMNS and methods[0].get(line["key"]) is not None]
     rows = []
     for number, method in enumerate(methods):
         cells = [line["cells"][number] for line in shown]
         rows.append((method["name"], *(f"[bold]{cell['text']}[/]" if cell["best"] else cell["text"] for cell in cells)))
-    print_table(title, ("method", *(COLUMNS[line["key"]] for line in shown)), rows)
+    print_table(
+        f"Target: {values['velocity_mm_s']:g} mm/s at the focus; the best of each column bold",
+        ("method", *(COLUMNS[line["key"]] for line in shown)),
+        rows,
+    )
     print("\n".join(f"Identification: {said}" for said in values["identification"]))
     print(values["files"]["comparison.html"])
 
@@ -352,7 +361,6 @@ def probe(
     from modaltouch.lab import probe_fingers
 
     with reporting(json_output=json_output):
-        laser = None if laser_mm is None else laser_mm * 1e-3
         try:
             with bars() as progress:
                 report = probe_fingers(
@@ -361,7 +369,7 @@ def probe(
                     rig=rig,
                     pair=pair,
                     hand=hand,
-                    laser=laser,
+                    laser=None if laser_mm is None else laser_mm * 1e-3,
                     speed=speed_mm_s * 1e-3,
                     seed=seed,
                     progress=progress,
@@ -394,10 +402,15 @@ def _show_fingers(result: dict[str, Any]) -> None:
         )
         for each in result["placements"]
     ]
-    headings = ("placement", "misfit", "asked", "level (95 %)", "attainable")
-    print_table("Designed for these fingers, mm/s at the focus", headings, levels)
-    uncertainty = result["sensitivity_uncertainty_percent"]
-    print(f"Not in the intervals: the vibrometer's sensitivity, known to {uncertainty:g} %, an error all levels share.")
+    print_table(
+        "Designed for these fingers, mm/s at the focus",
+        ("placement", "misfit", "asked", "level (95 %)", "attainable"),
+        levels,
+    )
+    print(
+        "Not in the intervals: the vibrometer's sensitivity, known to "
+        f"{result['sensitivity_uncertainty_percent']:g} %, an error all levels share."
+    )
     print(f"Written: {result['file']}")
     print(
         f"Next: name it in the protocol, `stimulus: {{fingers: {result['file']}}}`, and run `modaltouch check` on that"

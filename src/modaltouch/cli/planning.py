@@ -254,8 +254,9 @@ def tell(found: Power, target: float) -> None:
             for row in found.needed(target)
             if row["family"] != "a1" or row["scope"] == "any test"
         ]
-        headings = ("question", "test", "reps", "participants")
-        print_table(f"Participants for a power of {target:g}", headings, rows, n_words=2)
+        print_table(
+            f"Participants for a power of {target:g}", ("question", "test", "reps", "participants"), rows, n_words=2
+        )
     for floor in found.floors:
         least = floor.least_participants
         reach = "no number of participants" if least is None else f"fewer than {least} participants"
@@ -264,9 +265,8 @@ def tell(found: Power, target: float) -> None:
 
 
 def _cell(row: dict[str, Any]) -> str:
-    if not row["reachable"]:
-        return "never"
-    return f"{100 * row['power']:.0f} ({100 * row['low']:.0f}-{100 * row['high']:.0f})"
+    share = f"{100 * row['power']:.0f} ({100 * row['low']:.0f}-{100 * row['high']:.0f})"
+    return share if row["reachable"] else "never"
 
 
 def _simulate_study(
@@ -370,16 +370,15 @@ def fit(
         if out is not None:
             prepare_file(out)
         fitted = fit_answers(preflight, answers, prior, mode=mode)
+        n_answers = f"{fitted.fit.n_answers} answers of {participants(fitted.n_participants)}"
         if out is not None:
-            words = (
-                f"Fitted to {fitted.fit.n_answers} answers of {participants(fitted.n_participants)} in {answers.name}"
-            )
+            words = f"Fitted to {n_answers} in {answers.name}"
             text = write_observer(fitted.fit.observer, "fitted", words)
             replace_file(out, text.encode(), "give another file with --out")
         if json_output:
             print_json({**fitted.as_dict(), "file": None if out is None else str(out)})
             return
-        print(f"{fitted.fit.n_answers} answers of {participants(fitted.n_participants)}")
+        print(n_answers)
         for estimate in (*fitted.fit.identified, *fitted.fit.parameters):
             tied = ", scale by the prior" if estimate.tied_to_scale else ""
             print(

@@ -28,10 +28,11 @@ def list_addresses(json_output: JSON = False) -> None:
         addresses = find_instruments()
         if json_output:
             print_json({"addresses": list(addresses)})
-        elif addresses:
-            print("\n".join(addresses))
         else:
-            print("none found; a generator on the network is not listed but answers at TCPIP::<its address>::INSTR")
+            print(
+                "\n".join(addresses)
+                or "none found; a generator on the network is not listed but answers at TCPIP::<its address>::INSTR"
+            )
 
 
 @rig.command("check")
