@@ -185,7 +185,8 @@ def test_the_next_session_is_the_next_free_number(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match="has had all 2 sessions of the protocol.*--session 3"):
         next_session(place, protocol.schedule.sessions)
     other = place_of(tmp_path, "p2")
-    sit(other, protocol, complete=False)[1].close()
+    with sit(other, protocol, complete=False)[1], pytest.raises(RecordError, match="another program is running this"):
+        next_session(other, protocol.schedule.sessions)
     with pytest.raises(RecordError, match="exists already and is not complete; continue it with `modaltouch resume"):
         next_session(other, protocol.schedule.sessions)
 

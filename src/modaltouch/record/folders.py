@@ -308,8 +308,7 @@ def refuse_existing(path: Path) -> None:
     """
     if path.exists() and is_locked(path):
         raise RecordExistsError(
-            f"{path}: another program is running this session now; give another participant id, or wait until it is "
-            "over"
+            f"{path}: another program is running this session now; give another participant id, or wait until it ends"
         )
     if path.exists():
         raise RecordExistsError(

@@ -170,13 +170,14 @@ def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, 
     if not every:
         return replace(place, session=1), 1
     latest = every[-1]
-    folder = latest.path.parent
     number = SessionFolder.number_of(latest.path) + 1
     faults = "".join(f"\n{fault}" for fault in latest.problems)
+    if latest.is_running:
+        replace(place, session=number - 1).refuse_existing()
     if not latest.complete:
         raise RecordError(
             f"{latest.path}: this session exists already and is not complete; continue it with `modaltouch resume "
-            f"{folder}`, or begin another with --session {number}{faults}"
+            f"{latest.path.parent}`, or begin another with --session {number}{faults}"
         )
     held = [session for session in every if session.begun_anew_as is None]
     if len(held) >= n_sessions:
