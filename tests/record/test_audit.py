@@ -21,6 +21,7 @@ from modaltouch.protocol.findings import Findings
 from modaltouch.record.audit import audit_session, draw_again
 from modaltouch.record.chain import GENESIS, RecordError, encode_line, read_chain
 from modaltouch.record.folders import SessionFolder
+from modaltouch.record.log import SessionLog
 from modaltouch.record.session import Session
 from modaltouch.record.view import write_view
 from modaltouch.session.resumption import wire_resume
@@ -342,6 +343,18 @@ def test_what_verify_refuses_is_neither_analysed_nor_gone_on_with(copied: Callab
         wire_resume(log)
     with pytest.raises(InputError, match=re.escape(said)):
         read_responses(log)
+
+
+def test_a_session_that_is_running_is_not_to_be_resumed(copied: Callable[..., Path]) -> None:
+    """Whoever holds the log's lock records it."""
+    log = copied()
+    log.write_bytes(b"".join(log.read_bytes().splitlines(keepends=True)[:12]))
+    for view in log.parent.glob("sub-*"):
+        view.unlink()
+    with SessionLog.reopen(log):
+        said = audit_session(Session.find(log)).lines[-1]
+    assert said == "not complete: another program is running this session now"
+    assert audit_session(Session.find(log)).lines[-1].startswith("not complete: `modaltouch resume` continues it")
 
 
 def test_many_faults_are_told_to_a_number(copied: Callable[..., Path]) -> None:

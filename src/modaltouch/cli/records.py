@@ -36,8 +36,8 @@ def verify(
         def look(log: Path, several: bool) -> _Seen:
             session = Session.find(log)
             verdict = audit_session(session)
-            way_on = f"`modaltouch doctor {session.path.parent}` says what can be recovered"
-            return verdict.as_dict(), verdict.lines, verdict.problems + (way_on,) * bool(session.chain.problems)
+            way_on = (f"`modaltouch doctor {log.parent}` says what can be recovered",) * bool(session.chain.problems)
+            return verdict.as_dict(), verdict.lines, verdict.problems + way_on
 
         _look_at(session, look, json_output=json_output)
 
@@ -363,8 +363,9 @@ def _usb() -> MachineCheck:
         from importlib.metadata import version
 
         return MachineCheck("USB", "ok", f"pyusb {version('pyusb')}")
-    found = "pyusb is absent: a generator on USB is not found"
-    return MachineCheck("USB", "warning", found, "connect it by LAN, or install pyusb")
+    return MachineCheck(
+        "USB", "warning", "pyusb is absent: a generator on USB is not found", "connect it by LAN, or install pyusb"
+    )
 
 
 def _precedence() -> MachineCheck:

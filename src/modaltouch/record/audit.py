@@ -110,6 +110,8 @@ def audit_session(session: Session) -> Audit:
 def _completeness(session: Session, audit: Audit) -> str:
     if session.complete:
         return "complete"
+    if session.is_running:
+        return "not complete: another program is running this session now"
     if session.begun_anew_as is not None:
         return f"closed and not complete: started over as session {session.begun_anew_as}"
     if not set(audit.problems) <= set(audit.to_mend):
