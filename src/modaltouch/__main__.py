@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> None:
         try:
             if "--json" not in words:
                 app(words)
-            sys.exit(_run_for_a_program(words))
+            sys.exit(_run_as_json(words))
         finally:
             sys.stdout.flush()
     except KeyboardInterrupt:
@@ -68,7 +68,7 @@ def _open_streams() -> None:
             stream.reconfigure(encoding="utf-8", errors="backslashreplace")
 
 
-def _run_for_a_program(words: list[str]) -> int:
+def _run_as_json(words: list[str]) -> int:
     """Return the exit status; standard output carries one JSON object whatever happens, a wrong option included."""
     try:
         status = app(words, standalone_mode=False)

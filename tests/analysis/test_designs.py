@@ -20,7 +20,7 @@ from modaltouch.analysis.findings import Finding, correct
 from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.location import by_flips, by_ranks, group_test
 from modaltouch.analysis.means import BoundedMean
-from modaltouch.analysis.measures import Measure, Own, contrast_findings
+from modaltouch.analysis.measures import IndividualValue, Measure, contrast_findings
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.ratings import friedman, level_findings, power_law
@@ -419,7 +419,7 @@ def test_an_interval_that_ends_at_zero_beside_a_rejection_says_why() -> None:
     measure = Measure("sure", "sure", "rating", None, is_ranked=True)
     gaps = [1.0] * 6 + [0.0] * 3
     values = [
-        Own(measure, f"p{who}", condition, "A-C", 80.0, Interval.point(value, 1), 1)
+        IndividualValue(measure, f"p{who}", condition, "A-C", 80.0, Interval.point(value, 1), 1)
         for who, gap in enumerate(gaps)
         for condition, value in (("one_hand", gap), ("two_hands", 0.0))
     ]
@@ -565,11 +565,11 @@ def test_ratings_of_two_levels_are_compared_by_signed_ranks(is_ratio) -> None:
     measure = Measure("loud", "loud", "rating", None, is_ratio=is_ratio, is_ranked=True)
     low, high = np.array([1.0, 2, 4, 3, 5, 2, 7]), np.array([2.0, 6, 4.5, 10, 3.5, 7, 30])
     values = [
-        Own(measure, f"p{who}", "one_hand", "A-C", level, Interval.point(value, 1), 1)
+        IndividualValue(measure, f"p{who}", "one_hand", "A-C", level, Interval.point(value, 1), 1)
         for level, rated in ((50.0, low), (150.0, high))
         for who, value in enumerate(rated)
     ]
-    values.append(Own(measure, "alone", "one_hand", "A-C", 50.0, Interval.point(1.0, 1), 1))
+    values.append(IndividualValue(measure, "alone", "one_hand", "A-C", 50.0, Interval.point(1.0, 1), 1))
     (row,) = level_findings(values)
     gaps = np.log(high / low) if is_ratio else high - low
     assert row.p == pytest.approx(stats.wilcoxon(gaps, method="exact").pvalue)

@@ -8,13 +8,13 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from modaltouch.analysis.certificates import certificates, certificates_of, say_certificates
+from modaltouch.analysis.certificates import certificates, certificates_in_words, certificates_of
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.findings import Finding
 from modaltouch.analysis.report import delivered_rows, list_questions, speed_rows
 from modaltouch.analysis.statistics import STATISTICS, find
-from modaltouch.analysis.words import say_p, say_scope, state_families
-from modaltouch.report import say_number
+from modaltouch.analysis.words import format_p, scope_in_words, state_families
+from modaltouch.report import format_number
 
 
 def paragraphs(frame) -> dict[str, str]:
@@ -60,7 +60,7 @@ def test_numbers_are_filled_in(paper_frame) -> None:
 def test_conditions_and_zones_are_said_in_words(paper_frame, scope, words) -> None:
     """No name of a file or key in a sentence."""
     answers = count_answers(paper_frame)
-    assert say_scope(scope, answers.finger_conditions, answers.pairs) == words
+    assert scope_in_words(scope, answers.finger_conditions, answers.pairs) == words
 
 
 def test_families_and_their_error_rates_are_stated_once(paper_frame) -> None:
@@ -106,13 +106,13 @@ def test_one_level_and_one_participant_are_said_plainly(build) -> None:
 )
 def test_numbers_are_said_in_three_digits(value, text) -> None:
     """Rule of the tables in the report."""
-    assert say_number(value) == text
+    assert format_number(value) == text
 
 
 @pytest.mark.parametrize(("p", "text"), [(0.0499, "= 0.05"), (0.0000001, "< 0.001"), (1.0, "= 1")])
 def test_p_values_are_said_as_in_a_paper(p, text) -> None:
     """Two digits; below 0.001 a bound."""
-    assert say_p(p) == text
+    assert format_p(p) == text
 
 
 def test_speeds_under_the_fingers_stand_beside_the_level_asked() -> None:
@@ -151,8 +151,10 @@ def test_every_test_and_interval_has_its_certificate(paper_frame) -> None:
         mean, worst, why = certificates()[name]
         assert (mean, worst) == pytest.approx((each["mean_rate"], each["worst_rate"]), abs=1e-5)
         assert bool(why) == bool(each["fails"])
-        assert say_certificates([name]).endswith(f" %, so not a 95 % interval: {why}" if why else " %")
-    assert "at worst 99.9 %, so not a 95 % interval: spreads fitted to few trials" in say_certificates(["mean JND"])
+        assert certificates_in_words([name]).endswith(f" %, so not a 95 % interval: {why}" if why else " %")
+    assert "at worst 99.9 %, so not a 95 % interval: spreads fitted to few trials" in certificates_in_words(
+        ["mean JND"]
+    )
 
 
 @pytest.mark.parametrize(

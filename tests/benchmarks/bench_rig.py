@@ -155,7 +155,7 @@ def measure_end(simulator: Simulator) -> tuple[float, float]:
     def end() -> float:
         dog = WatchdogClient(simulator.address, AFG3022B.off)
         dog.open()
-        dog.arm(plays_by_itself=False)
+        dog.arm(free_running=False)
         simulator.front_panel("OUTP1 ON;:OUTP2 ON")
         started = time.perf_counter()
         dog.release(clean=False)

@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from intervals import PROTOCOL, calibrated
 
-from modaltouch.lab.calibration.doubts import mark_of
+from modaltouch.lab.calibration.plausibility import mark_of
 from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.files import read_responses
 from modaltouch.lab.identification.joint_fit import identify, identify_each

@@ -25,7 +25,7 @@ VARIED = Observer(
 def test_simulated_answers_have_the_observers_shares(design: Design) -> None:
     """Expected: the mean over a large crowd of the closed-form chances, within 4 standard errors."""
     answers = simulate(design, VARIED, Job(50, 2, 0, 200), np.random.default_rng(1))
-    crowd = VARIED.draw_crowd(np.random.default_rng(2), (40_000,))
+    crowd = VARIED.draw_participants(np.random.default_rng(2), (40_000,))
     left, right = crowd.shares(design.speeds.reshape(-1, 2), design.cells)
     for place, share in ((0, left), (2, right)):
         means = answers.counts[..., place].mean(axis=(0, 1)).ravel() / 2

@@ -62,7 +62,7 @@ def test_one_observer_is_fitted_to_the_answers_to_all_stimuli(tmp_path: Path) ->
     fitted = fit_answers(preflight, tmp_path, Observer())
     assert (fitted.n_participants, fitted.fit.n_answers) == (2, 2 * 32)
     expected = 0.0
-    crowd = fitted.fit.observer.crowd_at(_grid())
+    crowd = fitted.fit.observer.participants_at(_grid())
     for person in ("p01", "p02"):
         logs = np.zeros(_grid().shape[1])
         for responses in fitted.responses:
@@ -86,7 +86,7 @@ def test_two_stimuli_give_back_their_observer() -> None:
     held, values = 0, []
     for seed in range(4):
         rng = np.random.default_rng(seed)
-        crowd, parts = TRUTH.draw_crowd(rng, (30,)), []
+        crowd, parts = TRUTH.draw_participants(rng, (30,)), []
         for design in designs.values():
             speeds = design.speeds.reshape(-1, 2)
             left, right = crowd.shares(speeds, design.cells)

@@ -96,4 +96,4 @@ def test_tables_are_for_people_too() -> None:
     assert "least peak" in said
     refused = check("--tolerance", "2")
     assert refused.exit_code == 2
-    assert "allowed: above 0 and below 1" in refused.stderr
+    assert "given 2; allowed: a number from 1e-06 to 0.999" in refused.stderr

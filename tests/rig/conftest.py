@@ -62,7 +62,7 @@ class QuietGuard(LocalClient):
         super().__init__(VisaSession(address), self._clock)
         return self
 
-    def arm(self, *, plays_by_itself: bool) -> None:
+    def arm(self, *, free_running: bool) -> None:
         self.told.append("arm")
 
     def disarm(self) -> None:

@@ -171,7 +171,7 @@ def test_watchdog_that_is_let_go_ends_and_takes_nothing_more(single_link: Simula
     dog.release(clean=clean)
     assert dog._process.wait(10) == 0
     with pytest.raises(LinkError, match=r"is gone \(exit status 0\)"):
-        dog.arm(plays_by_itself=False)
+        dog.arm(free_running=False)
 
 
 def test_how_a_watchdog_ended_is_said(single_link: Simulator) -> None:

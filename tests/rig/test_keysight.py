@@ -15,7 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_faults import KINDS, WRONG, counted
 
-from modaltouch.preflight.design_inputs import design, find_ground
+from modaltouch.preflight.design_inputs import design, find_design_inputs
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.findings import Findings
 from modaltouch.rig.catalogue import instrument_of
@@ -301,7 +301,7 @@ def test_outputs_go_off_when_the_session_is_killed(apparatus: Apparatus) -> None
         assert instrument_of(apparatus).off == ":OUTP1 OFF;:OUTP2 OFF;:OUTP1?;:OUTP2?"
         dog = WatchdogClient(simulator.address, instrument_of(apparatus).off)
         dog.open()
-        dog.arm(plays_by_itself=False)
+        dog.arm(free_running=False)
         simulator.front_panel("OUTP1 ON;:OUTP2 ON")
         dog.release(clean=False)
         end = time.monotonic() + 10
@@ -402,7 +402,7 @@ def test_what_the_twin_plays_is_the_stimulus_to_its_prediction(
         ("natural_frequency_mismatch", "damping_ratio_mismatch", "gain_mismatch", "generator_gain_mismatch"), 0.0
     )
     true = apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update=exact | {"cross_gain": 0.0})})
-    ground = find_ground(Findings.read(PROTOCOLS / "differentiated_stimulation.yaml"))
+    ground = find_design_inputs(Findings.read(PROTOCOLS / "differentiated_stimulation.yaml"))
     assert ground is not None
     stimulus = design(replace(ground, apparatus=true))
     timing, n_codes = stimulus.timing, np.ptp(stimulus.burst.codes.astype(int), axis=1).min()

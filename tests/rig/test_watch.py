@@ -283,7 +283,7 @@ def test_watchdog_tells_by_how_much_it_was_late() -> None:
     assert late() == 0
     off = threading.Event()
     watch.switch_off = lambda: bool(off.set()) or True  # type: ignore[method-assign]
-    threading.Thread(target=watch._patrol, daemon=True).start()
+    threading.Thread(target=watch._watch_client, daemon=True).start()
     assert off.wait(10)
     assert late() == pytest.approx(0.3, abs=1e-6)
     watch._armed = threading.Event()
@@ -331,16 +331,14 @@ STILL, NOBODY = (
 )
 
 
-@pytest.mark.parametrize(("plays_by_itself", "patience"), [(False, 30.0), (True, 3600.0)])
-def test_outputs_that_cannot_be_switched_off_are_told_until_nobody_tries(
-    plays_by_itself: bool, patience: float
-) -> None:
+@pytest.mark.parametrize(("free_running", "patience"), [(False, 30.0), (True, 3600.0)])
+def test_outputs_that_cannot_be_switched_off_are_told_until_nobody_tries(free_running: bool, patience: float) -> None:
     """First after a second, then every ten; the last word after half a minute, after an hour where it plays on."""
     assert (PERSISTENCE, LONG_PERSISTENCE) == (30.0, 3600.0)
     clock = VirtualClock(50.0)
     terminal, instrument = Terminal(clock), Dead(clock, math.inf)
     watch = WatchdogProcess(instrument, ASKED_OFF, say=terminal, clock=clock)
-    if plays_by_itself:
+    if free_running:
         watch._carry_out(ARM, FLAG.pack(True), lambda content: None)
     assert watch.switch_off() is False
     times, words = zip(*terminal.said, strict=True)

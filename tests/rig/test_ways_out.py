@@ -69,7 +69,7 @@ def test_interrupt_in_the_midst_of_starting_leaves_outputs_off(loaded: Generator
 def test_watchdog_that_cannot_be_armed_leaves_outputs_off(loaded: Generator, simulator: Simulator, guard: Any) -> None:
     """No output without a watchdog."""
 
-    def refuse(*, plays_by_itself: bool) -> None:
+    def refuse(*, free_running: bool) -> None:
         raise RigError("the watchdog process does not run")
 
     guard.arm = refuse

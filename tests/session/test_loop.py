@@ -106,7 +106,7 @@ class Person:
     def settle(self, trial: Trial, progress: Progress, lead: float = 0.0) -> float:
         return 100.0 + lead
 
-    def tell_stall(self) -> None:
+    def show_stall(self) -> None:
         self.seen.append("stall")
 
     def goodbye(self) -> None:

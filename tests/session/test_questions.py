@@ -15,7 +15,7 @@ import pytest
 from modaltouch.planning import designs_for, read_observer
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
-from modaltouch.protocol.questions import TAKEN_COLUMNS, ScaleSection
+from modaltouch.protocol.questions import RESERVED_COLUMNS, ScaleSection
 from modaltouch.record import Session, audit_session, read_session
 from modaltouch.record.chain import GENESIS, encode_line
 from modaltouch.session import begin, resume, simulate_session, wire_resume, wire_run
@@ -105,7 +105,7 @@ def test_everything_that_was_answered_is_recorded_and_verified(recorded: Session
     described = json.loads(side.read_text(encoding="utf-8"))
     assert described["TaskName"] == "demo form" and set(described["dizzy"]["Levels"]) == {"no", "yes", "time_out"}
     known = set(session.row(session.trials[0])) - {"sure", "sure_time", "pleasant", "pleasant_time"}
-    assert known <= TAKEN_COLUMNS
+    assert known <= RESERVED_COLUMNS
 
 
 def cut_short(protocol: Path, results: Path, name: str, number: int) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from modaltouch.planning.observer import Participant
 from modaltouch.protocol.trial import Condition, Response, Trial
-from modaltouch.window.display_loop import DisplayLoop, Sitter
+from modaltouch.window.display_loop import DisplayLoop, WindowUser
 from modaltouch.window.interface import Event, Intervention, Progress, SessionStopped, TrialInterrupted, WindowError
 from modaltouch.window.robot import Robot
 from modaltouch.window.shapes import Picture
@@ -612,7 +612,7 @@ def test_a_stall_is_told_before_the_stimulus_comes_again(paper_room: Callable[..
     """Expected: two seconds of words, then the pause before a stimulus."""
     room = paper_room(answers={"pause_s": 0.2})
     began = room.clock.now()
-    room.window.tell_stall()
+    room.window.show_stall()
     room.window.settle(trial, PROGRESS)
     assert room.names == ["stalled", "ready_one_hand_AC"]
     assert room.clock.now() - began == pytest.approx(2.2, abs=0.003)
@@ -624,7 +624,7 @@ def test_the_beam_is_measured_while_the_window_says_so(paper_room: Callable[...,
     room.script = [("hands_off", 0.3, send(room, "key", "space"))]
     room.window.announce("hands_off")
     began = room.clock.now()
-    room.window.tell_measuring(1.0)
+    room.window.show_measuring(1.0)
     assert room.names == ["hands_off", "measuring"]
     assert room.clock.now() - began == pytest.approx(1.0, abs=0.003)
 
@@ -664,7 +664,12 @@ def test_a_covered_window_is_drawn_again_at_most_four_times_a_second(paper_room:
     display.flip = flip
     uncover = lambda: display.events.append(Event(room.clock.now(), "expose"))  # noqa: E731
     stage = DisplayLoop(
-        display, tick=uncover, log=lambda event, **facts: None, screenshots=None, sitter=Sitter(), clock=room.clock
+        display,
+        tick=uncover,
+        log=lambda event, **facts: None,
+        screenshots=None,
+        window_user=WindowUser(),
+        clock=room.clock,
     )
     began = stage.show(Picture("any", ()))
     while room.clock.now() < began + 0.6:

@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from modaltouch.analysis.findings import ALPHA, holm
     from modaltouch.analysis.intervals import wilson
     from modaltouch.analysis.pipeline import analyse, analyse_responses
-    from modaltouch.analysis.preregistration import describe_families, say_term
+    from modaltouch.analysis.preregistration import describe_families, term_in_words
     from modaltouch.analysis.reading import read_responses
     from modaltouch.analysis.registration import terms_of
     from modaltouch.analysis.responses import Responses, TableFormat
     from modaltouch.analysis.statistics import STATISTICS
-    from modaltouch.analysis.words import say_scope
+    from modaltouch.analysis.words import scope_in_words
 else:
     __getattr__ = lazily(
         __name__,
@@ -31,12 +31,12 @@ else:
             "findings": "ALPHA holm",
             "intervals": "wilson",
             "pipeline": "analyse analyse_responses",
-            "preregistration": "describe_families say_term",
+            "preregistration": "describe_families term_in_words",
             "registration": "terms_of",
             "reading": "read_responses",
             "responses": "TableFormat Responses",
             "statistics": "STATISTICS",
-            "words": "say_scope",
+            "words": "scope_in_words",
         },
     )
 
@@ -52,8 +52,8 @@ __all__ = [
     "describe_families",
     "holm",
     "read_responses",
-    "say_scope",
-    "say_term",
+    "scope_in_words",
+    "term_in_words",
     "terms_of",
     "wilson",
 ]

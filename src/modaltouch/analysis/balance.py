@@ -81,7 +81,7 @@ def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True)
     return problems, usual
 
 
-def say_doubled(table: Table) -> list[str]:
+def doubling_notes(table: Table) -> list[str]:
     """Return a note if every row of a table occurs several times, which repetitions alone seldom cause."""
     times = math.gcd(*pd.util.hash_pandas_object(table.fields, index=False).value_counts().tolist())
     said = f"every row occurs {times} times, taken as repetitions: if the table was pasted together, remove the copies"

@@ -34,7 +34,7 @@ def certificates() -> dict[str, tuple[float, float, str]]:
     return {name: (mean, worst, why) for name, (mean, worst, why) in held.items()}
 
 
-def why_not_95(name: str) -> str:
+def coverage_caveat(name: str) -> str:
     """Return why an interval is not a 95 % interval, as its counted errors show; empty if they do not show that."""
     return certificates().get(name, (0.0, 0.0, ""))[2]
 
@@ -45,7 +45,7 @@ def certificates_of(finding: Finding) -> tuple[str, ...]:
     return (finding.family,) if finding.family in STATISTICS and finding.family != "a1" else next(known, ())
 
 
-def say_certificates(names: Iterable[str]) -> str:
+def certificates_in_words(names: Iterable[str]) -> str:
     """Return the error rates that were counted, in words."""
     known = ((name, *certificates()[name]) for name in names if name in certificates())
     return "; ".join(

@@ -46,7 +46,7 @@ def effect_findings(answers: AnswerCounts) -> Iterator[Finding]:
         own = answers.counts[:, f, q]
         given = np.moveaxis(own[..., [place for _, place in labelled]], -1, 0)
         shares = Shares(given, np.broadcast_to(own.sum(axis=-1), given.shape), answers.n_repetitions)
-        mean, worst = BoundedMean(shares.mean, 0.0, 1.0), _say_missing(shares)
+        mean, worst = BoundedMean(shares.mean, 0.0, 1.0), _missing_notes(shares)
         intervals = mean.interval()
         for place, (label, _) in enumerate(labelled):
             notes = worst[place : place + 1]
@@ -56,7 +56,7 @@ def effect_findings(answers: AnswerCounts) -> Iterator[Finding]:
     yield from _paired_cells(answers)
 
 
-def _say_missing(shares: Shares) -> list[str]:
+def _missing_notes(shares: Shares) -> list[str]:
     """Return for each share how far missing answers could change it at worst; empty if none are missing."""
     n_missing = shares.asked * shares.given[0].size - int(shares.answered[0].sum())
     if not n_missing:

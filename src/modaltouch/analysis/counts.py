@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.scale import VELOCITY, LevelScale, scale_of
 from modaltouch.analysis.shares import Shares
-from modaltouch.analysis.zones import say_zones, zones_of
+from modaltouch.analysis.zones import zones_in_words, zones_of
 from modaltouch.protocol import AnswerList
 
 PAPER_CONDITIONS = ("one_hand", "two_hands")
@@ -63,7 +63,7 @@ class Pair:
     @property
     def said(self) -> str:
         """All zones in words, as in ``A and C``."""
-        return say_zones(self.zones)
+        return zones_in_words(self.zones)
 
     @property
     def other(self) -> str:
@@ -134,7 +134,7 @@ class AnswerCounts:
     guesses_evenly: bool = True
 
     @property
-    def offers_none(self) -> bool:
+    def has_none_answer(self) -> bool:
         """Whether one of the answers was that nothing was felt."""
         return self.answers.naming() is not None
 
@@ -144,7 +144,7 @@ class AnswerCounts:
         return self.answers.compares
 
     @property
-    def is_of_the_paper(self) -> bool:
+    def is_paper_design(self) -> bool:
         """Whether pairs and levels are those of the paper's experiment."""
         pairs = {pair.label for pair in self.pairs}
         return pairs == {"A-C", "B-D", "C-E"} and (self.levels, self.scale) == ((80.0, 100.0, 150.0, 200.0), VELOCITY)
@@ -152,7 +152,7 @@ class AnswerCounts:
     @property
     def felt(self) -> list[int]:
         """Indices of all answers but that nothing was felt."""
-        return [place for place, answer in enumerate(self.answers) if not answer.says_nothing_felt]
+        return [place for place, answer in enumerate(self.answers) if not answer.means_nothing_felt]
 
     @property
     def both_place(self) -> int | None:

@@ -11,7 +11,7 @@ from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.covariates import ANTICIPATION, has_values, ranked_answers
 from modaltouch.analysis.figures import ANSWER_COLOURS, pair_colours
 from modaltouch.analysis.means import BoundedMean
-from modaltouch.analysis.words import say_condition
+from modaltouch.analysis.words import condition_in_words
 from modaltouch.analysis.zones import label_zones
 from modaltouch.protocol import AnswerList
 from modaltouch.report import FAINT, INK, house_style, quiet_grid
@@ -75,7 +75,7 @@ def draw_times(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
             for condition in answers.finger_conditions:
                 own = (labels == pair.label) & (kept["finger_condition"].astype(str) == condition)
                 groups.append(kept.loc[own, "response_time"].to_numpy())
-                ticks.append(f"{', '.join(pair.zones)}\n{say_condition(condition)}")
+                ticks.append(f"{', '.join(pair.zones)}\n{condition_in_words(condition)}")
         axes.boxplot(groups, whis=(5, 95), widths=0.55, medianprops={"color": INK, "linewidth": 1.4},
                      flierprops={"marker": ".", "markersize": 2, "markeredgecolor": FAINT})  # fmt: skip
         axes.set_xticks(range(1, len(ticks) + 1), ticks)
@@ -103,7 +103,7 @@ def draw_speeds(answers: AnswerCounts, frame: pd.DataFrame) -> Figure | None:
         for axes, condition in zip(panels, answers.finger_conditions, strict=True):
             own = (frame["finger_condition"].astype(str) == condition).to_numpy()
             _draw_ratios(axes, frame[own].assign(ratio=ratio[own]), answers.answers)
-            axes.set_title(say_condition(condition))
+            axes.set_title(condition_in_words(condition))
             axes.set_xlabel("predicted peak speed, right / left finger")
         panels[0].set_ylabel("share of answers")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)

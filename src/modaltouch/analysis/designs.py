@@ -10,12 +10,19 @@ from itertools import combinations
 from typing import Any
 
 from modaltouch.analysis.catches import CatchRow, catch_findings, catch_rows
-from modaltouch.analysis.certificates import say_certificates
+from modaltouch.analysis.certificates import certificates_in_words
 from modaltouch.analysis.counts import Pair
 from modaltouch.analysis.detection import sensitivities
 from modaltouch.analysis.findings import Finding
 from modaltouch.analysis.intervals import Interval
-from modaltouch.analysis.measures import Measure, Own, cells, contrast_findings, group_findings, mean_findings
+from modaltouch.analysis.measures import (
+    IndividualValue,
+    Measure,
+    cells,
+    contrast_findings,
+    group_findings,
+    mean_findings,
+)
 from modaltouch.analysis.ratings import level_findings, questions_of, ratings
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import LevelScale, scale_of
@@ -40,7 +47,7 @@ class DesignAnalysis:
 
     Attributes
     ----------
-    values : tuple of Own
+    values : tuple of IndividualValue
         The values of each participant.
     fits : tuple of FittedCell
         The psychometric functions of each participant.
@@ -54,18 +61,18 @@ class DesignAnalysis:
         Group of each participant; empty if there is only one.
     limits : tuple of str
         What the design cannot show, in words.
-    shared : tuple of Own
+    shared : tuple of IndividualValue
         Values from the cells that all groups met.
     """
 
-    values: tuple[Own, ...]
+    values: tuple[IndividualValue, ...]
     fits: tuple[FittedCell, ...]
     findings: tuple[Finding, ...]
     catches: tuple[CatchRow, ...]
     scale: LevelScale
     groups: Mapping[str, str]
     limits: tuple[str, ...] = ()
-    shared: tuple[Own, ...] = ()
+    shared: tuple[IndividualValue, ...] = ()
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
@@ -78,7 +85,7 @@ class DesignAnalysis:
         bounded = (each for each in self.values if not math.isnan(each.interval.low))
         told = dict.fromkeys(f"{each.note} {each.measure.name}" for each in bounded)
         names = (next((name for part, name in _CERTIFICATES.items() if part in each), "") for each in told)
-        return say_certificates(dict.fromkeys(names))
+        return certificates_in_words(dict.fromkeys(names))
 
 
 def analyse_design(responses: Responses) -> DesignAnalysis:
@@ -107,16 +114,18 @@ def analyse_design(responses: Responses) -> DesignAnalysis:
     return DesignAnalysis(values, fits, findings, catches, scale, groups, limits, shared.get(names, ()))
 
 
-def _measures(responses: Responses, fits: tuple[FittedCell, ...]) -> Iterator[Own]:
+def _measures(responses: Responses, fits: tuple[FittedCell, ...]) -> Iterator[IndividualValue]:
     task, frame = responses.task, responses.frame
     yield from sensitivities(responses, task)
     yield from measures_of_fits(fits, task, scale_of(frame.columns))
     yield from ratings(responses, task, questions_of(responses.design, frame))
 
 
-def _shared(responses: Responses, groups: Sequence[str], values: tuple[Own, ...]) -> tuple[Own, ...]:
+def _shared(
+    responses: Responses, groups: Sequence[str], values: tuple[IndividualValue, ...]
+) -> tuple[IndividualValue, ...]:
     """Return the values from the cells that each of some groups met; `values`, of all answers, if these are all."""
-    met = responses.met_by(groups)
+    met = responses.of_groups(groups)
     if len(met.frame) == responses.frame["group"].isin(groups).sum():
         return values
     return () if met.frame.empty else (*_measures(met, fit_cells(met, met.task)), *_shares(met))
@@ -141,7 +150,7 @@ def _limits(responses: Responses, task: TrialTask, fits: Sequence[FittedCell]) -
     )
 
 
-def _shares(responses: Responses) -> Iterator[Own]:
+def _shares(responses: Responses) -> Iterator[IndividualValue]:
     """Yield each participant's share of each effect in each cell."""
     chosen = responses.by_choice()
     counts = chosen.count()
@@ -152,4 +161,4 @@ def _shares(responses: Responses) -> Iterator[Own]:
         n = int(part["n"].sum())
         for word, place in counts.effects(pair):
             given = int(part["n"][part["response"] == counts.answers.names[place]].sum())
-            yield Own(Measure(f"P({word})", f"P({word})", "shares"), *cell, Interval.point(given / n, n), n)
+            yield IndividualValue(Measure(f"P({word})", f"P({word})", "shares"), *cell, Interval.point(given / n, n), n)

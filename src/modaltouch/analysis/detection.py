@@ -9,7 +9,7 @@ from dataclasses import replace
 import pandas as pd
 
 from modaltouch.analysis.intervals import Interval
-from modaltouch.analysis.measures import Cell, Measure, Own, cells, kind_of
+from modaltouch.analysis.measures import Cell, IndividualValue, Measure, cells, kind_of
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.sensitivity import (
@@ -31,7 +31,7 @@ FEWEST = 4
 """Fewest answers of each participant in each cell for which every level has its own d'."""
 
 
-def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
+def sensitivities(responses: Responses, task: TrialTask) -> Iterator[IndividualValue]:
     """Yield d' and criterion of each participant, if the design determines them.
 
     With one interval they follow from the answer that nothing was felt, together with catch trials, or from which of
@@ -63,10 +63,12 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
             # An equally strong standard of another field leaves no answer right; the PSE tells the two apart.
             is_right = task.detects or task.tells(cell[-1])
             if is_right and not task.is_same(part, scale.column).all():
-                why = task.why_no_d_prime
-                yield from _untold(cell, why, part) if why else _told(cell, _of_intervals(part, task, cell[-1]), part)
+                why = task.no_d_prime_reason
+                yield from (
+                    _without_d_prime(cell, why, part) if why else _told(cell, _of_intervals(part, task, cell[-1]), part)
+                )
     elif responses.answers.naming() is not None:
-        nothing = [each.name for each in responses.answers if each.says_nothing_felt]
+        nothing = [each.name for each in responses.answers if each.means_nothing_felt]
         if responses.answers.compares:  # the question is which finger, so felt or not is pooled over all cells
             frame, by_level = frame.assign(finger_condition="all", zone_left="", zone_right=""), False
         for cell, part in cells(frame, scale, by_level=by_level):
@@ -76,7 +78,7 @@ def sensitivities(responses: Responses, task: TrialTask) -> Iterator[Own]:
             if caught:
                 yield from _told(cell, yes_no(_share(part, ~part["response"].isin(nothing)), alarms), part)
             elif responses.catches:
-                yield from _untold(cell, "answers without catch trials of their own", part)
+                yield from _without_d_prime(cell, "answers without catch trials of their own", part)
 
 
 def _of_intervals(part: pd.DataFrame, task: TrialTask, level: float) -> SignalDetection:
@@ -84,7 +86,7 @@ def _of_intervals(part: pd.DataFrame, task: TrialTask, level: float) -> SignalDe
     place, named = part["interval"].astype(int), part["response"].map(task.named).astype(int)
     if task.turns(level):
         place = 3 - place
-    if task.seeks_odd:
+    if task.asks_for_odd_one:
         return odd_of_three(_share(part, named == place))
     if task.n_intervals != 2 or place.nunique() < 2:
         return m_intervals(_share(part, named == place), task.n_intervals)
@@ -92,7 +94,7 @@ def _of_intervals(part: pd.DataFrame, task: TrialTask, level: float) -> SignalDe
     return two_intervals(first, second)
 
 
-def _of_differences(frame: pd.DataFrame, task: TrialTask) -> Iterator[Own]:
+def _of_differences(frame: pd.DataFrame, task: TrialTask) -> Iterator[IndividualValue]:
     """Yield d' from the answers same and different, by level; trials whose comparison is the standard are the same."""
     scale = scale_of(frame.columns)
     is_same = task.is_same(frame, scale.column)
@@ -103,21 +105,21 @@ def _of_differences(frame: pd.DataFrame, task: TrialTask) -> Iterator[Own]:
     keys = [name for name in keys if name in frame.columns]
     for cell, part in cells(frame[~is_same], scale, by_level=True):
         own = alike[(alike[keys].astype(str) == part[keys].iloc[0].astype(str)).all(axis=1)]
-        why = task.why_no_d_prime or ("" if len(own) else "no trial whose stimuli are the same")
+        why = task.no_d_prime_reason or ("" if len(own) else "no trial whose stimuli are the same")
         called = (_share(each, each["response"].isin(task.different)) for each in (part, own))
-        yield from _untold(cell, why, part) if why else _told(cell, same_different(*called), part)
+        yield from _without_d_prime(cell, why, part) if why else _told(cell, same_different(*called), part)
 
 
 def _share(part: pd.DataFrame, chosen: pd.Series) -> Count:
     return int(part["n"][chosen].sum()), int(part["n"].sum())
 
 
-def _untold(cell: Cell, why: str, part: pd.DataFrame) -> Iterator[Own]:
-    yield Own(D_PRIME, *cell, Interval.point(math.nan, 0), int(part["n"].sum()), f"no d' from {why}")
+def _without_d_prime(cell: Cell, why: str, part: pd.DataFrame) -> Iterator[IndividualValue]:
+    yield IndividualValue(D_PRIME, *cell, Interval.point(math.nan, 0), int(part["n"].sum()), f"no d' from {why}")
 
 
-def _told(cell: Cell, found: SignalDetection, part: pd.DataFrame) -> Iterator[Own]:
+def _told(cell: Cell, found: SignalDetection, part: pd.DataFrame) -> Iterator[IndividualValue]:
     n = int(part["n"].sum())
-    yield Own(D_PRIME, *cell, found.d_prime, n, f"{found.model} model", found.contrast)
+    yield IndividualValue(D_PRIME, *cell, found.d_prime, n, f"{found.model} model", found.contrast)
     if found.criterion is not None and math.isfinite(found.criterion.estimate):
-        yield Own(CRITERION, *cell, found.criterion, n, f"{found.model} model")
+        yield IndividualValue(CRITERION, *cell, found.criterion, n, f"{found.model} model")

@@ -14,10 +14,10 @@ from matplotlib.ticker import FixedLocator, NullLocator
 
 from modaltouch.analysis.designs import DesignAnalysis
 from modaltouch.analysis.detection import CRITERION
-from modaltouch.analysis.measures import Own, by_measure, of_participants, over_participants
+from modaltouch.analysis.measures import IndividualValue, by_measure, of_participants, over_participants
 from modaltouch.analysis.scale import LevelScale
 from modaltouch.analysis.thresholds.constant import FittedCell
-from modaltouch.analysis.words import say_condition
+from modaltouch.analysis.words import condition_in_words
 from modaltouch.report import CONDITION_COLOURS, FAINT, ReportFigure, house_style, quiet_grid
 
 PANELS_PER_ROW = 3
@@ -48,21 +48,21 @@ def draw_design(design: DesignAnalysis) -> Iterator[ReportFigure]:
         yield ReportFigure("groups", draw_groups(design.shared, groups), caption, "each")
 
 
-def draw_measure(values: Sequence[Own], scale: LevelScale, groups: Mapping[str, str]) -> Figure:
+def draw_measure(values: Sequence[IndividualValue], scale: LevelScale, groups: Mapping[str, str]) -> Figure:
     """Draw a measure against the level, or the finger condition; a panel for each pair of zones.
 
     Groups that met different cells have a line each.
 
     Parameters
     ----------
-    values : sequence of Own
+    values : sequence of IndividualValue
         Values of the measure.
     scale : LevelScale
         Scale of the levels.
     groups : mapping of str to str
         Group of each participant.
     """
-    panels: dict[str, dict[str, list[Own]]] = {}
+    panels: dict[str, dict[str, list[IndividualValue]]] = {}
     met: dict[str, set[tuple[str, str, str]]] = {}
     for each in values:
         met.setdefault(groups.get(each.participant, ""), set()).add((each.finger_condition, each.pair, str(each.level)))
@@ -70,29 +70,31 @@ def draw_measure(values: Sequence[Own], scale: LevelScale, groups: Mapping[str, 
     places = [*groups] if is_uneven else []
     for each in sorted(values, key=lambda each: places.index(each.participant)) if is_uneven else values:
         title = f"({each.pair.replace('-', ', ')})" if each.pair else ""
-        label = [say_condition(each.finger_condition), *([groups[each.participant]] if is_uneven else [])]
+        label = [condition_in_words(each.finger_condition), *([groups[each.participant]] if is_uneven else [])]
         panels.setdefault(title, {}).setdefault(" ".join(label), []).append(each)
     return _draw(panels, values[0].measure.quantity, scale)
 
 
-def draw_groups(values: Sequence[Own], groups: Mapping[str, str]) -> Figure:
+def draw_groups(values: Sequence[IndividualValue], groups: Mapping[str, str]) -> Figure:
     """Draw each measure by group, each participant's mean over conditions and levels as a dot.
 
     Parameters
     ----------
-    values : sequence of Own
+    values : sequence of IndividualValue
         The values.
     groups : mapping of str to str
         Group of each participant.
     """
-    panels: dict[str, dict[str, list[Own]]] = {}
+    panels: dict[str, dict[str, list[IndividualValue]]] = {}
     for measure, own in by_measure(values):
         for each in sorted(of_participants(own), key=lambda each: [*groups].index(each.participant)):
             panels.setdefault(measure.quantity, {}).setdefault(groups.get(each.participant, ""), []).append(each)
     return _draw(panels)
 
 
-def _draw(panels: Mapping[str, Mapping[str, list[Own]]], quantity: str = "", scale: LevelScale | None = None) -> Figure:
+def _draw(
+    panels: Mapping[str, Mapping[str, list[IndividualValue]]], quantity: str = "", scale: LevelScale | None = None
+) -> Figure:
     """Draw panels of series of values, against the level if they have any, else side by side."""
     with _panels(max(len(panels), 1), sharey=bool(quantity)) as (figure, places):
         for axes, (title, series) in zip(places, panels.items(), strict=False):
@@ -119,10 +121,10 @@ def _draw(panels: Mapping[str, Mapping[str, list[Own]]], quantity: str = "", sca
     return figure
 
 
-def _draw_people(axes: Axes, label: str, own: Sequence[Own], k: int) -> None:
+def _draw_people(axes: Axes, label: str, own: Sequence[IndividualValue], k: int) -> None:
     """Draw each participant with a thin line, and the mean with its interval, at each level or side by side."""
     colour, has_levels = CONDITION_COLOURS[k % 4], not math.isnan(own[0].level)
-    places: dict[float, list[Own]] = {}
+    places: dict[float, list[IndividualValue]] = {}
     for each in own:
         places.setdefault(each.level if has_levels else float(k), []).append(each)
     for i, who in enumerate(dict.fromkeys(each.participant for each in own)):
@@ -166,7 +168,7 @@ def draw_functions(fits: Sequence[FittedCell], scale: LevelScale) -> Figure:
                 curve = each.fitted.probability(20 * np.log10(fine))
                 if curve is not None:
                     axes.plot(fine, curve, color=colour, linewidth=0.9, alpha=0.8)
-            axes.set_title(f"{say_condition(condition)} ({pair.replace('-', ', ')})", fontsize=9)
+            axes.set_title(f"{condition_in_words(condition)} ({pair.replace('-', ', ')})", fontsize=9)
             axes.set_ylim(-0.04, 1.04)
             _mark_levels(axes, levels, scale)
             quiet_grid(axes)

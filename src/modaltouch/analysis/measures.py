@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from modaltouch.analysis.certificates import why_not_95
+from modaltouch.analysis.certificates import coverage_caveat
 from modaltouch.analysis.findings import ALPHA, Finding, finding_of
 from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.location import Located, by_flips, by_ranks, flip_test, group_test
@@ -61,7 +61,7 @@ class Measure:
 
 
 @dataclass(frozen=True, eq=False)
-class Own:
+class IndividualValue:
     """A participant's own value of a measure.
 
     Attributes
@@ -114,14 +114,14 @@ class Own:
 _FLIPS, _RANKS = "sign flips", "signed ranks"
 
 
-def over_participants(measure: Measure, own: Sequence[Own]) -> Located:
+def over_participants(measure: Measure, own: Sequence[IndividualValue]) -> Located:
     """Return the test that a measure has no effect, and its mean over the participants who have one.
 
     Parameters
     ----------
     measure : Measure
         What is measured.
-    own : sequence of Own
+    own : sequence of IndividualValue
         The values of the participants.
     """
     null = 0.0 if measure.null is None else math.log(measure.null) if measure.is_ratio else measure.null
@@ -141,7 +141,7 @@ def over_participants(measure: Measure, own: Sequence[Own]) -> Located:
     return test, as_told(measure, interval)
 
 
-def mean_findings(values: Sequence[Own], scale: LevelScale, groups: Mapping[str, str]) -> Iterator[Finding]:
+def mean_findings(values: Sequence[IndividualValue], scale: LevelScale, groups: Mapping[str, str]) -> Iterator[Finding]:
     """Yield the mean of each measure over participants, tested if the measure has a value that means no effect."""
     names = dict.fromkeys(groups.values())
     for measure, scope, own in _by_scope(values, scale):
@@ -152,7 +152,7 @@ def mean_findings(values: Sequence[Own], scale: LevelScale, groups: Mapping[str,
         tested = measure.null is not None and n > 0
         way = _FLIPS if own[0].tested is None else f"{_FLIPS}, p by those of the rates"
         met = {groups.get(each.participant) for each in own}
-        why_not = why_not_95(f"mean {measure.name}") if math.isfinite(interval.low + interval.high) else ""
+        why_not = coverage_caveat(f"mean {measure.name}") if math.isfinite(interval.low + interval.high) else ""
         notes = [
             f"met by {', '.join(name for name in names if name in met)} only" if len(met) < len(names) else "",
             "geometric mean" if measure.is_ratio else "",
@@ -169,7 +169,7 @@ def mean_findings(values: Sequence[Own], scale: LevelScale, groups: Mapping[str,
         )  # fmt: skip
 
 
-def contrast_findings(values: Sequence[Own]) -> Iterator[Finding]:
+def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
     """Yield each measure in one finger condition, pair of zones, stimulus or kind of session against another.
 
     A participant's difference is the mean over the levels at which both have a value.
@@ -207,13 +207,16 @@ def _factors(finger_condition: str, place: str) -> tuple[str, ...]:
 
 
 def group_findings(
-    values: Sequence[Own], shared: Sequence[Own], groups: Mapping[str, str], names: tuple[str, str]
+    values: Sequence[IndividualValue],
+    shared: Sequence[IndividualValue],
+    groups: Mapping[str, str],
+    names: tuple[str, str],
 ) -> Iterator[Finding]:
     """Yield each measure in one group of participants against another; a participant counts once, by the mean.
 
     Parameters
     ----------
-    values, shared : sequence of Own
+    values, shared : sequence of IndividualValue
         All values; and those from cells that both groups met, which alone are compared.
     groups : mapping of str to str
         Group of each participant.
@@ -297,17 +300,19 @@ def claim_of(family: str, claim: str) -> str:
     return _CLAIMS[end].format(claim=claim, family=family)
 
 
-def by_measure(values: Iterable[Own]) -> Iterator[tuple[Measure, list[Own]]]:
+def by_measure(values: Iterable[IndividualValue]) -> Iterator[tuple[Measure, list[IndividualValue]]]:
     """Yield each measure with its values."""
-    kinds: dict[Measure, list[Own]] = {}
+    kinds: dict[Measure, list[IndividualValue]] = {}
     for each in values:
         kinds.setdefault(each.measure, []).append(each)
     yield from kinds.items()
 
 
-def _by_scope(values: Iterable[Own], scale: LevelScale) -> Iterator[tuple[Measure, str, list[Own]]]:
+def _by_scope(
+    values: Iterable[IndividualValue], scale: LevelScale
+) -> Iterator[tuple[Measure, str, list[IndividualValue]]]:
     for measure, own in by_measure(values):
-        scopes: dict[str, list[Own]] = {}
+        scopes: dict[str, list[IndividualValue]] = {}
         for each in own:
             level = "" if math.isnan(each.level) else f" {scale.say(each.level)}"
             scopes.setdefault(f"{each.finger_condition} {each.pair}".strip() + level, []).append(each)
@@ -315,7 +320,7 @@ def _by_scope(values: Iterable[Own], scale: LevelScale) -> Iterator[tuple[Measur
             yield measure, scope, those
 
 
-def _known(own: Iterable[Own]) -> dict[str, float]:
+def _known(own: Iterable[IndividualValue]) -> dict[str, float]:
     """Return the mean of each participant's values, as `linear` gives them, for participants who have any."""
     known: dict[str, list[float]] = {}
     for each in own:
@@ -325,13 +330,13 @@ def _known(own: Iterable[Own]) -> dict[str, float]:
     return {who: float(np.mean(values)) for who, values in known.items()}
 
 
-def of_participants(own: Sequence[Own]) -> list[Own]:
+def of_participants(own: Sequence[IndividualValue]) -> list[IndividualValue]:
     """Return the mean of each participant's values of a measure as one value, for participants who have any."""
     whole = [(who, as_told(own[0].measure, Interval.point(mean, 1))) for who, mean in _known(own).items()]
-    return [Own(own[0].measure, who, "", "", math.nan, interval, 1) for who, interval in whole]
+    return [IndividualValue(own[0].measure, who, "", "", math.nan, interval, 1) for who, interval in whole]
 
 
-def linear(own: Own) -> float:
+def linear(own: IndividualValue) -> float:
     """Return a value as it is compared: the logarithm if the measure is a ratio."""
     value = float(own.interval.estimate)
     if own.measure.is_ratio:

@@ -68,7 +68,7 @@ def terms_of_model(answers: AnswerCounts) -> list[str]:
 def model_files(answers: AnswerCounts, responses: Responses) -> dict[str, Any]:
     """Return the tidy table and the R script of the models, by file name."""
     asked: Sequence[Question] = ()
-    if responses.tells_of_each:
+    if responses.has_individual_results:
         from modaltouch.analysis.ratings import questions_of
 
         asked = questions_of(responses.design, responses.frame)

@@ -68,7 +68,7 @@ class Analysis:
         chosen = responses.by_choice()
         counts = chosen.count()
         design = None
-        if responses.tells_of_each:
+        if responses.has_individual_results:
             from modaltouch.analysis.designs import analyse_design
 
             design = analyse_design(responses)

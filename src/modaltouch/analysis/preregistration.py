@@ -54,7 +54,7 @@ def describe_families(analysis: RegisteredAnalysis) -> list[dict[str, Any]]:
         ``name``, ``asks``, ``test``, ``scopes``, and ``significant``: whether any test is, after correction.
     """
     from modaltouch.analysis.measures import claim_of
-    from modaltouch.analysis.words import headings, say_scope
+    from modaltouch.analysis.words import headings, scope_in_words
 
     families: dict[str, list[tuple[str, AnswerCounts, Finding]]] = {}
     for each in analysis.confirmatory:
@@ -68,7 +68,7 @@ def describe_families(analysis: RegisteredAnalysis) -> list[dict[str, Any]]:
                 part,
                 row.scope.replace("_", " ")
                 if part == ALL_PARTS
-                else say_scope(row.scope, own.finger_conditions, own.pairs),
+                else scope_in_words(row.scope, own.finger_conditions, own.pairs),
                 row.quantity,
             )
             for part, own, row in rows
@@ -126,7 +126,7 @@ def find_departures(terms: Mapping[str, Any], analysis: RegisteredAnalysis) -> t
     counted = {*STATISTICS, *terms.get("tests by family", ())}
     found = analysis.terms(Counter(row.family for *_, row in analysis.confirmatory if row.family in counted)) | known
     said = [
-        f"{name}: {say_term(terms.get(name))} preregistered, {say_term(found[name])} analysed"
+        f"{name}: {term_in_words(terms.get(name))} preregistered, {term_in_words(found[name])} analysed"
         for name in found
         if found[name] != terms.get(name)
     ]
@@ -137,7 +137,7 @@ def find_departures(terms: Mapping[str, Any], analysis: RegisteredAnalysis) -> t
     return tuple(said)
 
 
-def say_term(value: Any) -> str:
+def term_in_words(value: Any) -> str:
     """Return the value of a term in words."""
     if isinstance(value, Mapping):
         return ", ".join(f"{name} ({n})" for name, n in value.items())

@@ -15,7 +15,7 @@ from modaltouch.analysis.exact import ExactTest
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import Interval, student_quantile
 from modaltouch.analysis.location import by_ranks
-from modaltouch.analysis.measures import Measure, Own, as_told, cells, linear
+from modaltouch.analysis.measures import IndividualValue, Measure, as_told, cells, linear
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import LevelScale, scale_of
 from modaltouch.analysis.task import TrialTask
@@ -95,7 +95,7 @@ def questions_of(design: Mapping[str, Any], frame: pd.DataFrame) -> tuple[Questi
     return tuple(each for each in known if each.column in frame.columns)
 
 
-def ratings(responses: Responses, task: TrialTask, asked: Sequence[Question]) -> Iterator[Own]:
+def ratings(responses: Responses, task: TrialTask, asked: Sequence[Question]) -> Iterator[IndividualValue]:
     """Yield mean ratings by level, exponents of magnitudes, and differences of ratings between right and wrong answers.
 
     Parameters
@@ -115,16 +115,18 @@ def ratings(responses: Responses, task: TrialTask, asked: Sequence[Question]) ->
         for cell, part in cells(rated, scale, by_level=True):
             values = part["rated"].to_numpy(dtype=float)
             mean = math.exp(np.log(values).mean()) if question.is_magnitude else float(values.mean())
-            yield Own(question.measure, *cell, Interval.point(mean, len(values)), len(values))
+            yield IndividualValue(question.measure, *cell, Interval.point(mean, len(values)), len(values))
         for cell, part in cells(rated, scale, by_level=False):
             if question.is_magnitude and part[scale.column].nunique() > 1:
                 exponent = Measure(f"exponent of {question.name}", "exponent of the power law", "rating", 0.0)
-                yield Own(exponent, *cell, power_law(part[scale.column], part["rated"]), len(part))
+                yield IndividualValue(exponent, *cell, power_law(part[scale.column], part["rated"]), len(part))
             right = is_correct[part.index]
             if (right == 1).any() and (right == 0).any():
                 gap = part["rated"][right == 1].mean() - part["rated"][right == 0].mean()
                 words = f"{question.name} when correct less when not"
-                yield Own(Measure(words, words, "rating", 0.0), *cell, Interval.point(float(gap), len(part)), len(part))
+                yield IndividualValue(
+                    Measure(words, words, "rating", 0.0), *cell, Interval.point(float(gap), len(part)), len(part)
+                )
 
 
 def correct(frame: pd.DataFrame, task: TrialTask, scale: LevelScale) -> pd.Series:
@@ -172,12 +174,12 @@ def power_law(levels: ArrayLike, magnitudes: ArrayLike) -> Interval:
     return Interval(slope, slope - half, slope + half, len(x))
 
 
-def level_findings(values: Sequence[Own]) -> Iterator[Finding]:
+def level_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
     """Yield Friedman's test of each rating over levels, with Kendall's coefficient; for two levels, signed ranks.
 
     Parameters
     ----------
-    values : sequence of Own
+    values : sequence of IndividualValue
         Ratings by level.
     """
     tables: dict[tuple[Measure, str], dict[str, dict[float, float]]] = {}

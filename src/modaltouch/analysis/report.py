@@ -11,7 +11,7 @@ from typing import Any
 
 import pandas as pd
 
-from modaltouch.analysis.certificates import certificates_of, say_certificates
+from modaltouch.analysis.certificates import certificates_in_words, certificates_of
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.covariates import has_values
 from modaltouch.analysis.findings import ALPHA, Finding
@@ -19,9 +19,16 @@ from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.responses import cell_of
 from modaltouch.analysis.scale import OWN_THRESHOLD
 from modaltouch.analysis.tables import PAPER_TEXT, zone_table
-from modaltouch.analysis.words import answer_question, headings, say_condition, say_interval, say_scope, state_families
-from modaltouch.analysis.zones import say_zones, zones_of
-from modaltouch.report import ReportFigure, page_files, say_number
+from modaltouch.analysis.words import (
+    answer_question,
+    condition_in_words,
+    format_interval,
+    headings,
+    scope_in_words,
+    state_families,
+)
+from modaltouch.analysis.zones import zones_in_words, zones_of
+from modaltouch.report import ReportFigure, format_number, page_files
 
 MOST_ROWS = 8
 """Most rows of a table that is shown open; longer ones are folded, and not printed."""
@@ -38,7 +45,7 @@ def _cautions(answers: AnswerCounts) -> dict[str, str]:
         f"{', '.join(felt[:-1])} and {felt[-1]}; each interval is of one share, and may hold chance, however small p is"
         + (
             "; an answer that nothing was felt is left out of this test, and counts in every share."
-            * answers.offers_none
+            * answers.has_none_answer
             or "."
         ),
         "b": "A lack of information is not evidence that the level does not matter.",
@@ -70,7 +77,7 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
         source=analysis.responses.source,
         answers=answers,
         n_answers=int(answers.counts.sum()),
-        conditions=[say_condition(name) for name in answers.finger_conditions],
+        conditions=[condition_in_words(name) for name in answers.finger_conditions],
         levels=[format(level, "g") for level in answers.levels],
         tables={condition: _zone_rows(answers, condition) for condition in answers.finger_conditions},
         strips=participant_strips(answers),
@@ -83,8 +90,8 @@ def report_files(analysis: Analysis, pictures: Sequence[ReportFigure]) -> dict[s
         most_rows=MOST_ROWS,
         catches=analysis.design.catches if analysis.design else (),
         catches_enter=CATCHES,
-        catch_words=[*(answer.name for answer in answers.answers if answer.says_nothing_felt), *felt]
-        if answers.offers_none
+        catch_words=[*(answer.name for answer in answers.answers if answer.means_nothing_felt), *felt]
+        if answers.has_none_answer
         else ["none", *felt],
         limits=design_limits(analysis) + list(analysis.design.limits if analysis.design else ()),
         registration=analysis.registration,
@@ -181,7 +188,7 @@ def _title(analysis: Analysis) -> str:
 def _zone_rows(answers: AnswerCounts, condition: str) -> list[dict[str, Any]]:
     table: pd.DataFrame = zone_table(answers, condition)
     total = answers.n_participants * answers.n_repetitions
-    paper = PAPER_TEXT.get(condition, {}) if answers.is_of_the_paper else {}
+    paper = PAPER_TEXT.get(condition, {}) if answers.is_paper_design else {}
     return [
         {
             "pair": pair.replace("-", ", "),
@@ -223,7 +230,7 @@ def _ranges(frame: pd.DataFrame, columns: list[str]) -> list[dict[str, Any]]:
     )  # fmt: skip
     rows = said.unstack(level, fill_value="").reindex(columns=sorted(frame[level].unique()), fill_value="")
     return [
-        {"finger_condition": say_condition(condition), "pair": say_zones(zones), "cells": list(cells)}
+        {"finger_condition": condition_in_words(condition), "pair": zones_in_words(zones), "cells": list(cells)}
         for (condition, *zones), cells in zip(rows.index, rows.to_numpy(), strict=True)
     ]
 
@@ -261,18 +268,18 @@ def _part(name: str, rows: Sequence[Finding], answers: AnswerCounts) -> dict[str
     tested, corrected = any(row.p == row.p for row in rows), any(row.family for row in rows)
     return {
         "name": name + (" (exploratory, not corrected)" if tested and not corrected else ""),
-        "certificate": say_certificates(certificates_of(rows[0])),
+        "certificate": certificates_in_words(certificates_of(rows[0])),
         "tested": tested,
         "corrected": corrected,
         "folded": len(rows) > MOST_ROWS,
         "lines": [
             {
-                "scope": say_scope(row.scope, answers.finger_conditions, answers.pairs),
+                "scope": scope_in_words(row.scope, answers.finger_conditions, answers.pairs),
                 "quantity": row.quantity,
-                "estimate": say_interval(row),
-                "p": say_number(row.p, 2),
-                "p_min": say_number(row.p_min, 2),
-                "p_holm": say_number(row.p_holm, 2),
+                "estimate": format_interval(row),
+                "p": format_number(row.p, 2),
+                "p_min": format_number(row.p_min, 2),
+                "p_holm": format_number(row.p_holm, 2),
                 "n": row.n,
                 "note": row.note,
                 "significant": row.p_holm <= ALPHA,
@@ -324,7 +331,7 @@ def kinds_of(answers: AnswerCounts, pair: Pair) -> list[Kind]:
     is_clear = len({name[:2] for name in rest.values()}) == len(rest)
     letters = [name[:2] if is_clear else str(place + 1) for place, name in rest.items()]
     kinds += [Kind(*each) for each in zip(rest, rest.values(), letters, OTHER_COLOURS, strict=False)]
-    kinds += [Kind(p, each.name, "–", NOTHING) for p, each in enumerate(answers.answers) if each.says_nothing_felt]
+    kinds += [Kind(p, each.name, "–", NOTHING) for p, each in enumerate(answers.answers) if each.means_nothing_felt]
     return [*kinds, Kind(-1, "no answer, or a tie between repetitions", "?", TIED)]
 
 
@@ -340,7 +347,7 @@ def participant_strips(answers: AnswerCounts) -> dict[str, Any]:
     kinds = [kinds_of(answers, pair) for pair in answers.pairs]
     by_place = [{kind.place: kind for kind in own} for own in kinds]
     rows = {
-        say_condition(condition): {
+        condition_in_words(condition): {
             name: [[by_place[q][place] for place in cells] for q, cells in enumerate(own[f].tolist())]
             for name, own in zip(answers.participants, modal, strict=False)
         }

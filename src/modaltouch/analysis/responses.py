@@ -71,7 +71,7 @@ def describe_cell(cell: Iterable[object], scale: LevelScale = VELOCITY) -> str:
     return f"{condition} {'-'.join(filter(None, zones))} {scale.say(float(level))}"
 
 
-def say_unanswered(asked: pd.DataFrame, given: pd.DataFrame) -> tuple[str, ...]:
+def missing_answer_notes(asked: pd.DataFrame, given: pd.DataFrame) -> tuple[str, ...]:
     """Return a note on participants, pairs and levels without any answer, which are in no table or test.
 
     Parameters
@@ -244,7 +244,7 @@ class Responses:
         return shlex.join(words)
 
     @property
-    def tells_of_each(self) -> bool:
+    def has_individual_results(self) -> bool:
         """Whether a participant has more than counts of answers: catch trials, a d', a threshold, ratings, a group."""
         detects = bool(self.catches) or self.answers.naming() is not None or len(self.answers) == 2
         rated = "value" in self.frame.columns or bool((self.design.get("answers") or {}).get("then"))
@@ -267,7 +267,7 @@ class Responses:
         told = self.frame[["participant", "group"]].drop_duplicates().sort_values("group", kind="stable")
         return dict(zip(told["participant"].astype(str), told["group"].astype(str), strict=True))
 
-    def met_by(self, groups: Collection[str]) -> Responses:
+    def of_groups(self, groups: Collection[str]) -> Responses:
         """Return the answers of some groups in the cells that all of them met."""
         own = self.frame[self.frame["group"].isin(groups)]
         told = [name for name in (*cell_of(own), "stimulus", "session_kind", "focus") if name in own.columns]

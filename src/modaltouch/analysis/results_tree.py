@@ -27,8 +27,8 @@ from modaltouch.analysis.responses import (
     Responses,
     answers_per_cell,
     kinds_of,
+    missing_answer_notes,
     refuse_unequal,
-    say_unanswered,
     sum_catches,
     unmirror,
 )
@@ -260,7 +260,7 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
     frame = _in_time(whole, answers, keep=levels == "adaptive")
     notes = [f"Groups are labs: {', '.join(frame['group'].cat.categories)}"] if further else []
     if levels != "adaptive" and is_crossed:
-        notes += say_unanswered(whole, frame)
+        notes += missing_answer_notes(whole, frame)
     foci, start = taken[0].foci, read_session(taken[0].path).start
     caught = ((one.participant, name, one.kind[1], word, n) for one in taken for (name, word), n in one.catches.items())
     return Responses(

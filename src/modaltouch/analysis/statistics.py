@@ -122,7 +122,7 @@ def dominance(answers: AnswerCounts) -> Contrast | None:
             f"{answers.answers[kind].name if kind == answers.both_place else label}"
             for label, kind in answers.labelled(pairs[q])
         ]
-        chosen = ", ".join(given) + (f" and {last}" if answers.offers_none else f", {last}")
+        chosen = ", ".join(given) + (f" and {last}" if answers.has_none_answer else f", {last}")
         return [
             f"{chosen} of {int(first.answered[place].sum())} answers",
             f"{int((score[place] > 0).sum())} of {answers.n_participants} participants lean to {pairs[q].dominant}",
@@ -250,7 +250,7 @@ def _scores(contrast: Contrast | None) -> MeanScores | None:
     return None if contrast is None else contrast.scores
 
 
-_ANYBODY = "exact sign-flip test that no participant differs"
+_SHARP_NULL = "exact sign-flip test that no participant differs"
 _ON_AVERAGE = "mean over participants, test and interval of a bounded mean"
 
 STATISTICS: dict[str, Statistic] = {
@@ -277,7 +277,7 @@ STATISTICS: dict[str, Statistic] = {
         lambda answers: means_of(slopes(answers)), "slope per 100 mm/s",
     ),
     "c": Statistic(
-        "c", "do the answers differ between finger conditions in any participant", _ANYBODY,
+        "c", "do the answers differ between finger conditions in any participant", _SHARP_NULL,
         lambda answers: signs_of(conditions_compared(answers)),
     ),
     "c mean": Statistic(
@@ -292,7 +292,7 @@ STATISTICS: dict[str, Statistic] = {
         when_alike=True,
     ),
     "d": Statistic(
-        "d", "do the pairs of zones differ in any participant", _ANYBODY,
+        "d", "do the pairs of zones differ in any participant", _SHARP_NULL,
         lambda answers: signs_of(pairs_compared(answers)),
     ),
     "d mean": Statistic(

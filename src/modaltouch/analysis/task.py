@@ -95,7 +95,7 @@ class TrialTask:
         return frame[frame["response"].isin(words) & ~((frame[level] < self.standard) & is_open)]
 
     @property
-    def why_no_d_prime(self) -> str:
+    def no_d_prime_reason(self) -> str:
         """Why no model gives a d' for the interval named, or for same and different; empty if one does."""
         if self.n_intervals == 3 and self.different:
             return "whether three intervals are the same: the differencing model is for two"
@@ -104,7 +104,7 @@ class TrialTask:
         return ""
 
     @property
-    def seeks_odd(self) -> bool:
+    def asks_for_odd_one(self) -> bool:
         """Whether the odd one of three is asked for, whichever way it differs."""
         return self.n_intervals == 3 and not self.asks_stronger and not self.detects
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from modaltouch.analysis.balance import check_balance, check_unit, say_doubled
+from modaltouch.analysis.balance import check_balance, check_unit, doubling_notes
 from modaltouch.analysis.csv_table import Table, list_faults, read_table
 from modaltouch.analysis.responses import (
     MODES,
@@ -22,7 +22,7 @@ from modaltouch.analysis.responses import (
     TableFormat,
     answers_per_cell,
     kinds_of,
-    say_unanswered,
+    missing_answer_notes,
     sum_catches,
     unmirror,
 )
@@ -41,7 +41,7 @@ _LONGEST, _LONG = 86_400.0, 60.0
 """Longest reaction time, and longest median of all [s]; longer ones must be in milliseconds."""
 
 _CAUGHT = "catch trials, counted apart"
-_TOLD = ["participant", "finger_condition", "session_kind", "response", "n"]
+_CATCH_COLUMNS = ["participant", "finger_condition", "session_kind", "response", "n"]
 _LEFT_OUT = ("excluded", "exclude", "withdrawn", "invalid")
 """Columns of 0 and 1 in which a lab marks the rows that do not count."""
 
@@ -92,7 +92,7 @@ def read_csv(
         raise InputError(columns.problems)
     left_out += [ExcludedSource(f"{table.file}: {rows.sum()} rows", why) for why, rows in apart.items() if rows.any()]
     is_crossed = is_whole and len(parts) < 2
-    kept = asked if is_crossed else _told_apart(parts, [usual for _, usual in checked], table_format.design)
+    kept = asked if is_crossed else _joined_parts(parts, [usual for _, usual in checked], table_format.design)
     kept, foci = _in_order(kept, table_format.design), _foci(kept, table_format.design)
     given, silent = kept[kept["response"].notna()], frame[caught & frame["response"].notna()]
     return Responses(
@@ -101,11 +101,11 @@ def read_csv(
         tuple(left_out),
         AnswerSource(table.file, "csv", table.sha256, next(iter({*fields.get("mode", ())} - {*_EMPTY}), "")),
         foci[0],
-        catches=sum_catches(silent.reindex(columns=_TOLD, fill_value="").itertuples(index=False, name=None)),
+        catches=sum_catches(silent.reindex(columns=_CATCH_COLUMNS, fill_value="").itertuples(index=False, name=None)),
         answers=answers,
         margin=table_format.margin,
         asked=checked[-1][1] or None,
-        notes=(*notes, *say_doubled(table), *(say_unanswered(kept, given) if is_crossed else ())),
+        notes=(*notes, *doubling_notes(table), *(missing_answer_notes(kept, given) if is_crossed else ())),
         scheduled=None if is_crossed else kept,
         design=table_format.design,
     )
@@ -146,7 +146,7 @@ def _names(design: Mapping[str, Any]) -> dict[str, Sequence[str]]:
     return {column: tuple(names or ()) for column, names in own.items()}
 
 
-def _told_apart(parts: Sequence[pd.DataFrame], usual: Sequence[int], design: Mapping[str, Any]) -> pd.DataFrame:
+def _joined_parts(parts: Sequence[pd.DataFrame], usual: Sequence[int], design: Mapping[str, Any]) -> pd.DataFrame:
     """Return all parts as one table, with the columns that distinguish recorded ones, and the focus of each answer."""
     frame = pd.concat(map(_with_missing, parts, usual))
     lacking = {name: "" for name in ("group", "session_kind") if name not in frame}

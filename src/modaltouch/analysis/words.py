@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.findings import ALPHA, Finding
 from modaltouch.analysis.statistics import STATISTICS, questions
-from modaltouch.report import say_number
+from modaltouch.report import format_number
 
 HEADINGS = {
     "sensitivity": ("How well can the stimuli be distinguished?", "d' or the criterion differs"),
@@ -46,18 +46,18 @@ def headings(answers: AnswerCounts) -> dict[str, tuple[str, str]]:
     return {question: (asked | known)[question] for question in (*questions(), "model")}
 
 
-def say_condition(finger_condition: str) -> str:
+def condition_in_words(finger_condition: str) -> str:
     """Return a finger condition in words.
 
     Examples
     --------
-    >>> say_condition("one_hand")
+    >>> condition_in_words("one_hand")
     'one hand'
     """
     return finger_condition.replace("_", " ")
 
 
-def say_scope(scope: str, finger_conditions: Sequence[str], pairs: Sequence[Pair]) -> str:
+def scope_in_words(scope: str, finger_conditions: Sequence[str], pairs: Sequence[Pair]) -> str:
     """Return what a finding is about in words, as in ``one hand, A and C, 80 mm/s``.
 
     Parameters
@@ -67,7 +67,7 @@ def say_scope(scope: str, finger_conditions: Sequence[str], pairs: Sequence[Pair
     finger_conditions, pairs : sequence of str, sequence of Pair
         Names that may occur in it.
     """
-    names = {name: say_condition(name) for name in finger_conditions}
+    names = {name: condition_in_words(name) for name in finger_conditions}
     names |= {pair.label: pair.said for pair in pairs}
     longest_first = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
     words = ""
@@ -81,12 +81,12 @@ def say_scope(scope: str, finger_conditions: Sequence[str], pairs: Sequence[Pair
     return words.removeprefix(", ").replace(", , ", ", ")
 
 
-def say_p(p: float) -> str:
+def format_p(p: float) -> str:
     """Return a p value as a paper prints it.
 
     Examples
     --------
-    >>> say_p(0.0312), say_p(0.00004), say_p(1.0)
+    >>> format_p(0.0312), format_p(0.00004), format_p(1.0)
     ('= 0.031', '< 0.001', '= 1')
     """
     if math.isnan(p):
@@ -96,9 +96,9 @@ def say_p(p: float) -> str:
     return f"= {p:.2g}" if p < 1 else "= 1"
 
 
-def say_interval(finding: Finding) -> str:
+def format_interval(finding: Finding) -> str:
     """Return an estimate with its interval, as in ``0.975 [0.798, 0.996]``."""
-    estimate, *bounds = (say_number(value) for value in (finding.estimate, finding.low, finding.high))
+    estimate, *bounds = (format_number(value) for value in (finding.estimate, finding.low, finding.high))
     return estimate if bounds == ["–", "–"] else f"{estimate} [{', '.join(bounds)}]"
 
 
@@ -143,7 +143,7 @@ def _answer_family(tested: Sequence[Finding], claim: str, answers: AnswerCounts)
     m = len(tested)
     shown = [row for row in tested if row.p_holm <= ALPHA]
     clearest = min(tested, key=lambda row: (row.p_holm, row.p, -abs(row.estimate)))
-    number = f"{_about(clearest, answers)}, p {say_p(clearest.p)}, Holm p {say_p(clearest.p_holm)}"
+    number = f"{_about(clearest, answers)}, p {format_p(clearest.p)}, Holm p {format_p(clearest.p_holm)}"
     none = f"none of {m} tests" if m > 1 else "no test"
     if all(row.p_min > ALPHA for row in tested):
         return f"The data cannot tell whether {claim}: {none} could reach p ≤ {ALPHA:g}. Estimate: {number}."
@@ -176,11 +176,11 @@ def _estimate(own: Sequence[Finding], answers: AnswerCounts) -> str:
 
 
 def _about(row: Finding, answers: AnswerCounts) -> str:
-    scope = "" if row.scope == "all" else f" ({say_scope(row.scope, answers.finger_conditions, answers.pairs)})"
+    scope = "" if row.scope == "all" else f" ({scope_in_words(row.scope, answers.finger_conditions, answers.pairs)})"
     return (
         f"{row.quantity}{scope}"
         if row.family and row.estimate != row.estimate
-        else (f"{row.quantity} = {say_interval(row)}{scope}")
+        else (f"{row.quantity} = {format_interval(row)}{scope}")
     )
 
 

@@ -21,12 +21,12 @@ def label_zones(frame: pd.DataFrame) -> pd.Series:
     return reduce(lambda label, zone: (label + "-" + zone).where(zone != "", label), others, first)
 
 
-def say_zones(zones: Iterable[str]) -> str:
+def zones_in_words(zones: Iterable[str]) -> str:
     """Return zones in words.
 
     Examples
     --------
-    >>> say_zones(("A", "C", "E")), say_zones(("C", ""))
+    >>> zones_in_words(("A", "C", "E")), zones_in_words(("C", ""))
     ('A, C and E', 'C')
     """
     *others, last = filter(None, zones)

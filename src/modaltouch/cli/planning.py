@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from modaltouch.preflight import Preflight
 
 
-_FAMILIES_BESIDE = 4
+_FAMILIES_PER_TABLE = 4
 """Most families of tests in a table, so that it fits into a terminal of 80 columns."""
 
 _MOST_PARTICIPANTS, _MOST_ANSWERS = 1000, 10_000
@@ -224,7 +224,7 @@ def tell(found: Power, target: float) -> None:
     from rich.console import Console
     from rich.markup import escape
 
-    from modaltouch.analysis import say_scope
+    from modaltouch.analysis import scope_in_words
 
     console = Console()
     study = found.study
@@ -238,8 +238,8 @@ def tell(found: Power, target: float) -> None:
     for n_repetitions, own in groupby(found.families, key=lambda row: row["n_repetitions"]):
         rows = [(str(n), *map(_cell, of_size)) for n, of_size in groupby(own, key=lambda row: row["n_participants"])]
         title = f"n participants, {n_repetitions} repetition{'s' * (n_repetitions > 1)}"
-        for first in range(0, len(study.families), _FAMILIES_BESIDE):
-            shown = slice(first, first + _FAMILIES_BESIDE)
+        for first in range(0, len(study.families), _FAMILIES_PER_TABLE):
+            shown = slice(first, first + _FAMILIES_PER_TABLE)
             beside = [(n, *cells[shown]) for n, *cells in rows]
             print_table(title, ("n", *study.families[shown]), beside, n_words=0)
     if not study.null:
@@ -247,7 +247,7 @@ def tell(found: Power, target: float) -> None:
         rows = [
             (
                 row["family"],
-                say_scope(row["scope"], *of),
+                scope_in_words(row["scope"], *of),
                 str(row["n_repetitions"]),
                 str(row["n_participants"] or "more"),
             )

@@ -36,8 +36,8 @@ def verify(
         def look(log: Path, several: bool) -> _Seen:
             session = Session.find(log)
             verdict = audit_session(session)
-            way_on = (f"`modaltouch doctor {log.parent}` says what can be recovered",) * bool(session.chain.problems)
-            return verdict.as_dict(), verdict.lines, verdict.problems + way_on
+            remedy = (f"`modaltouch doctor {log.parent}` says what can be recovered",) * bool(session.chain.problems)
+            return verdict.as_dict(), verdict.lines, verdict.problems + remedy
 
         _look_at(session, look, json_output=json_output)
 
@@ -325,12 +325,12 @@ class MachineCheck:
 
 def examine_machine(results: Path) -> tuple[MachineCheck, ...]:
     """Check everything a session needs, and draw a letter in the window; no instrument is opened."""
-    from modaltouch.window import examine_surroundings
+    from modaltouch.window import examine_environment
 
     return (
         _python(),
         _packages(),
-        *(MachineCheck(*check[:4]) for check in examine_surroundings()),
+        *(MachineCheck(*check[:4]) for check in examine_environment()),
         _usb(),
         _precedence(),
         _disk(results),
@@ -339,9 +339,9 @@ def examine_machine(results: Path) -> tuple[MachineCheck, ...]:
 
 def missing_packages() -> list[str]:
     """Return the Debian packages that this machine lacks for a session, a test or the demonstration."""
-    from modaltouch.window import examine_surroundings
+    from modaltouch.window import examine_environment
 
-    return [package for check in examine_surroundings(quick=True) for package in check.packages]
+    return [package for check in examine_environment(quick=True) for package in check.packages]
 
 
 def _python() -> MachineCheck:

@@ -91,7 +91,7 @@ class MeasurementProgress:
             yield replace(self, check=interruption.check)
 
 
-UNTOLD = MeasurementProgress()
+SILENT_PROGRESS = MeasurementProgress()
 """Reports nothing and waits for nothing."""
 
 

@@ -293,12 +293,12 @@ def take_scan(
                 save_arrays(position_file(folder, index), kept[-1])
             on_progress(len(kept), len(places))
     except (Interrupted, KeyboardInterrupt) as error:
-        error.add_note(_way_on(folder, len(kept), len(places)))
+        error.add_note(_resume_hint(folder, len(kept), len(places)))
         raise
     return assemble(facts, kept)
 
 
-def _way_on(folder: Path | None, n_kept: int, n_planned: int) -> str:
+def _resume_hint(folder: Path | None, n_kept: int, n_planned: int) -> str:
     """Return what is kept of an interrupted scan, and how to continue it."""
     if folder is None:
         return "nothing measured is kept; to keep it, give a folder with --scan"

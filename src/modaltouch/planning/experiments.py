@@ -157,7 +157,7 @@ def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Genera
     Each participant is drawn once from the population and answers in every cell with the probabilities of
     `modaltouch.planning.observer.Participant`.
     """
-    crowd = observer.draw_crowd(rng, (job.n_experiments, job.n_participants))
+    crowd = observer.draw_participants(rng, (job.n_experiments, job.n_participants))
     share_left, share_right = crowd.shares(
         design.speeds.reshape(-1, 2), design.cells, design.facing(job.n_participants)
     )

@@ -18,8 +18,8 @@ from modaltouch.analysis import (
     Responses,
     analyse_responses,
     describe_families,
-    say_scope,
-    say_term,
+    scope_in_words,
+    term_in_words,
     terms_of,
     wilson,
 )
@@ -56,12 +56,14 @@ class _Plan:
     def design(self) -> list[tuple[str, str]]:
         """Terms of a design without counts of its own, in words."""
         plain = ("runs", "levels [mm/s]", "method", "trials a run")
-        said = [(name, say_term(self.terms[name])) for name in plain if self.answers is None and name in self.terms]
+        said = [
+            (name, term_in_words(self.terms[name])) for name in plain if self.answers is None and name in self.terms
+        ]
         parts = enumerate(self.terms.get("crossed parts, with repetitions", {}).items(), start=1)
-        return said + [(f"part {number}", f"{name}, {say_times(n)}") for number, (name, n) in parts]
+        return said + [(f"part {number}", f"{name}, {times_in_words(n)}") for number, (name, n) in parts]
 
 
-def say_times(number: int) -> str:
+def times_in_words(number: int) -> str:
     """Return in words how often something is done."""
     return "once" if number == 1 else f"{number} times"
 
@@ -118,7 +120,7 @@ def preregister(
         occasions=[(" ".join(filter(None, each.findings.occasion)), each.experiment.protocol) for each in several],
         path=path,
         plan=found,
-        times=say_times,
+        times=times_in_words,
         repeated_by=found.repeated_by.format(path=path, experiments=found.n_experiments, threshold=given, **size),
         threshold_mm_s=threshold_mm_s,
         **size,
@@ -217,7 +219,7 @@ def _describe_family(family: str, design: Design) -> dict[str, Any]:
         "asks": STATISTICS[family].asks,
         "test": STATISTICS[family].name,
         "scopes": [
-            f"{say_scope(scope, design.finger_conditions, design.pairs)}: {quantity}"
+            f"{scope_in_words(scope, design.finger_conditions, design.pairs)}: {quantity}"
             for scope, quantity in design.tests[family]
         ],
     }

@@ -183,7 +183,7 @@ def answer_warnings(protocol: Protocol) -> list[str]:
     """Return what catch trials cannot show without the answer none, and what follows if no answer names a finger."""
     n_catches, offered = protocol.schedule.catch_trials, protocol.answers.offered
     warnings = []
-    if n_catches and not protocol.answers.offers_none:
+    if n_catches and not protocol.answers.has_none_answer:
         warnings.append(
             f"the {n_catches} catch trials of a block cannot be answered correctly, since there is no answer none: "
             "they show what is guessed, not how often; add `none` to answers.keys"

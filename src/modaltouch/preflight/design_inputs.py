@@ -63,7 +63,7 @@ class DesignInputs:
         return max(allowed, default=min(self.levels.values(), default=_FALLBACK_LEVEL))
 
 
-def find_ground(findings: Findings) -> DesignInputs | None:
+def find_design_inputs(findings: Findings) -> DesignInputs | None:
     """Return what a stimulus is designed from, or None if the files do not contain it."""
     protocol, apparatus = findings.protocol, findings.apparatus
     if protocol is None or apparatus is None:

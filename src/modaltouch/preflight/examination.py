@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.preflight.checked import Preflight
-from modaltouch.preflight.design_inputs import DesignInputs, design, find_ground
+from modaltouch.preflight.design_inputs import DesignInputs, design, find_design_inputs
 from modaltouch.protocol import Apparatus, Findings, Problem, Schedule
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Burst, Release, Stimulus
@@ -269,7 +269,7 @@ def examine_findings(findings: Findings) -> Preflight:
     reading = findings.protocol
     if reading is not None and reading.value is not None and reading.value.stimuli and not findings.problems:
         return _examine_several(findings)
-    inputs = find_ground(findings)
+    inputs = find_design_inputs(findings)
     if findings.fingers is not None and inputs is not None and not findings.problems:
         return _examine_placements(findings, inputs)
     return _examine_one(findings, inputs)

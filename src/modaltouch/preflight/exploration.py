@@ -75,7 +75,7 @@ def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
     stimulus : Stimulus
         The stimulus, at its highest level.
     """
-    unmodelled = _supposed_mode(stimulus.model)
+    unmodelled = _assumed_mode(stimulus.model)
     return [
         {
             "design": row["name"],
@@ -163,7 +163,7 @@ def sample_figures(inputs: DesignInputs, stimulus: Stimulus, tolerance: float) -
     }
 
 
-def _supposed_mode(model: ModalModel) -> ModalModel:
+def _assumed_mode(model: ModalModel) -> ModalModel:
     """Return a mode between the two highest of the model."""
     order = np.argsort(model.natural_frequency)
     highest = order[-2:]

@@ -62,7 +62,7 @@ class Answer:
         return None if self.fingers is None else tuple(sorted(other[finger] for finger in self.fingers))
 
     @property
-    def says_nothing_felt(self) -> bool:
+    def means_nothing_felt(self) -> bool:
         """Whether it says that nothing was felt."""
         return self.fingers == ()
 

@@ -191,9 +191,9 @@ class Quest:
             posterior = self._posterior * self._likelihood[..., 0 if success else 1, nearest]
             self._posterior = posterior / posterior.sum()
         self._taken = list(history)
-        return self._most_telling() if self._taken else self._start
+        return self._most_informative() if self._taken else self._start
 
-    def _most_telling(self) -> float:
+    def _most_informative(self) -> float:
         """Return the level with the least expected entropy after its answer: Watson (2017), equations (8) to (10)."""
         joint = self._posterior[..., None, None] * self._likelihood
         chance = joint.sum(axis=_PARAMETERS)

@@ -23,7 +23,7 @@ REPEATS = 10_000
 SWEEPS = 100
 """Steps per trial of the walk among orders that keep all limits; in most designs two forget the first order."""
 
-STEPS_ASTRAY, SWEEPS_ASTRAY = 200_000, 200
+STEPS_OUTSIDE, SWEEPS_OUTSIDE = 200_000, 200
 """Steps, plus steps per trial, among orders that break a limit, after which the search is given up."""
 
 
@@ -124,7 +124,7 @@ def draw_by_walk(
     # A weight below 1 / n: a random order breaks a few limits per ten trials, but the walk should mostly break none.
     bits, n_steps = n.bit_length(), [0, 0]
     n_broken = sum(limit.n_broken(order) for limit in limits)
-    while n_steps[True] < effort * (STEPS_ASTRAY + SWEEPS_ASTRAY * n):
+    while n_steps[True] < effort * (STEPS_OUTSIDE + SWEEPS_OUTSIDE * n):
         begin, last = sorted(divmod(stream.below(n * n), n))
         end = last + 1
         before, after = order[max(0, begin - reach) : begin], order[end : end + reach]

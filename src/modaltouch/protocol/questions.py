@@ -55,7 +55,7 @@ repetition response response_time response_onset response_uncertainty answered_b
 onset_uncertainty n_bursts n_bursts_dropped repetition_by presentation device speed_left_mm_s speed_right_mm_s
 speed_between_mm_s delivered_mm_s log_line value n mode standard_mm_s correct level pair zone zones dominant
 """
-TAKEN_COLUMNS = frozenset(_TAKEN.split())
+RESERVED_COLUMNS = frozenset(_TAKEN.split())
 """Fixed columns of a table of answers."""
 
 _BOUNDS = {"vas": (0.0, 100.0), "likert": (1.0, 7.0)}
@@ -304,7 +304,7 @@ def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
     yield from _check_scale(reading, (*answers, "scale"))
     for section in (("answers", "then"), ("form",)):
         for name in reading.keys(*section) or ():
-            if name in TAKEN_COLUMNS or name.endswith("_time"):
+            if name in RESERVED_COLUMNS or name.endswith("_time"):
                 given = f"{name}, which is already a column of the table of answers"
                 yield reading.problem((*section, name), given, "any other name", "choose another", at_key=True)
             names = reading.keys(*section, name, "keys") or []

@@ -18,8 +18,8 @@ from modaltouch.protocol.section import (
     annotation_at,
     describe,
     keys_of,
-    number_meant,
     plain_word,
+    suggest_number,
     unit_of,
 )
 from modaltouch.protocol.source import Source
@@ -320,7 +320,7 @@ def _remedy(reading: Reading[Any], path: tuple[Step, ...], node: Node | None) ->
     if node is None:
         return ""
     if isinstance(node.content, str):
-        number, after = number_meant(node.content) if "number" in allowed else ("", "")
+        number, after = suggest_number(node.content) if "number" in allowed else ("", "")
         if number:
             unit = unit_of(path)
             only = f"write only the number: {number}" + ("; the unit is part of the key" if unit else "")

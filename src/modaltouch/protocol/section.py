@@ -237,10 +237,10 @@ def unit_of(path: Iterable[Step]) -> str:
 _WITH_UNIT = re.compile(r"\s*([-+]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?)\s*((?:[^\W\d_]|[%°]).*|)")
 
 
-def number_meant(word: str) -> tuple[str, str]:
+def suggest_number(word: str) -> tuple[str, str]:
     """Return the number in a word such as ``80 mm/s`` and what follows it; both are empty if it is no number.
 
-    >>> number_meant("80 mm/s"), number_meant("0,5"), number_meant("many")
+    >>> suggest_number("80 mm/s"), suggest_number("0,5"), suggest_number("many")
     (('80', 'mm/s'), ('0.5', ''), ('', ''))
     """
     match = _WITH_UNIT.fullmatch(word)

@@ -177,7 +177,7 @@ class AnswersSection(AskedSection):
         }
 
     @property
-    def offers_none(self) -> bool:
+    def has_none_answer(self) -> bool:
         """Whether "felt nowhere" is one of the answers."""
         return self.offered.naming() is not None
 

@@ -224,7 +224,7 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Prob
     for answer in offered if offered.names != (RATED,) else ():
         name = plain_word(answer.name) or answer.name
         needed = [(name,) if name in SHIPPED else ("answers", name)]
-        needed += [("how_to_answer_or_none",)] if answer.says_nothing_felt else []
+        needed += [("how_to_answer_or_none",)] if answer.means_nothing_felt else []
         for path in needed:
             field, node = Texts.model_fields[path[0]], texts.find(path)
             label = texts.sound(*path) if path[0] == "answers" else None

@@ -12,7 +12,7 @@ from typing import Any
 from modaltouch.protocol import InputError, Protocol, Schedule, Sources, Turn
 from modaltouch.record.chain import RecordError, read_chain
 from modaltouch.record.folders import SessionFolder
-from modaltouch.record.restored import UNTOLD, RestoredExperiment, TrialExpectation, restore
+from modaltouch.record.restored import MALFORMED, RestoredExperiment, TrialExpectation, restore
 from modaltouch.record.sequence import SPEED, EventSequence
 from modaltouch.record.session import Session, check_shape
 from modaltouch.record.view import check_view
@@ -60,8 +60,8 @@ class Audit:
             With these problems, as `modaltouch verify` reports them.
         """
         if faults := [each for each in self.problems if each not in self.to_mend]:
-            way_on = f"`modaltouch doctor {self.path.parent}` says what can be recovered"
-            raise RecordError("\n".join([*faults, way_on]))
+            remedy = f"`modaltouch doctor {self.path.parent}` says what can be recovered"
+            raise RecordError("\n".join([*faults, remedy]))
 
 
 def audit_session(session: Session) -> Audit:
@@ -96,7 +96,7 @@ def audit_session(session: Session) -> Audit:
         return Audit(path, (), (*problems, f"{place} its files are not valid: {error}"))
     except RecordError as error:
         return Audit(path, (), (*problems, str(error)))
-    except UNTOLD as error:
+    except MALFORMED as error:
         said = f"does not say what its order and drive are based on ({type(error).__name__}: {error})"
         return Audit(path, (), (*problems, f"{place} {said}"))
     cut = () if chain.damage else chain.problems

@@ -124,7 +124,7 @@ class SessionLog:
         if check_view(session).is_current and not session.chain.problems:
             return session
         with cls.reopen(place.log, timed_by=timed_by) as log:
-            if not log.ends_well:
+            if not log.ends_cleanly:
                 log.append("stop", reason="finished", complete=True, n_answered=log.session.n_answered)
             log.write_view(place)
         return read_session(place.log)
@@ -186,7 +186,7 @@ class SessionLog:
         return line
 
     @property
-    def ends_well(self) -> bool:
+    def ends_cleanly(self) -> bool:
         """Whether the log does not end in an incomplete line, which the next line would declare."""
         return not (self._torn or self._needs_newline)
 

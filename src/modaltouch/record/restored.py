@@ -14,7 +14,7 @@ from modaltouch.rig import RigError, instrument_of
 if TYPE_CHECKING:
     from modaltouch.protocol import Levels
 
-UNTOLD = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, RigError)
+MALFORMED = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, RigError)
 """Errors raised by evaluating a line that lacks required members or has wrong ones."""
 
 

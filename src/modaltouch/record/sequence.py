@@ -13,7 +13,7 @@ from datetime import datetime
 from typing import Any
 
 from modaltouch.protocol import TIME_OUT, AnswersSection, Protocol, Schedule, Trial, judge_round
-from modaltouch.record.restored import UNTOLD, TrialExpectation
+from modaltouch.record.restored import MALFORMED, TrialExpectation
 from modaltouch.record.session import Session
 from modaltouch.record.timing import INSTANT, Event, check_bursts, check_instants, listed
 
@@ -230,7 +230,7 @@ class EventSequence:
             try:
                 faults = [*self._stamped(number, event)]
                 faults += ways[event["event"]](number, event) if event["event"] in ways else []
-            except UNTOLD as error:
+            except MALFORMED as error:
                 faults = [f"the event `{event['event']}` does not say what it must ({type(error).__name__}: {error})"]
             self._before = event["event"]
             self.problems += [f"{self._session.path}:{number}: {fault}" for fault in faults]

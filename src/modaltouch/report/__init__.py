@@ -1,7 +1,7 @@
 """Figures, pages and files in one style, for the results of analysis, planning and lab.
 
 Matplotlib figures drawn within `house_style`, values and rows go in; image files (`figure_files`), pages that show them
-(`page_files`) and formatted numbers (`say_number`) come out. `write_files` puts them into a folder, rows as CSV and
+(`page_files`) and formatted numbers (`format_number`) come out. `write_files` puts them into a folder, rows as CSV and
 values as JSON: all of them or none, and never over files of another origin.
 """
 
@@ -13,7 +13,7 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.report.output import refuse_other, write_files
-    from modaltouch.report.page import ReportFigure, page_files, render_page, say_number
+    from modaltouch.report.page import ReportFigure, format_number, page_files, render_page
     from modaltouch.report.style import (
         CONDITION_COLOURS,
         FAINT,
@@ -28,7 +28,7 @@ else:
         __name__,
         {
             "output": "refuse_other write_files",
-            "page": "ReportFigure page_files render_page say_number",
+            "page": "ReportFigure page_files render_page format_number",
             "style": "CONDITION_COLOURS FAINT INK PAIR_COLOURS figure_files house_style quiet_grid",
         },
     )
@@ -45,6 +45,6 @@ __all__ = [
     "quiet_grid",
     "refuse_other",
     "render_page",
-    "say_number",
+    "format_number",
     "write_files",
 ]

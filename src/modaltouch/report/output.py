@@ -56,9 +56,9 @@ def write_files(
     about = {"generated_by": _MAKER + command, **about}
     known = _read_manifest(folder)
     for name in files:
-        _refuse_strange(folder / name, known.get(name, []))
+        _refuse_foreign_file(folder / name, known.get(name, []))
     if not known:
-        _refuse_strange(folder / MANIFEST, [])
+        _refuse_foreign_file(folder / MANIFEST, [])
     hashes = {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}
     temporary = _new_folder(folder, folder.parent)
     try:
@@ -162,7 +162,7 @@ def _manifest_of(folder: Path) -> dict[str, Any]:
     return values if isinstance(values, dict) else {}
 
 
-def _refuse_strange(path: Path, own: list[str]) -> None:
+def _refuse_foreign_file(path: Path, own: list[str]) -> None:
     """Refuse a file that exists and has none of our own hashes."""
     if not path.exists():
         return

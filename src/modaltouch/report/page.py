@@ -78,12 +78,12 @@ def render_page(package: str, template: str, **values: Any) -> str:
         lstrip_blocks=True,
     )
     environment.filters.update(
-        data_uri=lambda svg: "data:image/svg+xml;base64," + base64.b64encode(svg).decode("ascii"), number=say_number
+        data_uri=lambda svg: "data:image/svg+xml;base64," + base64.b64encode(svg).decode("ascii"), number=format_number
     )
     return environment.get_template(template).render(**values)
 
 
-def say_number(value: float | None, digits: int = 3, *, decimals: int | None = None) -> str:
+def format_number(value: float | None, digits: int = 3, *, decimals: int | None = None) -> str:
     """Return a number formatted for readers; a dash if there is none.
 
     Parameters
@@ -97,9 +97,9 @@ def say_number(value: float | None, digits: int = 3, *, decimals: int | None = N
 
     Examples
     --------
-    >>> say_number(0.97512), say_number(float("nan")), say_number(float("inf")), say_number(39.0)
+    >>> format_number(0.97512), format_number(float("nan")), format_number(float("inf")), format_number(39.0)
     ('0.975', '–', '∞', '39')
-    >>> say_number(12.0, decimals=1), say_number(None)
+    >>> format_number(12.0, decimals=1), format_number(None)
     ('12.0', '–')
     """
     if value is None or math.isnan(value):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.instrument import Commands, Desk, Instrument, Setting, upload_twice
+from modaltouch.rig.instrument import Commands, Instrument, RecordAccess, Setting, upload_twice
 from modaltouch.rig.interface import LinkError, Unconfirmed
 from modaltouch.stimulus import Converter
 
@@ -30,7 +30,7 @@ class EditMemory:
 
     n_memories: int
 
-    def store(self, desk: Desk, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
+    def store(self, desk: RecordAccess, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
         """Store records that are not stored yet, verify them, and return the numbers of their memories."""
         used: list[str] = []
         for channel, codes in records:
@@ -41,7 +41,7 @@ class EditMemory:
         """Return the settings that keep memories from being overwritten at the front panel."""
         return [LOCKED.filled(memory=memory) for memory in dict.fromkeys(memories)]
 
-    def _store(self, desk: Desk, codes: NDArray[np.uint16], wanted: str, in_use: Sequence[str]) -> str:
+    def _store(self, desk: RecordAccess, codes: NDArray[np.uint16], wanted: str, in_use: Sequence[str]) -> str:
         """Return the memory of a record, stored if need be: in the memory wanted, or another if that is in use."""
         digest = hashlib.sha256(codes.astype(">u2").tobytes()).hexdigest()
         known = [memory for memory, held in desk.stored.items() if held == digest]
@@ -58,7 +58,7 @@ class EditMemory:
         desk.stored[wanted] = digest
         return wanted
 
-    def _holds(self, desk: Desk, memory: str, codes: NDArray[np.uint16]) -> bool:
+    def _holds(self, desk: RecordAccess, memory: str, codes: NDArray[np.uint16]) -> bool:
         if f"USER{memory}" not in desk.ask("DATA:CAT?"):
             return False
         try:
@@ -69,12 +69,12 @@ class EditMemory:
             desk.revive()
             return False
 
-    def _upload(self, desk: Desk, memory: str, codes: NDArray[np.uint16]) -> None:
+    def _upload(self, desk: RecordAccess, memory: str, codes: NDArray[np.uint16]) -> None:
         desk.stored.pop(memory, None)
         desk.apply([LOCKED.filled(memory=memory).off])
         upload_twice(desk, f"USER{memory}", lambda: self._upload_once(desk, memory, codes))
 
-    def _upload_once(self, desk: Desk, memory: str, codes: NDArray[np.uint16]) -> None:
+    def _upload_once(self, desk: RecordAccess, memory: str, codes: NDArray[np.uint16]) -> None:
         desk.send_block("DATA:DATA EMEM", codes.astype(">u2").tobytes())
         (n_points,) = desk.complete("the upload", "*OPC?", "DATA:POIN? EMEM")
         if n_points != str(codes.size):
@@ -83,7 +83,7 @@ class EditMemory:
         if not self._verified(desk, memory, codes):
             raise Unconfirmed(f"USER{memory} does not hold the record that was sent, after two uploads")
 
-    def _verified(self, desk: Desk, memory: str, codes: NDArray[np.uint16]) -> bool:
+    def _verified(self, desk: RecordAccess, memory: str, codes: NDArray[np.uint16]) -> bool:
         """Return whether a memory reads back as stored, checked by a sample of points if blocks cannot be read."""
         for _ in range(2):
             try:
@@ -92,11 +92,11 @@ class EditMemory:
                 desk.revive()
         return self._spots_agree(desk, codes)
 
-    def _read_back(self, desk: Desk, memory: str) -> NDArray[np.uint16]:
+    def _read_back(self, desk: RecordAccess, memory: str) -> NDArray[np.uint16]:
         _complete(desk, f"DATA:COPY EMEM,USER{memory}")
         return desk.read_codes("DATA:DATA? EMEM")
 
-    def _spots_agree(self, desk: Desk, codes: NDArray[np.uint16]) -> bool:
+    def _spots_agree(self, desk: RecordAccess, codes: NDArray[np.uint16]) -> bool:
         """Return whether the edit memory agrees with a record in length, strongest points and evenly spread ones."""
         desk.log("record_spot_check", n_spots=N_SPOTS, why="its blocks cannot be read back")
         if desk.ask("DATA:POIN? EMEM") != str(codes.size):
@@ -106,7 +106,7 @@ class EditMemory:
         return all(desk.ask(f"DATA:DATA:VAL? EMEM,{at + 1}") == str(codes[at]) for at in {*strongest, *spread})
 
 
-def _complete(desk: Desk, command: str) -> None:
+def _complete(desk: RecordAccess, command: str) -> None:
     desk.complete(command, f":{command};*OPC?")
 
 

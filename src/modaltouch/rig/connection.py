@@ -132,7 +132,7 @@ class Connection:
         try:
             self.controls.open()
             self.identity = self.controls.ask("*IDN?")
-            self._refuse_stranger()
+            self._refuse_other_model()
             self.controls.outputs_off()
             self.controls.clear_errors()
             self._prepare()
@@ -252,7 +252,7 @@ class Connection:
             self.controls.apply_each(self.limits.quiet_settings(channel))
         self.controls.apply(self.instrument.on_all(self.instrument.commands.stopped))
 
-    def _refuse_stranger(self) -> None:
+    def _refuse_other_model(self) -> None:
         fields = self.identity.split(",")
         model = fields[1].strip() if len(fields) > 2 else ""
         if model != self._expected_model:

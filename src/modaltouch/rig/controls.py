@@ -20,7 +20,7 @@ MOST_ERRORS = 64
 class Controls(Link):
     """A link that makes settings, reads them back and uploads records; raises LinkError or Unconfirmed on failure.
 
-    It is the `modaltouch.rig.instrument.Desk` for the instrument's `Records`.
+    It is the `modaltouch.rig.instrument.RecordAccess` for the instrument's `Records`.
 
     Parameters
     ----------

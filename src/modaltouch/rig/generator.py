@@ -195,27 +195,27 @@ class Generator:
             trigger_latency="unknown" if self._latency is None else "measured",
         )
         self._last_beat, self._longest_silence = self._clock.now(), 0.0
-        with self._off_after_a_failure("starting the stimulus"):
+        with self._off_on_failure("starting the stimulus"):
             self._on = True
             try:
-                self._connection.guard.arm(plays_by_itself=self._player.plays_by_itself and not silent)
+                self._connection.guard.arm(free_running=self._player.free_running and not silent)
                 self._player.choose(which)
                 read_back = self._player.prepare(commanded, silent=silent)
                 self.firing = replace(self.firing, confirmed_amplitude=numbers(read_back))
                 self._begin(self.firing, n_bursts, due, silent=silent)
             except (Unconfirmed, LinkError) as error:
-                self._give_up(self.firing, error)
+                self._abandon(self.firing, error)
         return self.firing
 
     def _bring(self, records: Callable[[], None]) -> None:
         """Upload records, over a new connection if the first is lost."""
-        with self._off_after_a_failure("loading the stimulus"):
+        with self._off_on_failure("loading the stimulus"):
             try:
                 records()
             except LinkError:
                 self._connection.restore("loading the stimulus", (), self._player.replay)
 
-    def _give_up(self, firing: Firing, error: Unconfirmed | LinkError) -> None:
+    def _abandon(self, firing: Firing, error: Unconfirmed | LinkError) -> None:
         """Switch the outputs off after a stimulus that did not start properly, and record the reason."""
         read_back, reason = error.read_back if isinstance(error, Unconfirmed) else (), str(error)
         self.firing = replace(firing, confirmed_amplitude=numbers(read_back), reason=reason)
@@ -236,7 +236,7 @@ class Generator:
         clock, self._silent = self._clock, silent
         set_after = clock.now() - firing.onset
         # No heartbeat is sent during this wait, so the outputs are switched on only at its end.
-        clock.sleep(due - clock.now() - (0.0 if self._player.plays_by_itself else 2 * RELAYS_SETTLE))
+        clock.sleep(due - clock.now() - (0.0 if self._player.free_running else 2 * RELAYS_SETTLE))
         started = clock.now()
         self._player.switch_on()
         on = clock.now()
@@ -277,7 +277,7 @@ class Generator:
 
     def end(self) -> None:
         """Trigger no further burst; one that is playing plays to its end."""
-        if self._on and not self._player.plays_by_itself:
+        if self._on and not self._player.free_running:
             self._connection.guard.end()
 
     def stop(self, *, at_once: bool = False) -> None:
@@ -324,7 +324,7 @@ class Generator:
 
     def _ask_report(self, *, wait: bool) -> tuple[Report | None, tuple[str, ...]]:
         """Return what the pacer played, and the reasons why it does not count."""
-        if self._player.plays_by_itself or self._silent:
+        if self._player.free_running or self._silent:
             return None, ()
         try:
             report = self._connection.guard.report(wait=wait)
@@ -423,7 +423,7 @@ class Generator:
         return found
 
     @contextlib.contextmanager
-    def _off_after_a_failure(self, doing: str) -> Iterator[None]:
+    def _off_on_failure(self, doing: str) -> Iterator[None]:
         try:
             yield
         except (LinkError, Unconfirmed) as error:

@@ -93,7 +93,7 @@ class Setting:
         )
 
 
-class Desk(typing.Protocol):
+class RecordAccess(typing.Protocol):
     """The driver as `Records` use it; every method may raise LinkError or Unconfirmed."""
 
     stored: dict[str, str]
@@ -124,7 +124,7 @@ class Desk(typing.Protocol):
         """Log an event."""
 
 
-def upload_twice(desk: Desk, memory: str, upload: Callable[[], None]) -> None:
+def upload_twice(desk: RecordAccess, memory: str, upload: Callable[[], None]) -> None:
     """Call `upload`, and once more if it is not confirmed."""
     try:
         upload()
@@ -140,7 +140,7 @@ class Records(typing.Protocol):
     def n_memories(self) -> int:
         """Number of different records that it can hold at a time."""
 
-    def store(self, desk: Desk, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
+    def store(self, desk: RecordAccess, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
         """Store records, each verified for its channel, and return what fills ``{memory}`` for each.
 
         A record that is already stored, known from this session or read back, is not sent again.

@@ -20,7 +20,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.instrument import Commands, Desk, Instrument, Setting, upload_twice
+from modaltouch.rig.instrument import Commands, Instrument, RecordAccess, Setting, upload_twice
 from modaltouch.rig.interface import LinkError, Unconfirmed
 from modaltouch.rig.link import block_bounds
 from modaltouch.stimulus import Converter
@@ -48,7 +48,7 @@ class ChannelMemories:
 
     n_memories: int
 
-    def store(self, desk: Desk, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
+    def store(self, desk: RecordAccess, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
         """Store records in the memories of their channels, verify them, and return their names."""
         # Names begin with a letter and have at most twelve characters.
         names = ["MT" + hashlib.sha256(codes.tobytes()).hexdigest()[:10].upper() for _, codes in records]
@@ -70,7 +70,7 @@ class ChannelMemories:
         """Return no settings: records cannot be locked; one selected at the front panel is revealed by its name."""
         return []
 
-    def _holds(self, desk: Desk, channel: int, wanted: dict[str, NDArray[np.uint16]]) -> bool:
+    def _holds(self, desk: RecordAccess, channel: int, wanted: dict[str, NDArray[np.uint16]]) -> bool:
         """Return whether a channel's memory already holds all records."""
         held = desk.ask(f"SOUR{channel}:DATA:VOL:CAT?").upper()
         try:
@@ -78,7 +78,7 @@ class ChannelMemories:
         except Unconfirmed:
             return False
 
-    def _upload(self, desk: Desk, channel: int, wanted: dict[str, NDArray[np.uint16]]) -> None:
+    def _upload(self, desk: RecordAccess, channel: int, wanted: dict[str, NDArray[np.uint16]]) -> None:
         for known in [memory for memory in desk.stored if memory.startswith(f"{channel}:")]:
             del desk.stored[known]
         # Names in use are refused (error 786), even if a fault has spoiled the record stored under one.
@@ -95,7 +95,7 @@ class ChannelMemories:
                 )
 
 
-def _verified(desk: Desk, channel: int, name: str, codes: NDArray[np.uint16]) -> bool:
+def _verified(desk: RecordAccess, channel: int, name: str, codes: NDArray[np.uint16]) -> bool:
     """Return whether a record is stored correctly, by its statistics and, if it can be read back, by every code."""
     told = [desk.ask(f"SOUR{channel}:DATA:ATTR:{figure}? {name}") for figure in FIGURES]
     if not all(_agrees(*each) for each in zip(told, figures(codes), strict=True)):
@@ -129,7 +129,7 @@ def _agrees(reply: str, figure: float) -> bool:
         return False
 
 
-def _read_back(desk: Desk, channel: int, name: str) -> NDArray[np.uint16] | None:
+def _read_back(desk: RecordAccess, channel: int, name: str) -> NDArray[np.uint16] | None:
     """Return the codes of a record from the file that the instrument writes of it; None if it writes no such file."""
     # Unverified: that the file contains the record selected, and the format of its header.
     desk.apply([Setting(f"SOUR{channel}:FUNC:ARB", f'"{name}"', replies=(f'"{name}"', name))])

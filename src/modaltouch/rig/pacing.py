@@ -104,8 +104,8 @@ class Report:
 class BurstPlayer(Transport, typing.Protocol):
     """The watchdog as the driver uses it: holds the transport, plays bursts, and switches off if the driver cannot."""
 
-    def arm(self, *, plays_by_itself: bool) -> None:
-        """Note that outputs may be on from now on; `plays_by_itself`: what they play does not end without a command."""
+    def arm(self, *, free_running: bool) -> None:
+        """Note that outputs may be on from now on; `free_running`: what they play does not end without a command."""
 
     def beat(self) -> str:
         """Note that the session is alive; return why the bursts ended without a request, empty while all is well."""
@@ -260,7 +260,7 @@ class LocalClient:
         self._pacer: Pacer | None = None
         self.open, self.exchange, self.close = transport.open, transport.exchange, transport.close
 
-    def arm(self, *, plays_by_itself: bool) -> None:
+    def arm(self, *, free_running: bool) -> None:
         """Do nothing: no other process watches this one."""
 
     def held_up(self) -> float:

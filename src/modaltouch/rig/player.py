@@ -64,7 +64,7 @@ class Player:
         return self.repetition == "continuous"
 
     @property
-    def plays_by_itself(self) -> bool:
+    def free_running(self) -> bool:
         """Whether bursts repeat without commands, until the outputs or the trigger are switched off."""
         return self.repetition != "single"
 

@@ -18,15 +18,15 @@ from modaltouch.rig.interface import RigError
 from modaltouch.rig.link import InUse, block_bounds
 from modaltouch.system import lock
 
-KNOCKED = 2.0
+CONNECT_TIMEOUT = 2.0
 """How long a TCP connection to the instrument may take [s]: a lost packet is resent after one second."""
 
 
-def knock(address: str) -> None:
+def check_port(address: str) -> None:
     """Check that the port named in a VISA address accepts connections: the backend would leak a socket if not."""
     host, _, port = (address.split("::") + [""])[1].partition(",")
     if address.upper().startswith("TCPIP") and port.isdigit():
-        socket.create_connection((host, int(port)), timeout=KNOCKED).close()
+        socket.create_connection((host, int(port)), timeout=CONNECT_TIMEOUT).close()
 
 
 def abandon(resource: Any) -> None:
@@ -50,14 +50,14 @@ class _Received(bytes):
         return f"<{len(self)} bytes>"
 
 
-class _HushedSocket(socket.socket):
+class _UnloggedSocket(socket.socket):
     __slots__ = ()
 
     def recv(self, size: int, flags: int = 0, /) -> bytes:
         return _Received(super().recv(size, flags))
 
 
-def hush(resource: Any) -> None:
+def skip_byte_log(resource: Any) -> None:
     """Keep pyvisa-py from formatting every byte that it receives over a socket.
 
     It does so for a log that is not kept, which for a record takes longer than the transfer. Sessions of other backends
@@ -66,7 +66,7 @@ def hush(resource: Any) -> None:
     with contextlib.suppress(AttributeError, KeyError, TypeError):
         received_by = resource.visalib.sessions[resource.session].interface.sock
         if type(received_by) is socket.socket:
-            received_by.__class__ = _HushedSocket
+            received_by.__class__ = _UnloggedSocket
 
 
 def close_leftovers(error: BaseException) -> None:
@@ -134,7 +134,7 @@ class VisaSession:
         self.close(broken=False)
         if self._lock is None and not self._shares:
             self._lock = _take_instrument(self._address)
-        knock(self._address)
+        check_port(self._address)
         resource = None
         while resource is None:
             try:
@@ -148,7 +148,7 @@ class VisaSession:
                 time.sleep(0.02)
         message_based = cast("pyvisa.resources.MessageBasedResource", resource)
         message_based.chunk_size = CHUNK
-        hush(message_based)
+        skip_byte_log(message_based)
         if self._is_socket:
             message_based.read_termination = "\n"
         self._resource, self._timeout = message_based, 0.0

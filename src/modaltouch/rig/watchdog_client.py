@@ -115,9 +115,9 @@ class WatchdogClient:
         """Close the VISA session; the process stays."""
         self._request(CLOSE, TERMS.pack(0.0, False, broken), 2 * OVERHEAD)
 
-    def arm(self, *, plays_by_itself: bool) -> None:
+    def arm(self, *, free_running: bool) -> None:
         """Tell the process that outputs may be on, and whether what they play does not end without a command."""
-        self._send(frame(ARM, 0, FLAG.pack(plays_by_itself)))
+        self._send(frame(ARM, 0, FLAG.pack(free_running)))
         self._lost, self._broken, self._held_up = "", None, 0.0
         self._came_round = time.monotonic()
         self._armed.set()

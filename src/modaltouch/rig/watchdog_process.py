@@ -119,7 +119,7 @@ class WatchdogProcess:
                 answer(frame(letter, number, content))
 
         waiting: queue.SimpleQueue[tuple[bytes, int, bytes] | None] = queue.SimpleQueue()
-        threading.Thread(target=self._patrol, daemon=True, name="patrol").start()
+        threading.Thread(target=self._watch_client, daemon=True, name="patrol").start()
         threading.Thread(target=self._listen, args=(requests, waiting, reply), daemon=True, name="listener").start()
         while (request := waiting.get()) is not None:
             letter, number, content = request
@@ -232,7 +232,7 @@ class WatchdogProcess:
     def _told(self) -> bytes:
         return b"{}" if self._pacer is None else json.dumps(asdict(self._pacer.report)).encode()
 
-    def _patrol(self) -> None:
+    def _watch_client(self) -> None:
         """Switch the outputs off whenever an armed client falls silent."""
         while self._armed.wait():
             asleep = self._clock.now()

@@ -65,7 +65,7 @@ PRACTICE_FAILED = "practice not passed"
 """Reason for the end of a session whose participant did not pass practice, if the protocol ends it then."""
 
 
-def way_on(reason: str, folder: Path) -> str:
+def how_to_continue(reason: str, folder: Path) -> str:
     """Return advice on how to continue a session that ended early.
 
     Parameters

@@ -251,7 +251,7 @@ def run(sitting: SessionRun, trial: Trial, previous: Trial | None) -> Response:
         if firing.stalled:
             # Nothing is wrong with the instrument: the computer was busy, and the trial waits until it is not.
             stalls += 1
-            sitting.window.tell_stall()
+            sitting.window.show_stall()
         else:
             attempts += 1
     n, remedy = ATTEMPTS, "check the instrument with `modaltouch rig check`"

@@ -110,7 +110,7 @@ class Probing:
             for name, design in designs.items()
         ]
         self._log.append("probe", hands="on", trial=trial.as_dict(), **self._settings, **found, levels=levels)
-        self._window.tell_measuring(max(GAP - (self._clock.now() - ended), 0.0))
+        self._window.show_measuring(max(GAP - (self._clock.now() - ended), 0.0))
 
     def listen(self, trial: Trial) -> None:
         """Have the first burst of a trial recorded at the vibrometer's spot; a catch trial has none."""
@@ -151,7 +151,7 @@ class Probing:
     def _measured(self, what: str, measure: Callable[[], dict[str, Any]], once_more: str) -> dict[str, Any]:
         """Return a measurement; ask the participant again if it is refused."""
         for attempt in range(1, ATTEMPTS + 1):
-            self._window.tell_measuring(STILL)
+            self._window.show_measuring(STILL)
             try:
                 return measure()
             except ValueError as error:

@@ -20,7 +20,7 @@ from modaltouch.record import (
     audit_session,
     read_session,
 )
-from modaltouch.session.events import PRACTICE_FAILED, boot_id, way_on
+from modaltouch.session.events import PRACTICE_FAILED, boot_id, how_to_continue
 from modaltouch.session.setup import Setup, sit
 from modaltouch.session.wiring import SessionParts, mode_of
 from modaltouch.system import SYSTEM_CLOCK, Clock
@@ -281,7 +281,7 @@ def resume(setup: Setup) -> Session:
     if cut["reason"] == PRACTICE_FAILED:
         raise RecordInputError(
             f"{session.path}: practice was not passed, and the protocol then ends the session "
-            f"(schedule.after_failed_practice); {way_on(PRACTICE_FAILED, session.path.parent)}"
+            f"(schedule.after_failed_practice); {how_to_continue(PRACTICE_FAILED, session.path.parent)}"
         )
     refuse_old(session, cut, policy.within_hours)
     return sit(setup, lambda place, facts: go_on(place, setup.schedule, policy.at, cut, facts, setup.clock), "resume")

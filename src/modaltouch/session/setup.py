@@ -20,7 +20,7 @@ from modaltouch.record import (
 from modaltouch.rig import Rig, instrument_of
 from modaltouch.session.console.experimenter import Experimenter
 from modaltouch.session.console.interface import Console
-from modaltouch.session.events import boot_id, describe_ending, describe_start, way_on
+from modaltouch.session.events import boot_id, describe_ending, describe_start, how_to_continue
 from modaltouch.session.loop import SessionRun, conduct
 from modaltouch.system import SYSTEM_CLOCK, Clock, Interruption, commit, versions
 from modaltouch.window import AnswerWindow, Intervention, Masking, Tick
@@ -228,7 +228,7 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
             conduct(replace(sitting, experimenter=experimenter, masking=masking))
         except BaseException as error:
             ending = describe_ending(error)
-            error.add_note(f"everything answered is kept; {way_on(ending['reason'], setup.place.folder)}")
+            error.add_note(f"everything answered is kept; {how_to_continue(ending['reason'], setup.place.folder)}")
             raise
         finally:
             # Outputs off first, then the record: nothing on disk is worth a beam that still vibrates.

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_positive
-from modaltouch.stimulus.synthesis import BLOCK, CHUNK, decay, ladders
+from modaltouch.stimulus.synthesis import BLOCK, CHUNK, decay, exponential_tables
 from modaltouch.stimulus.timing import Timing
 
 if TYPE_CHECKING:
@@ -294,7 +294,7 @@ def _chunk_moments(
 ) -> ComplexArray:
     """Return the moments of at most `CHUNK` blocks."""
     n_blocks, head = divmod(voltage.shape[1], BLOCK)
-    fine, coarse = ladders(exponent, hold, n_blocks)
+    fine, coarse = exponential_tables(exponent, hold, n_blocks)
     sums = np.zeros((voltage.shape[0], exponent.size), dtype=complex)
     for channel, row in enumerate(voltage):
         asked = slice(None) if driven is None else np.flatnonzero(driven[channel])

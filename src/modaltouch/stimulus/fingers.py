@@ -87,7 +87,7 @@ class Finger:
             require_positive("the stiffness before a second mass", self.second_mass[1], "N/m", "leave it out")
 
     @property
-    def weighs(self) -> bool:
+    def loads_beam(self) -> bool:
         """Whether it loads the beam at all."""
         return bool(self.mass or self.damping or self.stiffness or self.maxwell or self.second_mass)
 

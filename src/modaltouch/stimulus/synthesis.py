@@ -45,18 +45,18 @@ def decay(exponent: ComplexArray, hold: float, steps: NDArray[np.int64]) -> Comp
     return powers
 
 
-def ladders(exponent: ComplexArray, hold: float, n_blocks: int) -> tuple[ComplexArray, ComplexArray]:
+def exponential_tables(exponent: ComplexArray, hold: float, n_blocks: int) -> tuple[ComplexArray, ComplexArray]:
     """Return the decays towards an end, by samples within a block and by blocks.
 
     They run over BLOCK - 1 down to 0 samples, (n, BLOCK) array, and over `n_blocks` down to 0 blocks, (n_blocks + 1, n)
     array. Each table is the product of two short ones, so that few exponentials are evaluated.
     """
-    return _ladders(exponent.tobytes(), hold, n_blocks)
+    return _exponential_tables(exponent.tobytes(), hold, n_blocks)
 
 
 @lru_cache(maxsize=8)
-def _ladders(exponents: bytes, hold: float, n_blocks: int) -> tuple[ComplexArray, ComplexArray]:
-    """Return the tables of `ladders`, read-only and cached: a design uses the same ones many times."""
+def _exponential_tables(exponents: bytes, hold: float, n_blocks: int) -> tuple[ComplexArray, ComplexArray]:
+    """Return the tables of `exponential_tables`, read-only and cached: a design uses the same ones many times."""
     exponent = np.frombuffer(exponents, dtype=complex)
     rung, stride = math.isqrt(BLOCK), math.isqrt(n_blocks) + 1
     short, long = np.arange(rung - 1, -1, -1), np.arange(stride - 1, -1, -1)
@@ -106,7 +106,7 @@ def _write_chunk(
 ) -> None:
     """Write the sums of one chunk; block j from the end begins j blocks before it, the first may be short."""
     n_blocks = out.shape[1] // BLOCK
-    order, fine, coarse, rate = _by_life(exponent.tobytes(), hold, n_blocks)
+    order, fine, coarse, rate = _by_decay_time(exponent.tobytes(), hold, n_blocks)
     ordered = amplitude.take(order, axis=1)
     lives = [
         [_life(size, least, fading, n_blocks + 1) for size, fading in zip(sizes, rate, strict=True)]
@@ -122,12 +122,12 @@ def _write_chunk(
 
 
 @lru_cache(maxsize=4)
-def _by_life(
+def _by_decay_time(
     exponents: bytes, hold: float, n_blocks: int
 ) -> tuple[NDArray[np.intp], ComplexArray, ComplexArray, list[float]]:
     """Return the order of exponentials from the slowest decay on, and in it their ladders and decay rates per block."""
     exponent = np.frombuffer(exponents, dtype=complex)
-    fine, coarse = ladders(exponent, hold, n_blocks)
+    fine, coarse = exponential_tables(exponent, hold, n_blocks)
     order = np.argsort(-exponent.real, kind="stable")
     rate = -exponent.real[order] * (hold * BLOCK)
     # The real part of a product is that of one factor times the conjugate of the other, as vectors of two.

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from modaltouch.stimulus.blocks import SHORT, BlockKernel, BlockRecursion, PeakBound
 from modaltouch.stimulus.dynamics import DiagonalSystem, clock_inputs
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
-from modaltouch.stimulus.synthesis import BLOCK, decay, ladders
+from modaltouch.stimulus.synthesis import BLOCK, decay, exponential_tables
 from modaltouch.stimulus.timing import Timing
 
 _OUTPUTS = 256
@@ -55,7 +55,7 @@ class BlockStates:
         inputs = clock_inputs(voltage, timing, 0, voltage.shape[1], push.shape[1])
         filled = np.pad(inputs, ((0, 0), (0, -inputs.shape[1] % BLOCK)))
         blocks = filled.reshape(len(inputs), -1, BLOCK)
-        fine, _ = ladders(system.exponent, timing.hold, 1)
+        fine, _ = exponential_tables(system.exponent, timing.hold, 1)
         pushed = np.zeros((system.exponent.size, blocks.shape[1]), dtype=complex)
         for rows, column in zip(blocks, push.T, strict=True):
             driven = np.flatnonzero(column)
@@ -88,7 +88,7 @@ class BlockStates:
         if which.size > _DENSE * bound.shape[1]:
             peak = np.maximum(peak, kernel.peaks(self.blocks, self.begin[:, :-1]))
         else:
-            self._look_into(which, kernel, peak)
+            self._evaluate_blocks(which, kernel, peak)
         period = int(self.timing.sampling_rate / self.timing.repetition_rate)
         silence = max(0, period - BLOCK * bound.shape[1])
         return self._peak_of_decay(some * self.begin[:, -1], silence, peak)[places]
@@ -100,10 +100,10 @@ class BlockStates:
 
     def _bounds(self, output: ComplexArray) -> FloatArray:
         """Return upper bounds of the outputs in each block, (n_outputs, n_blocks) array."""
-        fine, _ = ladders(self.system.exponent, self.timing.hold, 1)
+        fine, _ = exponential_tables(self.system.exponent, self.timing.hold, 1)
         return self._peak_bound.of_outputs(output, self._push, fine[:, ::-1])
 
-    def _look_into(self, which: NDArray[np.intp], kernel: BlockKernel, peak: FloatArray) -> None:
+    def _evaluate_blocks(self, which: NDArray[np.intp], kernel: BlockKernel, peak: FloatArray) -> None:
         """Raise the peaks, in place, to what the outputs reach within some blocks."""
         if which.size == 0:
             return

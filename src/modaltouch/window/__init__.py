@@ -24,7 +24,7 @@ if TYPE_CHECKING:
         WindowError,
     )
     from modaltouch.window.legibility import smallest_type
-    from modaltouch.window.machine import examine_surroundings, measure_timing
+    from modaltouch.window.machine import examine_environment, measure_timing
     from modaltouch.window.masking import highest_level, open_masking
     from modaltouch.window.opening import AnswersBy, WindowOptions, open_window
     from modaltouch.window.simulated import Answerer
@@ -37,7 +37,7 @@ else:
                 "AnswerWindow Event Intervention Masking Presentation SessionStopped Tick TrialInterrupted WindowError"
             ),
             "legibility": "smallest_type",
-            "machine": "examine_surroundings measure_timing",
+            "machine": "examine_environment measure_timing",
             "masking": "highest_level open_masking",
             "opening": "AnswersBy WindowOptions open_window",
             "simulated": "Answerer",
@@ -58,7 +58,7 @@ __all__ = [
     "TrialInterrupted",
     "WindowError",
     "WindowOptions",
-    "examine_surroundings",
+    "examine_environment",
     "highest_level",
     "find_font",
     "measure_timing",

@@ -50,7 +50,7 @@ class Moment:
     entered: str = ""
 
 
-class Sitter:
+class WindowUser:
     """A robot in front of the window (`robot.Robot`), or nobody, as here."""
 
     def see(self, moment: Moment, shown: float, picture: str) -> None:
@@ -73,7 +73,7 @@ class DisplayLoop:
         Takes the window's events for the record.
     screenshots : Path, optional
         Folder for one PNG of each kind of picture.
-    sitter : Sitter
+    window_user : WindowUser
         A robot, or nobody.
     emergency_keys : frozenset of str
         Keys that end the session at once, on every screen.
@@ -93,7 +93,7 @@ class DisplayLoop:
         tick: Tick,
         log: Log,
         screenshots: Path | None,
-        sitter: Sitter,
+        window_user: WindowUser,
         emergency_keys: frozenset[str] = frozenset(),
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
@@ -103,7 +103,7 @@ class DisplayLoop:
         self.note = log
         """Writes an event into the record now."""
         self._screenshots = screenshots
-        self._sitter = sitter
+        self._window_user = window_user
         self._emergency_keys = emergency_keys
         self._is_emergency = False
         self._kept: set[str] = set()
@@ -139,7 +139,7 @@ class DisplayLoop:
             self._picture, self._ahead = picture, None
             self._is_stale = False
         if moment is not None:
-            self._sitter.see(moment, self.shown, picture.name)
+            self._window_user.see(moment, self.shown, picture.name)
         return self.shown
 
     def draw_ahead(self, picture: Picture) -> None:
@@ -150,7 +150,7 @@ class DisplayLoop:
 
     def attend(self, moment: Moment) -> None:
         """Tell a robot about a moment that shows no new picture."""
-        self._sitter.see(moment, self.clock.now(), self._picture.name if self._picture else "")
+        self._window_user.see(moment, self.clock.now(), self._picture.name if self._picture else "")
 
     def poll(self) -> list[Event]:
         """Tick, and return what happened since the last poll; sleep a millisecond if nothing did.
@@ -161,7 +161,7 @@ class DisplayLoop:
             At an emergency key, even one that was read by `poll_quietly`.
         """
         intervention = self._tick()
-        self._sitter.act(self.clock.now(), self._display.type_key)
+        self._window_user.act(self.clock.now(), self._display.type_key)
         events = self.poll_quietly()
         if self._is_emergency:
             raise SessionStopped("emergency stop")
@@ -186,7 +186,7 @@ class DisplayLoop:
         """Leave events to be returned by the next poll."""
         self._unread.extend(events)
 
-    def note_later(self, event: str, **facts: Any) -> None:
+    def log_later(self, event: str, **facts: Any) -> None:
         """Keep an event until `write_notes`, while nothing may raise."""
         self._unwritten.append((event, facts))
 

@@ -66,10 +66,10 @@ class EventTap:
         window.push_handlers(
             on_key_press=partial(self._on_key, "key"),
             on_key_release=partial(self._on_key, "release"),
-            on_text=self._swallow,
-            on_text_motion=self._swallow,
+            on_text=self._ignore_text,
+            on_text_motion=self._ignore_text,
             on_mouse_press=self._on_mouse_press,
-            on_mouse_release=self._swallow,
+            on_mouse_release=self._ignore_text,
             on_close=partial(self._add, "close"),
             on_activate=partial(self._add, "focus"),
             on_deactivate=partial(self._add, "blur"),
@@ -109,7 +109,7 @@ class EventTap:
         width, height = self._window.get_size()
         return self._add("click", "", (x - width / 2) / height, (y - height / 2) / height)
 
-    def _swallow(self, *_: object) -> bool:
+    def _ignore_text(self, *_: object) -> bool:
         """Keep PsychoPy's own buffers empty."""
         return True
 

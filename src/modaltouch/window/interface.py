@@ -167,10 +167,10 @@ class AnswerWindow:
         """
         raise NotImplementedError
 
-    def tell_stall(self) -> None:
+    def show_stall(self) -> None:
         """Show briefly that the computer was held up, and that the last stimulus comes again."""
 
-    def tell_measuring(self, seconds: float) -> None:
+    def show_measuring(self, seconds: float) -> None:
         """Show for some time [s] that the beam is being measured and fingers must keep still; the screen then stays."""
 
     def announce(self, text: str) -> None:

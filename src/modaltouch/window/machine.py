@@ -60,7 +60,7 @@ class WindowCheck(NamedTuple):
     packages: Sequence[str] = ()
 
 
-def examine_surroundings(*, quick: bool = False) -> tuple[WindowCheck, ...]:
+def examine_environment(*, quick: bool = False) -> tuple[WindowCheck, ...]:
     """Return whether this machine has what window and noise need.
 
     Parameters

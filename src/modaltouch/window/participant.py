@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 from modaltouch.protocol import TIME_OUT, AnswersSection, Protocol, Response, Texts, Trial
 from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window.answering import SETTLE, AskedQuestion, chosen, is_press
-from modaltouch.window.display_loop import POLL_INTERVAL, DisplayLoop, Moment, Sitter
+from modaltouch.window.display_loop import POLL_INTERVAL, DisplayLoop, Moment, WindowUser
 from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import AnswerWindow, Event, Log, Presentation, Progress, Tick, TrialInterrupted
 from modaltouch.window.layout import Spans, lay_out
@@ -60,7 +60,7 @@ class ParticipantWindow(AnswerWindow):
         Takes the window's events for the record, as ``log(event, **facts)``.
     screenshots : Path, optional
         Folder for one PNG of each kind of screen.
-    robot : Sitter, optional
+    robot : WindowUser, optional
         Answers in a person's place, through the display's own event queue.
     clock : Clock
         Stamps events; shared with the display.
@@ -77,7 +77,7 @@ class ParticipantWindow(AnswerWindow):
         tick: Tick,
         log: Log,
         screenshots: Path | None = None,
-        robot: Sitter | None = None,
+        robot: WindowUser | None = None,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         self._clock = clock
@@ -93,7 +93,7 @@ class ParticipantWindow(AnswerWindow):
             tick=tick,
             log=log,
             screenshots=screenshots,
-            sitter=robot or Sitter(),
+            window_user=robot or WindowUser(),
             emergency_keys=frozenset(map(canonical_key, protocol.answers.emergency_keys)),
             clock=clock,
         )
@@ -138,12 +138,12 @@ class ParticipantWindow(AnswerWindow):
             ):
                 return over
 
-    def tell_stall(self) -> None:
+    def show_stall(self) -> None:
         """Show briefly that the computer was held up, and that the last stimulus comes again."""
         self._rest_on(self._pictures.page("stalled", self._texts.stalled, waits=False), self._clock.now() + _STALL)
         self._answered = self._clock.now()
 
-    def tell_measuring(self, seconds: float) -> None:
+    def show_measuring(self, seconds: float) -> None:
         """Show for some time [s] that the beam is being measured; the screen then stays."""
         picture = self._pictures.page("measuring", self._texts.measuring, waits=False)
         self._rest_on(picture, self._clock.now() + seconds)

@@ -346,7 +346,7 @@ class Illustrator:
         else:
             words = {"free_hand": texts.placed_by_free_hand, "experimenter": texts.placed_by_experimenter}.get(way)
         if words is None:
-            return self._press_to_go_on()
+            return self._continue_words()
         return words.format(key=key_name(texts, self.answers.continue_keys[0]), hand=self._pressing_hand(trial))
 
     def _headline(self, words: str, size: float, *, dim: bool = False) -> Words:
@@ -392,10 +392,10 @@ class Illustrator:
         layout, theme = self.layout, self.theme
         return (
             *framed(layout.go_on, 0.043, theme.button_edge, theme.button, 0.003),
-            Words(words or self._press_to_go_on(), layout.go_on.inset(0.012), 0.036 * layout.type_scale, theme.text),
+            Words(words or self._continue_words(), layout.go_on.inset(0.012), 0.036 * layout.type_scale, theme.text),
         )
 
-    def _press_to_go_on(self) -> str:
+    def _continue_words(self) -> str:
         return self.texts.press_to_continue.format(key=key_name(self.texts, self.answers.continue_keys[0]))
 
     def _progress(self, trial: Trial, progress: Progress) -> tuple[Mark, ...]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from modaltouch.protocol import Protocol, Texts
-from modaltouch.window.display_loop import Moment, Sitter
+from modaltouch.window.display_loop import Moment, WindowUser
 from modaltouch.window.events import canonical_key
 from modaltouch.window.interface import WindowError
 from modaltouch.window.rating import Entry, as_read
@@ -17,7 +17,7 @@ from modaltouch.window.simulated import Answerer
 
 _HOLD = 0.06
 """Least time for which a key stays down, and then up before the next press [s]."""
-_GLANCE = 0.12
+_SHORTEST_VIEW = 0.12
 """An answer never comes sooner than this after the question is on the screen [s]."""
 _AGAIN = 1.0
 """A key that was not taken is typed again after this long [s]."""
@@ -25,7 +25,7 @@ _TRIES = 60
 """Most times it is typed: a minute's worth. Counted, not timed, so that an hour's suspension does not use them up."""
 
 
-class Robot(Sitter):
+class Robot(WindowUser):
     """Types what an observer answers, at the observer's reaction time, until the window takes it.
 
     Parameters
@@ -74,7 +74,7 @@ class Robot(Sitter):
                 asked = self._asked[moment.asked]
                 self._felt = self._answerer.rate(moment.trial, asked.scale, asked.offered.names, moment.asked)
             start = shown if self._counts_from_question or moment.asked else moment.onset
-            due = max(start + self._felt[2], shown + _GLANCE)
+            due = max(start + self._felt[2], shown + _SHORTEST_VIEW)
             self._wanted, self._due = self._key(moment), shown if moment.entered else due
 
     def _key(self, moment: Moment) -> str:

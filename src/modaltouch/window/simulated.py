@@ -194,7 +194,7 @@ class SimulatedParticipant(AnswerWindow):
     def _look(self, *shown: Any, **named: Any) -> None:
         self._tick()
 
-    welcome = place_fingers = tell_stall = announce = rest = goodbye = _look
+    welcome = place_fingers = show_stall = announce = rest = goodbye = _look
 
     def settle(self, trial: Trial, progress: tuple[int, int], lead: float = 0.0) -> float:
         """Return at once: `wait` has passed."""
@@ -241,7 +241,7 @@ class SimulatedParticipant(AnswerWindow):
         """Let the pause pass."""
         self._pass(seconds)
 
-    tell_measuring = wait
+    show_measuring = wait
 
     def _pass(self, seconds: float) -> bool:
         """Let time pass, ticking meanwhile; return whether a pause came between."""

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.calibration import command
-from modaltouch.lab.calibration.doubts import mark_of, peak_shortfall
 from modaltouch.lab.calibration.file import CalibrationResult
 from modaltouch.lab.calibration.loop import calibrate
 from modaltouch.lab.calibration.plant import VibrometerDelay
+from modaltouch.lab.calibration.plausibility import mark_of, peak_shortfall
 from modaltouch.preflight import Preflight
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.calibration import check_mark, examine_calibration

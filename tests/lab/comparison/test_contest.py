@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from modaltouch.cli.commands import app
 from modaltouch.lab.comparison.command import ComparisonReport, Criterion, criteria, rows_of
-from modaltouch.lab.comparison.contest import contend, true_delay, without_mismatch
+from modaltouch.lab.comparison.contest import run_contest, true_delay, without_mismatch
 from modaltouch.lab.output import title_of
 from modaltouch.preflight import examine
 from modaltouch.rig import Simulator
@@ -26,7 +26,7 @@ ABOUT = {"title": "A <title>", "protocol": "p.yaml", "apparatus": "beam", "seed"
 @pytest.fixture(scope="module")
 def found(preflight, known):
     """Return the comparison with what the table says, played through the driver, on two other beams."""
-    return contend(preflight, known, n_beams=2)
+    return run_contest(preflight, known, n_beams=2)
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from modaltouch.lab.identification.excitation import LOWEST, Campaign, Excitation, _with_range, evenly, excite
+from modaltouch.lab.identification.excitation import LOWEST, Excitation, IdentificationPlan, _with_range, evenly, excite
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import responses_of
 from modaltouch.lab.identification.shapes import mac
@@ -54,7 +54,7 @@ def with_noise(apparatus: Apparatus, density: float) -> Apparatus:
     return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update={"vibrometer": vibrometer})})
 
 
-def density_of_the_bar(apparatus: Apparatus, campaign: Campaign) -> float:
+def density_of_the_bar(apparatus: Apparatus, campaign: IdentificationPlan) -> float:
     """Return the noise with which the coherence at the peak of the weakest mode is about 0.95 [um/s per root Hz].
 
     That mode is the first: 0.9 mm/s per volt, everywhere alike.
@@ -75,7 +75,7 @@ def test_twin_is_identified_through_all_its_instruments(
     Eight bits, two clocks, a delay, a low-pass, torsion beside the mid-line and even modes notwithstanding.
     """
     labels = (1, 3, 5, 7, 9, 11, 13, 15, 17) if WHOLE else (1, 3, 5)
-    campaign = Campaign(
+    campaign = IdentificationPlan(
         positions=evenly(LENGTH, N_POINTS, 0.5e-3),
         averages=10 if WHOLE else 2,
         voltage=50.0 if excitation == "multisine" else 20.0,
@@ -104,9 +104,9 @@ def test_twin_is_identified_through_all_its_instruments(
         assert 0.9 < min(found.mode(label).coherence for label in labels) < 0.97
 
 
-def small(**changes: Any) -> Campaign:
+def small(**changes: Any) -> IdentificationPlan:
     """Return a scan of three points of one set."""
-    return replace(Campaign((-0.04, 0.01, 0.049), 1, 20.0, 12e3, ("centre",)), **changes)
+    return replace(IdentificationPlan((-0.04, 0.01, 0.049), 1, 20.0, 12e3, ("centre",)), **changes)
 
 
 @pytest.fixture(scope="module")

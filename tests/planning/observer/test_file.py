@@ -20,7 +20,7 @@ PEAKS = {"A": 0.123, "B": 0.115, "C": 0.2, "D": 0.115, "E": 0.123}
 
 def test_the_paper_observer_shows_the_papers_pattern() -> None:
     """Expected: V-C, nearly all C in (A,C) and (C,E), 38 to 40 of 40; a majority of both in (B,D)."""
-    crowd = read_observer("paper").draw_crowd(np.random.default_rng(1), (20_000,))
+    crowd = read_observer("paper").draw_participants(np.random.default_rng(1), (20_000,))
     speeds = [[PEAKS[left], PEAKS[right]] for left, right in ("AC", "BD", "CE")]
     for condition in ("one_hand", "two_hands"):
         left, right = (share.mean(axis=0) for share in crowd.shares(speeds, [condition] * 3))
@@ -42,7 +42,9 @@ def test_only_the_fingertip_has_internal_noise() -> None:
     """All others answer as before there was such a key; what the paper's says at 80 mm/s, the fingertip says too."""
     noisy = [name for name in Source.shipped("observer") if read_observer(name).typical.internal_noise]
     assert noisy == ["fingertip"]
-    crowds = [read_observer(name).draw_crowd(np.random.default_rng(1), (5_000,)) for name in ("paper", "fingertip")]
+    crowds = [
+        read_observer(name).draw_participants(np.random.default_rng(1), (5_000,)) for name in ("paper", "fingertip")
+    ]
     named = [crowd.shares([[0.4 * PEAKS["A"], 0.4 * PEAKS["C"]]], ["one_hand"])[1].mean() for crowd in crowds]
     assert named[0] > 0.94
     assert named[1] > 0.85
@@ -57,7 +59,9 @@ def test_where_thresholds_matter_the_fingertip_is_simulated(shipped: Path) -> No
 
 def test_guessing_is_a_third_of_each_answer() -> None:
     """Expected: 1/3, whatever is felt."""
-    left, right = read_observer("guessing").draw_crowd(np.random.default_rng(1), (3,)).shares([[0, 1]], ["one_hand"])
+    left, right = (
+        read_observer("guessing").draw_participants(np.random.default_rng(1), (3,)).shares([[0, 1]], ["one_hand"])
+    )
     assert left == pytest.approx(np.full((3, 1), 1 / 3))
     assert right == pytest.approx(left)
 

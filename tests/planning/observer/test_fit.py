@@ -27,7 +27,7 @@ def recorded(observer: Observer, n_participants: int, n_repetitions: int, seed: 
     """Return the answers of simulated participants, every second one at the turned beam."""
     rng = np.random.default_rng(seed)
     facing = np.where(np.arange(n_participants) % 2, -1.0, 1.0)
-    left, right = observer.draw_crowd(rng, (n_participants,)).shares(SPEEDS, CONDITIONS, facing)
+    left, right = observer.draw_participants(rng, (n_participants,)).shares(SPEEDS, CONDITIONS, facing)
     shares = np.stack([left, 1 - left - right, right], axis=-1)
     return RecordedAnswers(rng.multinomial(n_repetitions, shares), SPEEDS, CONDITIONS, facing)
 
@@ -115,6 +115,6 @@ def test_the_likelihood_of_a_population_without_spread_is_multinomial() -> None:
     data = recorded(TRUTH, 2, 3, seed=5)
     expected = 0.0
     for person, facing in enumerate(data.facing):
-        left, right = still.draw_crowd(np.random.default_rng(0), ()).shares(SPEEDS, CONDITIONS, facing)
+        left, right = still.draw_participants(np.random.default_rng(0), ()).shares(SPEEDS, CONDITIONS, facing)
         expected += float((data.counts[person] * np.log(np.stack([left, 1 - left - right, right], axis=-1))).sum())
     assert log_likelihood(still, data) == pytest.approx(expected, rel=1e-12)

@@ -21,7 +21,7 @@ def test_shares_are_those_of_single_answers() -> None:
     """Expected: the shares of 6000 answers of the same person, within 4 standard errors."""
     observer = replace(Observer(), typical=replace(Participant(), lapse_rate=0.06, near_miss=0.4, side_bias=0.1))
     person = observer.draw(np.random.default_rng(4))
-    crowd = observer.draw_crowd(np.random.default_rng(4), ())
+    crowd = observer.draw_participants(np.random.default_rng(4), ())
     left, right = crowd.shares(SPEEDS, ("one_hand", "two_hands", "one_hand"))
     rng, n = np.random.default_rng(9), 6000
     for cell, condition in enumerate(("one_hand", "two_hands", "one_hand")):
@@ -36,7 +36,7 @@ def test_shares_with_internal_noise_are_those_of_single_answers() -> None:
     observer = replace(Observer(), typical=replace(Participant(), internal_noise=0.004, detection_speed=0.0105))
     person = observer.draw(np.random.default_rng(4))
     speeds = np.array([[0.006, 0.01], [0.02, 0.012], [0.1, 0.15]])
-    left, right = observer.draw_crowd(np.random.default_rng(4), ()).shares(speeds, ("one_hand",) * 3)
+    left, right = observer.draw_participants(np.random.default_rng(4), ()).shares(speeds, ("one_hand",) * 3)
     rng, n = np.random.default_rng(9), 6000
     for cell in range(3):
         given = [person.answer(*speeds[cell], "one_hand", rng)[0] for _ in range(n)]
@@ -49,7 +49,7 @@ def test_one_drawn_participant_is_the_crowd_of_one() -> None:
     """Expected: the same draws give the same person, alone or in a crowd."""
     observer = Observer()
     person = observer.draw(np.random.default_rng(2))
-    crowd = observer.draw_crowd(np.random.default_rng(2), (1,))
+    crowd = observer.draw_participants(np.random.default_rng(2), (1,))
     assert person.noise == crowd.noise[0]
     assert person.side_bias == crowd.side_bias[0]
     assert person.suppression == pytest.approx(crowd.contrast("one_hand")[0] - 1)
@@ -61,7 +61,7 @@ def test_one_drawn_participant_is_the_crowd_of_one() -> None:
 def test_shares_are_chances(speeds: list[float], lapse_rate: float, side_bias: float) -> None:
     """Expected: left, right and both are never negative and add up to one, whatever is felt."""
     observer = replace(Observer(), typical=replace(Participant(), lapse_rate=lapse_rate, side_bias=side_bias))
-    left, right = observer.draw_crowd(np.random.default_rng(1), (7,)).shares([speeds], ("two_hands",))
+    left, right = observer.draw_participants(np.random.default_rng(1), (7,)).shares([speeds], ("two_hands",))
     assert left.shape == (7, 1)
     assert ((left >= 0) & (right >= 0) & (left + right <= 1 + 1e-12)).all()
 
@@ -69,7 +69,7 @@ def test_shares_are_chances(speeds: list[float], lapse_rate: float, side_bias: f
 def test_a_turned_beam_turns_the_side_bias_alone() -> None:
     """Expected: turned, the bias counts for the other end of the beam; a guess stays a third of each."""
     observer = Observer(replace(Participant(), side_bias=0.3, lapse_rate=0.0), 0, 0, 0, 0, 0)
-    crowd = observer.draw_crowd(np.random.default_rng(1), (1,))
+    crowd = observer.draw_participants(np.random.default_rng(1), (1,))
     left, right = crowd.shares([[0.1, 0.1]], ("one_hand",))
     turned_left, turned_right = crowd.shares([[0.1, 0.1]], ("one_hand",), -1.0)
     assert right[0, 0] > 3 * left[0, 0]

@@ -9,7 +9,7 @@ import pytest
 from pydantic import Field
 
 from modaltouch.protocol.reading import read
-from modaltouch.protocol.section import Count, Positive, Section, Text, describe, number_meant
+from modaltouch.protocol.section import Count, Positive, Section, Text, describe, suggest_number
 from modaltouch.protocol.source import Source
 
 
@@ -140,10 +140,10 @@ def test_what_is_allowed_is_said_in_words(path: tuple[str | int, ...], words: st
 )
 def test_the_number_in_front_of_a_unit_is_found(word: str, number: str) -> None:
     """What a person would have written without the unit."""
-    assert number_meant(word)[0] == number
+    assert suggest_number(word)[0] == number
 
 
 @pytest.mark.parametrize("word", ["1_000", "1:20", "1/3", "2026-01-01", "８０"])
 def test_a_word_that_begins_with_another_number_than_it_means_has_none(word: str) -> None:
     """To write 1 in place of 1_000 would be another experiment."""
-    assert number_meant(word) == ("", "")
+    assert suggest_number(word) == ("", "")

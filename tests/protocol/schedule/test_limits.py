@@ -146,7 +146,7 @@ def test_a_participant_without_an_order_is_told_and_is_rare(
     words = ("  max_same_pair_running: 2", "  max_same_level_running: 1\n  min_same_cell_distance: 3")
     preflight = examine(edit("demo.yaml", words, ("repetitions: 1", "repetitions: 4"))).require()
     monkeypatch.setattr(order_walk, "SWEEPS", 10**6)
-    monkeypatch.setattr(order_walk, "STEPS_ASTRAY", 0)
+    monkeypatch.setattr(order_walk, "STEPS_OUTSIDE", 0)
     with pytest.raises(
         InputError, match="limits that no order drawn for p01 satisfies, orders .* or give another --seed"
     ):

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from modaltouch.analysis.certificates import certificates_of, say_certificates
+from modaltouch.analysis.certificates import certificates_in_words, certificates_of
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding, correct, plain_row, to_frame
 from modaltouch.analysis.models import model_table, tidy_files, zone_files
@@ -19,9 +19,9 @@ from modaltouch.analysis.registration import ALL_PARTS, Registration, terms_of_t
 from modaltouch.analysis.responses import Responses, cell_of
 from modaltouch.analysis.statistics import uncorrected
 from modaltouch.analysis.tables import tabulate, zone_table
-from modaltouch.analysis.words import say_interval
+from modaltouch.analysis.words import format_interval
 from modaltouch.protocol import InputError
-from modaltouch.report import ReportFigure, page_files, say_number
+from modaltouch.report import ReportFigure, format_number, page_files
 
 if TYPE_CHECKING:
     from modaltouch.analysis.designs import DesignAnalysis
@@ -175,7 +175,7 @@ def analyse_parts(responses: Responses) -> PartsAnalysis:
             found += [(part, finding) for finding in uncorrected(part.counts, part.frame)]
     corrected = correct(finding for _, finding in found)
     design = None
-    if given.tells_of_each or given.stimuli or given.kinds:
+    if given.has_individual_results or given.stimuli or given.kinds:
         from modaltouch.analysis.designs import analyse_design
 
         design = analyse_design(given)
@@ -297,9 +297,9 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
 
 
 def _line(finding: Finding) -> dict[str, Any]:
-    numbers = {name: say_number(getattr(finding, name), 2) for name in ("p", "p_holm")}
-    certified = say_certificates(certificates_of(finding))
-    said = {"said": say_interval(finding), "certificate": certified}
+    numbers = {name: format_number(getattr(finding, name), 2) for name in ("p", "p_holm")}
+    certified = certificates_in_words(certificates_of(finding))
+    said = {"said": format_interval(finding), "certificate": certified}
     return {**vars(finding), **said, **numbers, "significant": finding.p_holm <= ALPHA}
 
 

@@ -8,14 +8,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from modaltouch.analysis.certificates import say_certificates
+from modaltouch.analysis.certificates import certificates_in_words
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding, plain_row, to_frame
 from modaltouch.analysis.registration import Registration
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.thresholds.runs import Run, compare_runs, find_runs, in_words, is_forced, over_participants
-from modaltouch.analysis.words import say_interval
+from modaltouch.analysis.words import format_interval
 from modaltouch.report import ReportFigure, page_files
 
 MOST_FIGURES = 60
@@ -161,7 +161,7 @@ def _report_files(
         runs=[{"run": run, "words": in_words(run.fitted.threshold) if run.fitted.threshold else None}
               for run in analysis.runs],
         together=together,
-        tests=[(row.scope.replace("_", " "), say_interval(row), row.p, row.n, row.note)
+        tests=[(row.scope.replace("_", " "), format_interval(row), row.p, row.n, row.note)
                for row in analysis.comparisons],
         registration=analysis.registration,
         bounds=analysis.bounds,
@@ -171,7 +171,7 @@ def _report_files(
         named=() if nothing and design["adaptive"]["success"] == "felt" else responses.answers.names,
         task=responses.task,
         is_forced=is_forced(responses),
-        certified=[say_certificates([f"{of}, {'forced choice' if is_forced(responses) else 'felt'}"])
+        certified=[certificates_in_words([f"{of}, {'forced choice' if is_forced(responses) else 'felt'}"])
                    for of in ("mean of runs", "run of one")],
         rule=responses.start.get("adaptive", {}),
         scale=scale_of(responses.frame.columns),

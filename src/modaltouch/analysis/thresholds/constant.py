@@ -17,7 +17,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from modaltouch.analysis.intervals import Interval
-from modaltouch.analysis.measures import Cell, Measure, Own, cells, kind_of
+from modaltouch.analysis.measures import Cell, IndividualValue, Measure, cells, kind_of
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import LevelScale, scale_of
 from modaltouch.analysis.task import TrialTask
@@ -71,7 +71,7 @@ def fit_cells(responses: Responses, task: TrialTask) -> tuple[FittedCell, ...]:
     is_felt = task.n_intervals == 1 and responses.answers.naming() is not None and not responses.answers.compares
     if frame[scale.column].nunique() < FEWEST_LEVELS or not (task.named or is_felt):
         return ()
-    if task.why_no_d_prime:  # then the guess rate is unknown, too
+    if task.no_d_prime_reason:  # then the guess rate is unknown, too
         return ()
     is_below = bool(task.named) and bool((frame[scale.column] < task.standard).any())
     is_choice = is_below and task.turns(-math.inf)
@@ -90,7 +90,7 @@ def _fit(
     if task.named:
         success = answers["response"].map(task.named).astype(int) == answers["interval"].astype(int)
     else:
-        nothing = {each.name for each in responses.answers if each.says_nothing_felt}
+        nothing = {each.name for each in responses.answers if each.means_nothing_felt}
         success, guess_rate = ~answers["response"].isin(nothing), 0.0
         catches = [word not in nothing for word in responses.caught(cell[0], cell[1], kind_of(part)).elements()]
     if is_choice:
@@ -105,7 +105,7 @@ def _fit(
     return FittedCell(cell, levels, np.bincount(places, weights=success) / tries, tries, fitted, is_choice)
 
 
-def measures_of_fits(fits: tuple[FittedCell, ...], task: TrialTask, scale: LevelScale) -> Iterator[Own]:
+def measures_of_fits(fits: tuple[FittedCell, ...], task: TrialTask, scale: LevelScale) -> Iterator[IndividualValue]:
     """Yield threshold, or point of subjective equality with the just noticeable difference, of each function."""
     name = "threshold" if task.named else "detection threshold"
     threshold = Measure(name, f"{name} [{scale.unit}]", "function", is_ratio=True)
@@ -114,9 +114,9 @@ def measures_of_fits(fits: tuple[FittedCell, ...], task: TrialTask, scale: Level
     for each in fits:
         fitted, n = each.fitted, each.fitted.n_trials
         value = _interval(fitted.threshold, lambda level: 10 ** (level / 20))
-        yield Own(equal if each.is_choice else threshold, *each.cell, value, n, fitted.why_not)
+        yield IndividualValue(equal if each.is_choice else threshold, *each.cell, value, n, fitted.why_not)
         if each.is_choice:
-            yield Own(
+            yield IndividualValue(
                 jnd,
                 *each.cell,
                 _interval(fitted.spread, lambda spread: JND_OF_SPREAD * max(spread, 0.0)),

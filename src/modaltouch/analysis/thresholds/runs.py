@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from modaltouch.analysis.findings import Finding
 from modaltouch.analysis.intervals import Interval, student_interval
-from modaltouch.analysis.measures import Measure, Own, contrast_findings, group_findings
+from modaltouch.analysis.measures import IndividualValue, Measure, contrast_findings, group_findings
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.thresholds.psychometric import Psychometric, fit_psychometric
 from modaltouch.analysis.zones import label_zones, zones_of
-from modaltouch.report import say_number
+from modaltouch.report import format_number
 
 KEYS = ("participant", "session", "finger_condition")
 THRESHOLD = Measure("threshold", "threshold", "threshold", is_ratio=True)
@@ -217,7 +217,7 @@ def compare_runs(runs: Sequence[Run]) -> list[Finding]:
             place = " ".join(part for part in (run.pair, run.stimulus, run.session_kind) if part)
             told.setdefault((run.participant, run.finger_condition, place), []).append(run.fitted.threshold.estimate)
     own = [
-        Own(THRESHOLD, *key, math.nan, Interval.point(10 ** (float(np.mean(values)) / 20), 1), len(values))
+        IndividualValue(THRESHOLD, *key, math.nan, Interval.point(10 ** (float(np.mean(values)) / 20), 1), len(values))
         for key, values in told.items()
     ]
     groups = {run.participant: run.group for run in runs if run.group}
@@ -232,8 +232,8 @@ def compare_runs(runs: Sequence[Run]) -> list[Finding]:
 def in_words(estimate: Interval, unit: str = "") -> str:
     """Return a threshold with its interval [mm/s], such as ``12.3 (9.1 to 17)``."""
     value, *bounds = (_velocity(each) for each in (estimate.estimate, estimate.low, estimate.high))
-    low, high = ("no bound" if bound is None else say_number(bound) for bound in bounds)
-    return f"{say_number(value)}{unit} ({low} to {high})"
+    low, high = ("no bound" if bound is None else format_number(bound) for bound in bounds)
+    return f"{format_number(value)}{unit} ({low} to {high})"
 
 
 def _velocity(level: float) -> float | None:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.calibration.doubts import refuse_doubtful_velocity
 from modaltouch.lab.calibration.plant import DriveDelay
+from modaltouch.lab.calibration.plausibility import refuse_implausible_velocity
 from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
 from modaltouch.rig import Acquisition, Recording, RigError
 from modaltouch.stimulus import Amplifier, BlockStates, Burst, DiagonalSystem, ModalModel, Taper, Timing
@@ -272,7 +272,7 @@ class DecayRecorder:
         for place in order.tolist():
             point = float(points[place])
             recording = self._within(point, level, asked, highest)
-            refuse_doubtful_velocity(recording)
+            refuse_implausible_velocity(recording)
             highest = max(highest or 0.0, float(np.abs(recording.velocity).max()))
             time = recording.time
             rows[place] = recording.velocity.mean(axis=0)

@@ -8,10 +8,10 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from modaltouch.lab.calibration.doubts import mark_of
 from modaltouch.lab.calibration.file import calibration_of, write_calibration
 from modaltouch.lab.calibration.loop import calibrate_each
-from modaltouch.lab.laboratory import SIMULATED, UNTOLD, MeasurementProgress
+from modaltouch.lab.calibration.plausibility import mark_of
+from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, MeasurementProgress
 from modaltouch.lab.recorded_files import open_measurement
 from modaltouch.preflight import DesignInputs, Preflight, examine
 from modaltouch.protocol import Calibration, InputError, Problem, Protocol
@@ -40,7 +40,7 @@ def calibrate(
     person: str = "",
     accept: bool = False,
     record: Path | None = None,
-    progress: MeasurementProgress = UNTOLD,
+    progress: MeasurementProgress = SILENT_PROGRESS,
 ) -> CalibrationReport:
     """Calibrate every stimulus of a protocol on a rig.
 

@@ -19,19 +19,6 @@ from modaltouch.lab.calibration.acquisition import (
     timing_voltage,
 )
 from modaltouch.lab.calibration.decay import find_poles, fit_residues, missed_swing
-from modaltouch.lab.calibration.doubts import (
-    COMMON_FACTORS,
-    common_factor,
-    peak_shortfall,
-    refuse_changing_beam,
-    refuse_common_factor,
-    refuse_disproportion,
-    refuse_doubtful_drive,
-    refuse_doubtful_plant,
-    refuse_hum,
-    refuse_odd_point,
-    refuse_saturation,
-)
 from modaltouch.lab.calibration.file import (
     DIGITS,
     CalibrationResult,
@@ -49,7 +36,20 @@ from modaltouch.lab.calibration.plant import (
     identify_plant,
     predicted_drive,
 )
-from modaltouch.lab.laboratory import UNTOLD, Laboratory, MeasurementProgress
+from modaltouch.lab.calibration.plausibility import (
+    COMMON_FACTORS,
+    common_factor,
+    peak_shortfall,
+    refuse_changing_beam,
+    refuse_common_factor,
+    refuse_disproportion,
+    refuse_hum,
+    refuse_implausible_drive,
+    refuse_implausible_plant,
+    refuse_odd_point,
+    refuse_saturation,
+)
+from modaltouch.lab.laboratory import SILENT_PROGRESS, Laboratory, MeasurementProgress
 from modaltouch.preflight import DesignInputs, design_to_fit
 from modaltouch.protocol import Apparatus
 from modaltouch.rig import RigError
@@ -69,7 +69,7 @@ def calibrate_each(
     bench: Laboratory,
     apparatus: Apparatus,
     inputs_of: Mapping[str, DesignInputs],
-    progress: MeasurementProgress = UNTOLD,
+    progress: MeasurementProgress = SILENT_PROGRESS,
     between: Sequence[float] = (),
 ) -> dict[str, CalibrationResult]:
     """Return the targets and amplitudes that make each of several stimuli accurate on a rig, by name.
@@ -109,7 +109,7 @@ def calibrate(
     bench: Laboratory,
     apparatus: Apparatus,
     inputs: DesignInputs,
-    progress: MeasurementProgress = UNTOLD,
+    progress: MeasurementProgress = SILENT_PROGRESS,
     plant: Plant | None = None,
     between: Sequence[float] = (),
     name: str = "",
@@ -262,7 +262,7 @@ class _Loop:
         burst = burst_of(timing_voltage(listed.model, timing))
         commanded = commanded_voltage(burst, to_beam)
         drive = fit_drive(self._recorder.drive(burst, float(np.abs(commanded).max())), commanded, timing)
-        refuse_doubtful_drive(drive)
+        refuse_implausible_drive(drive)
         self._recorder.wait_for(drive)
         rows, voltages, time = [], [], np.zeros(0)
         for channel in range(n_channels):
@@ -286,7 +286,7 @@ class _Loop:
             timing,
             None if corner is None else corner * 1e3,
         )
-        refuse_doubtful_plant(plant, listed.model, self._recorder.margin)
+        refuse_implausible_plant(plant, listed.model, self._recorder.margin)
         refuse_odd_point(decays, self._shapes, self._points)
         return replace(
             plant,

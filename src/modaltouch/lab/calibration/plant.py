@@ -284,7 +284,7 @@ class ModalState:
         return np.hypot(self.half_width, self.sensitivity_doubt * np.stack([self.velocity, self.displacement]))
 
     @property
-    def shown_slip(self) -> FloatArray:
+    def significant_slip(self) -> FloatArray:
         """Slip that noise does not explain, (n_modes,) array [m/s]."""
         return np.maximum(self.slip - SLIP_NOISE * self.spread, 0.0)
 

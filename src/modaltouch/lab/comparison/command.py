@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from modaltouch.lab.comparison.contest import Contest, DriveAssessment, contest, learn
-from modaltouch.lab.laboratory import UNTOLD, MeasurementProgress, TooFewPointsError
+from modaltouch.lab.laboratory import SILENT_PROGRESS, MeasurementProgress, TooFewPointsError
 from modaltouch.lab.output import DARK, MIDDLE, rounded, title_of
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
@@ -21,11 +21,11 @@ from modaltouch.report import (
     FAINT,
     INK,
     ReportFigure,
+    format_number,
     house_style,
     page_files,
     quiet_grid,
     refuse_other,
-    say_number,
     write_files,
 )
 from modaltouch.system import commit, version
@@ -72,7 +72,7 @@ class Criterion:
 
     def printed(self, row: Row) -> str:
         """Return a row's printed value."""
-        return say_number(row[self.key], decimals=self.digits)
+        return format_number(row[self.key], decimals=self.digits)
 
 
 def criteria(rows: Sequence[Row]) -> list[Criterion]:
@@ -360,7 +360,7 @@ def compare(
     averages: int = 2,
     beams: int = 20,
     seed: int = 1,
-    progress: MeasurementProgress = UNTOLD,
+    progress: MeasurementProgress = SILENT_PROGRESS,
 ) -> ComparisonReport:
     """Design a drive by every method from the same recordings, and judge all drives by the twin's true beam.
 

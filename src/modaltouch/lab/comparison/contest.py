@@ -18,11 +18,11 @@ from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.comparison.methods import MethodDrive, design_all
 from modaltouch.lab.comparison.training_data import TrainingData, TransferFunctions, band
 from modaltouch.lab.identification.estimates import Identification
-from modaltouch.lab.identification.excitation import LOWEST, Campaign, evenly, highest_needed
+from modaltouch.lab.identification.excitation import LOWEST, IdentificationPlan, evenly, highest_needed
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import FrequencyResponses, responses_of
 from modaltouch.lab.identification.verdict import check_modes, misfit_verdict, warnings
-from modaltouch.lab.laboratory import UNTOLD, MeasurementProgress, open_laboratory
+from modaltouch.lab.laboratory import SILENT_PROGRESS, MeasurementProgress, open_laboratory
 from modaltouch.lab.validation.evidence import contrast, root_mean_square, spot_width
 from modaltouch.preflight import Preflight, finite
 from modaltouch.protocol import Apparatus
@@ -194,7 +194,7 @@ def contest(
     *,
     n_beams: int = 20,
     seed: int = 1,
-    progress: MeasurementProgress = UNTOLD,
+    progress: MeasurementProgress = SILENT_PROGRESS,
 ) -> Contest:
     """Identify the modes from responses, and return the comparison.
 
@@ -232,10 +232,12 @@ def contest(
         amplifier=stimulus.amplifier,
     )
     said = (misfit_verdict(identification), *warnings(identification))
-    return contend(preflight, known, identification.delay.value, said, n_beams=n_beams, seed=seed, progress=progress)
+    return run_contest(
+        preflight, known, identification.delay.value, said, n_beams=n_beams, seed=seed, progress=progress
+    )
 
 
-def contend(
+def run_contest(
     preflight: Preflight,
     known: TrainingData,
     delay: float = 0.0,
@@ -243,7 +245,7 @@ def contend(
     *,
     n_beams: int = 20,
     seed: int = 1,
-    progress: MeasurementProgress = UNTOLD,
+    progress: MeasurementProgress = SILENT_PROGRESS,
 ) -> Contest:
     """Design a drive by every method from the training data, play it on the twin, and judge it."""
     apparatus, stimulus = preflight.experiment.apparatus, preflight.stimulus
@@ -289,7 +291,7 @@ def learn(
     n_points: int,
     n_records: int,
     folder: Path | None = None,
-    progress: MeasurementProgress = UNTOLD,
+    progress: MeasurementProgress = SILENT_PROGRESS,
 ) -> FrequencyResponses:
     """Return the responses from which every method learns, measured with a multisine on each actuator set.
 
@@ -311,7 +313,7 @@ def learn(
     highest = highest_needed(apparatus)
     sets = tuple(sorted(apparatus.actuator_sets, key=lambda name: apparatus.actuator_sets[name].channel))
     places = tuple(round(place, 9) for place in evenly(apparatus.beam.length_mm * 1e-3, n_points, 0.0))
-    campaign = Campaign(places, n_records, VOLTAGE, highest, sets)
+    campaign = IdentificationPlan(places, n_records, VOLTAGE, highest, sets)
     with open_laboratory(apparatus, repetition="continuous") as laboratory:
         scans = campaign.scan(
             laboratory, source, folder, on_progress=partial(progress.show, "recordings"), check=progress.check

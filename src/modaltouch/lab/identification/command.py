@@ -14,8 +14,8 @@ from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.excitation import (
     CLOCK_TOLERANCE,
     LOWEST,
-    Campaign,
     Excitation,
+    IdentificationPlan,
     evenly,
     excite,
     highest_needed,
@@ -41,7 +41,7 @@ from modaltouch.lab.identification.responses import (
 )
 from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.identification.verdict import check_all, check_gains, check_modes
-from modaltouch.lab.laboratory import SIMULATED, UNTOLD, MeasurementProgress, open_laboratory
+from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, MeasurementProgress, open_laboratory
 from modaltouch.lab.scan import Scan, read_scan
 from modaltouch.lab.scan_plan import kept_rows, rows_over
 from modaltouch.protocol import Apparatus, Source
@@ -179,7 +179,7 @@ class IdentificationReport:
         }
 
 
-def identify(options: IdentifyOptions, progress: MeasurementProgress = UNTOLD) -> IdentificationReport:
+def identify(options: IdentifyOptions, progress: MeasurementProgress = SILENT_PROGRESS) -> IdentificationReport:
     """Identify the modes of a beam from a new or earlier scan, or from files of measured responses.
 
     Parameters
@@ -297,7 +297,9 @@ class _Beam:
         positions = evenly(self.length, options.points, options.margin)
         check_points([Place(each) for each in positions], self.labels, self.length)
         highest = highest_needed(self.apparatus) if options.highest is None else options.highest
-        campaign = Campaign(positions, options.averages, options.voltage, highest, self.sets, options.excitation)
+        campaign = IdentificationPlan(
+            positions, options.averages, options.voltage, highest, self.sets, options.excitation
+        )
         rows = rows_over(self.apparatus, options.rows)
         for name in self.sets:
             excite(self.apparatus, name, options.voltage, highest, "chirp")

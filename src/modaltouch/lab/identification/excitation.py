@@ -123,7 +123,7 @@ def multisine(highest: float) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
-class Campaign:
+class IdentificationPlan:
     """What is measured to identify a beam.
 
     Attributes

@@ -94,7 +94,7 @@ def find_more(
     responses: FrequencyResponses, poles: Poles, problem: LeastSquaresProblem, fit: Evaluation, most: int
 ) -> tuple[Poles, LeastSquaresProblem, Evaluation]:
     """Add poles wherever the residual has a peak that noise does not explain, and return them with their fit."""
-    poles, problem, fit = _sound_ones(responses, poles, problem, fit, SURE / 2)
+    poles, problem, fit = _keep_sound_poles(responses, poles, problem, fit, SURE / 2)
     passed: list[tuple[float, float]] = []
     for _ in range(most):
         peak = _left_over(problem, fit, passed)
@@ -104,7 +104,7 @@ def find_more(
         finer = make_problem(responses, tried)
         _, before = refine(finer, poles, most=3)
         refined, after = refine(finer, tried)
-        refined, finer, after = _sound_ones(responses, refined, finer, after, SURE / 2)
+        refined, finer, after = _keep_sound_poles(responses, refined, finer, after, SURE / 2)
         apart = np.diff(refined.natural_frequency) > 0.05 * (refined.damping_ratio * refined.natural_frequency)[:-1]
         grown = refined.natural_frequency.size > poles.natural_frequency.size
         new = grown or refined.near(*peak) > poles.near(*peak)
@@ -113,7 +113,7 @@ def find_more(
         else:
             passed.append(peak)
     # Only now: while a mode is missing, its residual inflates the deviations of the others.
-    return _sound_ones(responses, poles, problem, fit, SURE)
+    return _keep_sound_poles(responses, poles, problem, fit, SURE)
 
 
 def _sound(fit: Evaluation, highest: float, sure: float) -> NDArray[np.bool_]:
@@ -125,7 +125,7 @@ def _sound(fit: Evaluation, highest: float, sure: float) -> NDArray[np.bool_]:
     return np.asarray(beyond | (possible & (fit.deviation[fit.n_modes : -1] < 1 / sure)))
 
 
-def _sound_ones(
+def _keep_sound_poles(
     responses: FrequencyResponses, poles: Poles, problem: LeastSquaresProblem, fit: Evaluation, sure: float
 ) -> tuple[Poles, LeastSquaresProblem, Evaluation]:
     """Return the poles that are modes, with their fit; all poles if none is, since their intervals then show it."""
@@ -135,7 +135,7 @@ def _sound_ones(
     fewer = Poles(poles.natural_frequency[kept], poles.damping_ratio[kept], poles.delay)
     problem = make_problem(responses, fewer)
     fewer, fit = refine(problem, fewer)
-    return _sound_ones(responses, fewer, problem, fit, sure)
+    return _keep_sound_poles(responses, fewer, problem, fit, sure)
 
 
 def _left_over(

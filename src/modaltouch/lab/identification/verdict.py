@@ -58,7 +58,7 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     faulty = [label for label, mode in found.items() if label in labels and _faults(f"mode {label}", mode)]
     # If the beam drifts, a missing mode is split; if points are exchanged, it has one resonance of a strange shape.
     split = _split(identification.modes, missing, faulty)
-    strange = "" if spoilt or split else _strange(identification.modes, missing)
+    strange = "" if spoilt or split else _implausible_modes(identification.modes, missing)
     remedy = "" if spoilt or split or strange else REMEDY
     lines = []
     for label in labels:
@@ -101,7 +101,7 @@ def _split(
     return ""
 
 
-def _strange(modes: Sequence[IdentifiedMode], missing: Sequence[int]) -> str:
+def _implausible_modes(modes: Sequence[IdentifiedMode], missing: Sequence[int]) -> str:
     """Describe strong, well-fitted resonances without a mode's shape where a mode is missing; empty if none."""
     least = AS_HIGH * float(np.median([mode.half_power.height for mode in modes]))
     strange = []

@@ -11,7 +11,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from modaltouch.lab.laboratory import SIMULATED, UNTOLD, Laboratory, MeasurementProgress, open_laboratory, quiet
+from modaltouch.lab.laboratory import (
+    SILENT_PROGRESS,
+    SIMULATED,
+    Laboratory,
+    MeasurementProgress,
+    open_laboratory,
+    quiet,
+)
 from modaltouch.lab.output import rounded, yaml_text
 from modaltouch.lab.probe.prober import SPEED, Prober
 from modaltouch.preflight import design, examine
@@ -78,7 +85,7 @@ def probe_fingers(
     laser: float | None = None,
     speed: float = SPEED,
     seed: int | None = None,
-    progress: MeasurementProgress = UNTOLD,
+    progress: MeasurementProgress = SILENT_PROGRESS,
     lay: Callable[[str], None] = quiet,
 ) -> ProbeReport:
     """Measure the fingers of every finger condition of a protocol, on one pair of zones.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from modaltouch.lab.laboratory import SIMULATED, UNTOLD, MeasurementProgress, TooFewPointsError
+from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, MeasurementProgress, TooFewPointsError
 from modaltouch.lab.output import rounded, title_of
 from modaltouch.lab.recorded_files import open_measurement
 from modaltouch.lab.scan import Scan
@@ -128,7 +128,7 @@ def validate(
     averages: int = 10,
     rows: int = 1,
     record: Path | None = None,
-    progress: MeasurementProgress = UNTOLD,
+    progress: MeasurementProgress = SILENT_PROGRESS,
 ) -> ValidationReport:
     """Play the drive of both laws, scan the beam, and compare the measured fields with the target and the prediction.
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.calibration.doubts import COMMON_FACTORS, GAINS
+from modaltouch.lab.calibration.plausibility import COMMON_FACTORS, GAINS
 from modaltouch.lab.validation.evidence import Evidence, contrast, root_mean_square, spot_width, standard_error
 from modaltouch.preflight import finite
-from modaltouch.report import say_number
+from modaltouch.report import format_number
 
 
 def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[str, Any]:
@@ -197,11 +197,11 @@ def findings(figures: Sequence[Figures]) -> list[str]:
     if len(figures) > 1:
         said.append(_compared(figures))
     said += [_limits(f) for f in figures[:1]]
-    return said + [sentence for f in figures for sentence in (*_doubtful_drives(f), *_doubtful_speeds(f))]
+    return said + [sentence for f in figures for sentence in (*_implausible_drives(f), *_implausible_speeds(f))]
 
 
 def _reached(f: Figures) -> str:
-    width, above = (say_number(f[key]["measured"], decimals=1) for key in ("width_80_mm", "time_above_90_us"))
+    width, above = (format_number(f[key]["measured"], decimals=1) for key in ("width_80_mm", "time_above_90_us"))
     return (
         f"Law “{f['law']}”: {f['velocity_at_focus_mm_s']:.1f} mm/s were measured at the focus, and "
         f"{f['velocity_mm_s']:g} mm/s were desired; the spot is {width} mm wide at 80 % (the paper: roughly 15 mm) "
@@ -225,7 +225,7 @@ def _compared(figures: Sequence[Figures]) -> str:
     )
 
 
-def _doubtful_drives(f: Figures) -> Iterator[str]:
+def _implausible_drives(f: Figures) -> Iterator[str]:
     for output, peak in f["peak_drive_V"].items():
         # An output without drive shows only the noise of its probe.
         if not GAINS[0] * peak["predicted"] <= peak["measured"] <= GAINS[1] * max(peak["predicted"], 1.0):
@@ -236,7 +236,7 @@ def _doubtful_drives(f: Figures) -> Iterator[str]:
             )
 
 
-def _doubtful_speeds(f: Figures) -> Iterator[str]:
+def _implausible_speeds(f: Figures) -> Iterator[str]:
     ratio = float(np.median([peak["measured"] / peak["predicted"] for peak in f["zone_peak_mm_s"].values()]))
     if not COMMON_FACTORS[0] <= ratio <= COMMON_FACTORS[1]:
         yield (
@@ -259,4 +259,4 @@ def _error(f: Figures, key: str) -> str:
 
 
 def _joined(values: dict[str, float | None], digits: int = 1) -> str:
-    return ", ".join(say_number(value, decimals=digits) for value in values.values())
+    return ", ".join(format_number(value, decimals=digits) for value in values.values())

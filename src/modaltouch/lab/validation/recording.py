@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.laboratory import UNTOLD, Laboratory, MeasurementProgress
+from modaltouch.lab.laboratory import SILENT_PROGRESS, Laboratory, MeasurementProgress
 from modaltouch.lab.scan import Scan, read_scan, take_scan
 from modaltouch.lab.scan_plan import ScanPlan, kept_rows, row_name
 from modaltouch.preflight import DesignInputs, design
@@ -130,7 +130,7 @@ def record_laws(
     rows: Sequence[float] = (),
     folder: Path | None = None,
     source: Source | None = None,
-    progress: MeasurementProgress = UNTOLD,
+    progress: MeasurementProgress = SILENT_PROGRESS,
 ) -> list[Observation]:
     """Play the drive of each law on a rig, and return the recordings.
 

@@ -8,6 +8,6 @@
 """
 
 from modaltouch.planning.observer.participant import Participant
-from modaltouch.planning.observer.population import Crowd, Observer
+from modaltouch.planning.observer.population import DrawnParticipants, Observer
 
-__all__ = ["Crowd", "Observer", "Participant"]
+__all__ = ["DrawnParticipants", "Observer", "Participant"]

@@ -93,7 +93,7 @@ class RecordedAnswers:
 
 def log_likelihood(observer: Observer, recorded: RecordedAnswers) -> float:
     """Return the log likelihood of recorded answers, averaged over the population."""
-    crowd = observer.crowd_at(_grid())
+    crowd = observer.participants_at(_grid())
     total = 0.0
     for side in np.unique(recorded.facing):
         left, right = crowd.shares(recorded.speeds, recorded.finger_conditions, side)

@@ -253,7 +253,7 @@ class Participant:
 
 def _name(answers: AnswerList, felt: float, criterion: float, guess: float) -> str:
     """Return the answer to a difference between the fingers; a random one if no answer names a finger."""
-    others = [answer for answer in answers if not answer.says_nothing_felt]
+    others = [answer for answer in answers if not answer.means_nothing_felt]
     naming = {answer.side: answer.name for answer in others if answer.fingers}
     if not naming:
         return others[int(guess * len(others))].name

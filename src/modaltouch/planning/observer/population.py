@@ -27,7 +27,7 @@ N_NODES = 12
 
 
 @dataclass(frozen=True, eq=False)
-class Crowd:
+class DrawnParticipants:
     """Many participants of one population at once; arrays of one shape.
 
     Attributes
@@ -173,7 +173,7 @@ class Observer:
         rng : numpy.random.Generator
             Source of random numbers.
         """
-        one = self.draw_crowd(rng, ())
+        one = self.draw_participants(rng, ())
         middle = self.typical
         return replace(
             middle,
@@ -185,7 +185,7 @@ class Observer:
             decision_time=middle.decision_time * float(one.pace),
         )
 
-    def draw_crowd(self, rng: np.random.Generator, shape: tuple[int, ...]) -> Crowd:
+    def draw_participants(self, rng: np.random.Generator, shape: tuple[int, ...]) -> DrawnParticipants:
         """Return many participants of the population at once.
 
         Parameters
@@ -195,9 +195,9 @@ class Observer:
         shape : tuple of int
             Shape of the crowd, such as (n_experiments, n_participants).
         """
-        return self.crowd_at(rng.standard_normal((5, *shape)))
+        return self.participants_at(rng.standard_normal((5, *shape)))
 
-    def crowd_at(self, deviates: ArrayLike) -> Crowd:
+    def participants_at(self, deviates: ArrayLike) -> DrawnParticipants:
         """Return the participants at given points of the population.
 
         Parameters
@@ -207,7 +207,7 @@ class Observer:
         """
         bias, noise, criterion, suppression, pace = np.asarray(deviates, dtype=float)
         middle = self.typical
-        return Crowd(
+        return DrawnParticipants(
             typical=middle,
             noise=middle.noise * np.exp(self.noise_spread * noise),
             criterion=middle.criterion * np.exp(self.criterion_spread * criterion),

@@ -14,7 +14,7 @@ from modaltouch.stimulus import BlockStates, Converter, DiagonalSystem, Timing
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-FINEST_TURN = 0.3
+LARGEST_PHASE_STEP = 0.3
 """Phase of the fastest mode from one computed instant to the next [rad]: cubic interpolation then errs by 2e-5."""
 
 LONGEST_SILENCE = 10
@@ -138,5 +138,5 @@ def peak(system: DiagonalSystem, output: ComplexArray, held: Held) -> FloatArray
 
 def refined(system: DiagonalSystem, held: Held) -> tuple[FloatArray, float]:
     """Return the same voltages on a grid in whose step no mode turns by more than FINEST_TURN, and that step [s]."""
-    times = max(1, math.ceil(float(np.abs(system.exponent.imag).max()) * held.hold / FINEST_TURN))
+    times = max(1, math.ceil(float(np.abs(system.exponent.imag).max()) * held.hold / LARGEST_PHASE_STEP))
     return held.voltage if times == 1 else np.repeat(held.voltage, times, axis=1), held.hold / times

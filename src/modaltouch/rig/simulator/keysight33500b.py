@@ -112,7 +112,7 @@ class Trueform(GeneratorState[TrueformChannel]):
         return {"TIM": self.waiting.timer, "IMM": self.waiting.burst_period}.get(self.waiting.source)
 
     @property
-    def hears_pulses(self) -> bool:
+    def takes_external_trigger(self) -> bool:
         """Whether pulses at the trigger input start bursts."""
         return self.waiting.source == "EXT"
 

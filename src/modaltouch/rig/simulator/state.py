@@ -141,7 +141,7 @@ class GeneratorState(ABC, Generic[C]):
         """Return a single burst of a channel, or what it repeats without a trigger; None if it plays no record."""
 
     @property
-    def hears_pulses(self) -> bool:
+    def takes_external_trigger(self) -> bool:
         """Whether pulses at the trigger input start bursts."""
         return self.tick() is None
 
@@ -239,7 +239,7 @@ class GeneratorState(ABC, Generic[C]):
 
     def _situation(self) -> Situation:
         channels, pulses = tuple(self.channels.values()), self.delays.pulses
-        heard = None if pulses is None or not self.hears_pulses else 1 / pulses
+        heard = None if pulses is None or not self.takes_external_trigger else 1 / pulses
         return Situation(
             sent=tuple(self.sent(channel) for channel in channels),
             length=tuple((each.n_cycles if each.burst else 1.0) * each.cycle for each in channels),

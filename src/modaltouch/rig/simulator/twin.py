@@ -111,7 +111,7 @@ class Twin:
         stretch : float
             Factor on every natural frequency, from the method `stretch` [1].
         """
-        return self._system(stretch, tuple(finger for finger in touched if finger.weighs))
+        return self._system(stretch, tuple(finger for finger in touched if finger.loads_beam))
 
     def stretch(self, playbacks: Sequence[Playback | None]) -> float:
         """Return the factor on every natural frequency while something plays [1].
@@ -157,7 +157,7 @@ class Twin:
             self._felt.pop(oldest, None)
         # Fingers that load the beam change its motion for all; the others only feel it.
         laid = self.fingers(*positions) if touched is None else touched
-        fingers = tuple(sorted((finger for finger in laid if finger.weighs), key=lambda finger: finger.position))
+        fingers = tuple(sorted((finger for finger in laid if finger.loads_beam), key=lambda finger: finger.position))
         missing = [x for x in dict.fromkeys(positions) if (x, *fingers) not in felt]
         if missing:
             self.n_computed += 1

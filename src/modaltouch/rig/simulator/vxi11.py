@@ -100,7 +100,7 @@ LONGEST_WAIT = 30.0
 INSTRUMENT, PANEL = "inst0", "panel0"
 """Device names of the instrument and of its front panel, which faults and the limit of sessions do not affect."""
 
-PEOPLE_AT_THE_PANEL = 16
+PANEL_SESSIONS = 16
 """Highest number of links to the front panel."""
 
 _CREATE_LINK, _WRITE, _READ, _READ_STATUS, _TRIGGER, _CLEAR = 10, 11, 12, 13, 14, 15
@@ -181,7 +181,7 @@ class Links:
         """Add a link to a connection's `own`, and return it."""
         with self._guard:
             n_links = sum(link.panel == panel for link in self._links.values())
-            if n_links >= (PEOPLE_AT_THE_PANEL if panel else self._device.afg.behaviour.max_sessions):
+            if n_links >= (PANEL_SESSIONS if panel else self._device.afg.behaviour.max_sessions):
                 raise _Refused(_OUT_OF_RESOURCES)
             link = _Link(next(self._numbers), panel)
             self._links[link.number] = link

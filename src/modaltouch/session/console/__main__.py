@@ -24,7 +24,7 @@ from modaltouch.session.console.drawing import draw_session
 from modaltouch.session.console.keyboard import Dialogue, Keyboard, open_keyboard
 from modaltouch.system import SYSTEM_CLOCK
 
-_GLANCE = 0.1
+_KEY_WAIT = 0.1
 """Longest wait of the key reader for a key [s]."""
 _REFRESH = 1.0
 """Interval at which the picture is redrawn, to update its times and cover other output to the terminal [s]."""
@@ -85,7 +85,7 @@ def _read(keyboard: Keyboard, dialogue: Dialogue, news: News) -> None:
     """Turn keys into requests until the terminal is gone."""
     try:
         while True:
-            for key in keyboard.read(_GLANCE):
+            for key in keyboard.read(_KEY_WAIT):
                 at = SYSTEM_CLOCK.now()
                 request = dialogue.press(key)
                 if request is not None:

@@ -205,7 +205,7 @@ class Status:
         self._total = event["schedule"]["n_trials"]
         answers = event.get("design", {}).get("answers", {})
         offered = AnswerList.of(answers)
-        self._nothing = next((answer.name for answer in offered if answer.says_nothing_felt), None)
+        self._nothing = next((answer.name for answer in offered if answer.means_nothing_felt), None)
         if "experimenter" in (answers.get("given_by"), *answers.get("ways", {}).values()):
             section = AnswersSection.model_validate(answers) if answers.get("scale") else None
             keys = answers["keys"] if section is None else section.actions

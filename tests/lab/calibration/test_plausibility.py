@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from modaltouch.lab.calibration.doubts import mark_of
 from modaltouch.lab.calibration.file import corrected_inputs
 from modaltouch.lab.calibration.loop import calibrate
+from modaltouch.lab.calibration.plausibility import mark_of
 from modaltouch.preflight import Preflight
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus

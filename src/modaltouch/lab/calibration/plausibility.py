@@ -75,7 +75,7 @@ MOST_FAR_OFF = 5e-5
 """Largest plausible fraction of such samples [1]."""
 
 
-def refuse_doubtful_drive(drive: DriveDelay) -> None:
+def refuse_implausible_drive(drive: DriveDelay) -> None:
     """Refuse a measured drive that is not the commanded one behind the amplifier."""
     believed = drive.rest <= LARGEST_REST
     for number, gain in enumerate(drive.gain, start=1):
@@ -149,7 +149,7 @@ def refuse_odd_point(decay: Decay, shapes: FloatArray, points: FloatArray) -> No
         )
 
 
-def refuse_doubtful_plant(plant: Plant, listed: ModalModel, margin: float) -> None:
+def refuse_implausible_plant(plant: Plant, listed: ModalModel, margin: float) -> None:
     """Refuse modes that are too weak, or are not those of the table."""
     found = plant.model
     for row, label in enumerate(listed.label):
@@ -220,7 +220,7 @@ def _refuse_phases(plant: Plant, margin: float) -> None:
         )
 
 
-def refuse_doubtful_velocity(recording: Recording) -> None:
+def refuse_implausible_velocity(recording: Recording) -> None:
     """Refuse records of a decay that differ from burst to burst, as with a loose sensor."""
     velocity = recording.velocity
     n_records = len(velocity)
@@ -338,7 +338,7 @@ def _missed(outcome: CalibrationResult, protocol: Protocol) -> Iterator[Missed]:
             ("velocity", "displacement"), reached, (limits.velocity_mm_s, limits.displacement_mm_s), strict=True
         ):
             yield from _beyond(f"{what}_mm_s", level, float(each.max()) * 1e3, allowed)
-        slip = float(turn.state.shown_slip.max()) * 1e3
+        slip = float(turn.state.significant_slip.max()) * 1e3
         yield from _beyond("frequencies_mm_s", level, slip, limits.displacement_mm_s)
     for asked in outcome.levels:
         reached_percent = _level_error(asked, limits.level_percent, highest.velocity)
@@ -383,7 +383,7 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]
             "set amplifier.limit_V to its true value"
         )
     # What changes the frequencies hardly makes the points disagree: a late record at one of them does both.
-    elif float(last.shown_slip.max()) > max(allowed / 2, noise, float(last.disagreement.max())):
+    elif float(last.significant_slip.max()) > max(allowed / 2, noise, float(last.disagreement.max())):
         yield _changed_frequencies(outcome)
     elif any((s.disagreement > np.maximum(4 * s.spread, allowed / 4)).any() for s in (last, outcome.halfway.state)):
         yield (
@@ -426,7 +426,7 @@ def _changed_frequencies(outcome: CalibrationResult) -> str:
     turns, state = (*outcome.turns, outcome.halfway), outcome.turns[-1].state
     # Of the modes that show it, the one whose pole moved least against its decay rate: the first order fits it best.
     strain = state.slip / np.hypot(state.velocity, state.displacement)
-    mode = int(np.argmin(np.where(state.shown_slip > 0, strain, np.inf)))
+    mode = int(np.argmin(np.where(state.significant_slip > 0, strain, np.inf)))
     taken = np.array([turn.n_taken for turn in turns], dtype=float)
     volts = np.array([turn.peak_voltage for turn in turns])
     terms = np.stack([np.ones(taken.size), taken / taken.max(), (volts / volts.max()) ** 2], axis=1)
