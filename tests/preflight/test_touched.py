@@ -520,3 +520,11 @@ def test_the_level_first_is_refused_with_other_laws(edit: Edit, key: str, value:
     (problem,) = examine(edit(f"{PAPER}.yaml", *changes)).problems
     assert problem.path == "stimulus.priority"
     assert problem.given == f"level, with the {key} {value}"
+
+
+def test_a_level_that_no_voltage_reaches_is_none(tmp_path: Path) -> None:
+    """A kilogram on the focus moves against the drive of the untouched beam, which no higher voltage turns round."""
+    fingers = written(tmp_path, {"mass_g": 1000, "damping_N_s_per_m": 1, "stiffness_N_per_mm": 1})
+    touched = checked(PAPER, "--fingers", fingers)["stimuli"][-1]["touched"]["A-C"]
+    assert touched["zone_at_focus_mm_s"]["C"] < 0
+    assert touched["attainable_mm_s"] == 0

@@ -211,9 +211,9 @@ def touched_figures(findings: Findings, designs: dict[str, Design]) -> list[dict
     -------
     list of dict
         One for each level, by placement, such as ``A-C``: ``zone_at_focus_mm_s`` and ``zone_peak_mm_s``, by zone;
-        ``attainable_mm_s``, the level under the finger at the amplifier's limit; ``below_1_kHz_mm_s``, the peak
-        velocity at the focus below 1 kHz; and ``pull_N``, the force with which the contact would have to stick to the
-        beam.
+        ``attainable_mm_s``, the level under the finger at the amplifier's limit, 0 where the focus moves the other
+        way; ``below_1_kHz_mm_s``, the peak velocity at the focus below 1 kHz; and ``pull_N``, the force with which the
+        contact would have to stick to the beam.
     """
     placements = {} if findings.placements is None else findings.placements.all()
     used = {name: _design_at(designs, name) for name in placements}
@@ -239,7 +239,7 @@ def _figures(inputs: DesignInputs, stimulus: Stimulus, beam: Any, velocity: floa
     return {
         "zone_at_focus_mm_s": by_name(zones, at_focus),
         "zone_peak_mm_s": by_name(zones, peak),
-        "attainable_mm_s": finite(float(attainable / stimulus.peak_drive(velocity).max())),
+        "attainable_mm_s": finite(max(float(attainable / stimulus.peak_drive(velocity).max()), 0.0)),
         "below_1_kHz_mm_s": finite(beam.peak_below(1e3, inputs.centre_mm * 1e-3, unit) * 1e3),
         "pull_N": finite(float(beam.pull(unit).max())),
     }
