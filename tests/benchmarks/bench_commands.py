@@ -23,6 +23,8 @@ PAPER = "differentiated_stimulation.yaml"
 HEAVY = ("psychopy", "pyvisa", "pandas", "matplotlib", "scipy", "statsmodels")
 ROUNDS = 7
 USERS = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+# As the commands set it themselves: threads of BLAS that start and wait would double the cost of the import.
+USERS["OPENBLAS_NUM_THREADS"] = "1"
 """Environment of the commands: what only developers set would have every module compiled anew each time."""
 ON_THE_TWIN = (
     ("identify", [], "identify"),
