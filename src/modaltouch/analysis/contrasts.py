@@ -151,8 +151,8 @@ def signs_of(contrast: Contrast | None) -> FamilyResult | None:
         n = int(uneven[place].sum())
         return [
             *contrast.notes(place),
-            f"{n} participants with more than twice as many answers to one as to the other left out of the test"
-            * (n > 0),
+            f"{n} participant{'s' * (n > 1)} with more than twice as many answers to one as to the other left out of "
+            "the test" * (n > 0),
         ]
 
     score = np.where(uneven, 0, score if first.is_short or second.is_short else score // first.asked)

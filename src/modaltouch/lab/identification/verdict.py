@@ -164,7 +164,7 @@ MOVED, FASTER = 0.05, 2.5
 def check_gains(identification: Identification, apparatus: Apparatus, labels: Sequence[int] | None = None) -> list[str]:
     """Refuse natural frequencies, or gains of one set or all, that differ from the listed ones by a factor of units.
 
-    Other values far from the listed ones may be right, and are only told of.
+    Other values far from the listed ones may be right: they are returned as warnings.
 
     Parameters
     ----------
@@ -172,9 +172,8 @@ def check_gains(identification: Identification, apparatus: Apparatus, labels: Se
         The modes found.
     apparatus : Apparatus
         The table of the same beam; nothing is checked if fewer than three of its values were found.
-
     labels : sequence of int, optional
-        Modes of which values far from the listed ones are told; all if not given.
+        Modes to warn about; all if not given.
 
     Returns
     -------
