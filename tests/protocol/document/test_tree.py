@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modaltouch.protocol.source import Source
-from modaltouch.protocol.tree import parse_tree, resolve
+from modaltouch.protocol.tree import _parsed, parse_tree, resolve
 
 
 def tree(text: str):
@@ -151,3 +153,27 @@ def test_no_yaml_like_text_raises(text: str) -> None:
     root, problems = parse_tree(Source(Path("x.yaml"), text))
     assert root is not None or problems
     assert all(problem.line >= 1 and problem.column >= 1 for problem in problems)
+
+
+SHIPPED = [path.read_text(encoding="utf-8") for path in sorted(Path("protocols").rglob("*.yaml"))]
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.one_of(
+        st.sampled_from(SHIPPED),
+        st.text(alphabet="ab1:-? \n[]{},&*!|>'\"%#~", max_size=60),
+        st.tuples(st.sampled_from(SHIPPED), st.integers(0, 2000), st.sampled_from(":-[]{},&*!|>'\"%#\n ")).map(
+            lambda drawn: drawn[0][: drawn[1]] + drawn[2] + drawn[0][drawn[1] :]
+        ),
+    )
+)
+def test_what_ruamel_reads_libyaml_reads_the_same(text: str) -> None:
+    """ruamel.yaml, which says what is wrong, is also the reference; only the place of an empty value differs."""
+    with patch("yaml.parse", side_effect=yaml.YAMLError):
+        expected, faults_expected = _parsed.__wrapped__(text)
+    if expected is not None:
+        root, problems = _parsed.__wrapped__(text)
+        assert repr(root.plain()) == repr(expected.plain())
+        assert root.keys == expected.keys
+        assert [each.given for each in problems] == [each.given for each in faults_expected]
