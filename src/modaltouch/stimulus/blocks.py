@@ -25,6 +25,9 @@ SHORT = 16
 LEVELS = 3
 """Blocks, groups of blocks, groups of groups: three levels step over 16^4 samples, twice the longest chunk."""
 
+Sides = dict[tuple[tuple[int, ...], int], tuple[tuple[int, ...], FloatArray]]
+"""Left factors of the products by inputs and number of states, with the states written into them last."""
+
 _CHUNK = 32_768
 """Samples per chunk: bounds the memory, and keeps a chunk of voltages in the second-level cache."""
 
@@ -276,7 +279,7 @@ class BlockKernel:
             together.imag[states] += parts[states.size :]
         return together
 
-    def respond(self, blocks: FloatArray, begin: ComplexArray, out: FloatArray) -> None:
+    def respond(self, blocks: FloatArray, begin: ComplexArray, out: FloatArray, sides: Sides | None = None) -> None:
         """Write the outputs at the starts of the samples.
 
         Parameters
@@ -287,19 +290,18 @@ class BlockKernel:
             From `states`.
         out : (n_outputs, n_samples) array
             Receives the outputs, for at most the samples of the blocks; each row contiguous.
+        sides : dict, optional
+            Left factors of the products, from an earlier call with the same blocks and states; new ones are added.
         """
         n_whole, rest = divmod(out.shape[1], SHORT)
-        sides: dict[tuple[tuple[int, ...], int], FloatArray] = {}
-        written: dict[tuple[tuple[int, ...], int], tuple[int, ...]] = {}
+        sides = {} if sides is None else sides
         for (inputs, states, table), row in zip(self._tables, out, strict=True):
             # Outputs with the same inputs share one left factor; only its states are rewritten, if they differ.
             key = (inputs, len(states))
-            if key not in sides:
-                sides[key] = _inputs_beside(blocks, inputs, len(states))
-            side = sides[key]
-            if written.get(key) != states:
+            written, side = sides.get(key) or (None, _inputs_beside(blocks, inputs, len(states)))
+            if written != states:
                 _write_states(side, begin, states)
-                written[key] = states
+                sides[key] = states, side
             np.matmul(side[:n_whole], table, out=row[: n_whole * SHORT].reshape(n_whole, SHORT))
             if rest:
                 row[n_whole * SHORT :] = side[n_whole] @ table[:, :rest]

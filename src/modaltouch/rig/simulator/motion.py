@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Self
+from dataclasses import dataclass, field
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,8 @@ class StateHistory:
         State at the end of a burst.
     end : float
         End of the computed instants, from the first sample of a burst at the beam [s]; infinite for a whole burst.
+    sides : dict
+        What the motions of all points have in common, filled by the first.
     """
 
     system: DiagonalSystem
@@ -51,6 +53,7 @@ class StateHistory:
     begin: ComplexArray
     last: ComplexArray
     end: float
+    sides: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, system: DiagonalSystem, held: Held, span: tuple[float, float]) -> Self:
@@ -89,7 +92,7 @@ class StateHistory:
         system = self.system
         kernel = BlockKernel.of(system, np.stack([output, output * system.exponent]), self.hold)
         course = np.empty((2, self.voltage.shape[1]))
-        kernel.respond(BlockKernel.blocks(self.voltage), self.begin, course)
+        kernel.respond(BlockKernel.blocks(self.voltage), self.begin, course, self.sides)
         value, slope = course[0], course[1] * self.hold
         # The voltage held from each instant to the next adds to the slope in that interval.
         push = (output @ system.input_gain).real @ self.voltage[:, :-1] * self.hold
