@@ -261,6 +261,8 @@ def _translate(reading: Reading[Any], details: Any) -> Problem:
     if kind == "missing":
         path = path[:-1]
     node = reading.find(path)
+    if kind == "string_type" and isinstance(details["input"], bool | int | float):
+        return reading.problem(path, f"{_in_words(node)}, which is not text", "text", "write it in quotes")
     given = _in_words(node) + (", which is not finite" if kind == "finite_number" else "")
     allowed = describe(reading.model, path) + _beyond_all(details["input"])
     return reading.problem(path, given, allowed, _remedy(reading, path, node))

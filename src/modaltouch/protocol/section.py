@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from functools import lru_cache, reduce
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Discriminator, Field, TypeAdapter
+from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, TypeAdapter
 
 from modaltouch.protocol.problems import fault
 
@@ -43,13 +43,6 @@ def _plain_file_name(name: str) -> str:
     return name
 
 
-def _word(value: object) -> object:
-    """Refuse a truth value or number where text is required."""
-    if isinstance(value, bool | int | float):
-        raise fault(f"{str(value).lower()}, which is not text", "text", "write it in quotes")
-    return value
-
-
 SMALLEST, LARGEST = 1e-9, 1e12
 """Bounds of every quantity, in whatever unit: no value of this experiment lies beyond, and nothing overflows within."""
 
@@ -60,12 +53,11 @@ Spread = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=3)]
 DampingRatio = Annotated[float, Field(strict=True, ge=SMALLEST, lt=1, allow_inf_nan=False)]
 Count = Annotated[int, Field(strict=True, ge=1)]
 Label = Annotated[int, Field(strict=True, ge=1, le=1000)]
-Text = Annotated[str, BeforeValidator(_word)]
-Word = Annotated[str, BeforeValidator(_word), Field(pattern=r"^[A-Za-z0-9_-]{1,32}$")]
+Text = str
+Word = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]{1,32}$")]
 FileName = Annotated[
     str,
     AfterValidator(_plain_file_name),
-    BeforeValidator(_word),
     Field(
         json_schema_extra={
             "pattern": "^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$",
