@@ -5,6 +5,7 @@ import errno
 import gc
 import os
 import sys
+from types import SimpleNamespace
 from typing import Any, NoReturn
 
 # What loading makes stays: to look for what could go would cost a twentieth of the time.
@@ -14,8 +15,11 @@ atexit.register(gc.freeze)
 # Before NumPy is imported. The matrices are small: further threads of BLAS only wait for each other, busily, and take
 # the processor from the window and from the process that watches the outputs.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# No section of a file has a plugin: to look for some would read the metadata of every installed package.
+# No section of a file has a plugin: to look for some would read the metadata of every installed package, and merely to
+# load what looks for them loads e-mail, sockets and archives, a twentieth of a check. A pydantic without this module is
+# told by the variable.
 os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+sys.modules.setdefault("pydantic.plugin._loader", SimpleNamespace(get_plugins=tuple))  # type: ignore[arg-type]
 
 
 def _leave() -> NoReturn:

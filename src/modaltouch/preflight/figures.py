@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -143,10 +142,11 @@ def estimated_duration(protocol: Protocol) -> float:
     if answers.stimulus_until == "question":
         names = protocol.stimulus_names
         lengths = [protocol.n_bursts(name) / protocol.stimulus_of(name).repetition_rate_Hz for name in names]
-        before_question = max(before_question, fmean(lengths))
+        length = float(np.mean(lengths))
+        before_question = max(before_question, length)
         if (intervals := protocol.intervals) is not None:
-            before_question += (intervals.number - 1) * (fmean(lengths) + intervals.gap_s)
-    pause = fmean(map(answers.pause, protocol.conditions.finger_conditions))
+            before_question += (intervals.number - 1) * (length + intervals.gap_s)
+    pause = float(np.mean([answers.pause(each) for each in protocol.conditions.finger_conditions]))
     # The fingers move whenever the pair differs from the one before.
     n_pairs = len(protocol.conditions.contacts)
     n_placements = 1 + (n_trials - 1) * (1 - 1 / n_pairs)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from importlib.metadata import version
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
@@ -79,6 +78,8 @@ class AdaptiveSection(Section):
         """Algorithm that sets the levels, for the record."""
         if self.method == "staircase":
             return {"algorithm": "modaltouch staircase 2", "target": round(self.staircase.target, 4)}
+        from importlib.metadata import version
+
         return {"algorithm": "modaltouch quest_plus 2", "questplus": version("questplus")}
 
 
