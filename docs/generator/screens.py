@@ -34,7 +34,7 @@ def screens(experiment) -> list[Picture]:
 
     def session() -> Iterator[Picture]:
         yield pictures.welcome(trials[0])
-        yield pictures.answering()
+        yield pictures.answering(trials[0])
         for trial in sorted(first.values(), key=lambda each: each.index):
             progress = Progress(trial.index, len(trials))
             yield pictures.placement(trial)

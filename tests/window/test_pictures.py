@@ -18,6 +18,7 @@ from modaltouch.window.layout import lay_out
 from modaltouch.window.pictures import Illustrator, draw_hands
 from modaltouch.window.shapes import Mark, Picture, Shape, Words
 from modaltouch.window.theme import DARK, Theme
+from modaltouch.window.typesetting import Typesetter
 
 PROGRESS = Progress(5, 12)
 CASES = list(itertools.product(["AC", "BD", "CE", "AB", "DE"], FINGERS))
@@ -59,7 +60,7 @@ def test_each_finger_lies_on_its_zone(experiment: Experiment, pair: str, conditi
     pictures = illustrate(experiment, hand)
     trial = make_trial(pair, finger_condition)
     layout = pictures.layout
-    marks = draw_hands(layout, DARK, trial.condition.zones, FINGERS[condition], ("one", "other"))
+    marks = draw_hands(layout, DARK, trial.condition.zones, FINGERS[condition], ("one", "other"), Typesetter())
     for side, zone in zip(("left", "right"), pair, strict=True):
         x, y = tips(marks, DARK)[side]
         assert layout.zones[zone].contains(x, y)
@@ -348,7 +349,7 @@ def test_four_answers_are_shown_with_their_words_and_keys(experiment: Experiment
         box = layout.buttons[answer]  # type: ignore[index]
         assert box.contains(words.box.left, words.box.bottom)
         assert box.contains(words.box.right, words.box.top)
-    texts = [mark.text for mark in pictures.answering().marks if isinstance(mark, Words)]
+    texts = [mark.text for mark in pictures.answering(make_trial()).marks if isinstance(mark, Words)]
     assert texts[0] == "Each time, choose one of these four answers."
     assert "choose “Nowhere” whenever you felt nothing" in texts[1]
     chosen = pictures.question(make_trial(), PROGRESS, chosen="none")
@@ -375,9 +376,9 @@ def test_the_instructions_count_the_answers_of_the_list(
     texts = texts.model_copy(update={"answers": dict.fromkeys(keys, "Label")})
     layout = lay_out(800, 600, experiment.apparatus.zone_spans, answers.offered)
     pictures = Illustrator(layout, DARK, texts, answers, "right")
-    assert words in pictures.answering().texts[0]
+    assert words in pictures.answering(make_trial()).texts[0]
     wordless = replace(pictures, texts=texts.model_copy(update={"numbers": ()}))
-    assert f" {n_answers} " in wordless.answering().texts[0]
+    assert f" {n_answers} " in wordless.answering(make_trial()).texts[0]
 
 
 def test_answers_of_any_names_are_shown_in_the_order_of_the_file(experiment: Experiment) -> None:

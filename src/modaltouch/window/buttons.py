@@ -90,7 +90,7 @@ class Buttons:
     @cached_property
     def _share(self) -> float:
         """Share of a button's width that its word may take: arrows for fingers stand on both sides of it."""
-        return 0.68 if any(answer.fingers for answer in self.answers.offered) else 0.9
+        return 0.68 if any(answer.fingers for answer in self.answers.offered) else 0.84
 
     @cached_property
     def _answer_size(self) -> float:

@@ -110,7 +110,7 @@ def lay_out(
         headline=Box(0, 0.405, 1.24 * unit, 0.14),
         body=Box(0, 0.24 - 0.06 * (1 - unit), 1.18 * unit, 0.21),
         page=Box(0, 0.06, 1.14 * unit, 0.6),
-        go_on=Box(0, -0.432, min(1.2 * unit, 0.9 * type_scale), 0.08),
+        go_on=Box(0, -0.432, min(1.2 * unit, type_scale), 0.08),
         label=Box(0, -0.437, 1.2 * unit, 0.034),
         bar=Box(0, -0.47, across, 0.01),
         note=Box(0, -0.391, 1.2 * unit, 0.046),
@@ -119,8 +119,8 @@ def lay_out(
 
 def _answer_buttons(answers: AnswerList, across: float, unit: float) -> dict[str, Any]:
     """Return the answer buttons, and the width of those in the row; with others below, they stand higher."""
-    gap = 0.045 * unit
     row = tuple(answer.name for answer in answers if not answer.is_below)
+    gap = min(0.045, 0.16 / max(len(row), 1)) * unit
     below = tuple(answer.name for answer in answers if answer.is_below)
     width, low = ((across - gap * (len(names) - 1)) / max(len(names), 1) for names in (row, below))
     width = min(0.4 * unit, width)

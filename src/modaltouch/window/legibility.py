@@ -33,7 +33,7 @@ def every_picture(pictures: Illustrator, trial: Trial) -> list[Picture]:
     expected = [answer.name for answer in offered if answer.fingers or answer.interval]
     return [
         pictures.welcome(trial),
-        pictures.answering(),
+        pictures.answering(trial),
         pictures.placement(trial),
         pictures.ready(trial, progress),
         pictures.ready(trial, progress, 3),

@@ -113,7 +113,7 @@ class ParticipantWindow(AnswerWindow):
         self._loop.show(self._pictures.welcome(trial))
         self._make_ready(trial)
         self._go_on(lambda: self._pictures.welcome(trial))
-        self._go_on(self._pictures.answering)
+        self._go_on(lambda: self._pictures.answering(trial))
 
     def place_fingers(self, trial: Trial) -> None:
         """Show which finger goes on which zone until it is confirmed."""

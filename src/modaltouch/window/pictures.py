@@ -4,23 +4,26 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
 
 from modaltouch.protocol import AnswersSection, Texts, Trial
-from modaltouch.window.buttons import Buttons, key_name
+from modaltouch.window.buttons import Buttons, common_share, key_name, typesetter_of
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import Layout
 from modaltouch.window.rating import draw_scale
 from modaltouch.window.shapes import Box, Mark, Picture, Point, Words, capsule, framed, moved, rectangle, rounded
 from modaltouch.window.theme import Theme, mixed
+from modaltouch.window.typesetting import Typesetter
 
 _STEPS = {"thumb": 0.0, "index": 0.06, "middle": 0.052, "ring": 0.052, "little": 0.048}
 """Distance of each finger's knuckle from the previous one, if the fingers are not spread [window heights]."""
+_MIDDLE = Box(0, -0.26, 0.4, 0.18)
+"""The middle of the answers, where numbers are shown before them so that the eyes need not move."""
 
 
-def draw_beam(layout: Layout, theme: Theme, touched: tuple[str, ...]) -> tuple[Mark, ...]:
-    """Return the beam with its zones; every touched zone looks the same."""
+def draw_beam(layout: Layout, theme: Theme, touched: tuple[str, ...], typesetter: Typesetter) -> tuple[Mark, ...]:
+    """Return the beam with its zones; every touched zone looks the same, and all names have one size."""
     unit, beam = layout.unit, layout.beam
     rim = 0.007 * unit
     marks: list[Mark] = [
@@ -35,21 +38,28 @@ def draw_beam(layout: Layout, theme: Theme, touched: tuple[str, ...]) -> tuple[M
     edges = {round(edge, 6) for box in layout.zones.values() for edge in (box.left, box.right)}
     for x in sorted(edges - {round(beam.left, 6), round(beam.right, 6)}):
         marks.append(rectangle(Box(x, beam.y, 0.003 * unit, beam.height), theme.beam_edge))
-    room = min((right.x - left.x for left, right in pairwise(layout.zones.values())), default=beam.width)
+    room = 0.94 * min((right.x - left.x for left, right in pairwise(layout.zones.values())), default=beam.width)
+    names, size = tuple(map(spoken, layout.zones)), 0.05 * unit
+    size *= common_share(typesetter, names, Box(0, 0, room, 0.07 * unit), size)
     for name, box in layout.zones.items():
         is_touched = name in touched
         if is_touched:
             marks += framed(box.inset(-0.004 * unit), 0.01 * unit, theme.text, theme.zone, 0.007 * unit)
         above = Box(box.x, box.top + 0.042 * unit, room, 0.07 * unit)
         fill = theme.text if is_touched else theme.dim
-        marks.append(Words(name, above, 0.05 * unit, fill, bold=is_touched))
+        marks.append(Words(spoken(name), above, size, fill, bold=is_touched))
     return tuple(marks)
 
 
 def draw_hands(
-    layout: Layout, theme: Theme, zones: tuple[str, ...], fingers: tuple[str, ...], names: tuple[str, ...]
+    layout: Layout,
+    theme: Theme,
+    zones: tuple[str, ...],
+    fingers: tuple[str, ...],
+    names: tuple[str, ...],
+    typesetter: Typesetter,
 ) -> tuple[Mark, ...]:
-    """Return the hands with each finger on its zone, and the fingers' names above.
+    """Return the hands with each finger on its zone, and the fingers' names above, all in one size.
 
     Parameters
     ----------
@@ -63,6 +73,8 @@ def draw_hands(
         Those fingers, such as ``left index``.
     names : tuple of str
         What the participant calls them.
+    typesetter : Typesetter
+        Sets those names.
     """
     colours = (theme.left, *[theme.between] * (len(zones) - 2), theme.right)[: len(zones)]
     tips = {finger: (layout.zones[zone].x, layout.zones[zone].y) for finger, zone in zip(fingers, zones, strict=True)}
@@ -79,11 +91,19 @@ def draw_hands(
     # Crossed hands on neighbouring zones overlap: no palm may hide the other hand's finger.
     marks = [*palms, *touching]
     gap = min((abs(tips[a][0] - tips[b][0]) for a, b in pairwise(fingers)), default=layout.beam.width / 2)
+    room = Box(
+        0, layout.beam.top + 0.094 * layout.unit, max(gap, layout.zones[zones[0]].width) * 0.94, 0.05 * layout.unit
+    )
+    size = 0.031 * layout.type_scale
+    size *= common_share(typesetter, names, room, size)
     for zone, name, fill in zip(zones, names, colours, strict=True):
-        box = layout.zones[zone]
-        above = Box(box.x, box.top + 0.094 * layout.unit, max(gap, box.width) * 0.96, 0.05 * layout.unit)
-        marks.append(Words(name, above, 0.031 * layout.type_scale, fill, bold=True))
+        marks.append(Words(name, replace(room, x=layout.zones[zone].x), size, fill, bold=True))
     return tuple(marks)
+
+
+def spoken(zone: str) -> str:
+    """Return what the participant reads as the name of a zone, which in files contains no spaces."""
+    return zone.replace("_", " ")
 
 
 def _draw_hand(
@@ -181,8 +201,8 @@ class Illustrator:
         words = Words(text, self.layout.body, size, self.theme.text)
         return Picture("welcome", (self._headline(self.texts.welcome, 0.054), words, *self._go_on(), *lowered))
 
-    def answering(self) -> Picture:
-        """Return the screen that shows how to answer."""
+    def answering(self, trial: Trial) -> Picture:
+        """Return the screen that shows how to answer, first under the fingers of a trial."""
         layout, texts, offered = self.layout, self.texts, self.answers.offered
         nothing = offered.naming()
         words = (texts.how_to_answer_or_none if nothing else None) or texts.how_to_answer
@@ -198,14 +218,14 @@ class Illustrator:
             (
                 self._headline(title, 0.054),
                 Words("\n\n".join(rest), below, 0.042 * layout.type_scale, self.theme.text),
-                *self._draw_answers(None, confirmed=False, with_keys=self.answers.given_by == "participant"),
+                *self._draw_answers(None, confirmed=False, with_keys=self._types(trial)),
                 *self._go_on(),
             ),
         )
 
     def placement(self, trial: Trial) -> Picture:
         """Return which finger goes on which zone."""
-        words = self.texts.placing(self.finger_names(trial), trial.condition.zones)
+        words = self.texts.placing(self.finger_names(trial), tuple(map(spoken, trial.condition.zones)))
         marks = (self._headline(words, 0.046), *self._beam(trial), *self._go_on(self._confirm_placement(trial)))
         return Picture(f"place_fingers_{_tag(trial)}", marks)
 
@@ -214,8 +234,7 @@ class Illustrator:
         marks: tuple[Mark, ...] = (*self._beam(trial), *self._progress(trial, progress))
         if not count:
             return Picture(f"ready_{_tag(trial)}", marks)
-        # Where the answers will be, so that the eyes need not move; in the colour of secondary text.
-        number = Words(str(count), self._answers_box(), 0.13 * self.layout.type_scale, self.theme.dim)
+        number = Words(str(count), _MIDDLE, 0.13 * self.layout.type_scale, self.theme.dim)
         return Picture(f"ready_{_tag(trial)}_{count}", (self._headline(self.texts.fingers_back, 0.056), *marks, number))
 
     def feel(self, trial: Trial, progress: Progress, interval: int = 0) -> Picture:
@@ -224,7 +243,7 @@ class Illustrator:
         marks += self._progress(trial, progress)
         if not interval:
             return Picture(f"feel_{_tag(trial)}", marks)
-        number = Words(str(interval), self._answers_box(), 0.2 * self.layout.type_scale, self.theme.text, bold=True)
+        number = Words(str(interval), _MIDDLE, 0.15 * self.layout.type_scale, self.theme.text, bold=True)
         return Picture(f"feel_{_tag(trial)}_{interval}", (*marks, number))
 
     def question(
@@ -264,7 +283,7 @@ class Illustrator:
             (
                 self._headline(texts.named(asked) if asked else texts.question, 0.056),
                 *self._beam(trial),
-                *self._draw_answers(chosen, confirmed=confirmed, with_keys=way != "experimenter"),
+                *self._draw_answers(chosen, confirmed=confirmed, with_keys=self._types(trial)),
                 *note,
                 *self._progress(trial, progress),
             ),
@@ -272,14 +291,15 @@ class Illustrator:
 
     def feedback(self, trial: Trial, progress: Progress, answer: str, expected: str) -> Picture:
         """Return where the vibration was stronger, or which answer was right, after a practice trial."""
-        texts, felt = self.texts, self.answers.offered.named(expected).fingers
+        texts, offered = self.texts, self.answers.offered
         said = {
             ("left",): texts.practice_was_left,
             ("left", "right"): texts.practice_was_both,
             ("right",): texts.practice_was_right,
         }
+        felt = () if offered.names_between else offered.named(expected).fingers or ()
         named = texts.practice_was.format(answer=texts.label(expected))
-        words = texts.practice_agreed if answer == expected else said.get(felt or (), named)
+        words = texts.practice_agreed if answer == expected else said.get(felt, named)
         name = "feedback_agreed" if answer == expected else f"feedback_{expected}"
         marks = (self._headline(words, 0.05), *self._beam(trial), *self._progress(trial, progress))
         return Picture(name, marks)
@@ -366,6 +386,10 @@ class Illustrator:
             ),
         )
 
+    def _types(self, trial: Trial) -> bool:
+        """Return whether the participant, and not the experimenter, types the answer."""
+        return self.answers.way(trial.condition.finger_condition) != "experimenter"
+
     def _draw_answers(self, chosen: str | None, *, confirmed: bool, with_keys: bool) -> tuple[Mark, ...]:
         """Return the answers, or the scale, with what is chosen."""
         own = self.layout, self.theme, self.texts
@@ -374,25 +398,22 @@ class Illustrator:
         is_taken = confirmed and chosen is not None
         return draw_scale(*own, self.answers.scale, chosen or "", confirmed=is_taken, keys=with_keys)
 
-    def _answers_box(self) -> Box:
-        """Return the middle of the row of answers."""
-        row = list(self.layout.buttons.values())[-1 if self.answers.scale else 0]
-        return Box(0, row.y, row.width, row.height)
-
     def _beam(self, trial: Trial) -> tuple[Mark, ...]:
         condition = trial.condition
         layout = self.layout.turned() if condition.is_mirrored else self.layout
         fingers = condition.fingers(self.hand, self.fingers)
+        typesetter = typesetter_of(self.texts)
         return (
-            *draw_beam(layout, self.theme, condition.zones),
-            *draw_hands(layout, self.theme, condition.zones, fingers, self.finger_names(trial)),
+            *draw_beam(layout, self.theme, condition.zones, typesetter),
+            *draw_hands(layout, self.theme, condition.zones, fingers, self.finger_names(trial), typesetter),
         )
 
     def _go_on(self, words: str = "") -> tuple[Mark, ...]:
-        layout, theme = self.layout, self.theme
+        pill, theme = self.layout.go_on, self.theme
+        within = Box(pill.x, pill.y, pill.width - 2 * pill.height, 0.7 * pill.height)
         return (
-            *framed(layout.go_on, 0.043, theme.button_edge, theme.button, 0.003),
-            Words(words or self._continue_words(), layout.go_on.inset(0.012), 0.036 * layout.type_scale, theme.text),
+            *framed(pill, 0.043, theme.button_edge, theme.button, 0.003),
+            Words(words or self._continue_words(), within, 0.036 * self.layout.type_scale, theme.text),
         )
 
     def _continue_words(self) -> str:
