@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from modaltouch.preflight.checked import Preflight
 from modaltouch.preflight.design_inputs import DesignInputs, design, find_design_inputs
-from modaltouch.protocol import Apparatus, Findings, Problem, Schedule
+from modaltouch.protocol import Apparatus, Findings, NoOrderError, Problem, Schedule
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Burst, Release, Stimulus
 
@@ -420,9 +420,8 @@ def _check_schedule(findings: Findings) -> list[Problem]:
     try:
         # With a quarter of the effort, so that on the day an order is found for nearly every participant.
         Schedule.draw(findings.experiment().protocol, "p01", 0, effort=0.25)
-    except ValueError as error:
-        path = ("schedule", getattr(error, "key", "max_same_pair_running"))
-        return [findings.problem(path, f"a limit that cannot be kept, {error}", "")]
+    except NoOrderError as error:
+        return [findings.problem(("schedule", error.key), *error.said)]
     return []
 
 

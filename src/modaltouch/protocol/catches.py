@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 
+from modaltouch.protocol.order_limits import LIMITS, NoOrderError
 from modaltouch.protocol.streams import Stream
 
 Pair = tuple[str, ...]
@@ -22,10 +23,8 @@ def place_catches(
     limit = min(limit, 2 * max((len(list(run)) for _, run in groupby(order)), default=0) + 1)
     ways = _count_ways(order, pairs, n_catches, limit, own_pair=own_pair)
     if not ways[0][n_catches][1]:
-        raise ValueError(
-            f"{n_catches} catch trials cannot be spread over {len(order)} trials without the same pair more than "
-            f"{limit} times in a row; use fewer catch trials or allow longer runs"
-        )
+        given = f"{limit}, but {n_catches} catch trials cannot be spread over {len(order)} trials without longer runs"
+        raise NoOrderError(LIMITS[0], given, "", "use fewer catch trials or allow longer runs")
     placed = []
     left, run = n_catches, 1
     for place in range(len(order)):

@@ -15,11 +15,19 @@ LIMITS = (
 
 
 class NoOrderError(ValueError):
-    """No order keeps a limit, or those that do are too rare to find; `key` is its key in the section schedule."""
+    """No order keeps a limit, or those that do are too rare to find.
 
-    def __init__(self, message: str, key: str) -> None:
-        super().__init__(message)
-        self.key = key
+    Parameters
+    ----------
+    key : str
+        Key of the limit in the section schedule.
+    given, allowed, remedy : str
+        As in `Problem`.
+    """
+
+    def __init__(self, key: str, given: str, allowed: str, remedy: str) -> None:
+        super().__init__(f"schedule.{key}: given {given}; {allowed or remedy}")
+        self.key, self.said = key, (given, allowed, remedy)
 
 
 def refuse_runs(counts: Sequence[int], limit: int, key: str, n_others: int = 0) -> None:
@@ -38,8 +46,9 @@ def refuse_runs(counts: Sequence[int], limit: int, key: str, n_others: int = 0) 
     """
     least = least_limit([*counts, *[1] * n_others])
     if limit < least:
-        said = f"{max(counts)} of {sum(counts) + n_others} trials share this; the smallest limit that works is {least}"
-        raise NoOrderError(f"schedule.{key} is {limit}, but {said}", key)
+        n_trials, noun = sum(counts) + n_others, key.split("_")[2]
+        given = f"{limit}, but {max(counts)} of the {n_trials} trials of a block have the same {noun}"
+        raise NoOrderError(key, given, f"at least {least}, or null for no limit", "raise or remove it")
 
 
 def least_limit(counts: Sequence[int]) -> int:

@@ -56,10 +56,9 @@ class Limit(Generic[Item]):
         if self.distance > 1 and most > 1:
             farthest = (len(items) - list(counts.values()).count(most)) // (most - 1)
             if self.distance > farthest:
-                said = (
-                    f"{most} of {len(items)} trials belong to one cell; the largest distance that works is {farthest}"
-                )
-                raise NoOrderError(f"schedule.{self.key} is {self.distance}, but {said}", self.key)
+                given = f"{self.distance}, but {most} of the {len(items)} trials of a block belong to one cell"
+                allowed = f"at most {farthest}, or null for no limit" if farthest > 1 else "null"
+                raise NoOrderError(self.key, given, allowed, "lower or remove it")
         elif self.distance == 1 and most:
             refuse_runs([*counts.values()], self.running, self.key, n_free)
 
@@ -166,12 +165,11 @@ def _draw_repeated(items: Sequence[Item], limits: Sequence[Limit[Item]], stream:
 
 def _too_rare(limits: Sequence[Limit[Item]], broken: Sequence[int]) -> NoOrderError:
     """Return the error that no order was found, which names the limit broken most."""
-    worst, told = limits[broken.index(max(broken))].key, " and ".join(f"schedule.{limit.key}" for limit in limits)
-    if len(limits) == 1:
-        given, eased = (limits[0].distance, "lower") if limits[0].distance > 1 else (limits[0].running, "raise")
-        return NoOrderError(f"{told} is {given}, and orders that keep it are too rare to find: {eased} it", worst)
-    return NoOrderError(
-        f"orders that keep {told} together do not exist or are too rare to find; schedule.{worst} is broken most: "
-        "ease it, or leave one of them out",
-        worst,
-    )
+    worst = limits[broken.index(max(broken))]
+    number, eased = (worst.distance, "lower it") if worst.distance > 1 else (worst.running, "raise it")
+    given = f"{number}, but orders that keep it are too rare to find"
+    if len(limits) > 1:
+        others = " and ".join(f"schedule.{limit.key}" for limit in limits if limit is not worst)
+        given = f"{number}, but orders that keep it together with {others} do not exist or are too rare to find"
+        eased += ", as it is broken most, or leave one of them out"
+    return NoOrderError(worst.key, given, "", eased)

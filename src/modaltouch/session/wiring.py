@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from modaltouch.planning import Observer, read_observer, usual_observer
 from modaltouch.preflight import Preflight, examine
-from modaltouch.protocol import InputError, Protocol, Schedule, Trial, Turn
+from modaltouch.protocol import InputError, NoOrderError, Protocol, Schedule, Trial, Turn
 from modaltouch.record import RecordInputError, Session, SessionFolder
 from modaltouch.rig import Generator, Rig
 from modaltouch.session.setup import Setup, begin
@@ -95,10 +95,10 @@ def _drawn(preflight: Preflight, participant: str, seed: int, drawn_as: int, giv
     """Return a participant's schedule; refuse limits that no order drawn for them satisfies, with their place."""
     try:
         return Schedule.draw(preflight.experiment.protocol, participant, seed, drawn_as, given=given)
-    except ValueError as error:
-        path = ("schedule", getattr(error, "key", "max_same_pair_running"))
-        said, remedy = f"limits that no order drawn for {participant} satisfies, {error}", "or give another --seed"
-        raise InputError([preflight.findings.problem(path, said, "", remedy)]) from error
+    except NoOrderError as error:
+        refused, allowed, remedy = error.said
+        said = f"{refused}, for {participant}", allowed, f"{remedy}, or give another --seed"
+        raise InputError([preflight.findings.problem(("schedule", error.key), *said)]) from error
 
 
 def _on_occasion(

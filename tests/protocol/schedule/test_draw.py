@@ -168,7 +168,7 @@ def test_a_limit_that_no_order_keeps_is_refused_with_its_reason() -> None:
     """Four trials of the one pair come four times running."""
     protocol = changed("conditions", zone_pairs=(("A", "C"),))
     with pytest.raises(
-        ValueError, match=r"_pair_running is 2, but 4 of 4 trials share this; the smallest limit that works is 4"
+        ValueError, match=r"_pair_running: given 2, but 4 of the 4 trials of a block have the same pair; at least 4"
     ):
         Schedule.draw(protocol, "p01", 1)
 

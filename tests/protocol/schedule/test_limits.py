@@ -126,16 +126,16 @@ def test_pairs_without_the_focus_break_a_row_of_one_side() -> None:
     [
         (
             "min_same_cell_distance: 9",
-            "schedule.min_same_cell_distance is 9, but 4 of 24 trials belong to one cell; the",
+            "given 9, but 4 of the 24 trials of a block belong to one cell; allowed: at most 6, or null for no limit",
         ),
-        ("max_same_stimulus_running: 1", "schedule.max_same_stimulus_running is 1, but 24 of 24 trials share this"),
+        ("max_same_stimulus_running: 1", "given 1, but 24 of the 24 trials of a block have the same stimulus; allowed"),
     ],
 )
 def test_limits_that_cannot_be_kept_are_refused_with_the_reason(edit: Any, limits: str, told: str) -> None:
     """At the key that asks too much."""
     words = ("  max_same_pair_running: 2", f"  {limits}"), ("repetitions: 1", "repetitions: 4")
     problems = examine(edit("demo.yaml", *words)).problems
-    assert [told in each.given for each in problems] == [True]
+    assert [told in each.message for each in problems] == [True]
     assert problems[0].path in ("schedule.min_same_cell_distance", "schedule.max_same_stimulus_running")
 
 
@@ -148,7 +148,7 @@ def test_a_participant_without_an_order_is_told_and_is_rare(
     monkeypatch.setattr(order_walk, "SWEEPS", 10**6)
     monkeypatch.setattr(order_walk, "STEPS_OUTSIDE", 0)
     with pytest.raises(
-        InputError, match="limits that no order drawn for p01 satisfies, orders .* or give another --seed"
+        InputError, match="orders that keep it together .* too rare to find, for p01; .* or give another --seed"
     ):
         wire_run(preflight, "p01", answers="simulated", results=tmp_path)
     (problem,) = examine(preflight.experiment.sources.protocol.path).problems
@@ -159,7 +159,7 @@ def test_limits_that_no_order_keeps_together_are_refused_by_both_names() -> None
     """Known: where two pairs and two levels both alternate, a pair has one level alone."""
     cells = [pair + level for pair in "AB" for level in "12"] * 4
     limits = [LIMITS["pair"](1), LIMITS["level"](1)]
-    told = "schedule.max_same_pair_running and schedule.max_same_level_running together do not exist .* is broken most"
+    told = "given 1, but orders that keep it together with schedule.max_same_.*_running do not exist .* is broken most"
     with pytest.raises(NoOrderError, match=told):
         draw_by_walk(cells, limits, Stream(1, "p01", 1, "a test"), effort=0.1)
 
@@ -193,6 +193,6 @@ def test_a_distance_of_as_many_trials_as_cells_repeats_one_permutation(counts: t
 def test_a_single_limit_that_is_hard_to_keep_is_told_with_its_value() -> None:
     """Eight cells seven trials apart: orders exist, but none is found."""
     cells = [cell for cell in "abcdefgh" for _ in range(10)]
-    told = "schedule.min_same_cell_distance is 7, and orders that keep it are too rare to find: lower it"
+    told = "schedule.min_same_cell_distance: given 7, but orders that keep it are too rare to find; lower it"
     with pytest.raises(NoOrderError, match=told):
         draw_by_walk(cells, [LIMITS["distance"](7)], Stream(1, "p", 1, "x"), effort=0.02)
