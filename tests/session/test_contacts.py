@@ -155,7 +155,7 @@ def test_listed_cells_mix_one_finger_two_and_three(tmp_path: Path) -> None:
     (tmp_path / "one.yaml").write_text(
         (tmp_path / "one.yaml").read_text(encoding="utf-8").replace("pair: [C]", "pair: [C, D]"), encoding="utf-8"
     )
-    with pytest.raises(InputError, match=r"conditions.cells\[0\].pair: given \[C, D\], two for the one of tip"):
+    with pytest.raises(InputError, match=r"conditions.cells\[0\].pair: given \[C, D\] for the one finger of tip"):
         examine(tmp_path / "one.yaml").require()
 
 

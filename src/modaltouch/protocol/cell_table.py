@@ -137,10 +137,11 @@ def _row(path: str, line: int, fields: dict[str, tuple[str, int]]) -> Node:
         word, column = fields[name]
         is_number = name in ("peak_velocity_mm_s", "weight")
         content = resolve(word) if is_number else word or None
-        return Node(content, line, column, text=word, file=path)
+        return Node(content, line, column, {name: (line, column)}, text=word, file=path)
 
     def several(*names: str) -> Node:
-        return Node([node(name) for name in names], line, fields[names[0]][1], file=path)
+        nodes = [node(name) for name in names]
+        return Node(nodes, line, nodes[0].column, dict.fromkeys(names, (line, 1)), file=path)
 
     zones = ("zone_left", "zone_between", "zone_right")
     given = [name for name in zones if fields.get(name, ("", 0))[0]]

@@ -10,7 +10,7 @@ from typing import Any
 from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels, contacts, is_adaptive, offered_answers
 from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.contacts import check_contacts
+from modaltouch.protocol.contacts import check_contacts, check_way
 from modaltouch.protocol.intervals import presented_levels
 from modaltouch.protocol.masking import check_masking
 from modaltouch.protocol.order_limits import LIMITS
@@ -52,7 +52,6 @@ def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
     order = reading.sound("schedule", "order")
     limits = {key: limit for key in LIMITS if (limit := reading.sound("schedule", key)) is not None}
     idle = "" if order in ("shuffled", None) else next(iter(limits), "")
-    faulty = any(problem.path.startswith("conditions.zone") for problem in reading.problems)
     yield from reading.faults(
         (
             n_catch > n_driven,
@@ -74,13 +73,6 @@ def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
             f"{limits.get(idle)} with the order {order}",
             "null, or order: shuffled",
             "remove the limit or shuffle the trials",
-        ),
-        (
-            not idle and not faulty and n_pairs == 1 and n_driven > limits.get(LIMITS[0], n_driven),
-            ("schedule", LIMITS[0]),
-            f"{limits.get(LIMITS[0])}, but every trial has the same pair",
-            f"at least {n_driven}, or null for no limit",
-            "add a pair of zones or lift the limit",
         ),
     )
 
@@ -131,11 +123,14 @@ def _check_intervals(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def check_settling(reading: Reading[Protocol]) -> Iterator[Problem]:
-    """Yield the fault of a given pause that is too short for a hand that answers to come back to the beam.
+    """Yield a free hand in two_hands, and a pause too short for a hand that answers to come back to the beam.
 
-    Only for new files: a record begun with such a pause continues, with `AnswersSection.settling_s`.
+    Only for new files: a record that was begun with either continues, with `AnswersSection.settling_s`.
     """
     answers = reading.sound("answers")
+    if reading.sound("answers", "ways", "two_hands") == "free_hand":
+        yield from check_way(reading, "two_hands")
+        return
     if not isinstance(answers, AnswersSection) or reading.find(("answers", "pause_s")) is None:
         return
     settling = [fingers for _, fingers in reading.items("conditions", "finger_conditions") if answers.settles(fingers)]

@@ -14,7 +14,7 @@ from modaltouch.protocol.trial import FINGERS, SIDES
 if TYPE_CHECKING:
     from modaltouch.protocol.sections import Protocol
 
-_SAID = {1: "one", 2: "two", 3: "three"}
+_SAID = {1: "one finger", 2: "two fingers", 3: "three fingers"}
 _SHIPPED = tuple(dict.fromkeys(name for name, _ in FINGERS))
 _FROM_LEFT: tuple[str, ...] = get_args(FingerName)
 
@@ -32,11 +32,12 @@ def check_contacts(reading: Reading[Protocol]) -> Iterator[Problem]:
             yield reading.unknown(("conditions", "finger_conditions", index), "a finger condition here", named)
         elif name in known:
             used[name] = len(known[name])
-    for name, number in used.items():
-        yield from _check_number(reading, name, number)
-        yield from _check_answers(reading, name, number)
+    yield from _check_number(reading, used)
+    for number in dict.fromkeys(used.values()):
+        yield from _check_answers(reading, [name for name, own in used.items() if own == number], number)
+    for name in used:
         if name not in _SHIPPED and len({finger.split()[0] for finger in known[name]}) == 2:
-            yield from _check_way(reading, name)
+            yield from check_way(reading, name)
     yield from reading.unlisted(("answers", "ways"), "a finger condition here", named, at_key=True)
 
 
@@ -52,8 +53,8 @@ def _check_zones(reading: Reading[Protocol]) -> Iterator[Problem]:
         zones, said, n = (path[1], frozenset(listed)), f"[{', '.join(listed)}]", len(listed)
         if len(zones[1]) < n:
             who = "both fingers" if n == 2 else "several fingers"
-            yield reading.problem(path, f"{said}, the same zone for {who}", f"{_SAID[n]} different zones")
-        elif zones in seen:
+            yield reading.problem(path, f"{said}, the same zone for {who}", f"{_SAID[n].split()[0]} different zones")
+        elif zones in seen and not is_listed:
             noun = "pair" if path[1] == "zone_pairs" else "zones"
             said += f", the same {noun} as {path[1]}[{seen[zones]}]"
             yield reading.problem(path, said, f"each {noun} once", "remove it; for more trials raise repetitions")
@@ -77,23 +78,23 @@ def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
         yield reading.problem(path, said, allowed, "put them in that order")
 
 
-def _check_number(reading: Reading[Protocol], name: str, number: int) -> Iterator[Problem]:
+def _check_number(reading: Reading[Protocol], used: dict[str, int]) -> Iterator[Problem]:
     """Yield zones that differ in number from the fingers of a finger condition."""
     own = [
-        (("conditions", "cells", index, "pair"), each.pair)
+        (("conditions", "cells", index, "pair"), each.pair, each.finger_conditions or used)
         for index, each in reading.items("conditions", "cells")
-        if name in (each.finger_conditions or (name,))
     ]
     # Each of several stimuli is checked as a crossed design, but the file still contains the cells.
-    for path, zones in own if reading.find(("conditions", "cells")) else contacts(reading):
-        if len(zones) != number:
-            given = f"[{', '.join(zones)}], {_SAID[len(zones)]} for the {_SAID[number]} of {name}"
-            allowed = "as many zones as fingers"
+    is_listed = reading.find(("conditions", "cells")) is not None
+    for path, zones, names in own if is_listed else [(*each, used) for each in contacts(reading)]:
+        for number in dict.fromkeys(used[name] for name in names if used.get(name, len(zones)) != len(zones)):
+            like = " and ".join(name for name in names if used.get(name) == number)
+            given = f"[{', '.join(zones)}] for the {_SAID[number]} of {like}"
             remedy = "change the number of zones, or of fingers under conditions.fingers"
-            yield reading.problem(path, given, allowed, remedy)
+            yield reading.problem(path, given, "as many zones as fingers", remedy)
 
 
-def _check_answers(reading: Reading[Protocol], name: str, number: int) -> Iterator[Problem]:
+def _check_answers(reading: Reading[Protocol], names: list[str], number: int) -> Iterator[Problem]:
     """Yield an answer that names an absent finger, or answers that name only some of three fingers alone."""
     offered = offered_answers(reading)
     if number == 1:
@@ -115,14 +116,15 @@ def _check_answers(reading: Reading[Protocol], name: str, number: int) -> Iterat
         is_own = reading.find(("answers", "fingers", odd)) is not None
         at = ("answers", "fingers" if is_own else "keys", odd)
         remedy += f"; remove its entry under {at[1]}" if number == 1 else ""
-        yield reading.problem(at, f"'{odd}', for the {_SAID[number]} of {name}", allowed, remedy, at_key=True)
+        given = f"'{odd}' for the {_SAID[number]} of {' and '.join(names)}"
+        yield reading.problem(at, given, allowed, remedy, at_key=True)
 
 
-def _check_way(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
+def check_way(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
     """Yield a way to answer that needs a free hand when both hands are on the beam."""
-    way = reading.sound("answers", "ways", name)
-    if reading.sound("answers", "given_by") != "experimenter" and way in (None, "free_hand"):
+    way, is_misspelt = reading.sound("answers", "ways", name), reading.is_misspelt("answers", "ways")
+    if reading.sound("answers", "given_by") != "experimenter" and way in (None, "free_hand") and not is_misspelt:
         path = ("answers", "ways", name) if way else ("answers",)
         given = f"{way or 'no way to answer'} in {name}, but both hands are on the beam"
         allowed = "lifting, foot_switch or experimenter"
-        yield reading.problem(path, given, allowed, f"add `ways: {{{name}: lifting}}` to the answers")
+        yield reading.problem(path, given, allowed, f"write `ways: {{{name}: lifting}}` under answers")

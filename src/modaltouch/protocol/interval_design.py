@@ -40,7 +40,7 @@ def draw_intervals(section: IntervalsSection, conditions: Sequence[Condition], s
 def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
     """Yield the faults between the section ``intervals`` and the others, as far as its valid parts show them."""
     path = ("intervals",)
-    if reading.keys(*path) is None:
+    if reading.keys(*path) is None and not reading.is_misspelt(*path):
         given = "meanings of answers, but a trial has a single stimulus"
         yield reading.problem(("answers", "intervals"), given, "a section intervals", "write it, or remove this")
     if reading.keys(*path) is None or (reading.value is not None and reading.value.intervals is None):

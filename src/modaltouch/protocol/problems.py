@@ -27,7 +27,8 @@ class Problem:
     given, allowed, remedy : str
         What is there, what is allowed, and what to do (empty if `allowed` says it).
     written : str
-        Path where the user wrote it, below a group, a kind of session or a cell; empty if that is `path`.
+        Path where the user wrote it, below a group, a kind of session or a cell, or the column of a table; empty if
+        that is `path`.
     """
 
     file: str

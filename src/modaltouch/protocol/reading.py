@@ -124,6 +124,11 @@ class Reading(Generic[Model]):
         node = self.find(path)
         return list(node.content) if node is not None and isinstance(node.content, dict) else None
 
+    def is_misspelt(self, *path: str) -> bool:
+        """Return whether a key is absent because it is misspelt, which is reported where it is written."""
+        known, written = keys_of(self.model, path[:-1]), self.keys(*path[:-1]) or []
+        return path[-1] not in written and any(suggest(key, path[-1:]) for key in written if key not in known)
+
     def length(self, *path: Step) -> int | None:
         """Return the number of entries of the list at a path; None if there is no list."""
         node = self.find(path)
@@ -186,6 +191,8 @@ class Reading(Generic[Model]):
             is_section = isinstance(child.content, dict) or (at_key and depth == len(path) - 1)
             place = key_place if is_section else (child.line, child.column)
             node, depth = child, depth + 1
+        if node.file and node.keys:
+            return (node.file, *place), ("row" if isinstance(node.content, dict) else ", ".join(node.keys),)
         # A missing key is reported where its section is named.
         # A group's value, or a cell's, is in the tree twice: below its group or cell, and where it counts.
         written = max(self.root.paths_of(node), key=len, default=path[:depth])

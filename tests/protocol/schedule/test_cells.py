@@ -196,11 +196,12 @@ def test_of_a_misspelt_zone_only_the_zone_is_told(folder: Path) -> None:
         ("  cells: [{pair: [A, C], peak_velocities_mm_s: [80]}, {pair: [B, Q], peak_velocities_mm_s: [80]}]\n",
          "conditions.cells[1].pair[1]"),
         (CROSSED + "  exclude: [{peak_velocity_mm_s: 80}, {pair: [Q, C]}]\n", "conditions.exclude[1].pair[0]"),
+        ("  table: cells.csv\n", "zone_right"),
     ],
 )  # fmt: skip
 def test_a_misspelt_zone_has_the_path_under_which_it_is_written(folder: Path, conditions: str, path: str) -> None:
-    """Not that of the list of zones which follows from the cells, nor that of the whole entry."""
-    (found,) = read(folder, conditions).problems
+    """Not that of the list of zones which follows from the cells, nor that of the whole entry; or its column."""
+    (found,) = read(folder, conditions, "zone_left,zone_right,peak_velocity_mm_s\nA,Q,80\n").problems
     assert (found.as_dict()["path"], found.given) == (path, "'Q', which is not a zone of this beam")
     assert f": {path}: given 'Q'" in str(found)
 
