@@ -66,16 +66,24 @@ def test_a_sound_log_is_said_to_be_sound(damaged):
     assert found.left_out == ()
 
 
-def test_a_log_whose_line_ends_were_converted_loses_nothing(damaged, sound, tmp_path):
-    """As a version control system or a mail program for Windows converts text."""
-    path = damaged(lambda lines: [line.replace(b"\n", b"\r\n") for line in lines])
+@pytest.mark.parametrize(
+    ("first", "end", "told"),
+    [
+        (b"", b"\r\n", "every line ends in CR LF"),
+        (b"\xef\xbb\xbf", b"\n", "it begins with a byte order mark"),
+        (b"\xef\xbb\xbf", b"\r\n", "every line ends in CR LF"),
+    ],
+)
+def test_a_log_that_was_converted_as_a_whole_loses_nothing(damaged, sound, tmp_path, first, end, told):
+    """As a version control system, a mail program or an editor for Windows converts text."""
+    path = damaged(lambda lines: [first, *(line.replace(b"\n", end) for line in lines)])
     found = survey(path)
     assert not found.is_sound
-    assert "every line ends in CR LF" in found.lines[-1]
+    assert told in found.lines[-1]
     recovered = found.write(tmp_path / "again")
     assert len(answers_of(recovered)) == len(trial_lines(sound))
     (said,) = read_session(path).chain.damage
-    assert ":1: every line ends in CR LF" in said
+    assert f":1: {told}" in said
 
 
 def test_a_changed_answer_costs_that_answer_and_no_other(damaged, sound, tmp_path):

@@ -164,6 +164,17 @@ def test_a_log_without_a_sound_line_is_damaged(tmp_path: Path, demo: Preflight, 
     assert [(row["state"], row["n_sittings"]) for row in found["sessions"]] == [("damaged", 0)]
 
 
+def test_of_a_complete_session_whose_log_is_cut_the_way_on_is_told(
+    tmp_path: Path, demo: Preflight, scribe: Callable[..., Path]
+) -> None:
+    """All answers are there, but the analysis leaves it out until `doctor` has said what to do."""
+    log = scribe(demo, tmp_path, "p01")
+    log.write_bytes(log.read_bytes() + b'{"n":')
+    (found,) = survey_results(tmp_path)
+    assert [row["excluded"].startswith("damaged") for row in found["sessions"]] == [True]
+    assert [(each["participant"], each["do"]) for each in found["next"]] == [("p01", "doctor"), ("p02", "run")]
+
+
 def test_a_log_that_lost_lines_that_its_view_has_is_damaged(
     tmp_path: Path, demo: Preflight, scribe: Callable[..., Path]
 ) -> None:

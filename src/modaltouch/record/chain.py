@@ -171,8 +171,8 @@ def parse_chain(data: bytes, name: str) -> Chain:
         events.append(event)
         checks.append(check)
         previous = check
-    if pending and has_carriage_returns(data):
-        damage.append(f"{name}:1: every line ends in CR LF: a program that converts line ends changed the file")
+    if pending and (converted := conversion(data)):
+        damage.append(f"{name}:1: {converted}")
     elif b"\n" in pending:
         damage.append(f"{name}:{pending_line}: the chain breaks: a line was changed, removed, doubled or moved")
     elif pending:
@@ -183,9 +183,15 @@ def parse_chain(data: bytes, name: str) -> Chain:
     return Chain(tuple(events), tuple(checks), (*damage, *cut), tuple(damage), pending, ends_in_newline)
 
 
-def has_carriage_returns(data: bytes) -> bool:
-    """Return whether each line of a log ends in CR LF, which this program never writes."""
-    return 0 < data.count(b"\n") == data.count(b"\r\n")
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+"""What some text editors put before UTF-8; this program never writes it."""
+
+
+def conversion(data: bytes) -> str:
+    """Return what another program has changed in a log as a whole, in words; empty if nothing."""
+    if 0 < data.count(b"\n") == data.count(b"\r\n"):
+        return "every line ends in CR LF: a program that converts line ends changed the file"
+    return "it begins with a byte order mark: a text editor changed the file" * data.startswith(BYTE_ORDER_MARK)
 
 
 def describe_torn(torn: bytes) -> dict[str, Any]:

@@ -13,12 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from modaltouch.record.chain import (
+    BYTE_ORDER_MARK,
     GENESIS,
     TAIL,
     RecordError,
     UnreadableLineError,
+    conversion,
     describe_torn,
-    has_carriage_returns,
     line_check,
     parse_chain,
     read_log,
@@ -66,8 +67,8 @@ class Recovery:
         The other lines.
     missing : tuple of int
         Numbers of lines that were written and are gone.
-    has_carriage_returns : bool
-        Whether every line ends in CR LF, which this program never writes; lines are proved with LF alone.
+    converted : str
+        What another program has changed in the whole file, such as its line ends; lines are proved without that.
     is_cut : bool
         Whether the only fault of the file is an incomplete last line, which `modaltouch resume` can handle.
     """
@@ -78,13 +79,13 @@ class Recovery:
     numbers: tuple[int, ...]
     left_out: tuple[UnrecoveredLine, ...]
     missing: tuple[int, ...]
-    has_carriage_returns: bool
+    converted: str
     is_cut: bool
 
     @property
     def is_sound(self) -> bool:
         """Whether nothing is lost; an incomplete line that the next one declares does not count."""
-        is_whole = not self.left_out and not self.missing and not self.has_carriage_returns
+        is_whole = not self.left_out and not self.missing and not self.converted
         return is_whole and self.numbers == tuple(sorted(self.numbers))
 
     @property
@@ -99,8 +100,7 @@ class Recovery:
         said = [f"{len(self.events)} lines are intact, including {answers} answers"]
         if self.numbers != tuple(sorted(self.numbers)):
             said.append("lines were moved; their original order is known")
-        if self.has_carriage_returns:
-            said.append("every line ends in CR LF: a program that converts line ends changed the file")
+        said += [self.converted] if self.converted else []
         said += [f"line {line.number} is left out: {line.reason}" for line in self.left_out]
         if self.missing:
             said.append(f"missing: line{'s' * (len(self.missing) > 1)} {_ranges(self.missing)}")
@@ -180,8 +180,8 @@ def survey(path: Path) -> Recovery:
     """
     path = find_log(path)
     data = read_log(path)
-    is_converted = has_carriage_returns(data)
-    lines = (data.replace(b"\r\n", b"\n") if is_converted else data).split(b"\n")
+    converted = conversion(data)
+    lines = (data.removeprefix(BYTE_ORDER_MARK).replace(b"\r\n", b"\n") if converted else data).split(b"\n")
     if lines and not lines[-1]:
         lines.pop()
     claimed = {number: tail.group(1).decode() for number, line in enumerate(lines, 1) if (tail := TAIL.search(line))}
@@ -208,7 +208,7 @@ def survey(path: Path) -> Recovery:
     chain = parse_chain(data, str(path))
     is_cut = bool(chain.problems and not chain.damage) and in_view <= len(chain.checks) + 1
     sha256 = hashlib.sha256(data).hexdigest()
-    return Recovery(path, sha256, events, tuple(order), tuple(left_out), missing, is_converted, is_cut)
+    return Recovery(path, sha256, events, tuple(order), tuple(left_out), missing, converted, is_cut)
 
 
 def _facts(event: dict[str, Any]) -> dict[str, Any]:

@@ -74,7 +74,8 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
         # Mode "real" leads to the dataset's folder, whatever its actual mode.
         new = SessionFolder(dataset.parent, "real", dataset.name, propose_participant(dataset))
         group, _ = assign_group(new, protocol, int(latest.start["seed"]))
-        due = [each for name in begun if (each := _next_of(name, rows, protocol.schedule.n_sessions))]
+        names = dict.fromkeys(row["participant"] for row in rows)
+        due = [each for name in names if (each := _next_of(name, rows, protocol.schedule.n_sessions))]
         due.append({"participant": new.participant, "session": 1, "do": "run", "nth": 1})
         turns = {name: first_turn(session) for name, session in begun.items()}
         own = {name: session.occasion[0] for name, session in begun.items()} | {new.participant: group}
@@ -97,6 +98,8 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
     ends = {row["participant"]: row["ended"] for row in rows}
     for each in due:
         who, nth = each["participant"], each.pop("nth")
+        if who not in turns:
+            continue
         each |= _named(own[who], kinds[nth])
         each |= _order(Turn(turns[who] + nth - 1, ""), protocols[own[who], kinds[nth]])
         if nth > 1 and each["do"] == "run" and (gap := gaps.get(kinds[nth], 0)) and (ended := ends.get(who)):
@@ -188,8 +191,9 @@ def _next_of(participant: str, rows: list[dict[str, Any]], n_each: int) -> dict[
     """Return what a participant has to do next; None after the last session, and during one."""
     own = [row for row in rows if row["participant"] == participant]
     held, last = sum(row["state"] != "closed" for row in own), own[-1]
-    if last["state"] in ("interrupted", "damaged", "closed"):
-        do = "doctor" if last["state"] == "damaged" else "resume"
+    damaged = last["state"] in ("damaged", "complete") and last["excluded"].startswith("damaged")
+    if damaged or last["state"] in ("interrupted", "closed"):
+        do = "doctor" if damaged else "resume"
         nth = held + (last["state"] == "closed")
         return {"participant": participant, "session": last["session"], "do": do, "nth": nth, "log": last["log"]}
     if last["state"] == "running" or held >= n_each:
