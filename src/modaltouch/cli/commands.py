@@ -12,6 +12,8 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
+from modaltouch.cli.exit_status import INTERRUPTED, leave
+
 MODULES = {
     "demo": "run",
     "new": "new",
@@ -76,6 +78,11 @@ def _allowed(kind: Any, bounds: Any) -> str:
     return f"{words} from {bounds.min} to {bounds.max}" if bounds.max else f"{words}, {bounds.min} or more"
 
 
+def _of_each(told_by_typer: Any) -> str:
+    """Return the type of a value in words for the help; of a list, that of its items."""
+    return str(told_by_typer()).removeprefix("list[").removesuffix("]").lower()
+
+
 class _Reading:
     """Has the values of a command read by `_Value`."""
 
@@ -86,6 +93,7 @@ class _Reading:
             # A version of typer that reads values in another way reads them all.
             if hasattr(each, "get_runtime_param") and "get_runtime_param" not in vars(each):
                 each.get_runtime_param = partial(_Value, each.get_runtime_param)
+                each.bare_type = partial(_of_each, each.bare_type)
         return params
 
 
@@ -104,6 +112,14 @@ class CommandGroup(_Reading, TyperGroup):
         if cmd_name in MODULES and self.commands[cmd_name] is None:
             self.commands[cmd_name] = _load(cmd_name)
         return self.commands.get(cmd_name)
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run a command; a Ctrl-C while it is still being loaded, of which typer says nothing, is told."""
+        json_output = "--json" in ctx.args
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            leave(INTERRUPTED, "interrupted; nothing was begun", json_output=json_output)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """List the commands with their summaries; typer would first make all of them, with every option."""

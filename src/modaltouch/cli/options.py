@@ -57,25 +57,23 @@ FULLSCREEN = Annotated[
     typer.Option(
         "--fullscreen/--windowed",
         help="Show the answer window full screen.",
-        show_default="windowed; a resumed session keeps its own",
+        show_default="windowed",
     ),
 ]
 SIZE = Annotated[
     str | None,
     typer.Option(
         help="Size of the answer window in pixels, unless it is full screen.",
-        show_default="1280x800; a resumed session keeps its own",
+        show_default="1280x800",
     ),
 ]
 THEME = Annotated[
     ThemeChoice | None,
-    typer.Option(help="Colours of the answer window.", show_default="dark; a resumed session keeps its own"),
+    typer.Option(help="Colours of the answer window.", show_default="dark"),
 ]
 SCREEN = Annotated[
     int | None,
-    typer.Option(
-        min=0, help="Which screen shows the answer window.", show_default="0; a resumed session keeps its own"
-    ),
+    typer.Option(min=0, help="Which screen shows the answer window.", show_default="0"),
 ]
 SCREENSHOTS = Annotated[Path | None, typer.Option(help="Folder for a screenshot of each kind of screen.")]
 

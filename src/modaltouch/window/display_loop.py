@@ -125,7 +125,8 @@ class DisplayLoop:
                 screenshots.mkdir(parents=True, exist_ok=True)
             except OSError as error:
                 raise WindowError(
-                    f"the folder {screenshots} for screenshots cannot be made ({error}); give a folder you may write to"
+                    f"the folder {screenshots} for screenshots cannot be made ({error.strerror}); give a folder you "
+                    "may write to"
                 ) from error
 
     def show(self, picture: Picture, moment: Moment | None = None) -> float:

@@ -129,8 +129,8 @@ def explain(error: Exception) -> str:
         )
     if "NoSuchDisplay" in kind:
         return (
-            f"the answer window cannot reach the display {display!r} ({error}); check that the X server runs "
-            "and accepts this user (`xdpyinfo`), then start again"
+            f"the answer window cannot reach the display {display!r}; check that DISPLAY is right and that the X "
+            "server runs and accepts this user (`xdpyinfo`), then start again"
         )
     if "GLX" in str(error) or "GLX" in kind:
         return (

@@ -211,7 +211,8 @@ class Screen:
                 image.convert("RGB").save(screenshot)
             except OSError as error:
                 raise WindowError(
-                    f"the screenshot {screenshot} cannot be written ({error}); give a folder that takes files"
+                    f"the screenshot {screenshot} cannot be written ({error.strerror or error}); give a folder that "
+                    "takes files"
                 ) from error
         return shown
 
