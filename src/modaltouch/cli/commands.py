@@ -134,8 +134,7 @@ def _find(name: str) -> Any:
 
 def _summary(command: Any) -> str:
     """Return the help of a Typer, or the whole first line of a function's docstring, which typer would shorten."""
-    words = command.info.help if isinstance(command, typer.Typer) else command.__doc__
-    return str(words).partition("\n")[0]
+    return str(command.info.help if isinstance(command, typer.Typer) else command.__doc__).partition("\n")[0]
 
 
 def _load(name: str) -> Any:

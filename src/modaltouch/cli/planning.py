@@ -240,8 +240,7 @@ def tell(found: Power, target: float) -> None:
         title = f"n participants, {n_repetitions} repetition{'s' * (n_repetitions > 1)}"
         for first in range(0, len(study.families), _FAMILIES_PER_TABLE):
             shown = slice(first, first + _FAMILIES_PER_TABLE)
-            beside = [(n, *cells[shown]) for n, *cells in rows]
-            print_table(title, ("n", *study.families[shown]), beside, n_words=0)
+            print_table(title, ("n", *study.families[shown]), [(n, *cells[shown]) for n, *cells in rows], n_words=0)
     if not study.null:
         of = study.design.finger_conditions, study.design.pairs
         rows = [
@@ -372,8 +371,7 @@ def fit(
         fitted = fit_answers(preflight, answers, prior, mode=mode)
         n_answers = f"{fitted.fit.n_answers} answers of {participants(fitted.n_participants)}"
         if out is not None:
-            words = f"Fitted to {n_answers} in {answers.name}"
-            text = write_observer(fitted.fit.observer, "fitted", words)
+            text = write_observer(fitted.fit.observer, "fitted", f"Fitted to {n_answers} in {answers.name}")
             replace_file(out, text.encode(), "give another file with --out")
         if json_output:
             print_json({**fitted.as_dict(), "file": None if out is None else str(out)})

@@ -139,8 +139,7 @@ class Preflight:
         reading = self.findings.protocol
         if reading is None or reading.value is None or self.inputs is None:
             raise InputError(self.problems)
-        own = replace(reading, value=reading.value.with_levels(levels_mm_s))
-        findings = replace(self.findings, protocol=own)
+        findings = replace(self.findings, protocol=replace(reading, value=reading.value.with_levels(levels_mm_s)))
         return replace(
             self,
             findings=findings,
@@ -377,8 +376,7 @@ class Preflight:
         ]
         if fingers == "none" or (fingers is None and self.findings.fingers is None):
             return rows
-        touched = self.touched(fingers)
-        return [{**row, "touched": each} for row, each in zip(rows, touched, strict=True)]
+        return [{**row, "touched": each} for row, each in zip(rows, self.touched(fingers), strict=True)]
 
     def _stimulus_warnings(self) -> list[str]:
         from modaltouch.preflight.advice import field_warnings, stimulus_warnings

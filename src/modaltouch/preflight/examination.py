@@ -79,8 +79,7 @@ def _check_generator(
     strong, weak = max(full, key=full.__getitem__), min(sounding, key=sounding.__getitem__)
     if full[strong] > largest:
         given = f"{level:g} mm/s, which needs {full[strong]:.4g} V peak to peak of output {strong}"
-        highest = _rounded(level * largest / full[strong])
-        allowed = f"at most {largest:g} V into an open circuit ({highest} mm/s)"
+        allowed = f"at most {largest:g} V into an open circuit ({_rounded(level * largest / full[strong])} mm/s)"
         yield findings.problem(path, given, allowed, "lower the level, or use an amplifier with a higher gain")
     if sounding[weak] < smallest:
         given = f"{level:g} mm/s, which needs {sounding[weak]:.4g} V peak to peak of output {weak}"

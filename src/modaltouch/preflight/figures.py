@@ -148,8 +148,7 @@ def estimated_duration(protocol: Protocol) -> float:
             before_question += (intervals.number - 1) * (length + intervals.gap_s)
     pause = float(np.mean([answers.pause(each) for each in protocol.conditions.finger_conditions]))
     # The fingers move whenever the pair differs from the one before.
-    n_pairs = len(protocol.conditions.contacts)
-    n_placements = 1 + (n_trials - 1) * (1 - 1 / n_pairs)
+    n_placements = 1 + (n_trials - 1) * (1 - 1 / len(protocol.conditions.contacts))
     n_breaks = (protocol.n_trials - 1) // schedule.break_after_trials if schedule.break_after_trials else 0
     seconds = (
         n_trials * (before_question + ANSWER_S * (1 + len(answers.then)) + pause)

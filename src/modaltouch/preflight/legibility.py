@@ -76,8 +76,7 @@ def _check_type(findings: Findings, window: tuple[int, int] | None) -> Iterator[
     pixels, text = smallest_type(
         protocol, experiment.texts, experiment.apparatus.zone_spans, [*placements.values()], size
     )
-    height = pixels * screen.width_mm / screen.width_px
-    angle = math.degrees(2 * math.atan(height / 2 / screen.distance_mm)) * 60
+    angle = math.degrees(2 * math.atan(pixels * screen.width_mm / screen.width_px / 2 / screen.distance_mm)) * 60
     if angle < LEAST_ANGLE:
         given = f"a window of {size[0]} x {size[1]} pixels in which a capital of '{text}' is {angle:.1f} arcmin high"
         remedy = "shorten the text, take a larger window (--fullscreen), or sit nearer"

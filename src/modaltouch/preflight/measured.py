@@ -71,8 +71,7 @@ def delivered_figures(preflight: Preflight, trial: Trial, found: Mapping[str, An
     played = replace(stimulus.touched(()), model=own.apparatus.modal_model().touched(own.fingers))
     unit = stimulus.volts_per_code(preflight.played(condition, condition.velocity_mm_s) * 1e-3)
     speeds = played.peak_velocity([by_zone[zone].position for zone in condition.zones], unit)
-    names = map("speed_{}_mm_s".format, condition.sides)
-    return dict(zip(names, (speeds * 1e3).round(3).tolist(), strict=True))
+    return dict(zip(map("speed_{}_mm_s".format, condition.sides), (speeds * 1e3).round(3).tolist(), strict=True))
 
 
 def has_drifted(preflight: Preflight, trial: Trial, delivered: Mapping[str, Any]) -> bool:

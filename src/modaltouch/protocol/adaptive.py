@@ -42,8 +42,7 @@ class StaircaseSection(Section):
         At this p the expected steps down and up balance: p^n / (1 - p^n) = up / down (Kaernbach, Perception &
         Psychophysics 49 (1991) 227-229, for n = 1; Levitt, J. Acoust. Soc. Am. 49 (1971) 467-477, for equal steps).
         """
-        share = self.up_over_down / (1 + self.up_over_down)
-        return float(share ** (1 / self.down_after))
+        return float((self.up_over_down / (1 + self.up_over_down)) ** (1 / self.down_after))
 
 
 class AdaptiveSection(Section):

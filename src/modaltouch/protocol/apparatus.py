@@ -395,8 +395,7 @@ def _check_zones(reading: Reading[Apparatus]) -> Iterator[Problem]:
             given = f"a zone from {left:g} to {right:g} mm"
             allowed = f"from {-length / 2:g} to {length / 2:g} mm, the ends of the {length:g} mm beam"
             yield reading.problem(("zones", name), given, allowed, "move it or make it narrower")
-    ordered = sorted(zones, key=lambda item: item[1].centre_mm)
-    for (first, one), (second, other) in itertools.pairwise(ordered):
+    for (first, one), (second, other) in itertools.pairwise(sorted(zones, key=lambda item: item[1].centre_mm)):
         if other.edges[0] < one.edges[1] - tolerance:
             given = f"a zone that begins at {other.edges[0]:g} mm, inside zone {first}"
             allowed = f"from {one.edges[1]:g} mm on, where zone {first} ends"

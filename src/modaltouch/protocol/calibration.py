@@ -381,8 +381,7 @@ def _check_levels(calibration: CalibrationFile, protocol: Reading[Protocol]) -> 
     for path, level in presented_levels(protocol).items():
         if level not in known:
             given = f"{level:g} mm/s, a level that was not calibrated"
-            allowed = ", ".join(f"{each:g}" for each in sorted(known)) + " mm/s"
-            yield protocol.problem(path, given, allowed, AGAIN)
+            yield protocol.problem(path, given, ", ".join(f"{each:g}" for each in sorted(known)) + " mm/s", AGAIN)
 
 
 def check_age(
@@ -403,8 +402,7 @@ def check_age(
     if made_text is None:
         return []
     try:
-        made = datetime.fromisoformat(made_text)
-        days = ((now or datetime.now(UTC)) - made).total_seconds() / 86400
+        days = ((now or datetime.now(UTC)) - datetime.fromisoformat(made_text)).total_seconds() / 86400
     except (ValueError, TypeError):
         allowed = "a date and time with its offset from UTC, as in 2026-05-04T10:30:00+00:00"
         return [calibration.problem(("made",), f"{made_text!r}, which is not a valid instant", allowed, AGAIN)]

@@ -135,8 +135,7 @@ def _fields(line: str, separator: str) -> list[tuple[str, int]]:
 def _row(path: str, line: int, fields: dict[str, tuple[str, int]]) -> Node:
     def node(name: str) -> Node:
         word, column = fields[name]
-        is_number = name in ("peak_velocity_mm_s", "weight")
-        content = resolve(word) if is_number else word or None
+        content = resolve(word) if name in ("peak_velocity_mm_s", "weight") else word or None
         return Node(content, line, column, {name: (line, column)}, text=word, file=path)
 
     def several(*names: str) -> Node:

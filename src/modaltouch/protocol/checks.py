@@ -177,8 +177,7 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
         yield reading.problem((*section, "equalise_band_Hz"), given, "the lower end first", "swap its ends")
     elif band is not None and None not in (duration, rate, n_samples):
         # The velocity of a repeated burst has only multiples of the repetition rate, up to half the sampling rate.
-        highest = min(band[1], n_samples / duration * 500)
-        if math.floor(highest / rate) < math.ceil(band[0] / rate):
+        if math.floor(min(band[1], n_samples / duration * 500) / rate) < math.ceil(band[0] / rate):
             given = f"{band[0]:g} to {band[1]:g} Hz, which contains no multiple of the repetition rate of {rate:g} Hz"
             allowed = f"a band that contains a multiple of {rate:g} Hz below {n_samples / duration / 2:g} kHz"
             yield reading.problem((*section, "equalise_band_Hz"), given, allowed, "widen it")

@@ -67,8 +67,7 @@ def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
     said = f"[{', '.join(fingers)}]"
     in_order = {hand: [each for each in _FROM_LEFT if each in fingers and each.startswith(hand)] for hand in ("l", "r")}
     if name in _SHIPPED:
-        given = f"{name}, a built-in condition"
-        yield reading.problem(path, given, "a new name", "choose another", at_key=True)
+        yield reading.problem(path, f"{name}, a built-in condition", "a new name", "choose another", at_key=True)
     elif len(set(fingers)) < len(fingers):
         yield reading.problem(path, said, "each finger once", "remove the second")
     elif any([each for each in fingers if each.startswith(hand)] != own for hand, own in in_order.items()):
@@ -113,8 +112,7 @@ def _check_answers(reading: Reading[Protocol], names: list[str], number: int) ->
                 "name left, between and right under answers.fingers",
             )
     if odd is not None:
-        is_own = reading.find(("answers", "fingers", odd)) is not None
-        at = ("answers", "fingers" if is_own else "keys", odd)
+        at = ("answers", "fingers" if reading.find(("answers", "fingers", odd)) else "keys", odd)
         remedy += f"; remove its entry under {at[1]}" if number == 1 else ""
         given = f"'{odd}' for the {_SAID[number]} of {' and '.join(names)}"
         yield reading.problem(at, given, allowed, remedy, at_key=True)

@@ -445,6 +445,5 @@ def _load_named(protocol: Reading[Protocol], key: tuple[str, ...], problems: lis
         else:
             wanted = YAML_FILE.replace("YAML", "CSV") if key[0] in ("stimulus", "conditions") else YAML_FILE
             allowed = f"{wanted}, as a path relative to this file" if found.allowed == YAML_FILE else found.allowed
-            given = f"{name!r}, {found.given} ({path})"
-            problems.append(protocol.problem(key, given, allowed, found.remedy))
+            problems.append(protocol.problem(key, f"{name!r}, {found.given} ({path})", allowed, found.remedy))
         return None

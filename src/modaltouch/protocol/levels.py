@@ -107,8 +107,7 @@ def to_dB(velocity_mm_s: float) -> float:  # noqa: N802
 
 def from_dB(level: float, bounds: tuple[float, float]) -> float:  # noqa: N802
     """Return a level [mm/s] within its bounds, to four digits, the resolution of the generator's amplitude."""
-    velocity = 10 ** (level / 20)
-    return min(max(float(f"{velocity:.4g}"), bounds[0]), bounds[1])
+    return min(max(float(f"{10 ** (level / 20):.4g}"), bounds[0]), bounds[1])
 
 
 def follow(rule: StaircaseSection, start: float, bounds: tuple[float, float], successes: Sequence[bool]) -> float:

@@ -131,7 +131,6 @@ def _merged(base: Node | None, over: Node) -> Node:
     if base is None or not (isinstance(base.content, dict) and isinstance(over.content, dict)):
         return over
     for key, each in over.content.items():
-        child = _merged(base.content.get(key), each)
-        base = base.with_child(key, child)
+        base = base.with_child(key, _merged(base.content.get(key), each))
         base.keys[key] = over.keys[key]
     return base

@@ -116,8 +116,7 @@ def suggest(word: str, known: Iterable[str]) -> str:
     >>> suggest("peak_velocities_cm_s", ["zone_pairs", "peak_velocities_mm_s"])
     'peak_velocities_mm_s'
     """
-    names = sorted(known)
-    folded = {name.casefold().replace("-", "_").replace(" ", "_"): name for name in names}
+    folded = {name.casefold().replace("-", "_").replace(" ", "_"): name for name in sorted(known)}
     wanted = word.casefold().replace("-", "_").replace(" ", "_")
     if wanted in folded:
         return folded[wanted]

@@ -191,8 +191,7 @@ class ScaleSection(Section):
         if self.points:
             return self.points[min(int(share * len(self.points)), len(self.points) - 1)]
         reach = share / (1 - share) * _MODULUS if math.isinf(self.high) else share * (self.high - self.low)
-        number = float(f"{max(self.low + reach, 1e-3):.3g}")
-        return min(max(number, self.low), self.high)
+        return min(max(float(f"{max(self.low + reach, 1e-3):.3g}"), self.low), self.high)
 
 
 class AskedSection(Section):

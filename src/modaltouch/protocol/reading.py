@@ -148,8 +148,7 @@ class Reading(Generic[Model]):
         self, path: tuple[Step, ...], kind: str, known: Sequence[str], remedy: str = "", *, at_key: bool = False
     ) -> Iterator[Problem]:
         """Yield a problem for each unknown entry of a list, or key of a mapping."""
-        entries = [(key, key) for key in self.keys(*path) or ()] if at_key else self.items(*path)
-        for step, value in entries:
+        for step, value in [(key, key) for key in self.keys(*path) or ()] if at_key else self.items(*path):
             if value not in known:
                 yield self.unknown((*path, step), kind, known, remedy, at_key=at_key)
 
@@ -195,8 +194,7 @@ class Reading(Generic[Model]):
             return (node.file, *place), ("row" if isinstance(node.content, dict) else ", ".join(node.keys),)
         # A missing key is reported where its section is named.
         # A group's value, or a cell's, is in the tree twice: below its group or cell, and where it counts.
-        written = max(self.root.paths_of(node), key=len, default=path[:depth])
-        return (node.file, *place), (*written, *path[depth:])
+        return (node.file, *place), (*max(self.root.paths_of(node), key=len, default=path[:depth]), *path[depth:])
 
 
 def read(source: Source, model: type[Model]) -> Reading[Model]:

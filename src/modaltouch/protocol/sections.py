@@ -414,8 +414,7 @@ class Protocol(Section):
             own_levels = {level for _, level, stimulus in cells if stimulus in alike}
             levels = tuple(level for level in levels if level in own_levels)
             levels = levels or ((standard.velocity_mm_s,) if fits and standard and standard.velocity_mm_s else ())
-        update = {"cells": (), "exclude": (), "peak_velocities_mm_s": levels}
-        crossed = self.conditions.model_copy(update=update)
+        crossed = self.conditions.model_copy(update={"cells": (), "exclude": (), "peak_velocities_mm_s": levels})
         own = {"stimulus": self.stimulus_of(name), "stimuli": {}, "intervals": self.intervals if fits else None}
         return self.model_copy(update={**own, "conditions": crossed})
 

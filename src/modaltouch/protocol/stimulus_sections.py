@@ -185,8 +185,7 @@ def check_target_field(reading: Reading[Any]) -> Iterator[Problem]:
             given = f"{zone}, which is already a focus"
             yield reading.problem(("stimulus", "further_foci", index), given, "each zone once", "remove it")
         seen.add(zone)
-    points = reading.sound(*_FIELD, "points")
-    for index, problem in _unordered(points or ()):
+    for index, problem in _unordered(reading.sound(*_FIELD, "points") or ()):
         yield reading.problem((*_FIELD, "points", index), problem, "increasing positions", "sort the points")
 
 

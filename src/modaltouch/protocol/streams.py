@@ -117,8 +117,7 @@ class Stream:
 
     def _refill(self, n_words: int) -> None:
         """Provide at least `n_words` unread words."""
-        left = self._words[self._read :]
-        self._words = np.concatenate([left, self._source.random_raw(4096 + n_words)]).data
+        self._words = np.concatenate([self._words[self._read :], self._source.random_raw(4096 + n_words)]).data
         self._read, self._end = 0, len(self._words)
 
     def _number(self, begin: int) -> int:

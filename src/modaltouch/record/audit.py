@@ -164,8 +164,7 @@ def _first_difference(recorded: dict[str, Any], given: dict[str, Any], schema: i
         known, values = recorded[name], given[name]
         if isinstance(known, dict) and isinstance(values, dict):
             # If no length of the stimulus was given, format 1 wrote the usual one.
-            skipped = {"presentation_s"} if schema == 1 else set()
-            shared = (known.keys() & values.keys()) - skipped
+            shared = (known.keys() & values.keys()) - ({"presentation_s"} if schema == 1 else set())
             known, values = ({key: each[key] for key in shared} for each in (known, values))
         if known != values:
             return name

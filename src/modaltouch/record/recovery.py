@@ -222,8 +222,7 @@ def _prove(lines: list[bytes], claimed: dict[int, str], number: int) -> dict[str
         return None
     line, check = lines[number - 1], claimed[number]
     body = line[: TAIL.search(line).start()]  # type: ignore[union-attr]
-    likely = [claimed[number - 1]] if number - 1 in claimed else []
-    for previous in (*likely, GENESIS, *claimed.values()):
+    for previous in (*([claimed[number - 1]] if number - 1 in claimed else []), GENESIS, *claimed.values()):
         if line_check(previous, body) == check:
             try:
                 event = read_object(body + b"}")

@@ -271,8 +271,7 @@ class EventSequence:
             return
         trial = self._trial = Trial.from_dict(event["trial"])
         self._written, self._faulty = event["trial"], True
-        key = trial.practice, trial.index
-        planned = self._order.get(key)
+        planned = self._order.get((trial.practice, trial.index))
         if planned is None:
             yield (
                 f"{_name(trial)} is not one of the {self._n_trials} trials of its order, or of the {self._n_practice} "
@@ -298,8 +297,7 @@ class EventSequence:
         """Return a trial of an adaptive run at the level that follows from the answers that count so far."""
         if self._settled is None or self._settled[0] != planned:
             algorithm = self._session.start["adaptive"]["algorithm"]
-            settled = self._expected.levels.settle(planned, self._counted.values(), algorithm)
-            self._settled = planned, settled
+            self._settled = planned, self._expected.levels.settle(planned, self._counted.values(), algorithm)
         return self._settled[1]
 
     def _fired(self, number: int, event: Event) -> Iterator[str]:
@@ -347,8 +345,7 @@ class EventSequence:
         faults = [*check_amplitudes(event, trial, self._given), *check_answered(event, trial, self._given)]
         if schema > 1:
             faults += check_instants(event, trial)
-        is_answer = event["event"] == "answered" or schema == 1
-        if number > self._whole_from and is_answer:
+        if number > self._whole_from and (event["event"] == "answered" or schema == 1):
             faults += self._follows(event, trial)
             self._pending = None
         if number > self._whole_from:

@@ -150,8 +150,7 @@ class Session:
     @property
     def drawn_as(self) -> int:
         """Number of the session whose order this one uses: its own, or that of the session it restarted."""
-        own = self.start.get("session", 1)
-        return int(self.start.get("schedule", {}).get("seeds", {}).get("session", own))
+        return int(self.start.get("schedule", {}).get("seeds", {}).get("session", self.start.get("session", 1)))
 
     @property
     def begun_anew_as(self) -> int | None:

@@ -60,8 +60,7 @@ def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterato
     repeats = given.restored.preflight.experiment.apparatus.generator.repeats
     if confirmed["repetition"] != repeats:
         yield f"its bursts were repeated as {confirmed['repetition']!r}, but its apparatus file says {repeats!r}"
-    sound = confirmed["confirmed"]
-    if sound and confirmed["repetition"] == "single":
+    if confirmed["confirmed"] and confirmed["repetition"] == "single":
         if None in counts or (first is None) is not trial.condition.is_catch:
             yield "is confirmed, although its bursts are not all counted"
             return
@@ -93,8 +92,7 @@ def _check_number(event: Event, trial: Trial, given: TrialExpectation) -> Iterat
             yield f"is confirmed with {asked} of {most} bursts due and {event['bursts']['dropped']} dropped"
         return
     first, around = event["bursts"]["first_s"], event["bursts"]["uncertainty_s"]
-    answer = event["instants"]["answer"]
-    due = (answer["earliest_s"] - first - around) * rate + 1
+    due = (event["instants"]["answer"]["earliest_s"] - first - around) * rate + 1
     possible = (event["clock"] - first + around) * rate + 1
     if not (min(due - 1 - _LATE, most) <= asked <= most and event["bursts"]["played"] <= possible + _LATE):
         yield (

@@ -58,8 +58,7 @@ def assign_turn(
         if participant == place.participant:
             own = base
         else:
-            counter = filled if Session.is_complete_or_running(latest) else left
-            counter[base] += 1
+            (filled if Session.is_complete_or_running(latest) else left)[base] += 1
     if own is not None:
         reason = "the participant's earlier sessions"
     else:

@@ -147,8 +147,7 @@ def repeat(sitting: SessionRun, previous: Trial | None) -> Trial | None:
         sitting.log.append("withdrawn", lines=lines, reason="the experimenter has the trial repeated")
         for each in again:
             trial = _settle(sitting, Trial.from_dict(each["trial"]))
-            response = run(sitting, trial, previous)
-            _comment(sitting, trial, response)
+            _comment(sitting, trial, run(sitting, trial, previous))
             previous = trial
     return previous
 
@@ -166,11 +165,9 @@ def practise(sitting: SessionRun) -> Trial | None:
     for trial in sitting.trials:
         if not trial.practice or _has_passed_practice(sitting):
             break
-        is_first = (trial.index - 1) % schedule.practice_trials == 0
-        if previous is None or is_first:
+        if previous is None or (trial.index - 1) % schedule.practice_trials == 0:
             sitting.window.announce("practice" if previous is None else "practice_again")
-        response = run(sitting, trial, previous)
-        _comment(sitting, trial, response)
+        _comment(sitting, trial, run(sitting, trial, previous))
         previous = repeat(sitting, trial)
         _close_rounds(sitting)
     failed = schedule.practice_criterion is not None and not _has_passed_practice(sitting)
@@ -375,8 +372,7 @@ def _complete(sitting: SessionRun, trial: Trial, response: Response) -> tuple[Re
 
 def _ask_further(sitting: SessionRun, name: str, asked: AnswersSection, trial: Trial | None = None) -> Response:
     """Ask one further question, also at the console if the experimenter answers."""
-    way = asked.given_by if trial is None else asked.way(trial.condition.finger_condition)
-    if way == "experimenter":
+    if (asked.given_by if trial is None else asked.way(trial.condition.finger_condition)) == "experimenter":
         keys = {answer: list(keys) for answer, keys in asked.actions.items()}
         sitting.experimenter.tell({"event": "question_next", "keys": keys, "rates": asked.scale is not None})
     return sitting.window.ask_further(name, asked, trial)

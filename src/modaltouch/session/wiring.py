@@ -235,8 +235,7 @@ class SessionParts:
         from modaltouch.lab import Laboratory, Prober
         from modaltouch.rig import Scope
 
-        findings = self.preflight.findings
-        apparatus, placements = self.preflight.experiment.apparatus, findings.placements
+        apparatus, placements = self.preflight.experiment.apparatus, self.preflight.findings.placements
         expected = [] if placements is None else list(placements.all().values())
         with ExitStack() as stack:
             if self.simulator is not None:
@@ -314,8 +313,7 @@ class SessionParts:
         """Output of the observer's front end for the predicted velocities of each design."""
         from modaltouch.planning import FeltSpeeds
 
-        zones = self.preflight.experiment.apparatus.zones
-        centres = {name: zone.centre_mm * 1e-3 for name, zone in zones.items()}
+        centres = {name: zone.centre_mm * 1e-3 for name, zone in self.preflight.experiment.apparatus.zones.items()}
         parts = self.preflight.designs.items()
         return {name: FeltSpeeds(part.stimulus, centres, self.observer.front_end) for name, part in parts}
 

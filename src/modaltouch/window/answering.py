@@ -246,8 +246,7 @@ class AskedQuestion:
                     rest.append(other)
                 elif second != answer and other.time <= event.time + DOUBLE_WINDOW:
                     is_double = True
-                    after = other.time - event.time
-                    self._loop.log_later("double", first=answer, second=second, after_s=after)
+                    self._loop.log_later("double", first=answer, second=second, after_s=other.time - event.time)
             if self._loop.clock.now() > event.time + DOUBLE_WINDOW:
                 self._loop.put_back(rest)
                 return is_double

@@ -199,8 +199,7 @@ class DisplayLoop:
 
     def _refresh(self) -> None:
         """Draw again what another window has covered."""
-        due = self.clock.now() - self._drawn > _REDRAW_INTERVAL
-        if self._is_stale and due and self._picture is not None:
+        if self._is_stale and self.clock.now() - self._drawn > _REDRAW_INTERVAL and self._picture is not None:
             self._display.draw(self._picture)
             self._drawn = self._display.flip()
             self._is_stale, self._ahead = False, None

@@ -68,8 +68,7 @@ class Layout:
 
     def turned(self) -> Layout:
         """Return the layout for the beam turned end to end, its last zone on the left."""
-        boxes = reversed(self.zones.items())
-        return replace(self, zones={name: replace(box, x=-box.x) for name, box in boxes})
+        return replace(self, zones={name: replace(box, x=-box.x) for name, box in reversed(self.zones.items())})
 
 
 def lay_out(

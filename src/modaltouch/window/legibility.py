@@ -29,8 +29,7 @@ def every_picture(pictures: Illustrator, trial: Trial) -> list[Picture]:
     progress, texts = Progress(trial.index, max(trial.index, 99)), pictures.texts
     names = pictures.answers.offered.names
     chosen = names[0] if pictures.answers.scale is None else f"{pictures.answers.scale.at(0.5):g}"
-    offered = pictures.answers.offered
-    expected = [answer.name for answer in offered if answer.fingers or answer.interval]
+    expected = [answer.name for answer in pictures.answers.offered if answer.fingers or answer.interval]
     return [
         pictures.welcome(trial),
         pictures.answering(trial),

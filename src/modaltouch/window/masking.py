@@ -56,8 +56,7 @@ def make_noise(kind: Kind, sampling_rate: float) -> NDArray[np.float32]:
     magnitude = np.zeros(frequency.size)
     magnitude[in_band] = 1.0 if kind == "white" else 1 / np.sqrt(frequency[in_band])
     # Raw words, whose stream numpy promises to keep: the same noise in every version.
-    words = np.random.PCG64(SEED).random_raw(frequency.size)
-    phase = words.astype(np.float64) * (2 * np.pi / 2.0**64)
+    phase = np.random.PCG64(SEED).random_raw(frequency.size).astype(np.float64) * (2 * np.pi / 2.0**64)
     samples = np.fft.irfft(magnitude * np.exp(1j * phase), n_samples)
     noise: NDArray[np.float32] = (samples / np.sqrt(np.mean(samples**2))).astype(np.float32)
     noise.flags.writeable = False
@@ -336,8 +335,7 @@ class NoiseMasking(_Noise):
         """Notice that the device is gone, and record it once."""
         if self._is_lost:
             return
-        stale = time.perf_counter() - self._asked > STALE
-        if stale or self._stream is None or not self._stream.active:
+        if time.perf_counter() - self._asked > STALE or self._stream is None or not self._stream.active:
             self._is_lost = True
             reason = f"the sound device {self._device.get('name')!r} accepts no more samples"
             # On the record's clock: an answer of the last second may have been written down as masked.

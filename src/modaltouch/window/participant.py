@@ -311,8 +311,7 @@ class ParticipantWindow(AnswerWindow):
 
     def goodbye(self) -> None:
         """Thank the participant, until a key is pressed or some seconds have passed."""
-        picture = self._pictures.page("goodbye", self._texts.goodbye, waits=False)
-        shown = self._loop.show(picture, Moment("go_on"))
+        shown = self._loop.show(self._pictures.page("goodbye", self._texts.goodbye, waits=False), Moment("go_on"))
         while self._clock.now() < shown + _FAREWELL:
             for event in self._loop.poll():
                 if event.kind == "close" or (is_press(event) and event.time > shown + SETTLE):

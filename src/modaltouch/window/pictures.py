@@ -46,8 +46,7 @@ def draw_beam(layout: Layout, theme: Theme, touched: tuple[str, ...], typesetter
         if is_touched:
             marks += framed(box.inset(-0.004 * unit), 0.01 * unit, theme.text, theme.zone, 0.007 * unit)
         above = Box(box.x, box.top + 0.042 * unit, room, 0.07 * unit)
-        fill = theme.text if is_touched else theme.dim
-        marks.append(Words(spoken(name), above, size, fill, bold=is_touched))
+        marks.append(Words(spoken(name), above, size, theme.text if is_touched else theme.dim, bold=is_touched))
     return tuple(marks)
 
 
@@ -301,15 +300,13 @@ class Illustrator:
         named = texts.practice_was.format(answer=texts.label(expected))
         words = texts.practice_agreed if answer == expected else said.get(felt, named)
         name = "feedback_agreed" if answer == expected else f"feedback_{expected}"
-        marks = (self._headline(words, 0.05), *self._beam(trial), *self._progress(trial, progress))
-        return Picture(name, marks)
+        return Picture(name, (self._headline(words, 0.05), *self._beam(trial), *self._progress(trial, progress)))
 
     def page(self, name: str, text: str, progress: Progress | None = None, *, waits: bool = True) -> Picture:
         """Return a screen of words: its first paragraph large, the rest under it."""
         title, *rest = _paragraphs(text)
         layout, scale = self.layout, self.layout.type_scale
-        lift = 0.11 if rest else 0.03
-        top = Box(layout.page.x, layout.page.y + lift, layout.page.width, 0.22)
+        top = Box(layout.page.x, layout.page.y + (0.11 if rest else 0.03), layout.page.width, 0.22)
         marks: list[Mark] = [Words(title, top, 0.06 * scale, self.theme.text, bold=True)]
         if rest:
             below = Box(layout.page.x, layout.page.y - 0.12, layout.page.width, 0.25)

@@ -141,8 +141,7 @@ def draw_scale(
     words = tuple(texts.answers.get(each, each) for each in scale.words)[::way]
     marks += _draw_words(layout, theme, words, typesetter_of(texts))
     if scale.kind == "number" and math.isfinite(scale.high) and not entered:
-        field = _field(layout)
-        marks.append(Words(f"{scale.low:g} – {scale.high:g}", field.inset(0.008), 0.03, theme.dim))
+        marks.append(Words(f"{scale.low:g} – {scale.high:g}", _field(layout).inset(0.008), 0.03, theme.dim))
     if confirmed:
         return tuple(marks)
     box, size = layout.buttons["confirm"], 0.032 * layout.type_scale

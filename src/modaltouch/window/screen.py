@@ -231,8 +231,7 @@ class Screen:
         """Put a key press or release into the window's own event queue, as if a person had typed it."""
         from pyglet.window import key as keys
 
-        name = key.upper() if not key.isdigit() else f"_{key}"
-        symbol = getattr(keys, name)
+        symbol = getattr(keys, key.upper() if not key.isdigit() else f"_{key}")
         self._window.winHandle.dispatch_event("on_key_press" if down else "on_key_release", symbol, 0)
 
     def close(self) -> None:

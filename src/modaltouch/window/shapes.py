@@ -130,8 +130,7 @@ def moved(marks: tuple[Mark, ...], rise: float) -> tuple[Mark, ...]:
 
 def rectangle(box: Box, fill: str) -> Shape:
     """Return a filled rectangle."""
-    corners = ((box.left, box.bottom), (box.right, box.bottom), (box.right, box.top), (box.left, box.top))
-    return Shape(corners, fill)
+    return Shape(((box.left, box.bottom), (box.right, box.bottom), (box.right, box.top), (box.left, box.top)), fill)
 
 
 def rounded(box: Box, radius: float, fill: str, *, n_steps: int = 8) -> Shape:

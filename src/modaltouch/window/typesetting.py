@@ -145,8 +145,7 @@ class Typesetter:
         share = 1.0
         while True:
             size = words.size * share * window_height
-            lines = tuple(self._break_lines(words.text, size, width, bold=words.bold))
-            block = TypeBlock(lines, size, share)
+            block = TypeBlock(tuple(self._break_lines(words.text, size, width, bold=words.bold)), size, share)
             if share <= _SMALLEST or block.fits(width, height):
                 return block
             share -= _STEP
