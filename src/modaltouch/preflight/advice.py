@@ -233,14 +233,14 @@ def default_warnings(taken: list[dict[str, Any]]) -> list[str]:
     taken : list of dict
         As `Findings.defaults` returns them.
     """
-    acting = [each for each in taken if each["key"].startswith(_PRESENTED) and not _is_off(each["value"])]
-    acting = [each for each in acting if each["key"] != "stimulus.priority"]  # acts only at the amplifier's limit
-    told = ", ".join(f"{each['key']} {_in_words(each['value'])}" for each in acting)
+    told = ", ".join(
+        f"{each['key']} {_in_words(each['value'])}"
+        for each in taken
+        # The priority acts only at the amplifier's limit.
+        if each["key"].startswith(_PRESENTED) and each["key"] != "stimulus.priority"
+        if each["value"] not in (None, False, "", "none", {}, [])
+    )
     return [f"taken by default: {told}"] if told else []
-
-
-def _is_off(value: Any) -> bool:
-    return value is None or value is False or value in ("", "none", {}, [])
 
 
 def _in_words(value: Any) -> str:

@@ -216,20 +216,16 @@ def touched_figures(findings: Findings, designs: dict[str, Design]) -> list[dict
         contact would have to stick to the beam.
     """
     placements = {} if findings.placements is None else findings.placements.all()
-    used = {name: _design_at(designs, name) for name in placements}
+    # The design for the same fingers, else the first for the same zones, else the only one.
+    by_zones = {name.split(" ")[0]: each for name, each in reversed(designs.items())}
+    used = {
+        name: designs.get(name) or by_zones.get(name.split()[0]) or designs[next(iter(designs))] for name in placements
+    }
     beams = {name: used[name][1].touched(laid) for name, laid in placements.items()}
     return [
         {name: _figures(*used[name], beams[name], used[name][0].levels[key] * 1e-3) for name in placements}
         for key in next(iter(designs.values()))[0].levels
     ]
-
-
-def _design_at(designs: dict[str, Design], placement: str) -> Design:
-    """Return the design for a placement: for the same fingers, the first for the same zones, or the only one."""
-    zones = placement.split()[0]
-    return designs.get(placement) or next(
-        (each for name, each in designs.items() if name.split(" ")[0] == zones), next(iter(designs.values()))
-    )
 
 
 def _figures(inputs: DesignInputs, stimulus: Stimulus, beam: Any, velocity: float) -> dict[str, Any]:

@@ -165,7 +165,23 @@ def check_adaptive(reading: Reading[Any]) -> Iterator[Problem]:
     if not is_adaptive(reading):
         return
     yield from _check_levels(reading)
-    yield from _check_order(reading)
+    repetitions, order = reading.sound("schedule", "repetitions"), reading.sound("schedule", "order")
+    yield from reading.faults(
+        (
+            repetitions not in (None, 1),
+            ("schedule", "repetitions"),
+            f"{repetitions}, but runs are adaptive",
+            "1",
+            "remove it; adaptive.trials sets the length of a run",
+        ),
+        (
+            order in ("by_velocity", "latin_square"),
+            ("schedule", "order"),
+            f"{order}, but the levels are not known beforehand",
+            "shuffled or by_pair",
+            "shuffle the runs together, or present one after the other",
+        ),
+    )
     yield from _check_success(reading)
 
 
@@ -194,26 +210,6 @@ def _check_levels(reading: Reading[Any]) -> Iterator[Problem]:
     if start is not None and len(levels) == 2 and levels[0] < levels[1] and not levels[0] <= start <= levels[1]:
         allowed = f"{levels[0]:g} to {levels[1]:g} mm/s, the levels of conditions.peak_velocities_mm_s"
         yield reading.problem(("adaptive", "start_mm_s"), f"{start:g} mm/s", allowed, "start within this range")
-
-
-def _check_order(reading: Reading[Any]) -> Iterator[Problem]:
-    repetitions, order = reading.sound("schedule", "repetitions"), reading.sound("schedule", "order")
-    yield from reading.faults(
-        (
-            repetitions not in (None, 1),
-            ("schedule", "repetitions"),
-            f"{repetitions}, but runs are adaptive",
-            "1",
-            "remove it; adaptive.trials sets the length of a run",
-        ),
-        (
-            order in ("by_velocity", "latin_square"),
-            ("schedule", "order"),
-            f"{order}, but the levels are not known beforehand",
-            "shuffled or by_pair",
-            "shuffle the runs together, or present one after the other",
-        ),
-    )
 
 
 def _check_success(reading: Reading[Any]) -> Iterator[Problem]:

@@ -17,7 +17,7 @@ from pydantic import Field
 
 from modaltouch.protocol.identified import Identified, Intervals, Provenance, ShapeTable, check_shapes
 from modaltouch.protocol.problems import InputError, Problem
-from modaltouch.protocol.reading import Reading, read
+from modaltouch.protocol.reading import Reading, read, repeats
 from modaltouch.protocol.section import (
     Count,
     DampingRatio,
@@ -403,13 +403,9 @@ def _check_zones(reading: Reading[Apparatus]) -> Iterator[Problem]:
 
 
 def _check_actuator_sets(reading: Reading[Apparatus]) -> Iterator[Problem]:
-    taken: dict[int, str] = {}
-    for name, actuators in reading.items("actuator_sets"):
-        if actuators.channel in taken:
-            given = f"{actuators.channel}, which already feeds the set {taken[actuators.channel]}"
-            remedy = "give each set its own output"
-            yield reading.problem(("actuator_sets", name, "channel"), given, "a free output of 1, 2", remedy)
-        taken.setdefault(actuators.channel, name)
+    for name, channel, first in repeats([(name, each.channel) for name, each in reading.items("actuator_sets")]):
+        given, remedy = f"{channel}, which already feeds the set {first}", "give each set its own output"
+        yield reading.problem(("actuator_sets", name, "channel"), given, "a free output of 1, 2", remedy)
 
 
 def _check_modes(reading: Reading[Apparatus]) -> Iterator[Problem]:

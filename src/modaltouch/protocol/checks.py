@@ -17,7 +17,7 @@ from modaltouch.protocol.order_limits import LIMITS
 from modaltouch.protocol.people import check_people
 from modaltouch.protocol.problems import Problem, suggest
 from modaltouch.protocol.questions import MOST_ANSWERS, check_key, check_questions
-from modaltouch.protocol.reading import Reading
+from modaltouch.protocol.reading import Reading, repeats
 from modaltouch.protocol.sections import AnswersSection, Protocol
 from modaltouch.protocol.stimulus_sections import check_target_field, is_elsewhere
 from modaltouch.protocol.trial import TIME_OUT
@@ -175,13 +175,13 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
     if band is not None and band[0] >= band[1]:
         given = f"{band[0]:g} to {band[1]:g} Hz"
         yield reading.problem((*section, "equalise_band_Hz"), given, "the lower end first", "swap its ends")
-    elif band is not None and None not in (duration, rate, n_samples):
-        # The velocity of a repeated burst has only multiples of the repetition rate, up to half the sampling rate.
-        if math.floor(min(band[1], n_samples / duration * 500) / rate) < math.ceil(band[0] / rate):
-            given = f"{band[0]:g} to {band[1]:g} Hz, which contains no multiple of the repetition rate of {rate:g} Hz"
-            allowed = f"a band that contains a multiple of {rate:g} Hz below {n_samples / duration / 2:g} kHz"
-            yield reading.problem((*section, "equalise_band_Hz"), given, allowed, "widen it")
-    yield from _doubled(reading, (*section, "selected_modes"), "mode")
+    # The velocity of a repeated burst has only multiples of the repetition rate, up to half the sampling rate.
+    elif None not in (band, duration, rate, n_samples) and (
+        math.floor(min(band[1], n_samples / duration * 500) / rate) < math.ceil(band[0] / rate)
+    ):
+        given = f"{band[0]:g} to {band[1]:g} Hz, which contains no multiple of the repetition rate of {rate:g} Hz"
+        allowed = f"a band that contains a multiple of {rate:g} Hz below {n_samples / duration / 2:g} kHz"
+        yield reading.problem((*section, "equalise_band_Hz"), given, allowed, "widen it")
     n_decomposed = reading.sound(*section, "decomposed_modes")
     for index, label in reading.items(*section, "selected_modes"):
         if n_decomposed is not None and label > n_decomposed:
@@ -196,20 +196,18 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def _check_doubles(reading: Reading[Protocol]) -> Iterator[Problem]:
-    each = {"finger_conditions": "finger condition", "peak_velocities_mm_s": "peak velocity", "placements": "placement"}
-    for key, noun in each.items():
-        yield from _doubled(reading, ("conditions", key), noun)
-    yield from _doubled(reading, ("answers", "below"), "answer")
-
-
-def _doubled(reading: Reading[Protocol], path: tuple[str, ...], noun: str) -> Iterator[Problem]:
-    seen: dict[object, int] = {}
-    for index, value in reading.items(*path):
-        if value in seen:
+    nouns = {
+        ("conditions", "finger_conditions"): "finger condition",
+        ("conditions", "peak_velocities_mm_s"): "peak velocity",
+        ("conditions", "placements"): "placement",
+        ("stimulus", "selected_modes"): "mode",
+        ("answers", "below"): "answer",
+    }
+    for path, noun in nouns.items():
+        for index, value, first in repeats(reading.items(*path)):
             word = f"{value:g}" if isinstance(value, float) else value
-            given = f"{word}, the same {noun} as {path[-1]}[{seen[value]}]"
+            given = f"{word}, the same {noun} as {path[-1]}[{first}]"
             yield reading.problem((*path, index), given, f"each {noun} once", "remove it")
-        seen.setdefault(value, index)
 
 
 def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
@@ -275,16 +273,11 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
                 yield reading.problem(
                     ("answers", section, step), f"'{name}', which has no keys", ", ".join(names), remedy
                 )
-    offered, seen = offered_answers(reading), dict[object, str]()
-    for answer in offered:
-        if answer.fingers is not None and answer.fingers in seen:
-            given = f"'{answer.name}', which names the same fingers as '{seen[answer.fingers]}'"
-            place = ("answers", "fingers", answer.name)
-            at = place if reading.find(place) is not None else (*path, answer.name)
-            yield reading.problem(
-                at, given, "one answer for each finger, for both and for neither", "remove one of them"
-            )
-        seen.setdefault(answer.fingers, answer.name)
+    offered = offered_answers(reading)
+    for name, _, first in repeats((each.name, each.fingers) for each in offered if each.fingers is not None):
+        given, place = f"'{name}', which names the same fingers as '{first}'", ("answers", "fingers", name)
+        at = place if reading.find(place) is not None else (*path, name)
+        yield reading.problem(at, given, "one answer for each finger, for both and for neither", "remove one of them")
     turned = any("mirrored" in str(name) for _, name in reading.items("conditions", "placements"))
     sides = {answer.fingers for answer in offered}
     one_sided = next((answer.name for answer in offered if answer.mirrored not in sides), None)

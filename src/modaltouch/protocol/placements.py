@@ -98,18 +98,6 @@ class Placements:
         return sorted(laid, key=lambda each: self.apparatus.zones[each[0]].centre_mm)
 
 
-def lacking_fingers(reading: Reading[FingersFile], protocol: Protocol) -> list[Problem]:
-    """Return a problem for each finger of the design that the file lacks."""
-    file = reading.value
-    if file is None:
-        return []
-    return [
-        reading.problem(("fingers",), f"no {name} finger", "every finger that touches the beam", f"add the {name}")
-        for name in protocol.conditions.fingers_used
-        if file.of(name) is None
-    ]
-
-
 def load_fingers(protocol: Reading[Protocol], problems: list[Problem]) -> Reading[FingersFile] | None:
     """Return the fingers that the protocol names; add their faults to `problems`."""
     name = protocol.sound("stimulus", "fingers")
@@ -151,5 +139,12 @@ def check_measured(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | 
 def read_fingers(source: Source, protocol: Reading[Protocol] | None) -> tuple[Reading[FingersFile], list[Problem]]:
     """Return fingers and their faults, including fingers of the design that are missing."""
     reading = read(source, FingersFile)
-    value = None if protocol is None else protocol.value
-    return reading, [*reading.problems, *([] if value is None else lacking_fingers(reading, value))]
+    file, design = reading.value, None if protocol is None else protocol.value
+    lacking = [] if file is None or design is None else [n for n in design.conditions.fingers_used if not file.of(n)]
+    return reading, [
+        *reading.problems,
+        *(
+            reading.problem(("fingers",), f"no {name} finger", "every finger that touches the beam", f"add the {name}")
+            for name in lacking
+        ),
+    ]

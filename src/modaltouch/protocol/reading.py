@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
@@ -26,6 +26,7 @@ from modaltouch.protocol.source import Source
 from modaltouch.protocol.tree import Node, parse_tree
 
 Model = TypeVar("Model", bound=BaseModel)
+Entry = TypeVar("Entry")
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +196,15 @@ class Reading(Generic[Model]):
         # A missing key is reported where its section is named.
         # A group's value, or a cell's, is in the tree twice: below its group or cell, and where it counts.
         return (node.file, *place), (*max(self.root.paths_of(node), key=len, default=path[:depth]), *path[depth:])
+
+
+def repeats(entries: Iterable[tuple[Entry, Hashable]]) -> Iterator[tuple[Entry, Any, Entry]]:
+    """Yield each entry whose value an earlier one has: its place, the value, and the place of that one."""
+    seen: dict[Hashable, Entry] = {}
+    for place, value in entries:
+        if value in seen:
+            yield place, value, seen[value]
+        seen.setdefault(value, place)
 
 
 def read(source: Source, model: type[Model]) -> Reading[Model]:

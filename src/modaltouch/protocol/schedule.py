@@ -309,8 +309,8 @@ def _place(finger_condition: str, cell: Cell, placement: Placement) -> Condition
 
 def _draw_practice(protocol: Protocol, finger_condition: str, stream: Stream) -> list[Cell]:
     """Return the cells to practise; none is repeated before all others have been used."""
-    cells, n_trials = dict.fromkeys(protocol.cells(finger_condition)), protocol.schedule.all_practice_trials
-    drawn: list[Cell] = []
+    cells, schedule, drawn = dict.fromkeys(protocol.cells(finger_condition)), protocol.schedule, list[Cell]()
+    n_trials = schedule.practice_trials * (1 if schedule.practice_criterion is None else schedule.practice_rounds)
     while len(drawn) < n_trials:
         drawn += stream.shuffled(cells)
     return drawn[:n_trials]

@@ -122,8 +122,3 @@ class ScheduleSection(Section):
     def kind_of(self, session: int) -> SessionKind | None:
         """Return the kind of a participant's session, counted from 1; beyond the last session, the kind of the last."""
         return self.session_kinds[: max(session, 1)][-1] if self.session_kinds else None
-
-    @property
-    def all_practice_trials(self) -> int:
-        """Number of practice trials in the maximum number of rounds."""
-        return self.practice_trials * (self.practice_rounds if self.practice_criterion is not None else 1)

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, Tag
 
 from modaltouch.protocol.problems import Problem
-from modaltouch.protocol.reading import Reading
+from modaltouch.protocol.reading import Reading, repeats
 from modaltouch.protocol.section import NUMBER_OR_LIST, Count, Label, Number, Positive, Section, Text, Word, described
 from modaltouch.protocol.source import Source
 
@@ -179,12 +179,9 @@ def check_target_field(reading: Reading[Any]) -> Iterator[Problem]:
     if shape == "sampled" and foci:
         given = "further foci of a sampled field"
         yield reading.problem(("stimulus", "further_foci"), given, "none", "include them in the points")
-    seen = {focus}
-    for index, zone in foci:
-        if zone in seen:
-            given = f"{zone}, which is already a focus"
-            yield reading.problem(("stimulus", "further_foci", index), given, "each zone once", "remove it")
-        seen.add(zone)
+    for index, zone, _ in repeats([("", focus), *foci]):
+        given = f"{zone}, which is already a focus"
+        yield reading.problem(("stimulus", "further_foci", index), given, "each zone once", "remove it")
     for index, problem in _unordered(reading.sound(*_FIELD, "points") or ()):
         yield reading.problem((*_FIELD, "points", index), problem, "increasing positions", "sort the points")
 

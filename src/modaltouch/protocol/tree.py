@@ -96,12 +96,9 @@ class Node:
     @cached_property
     def depth(self) -> int:
         """Levels of nested lists and mappings, itself included."""
-        return 1 + max((child.depth for child in self.children), default=0) if self.is_nested else 0
-
-    @property
-    def is_nested(self) -> bool:
-        """Whether it is a list or a mapping."""
-        return isinstance(self.content, list | dict)
+        return (
+            1 + max((child.depth for child in self.children), default=0) if isinstance(self.content, list | dict) else 0
+        )
 
     def plain(self) -> Any:
         """Return the value as plain lists, dicts and scalars."""

@@ -28,12 +28,6 @@ SIDES: dict[int, tuple[Literal["left", "between", "right"], ...]] = {
 """Sides of the fingers, by their number; a single finger is the left one."""
 
 
-def other_hand(finger: str) -> str:
-    """Return the same finger of the other hand."""
-    hand, name = finger.split()
-    return f"{'left' if hand == 'right' else 'right'} {name}"
-
-
 @dataclass(frozen=True)
 class Condition:
     """What distinguishes one cell of the design from another.
@@ -107,9 +101,10 @@ class Condition:
         laid = (named or {}).get(self.finger_condition, laid)
         if not laid or not self.placement.endswith("swapped"):
             return laid
-        if len({finger.split()[0] for finger in laid}) == 1:
-            return tuple(map(other_hand, reversed(laid)))
         first = laid[0].split()[0]
+        if all(finger.startswith(first) for finger in laid):
+            other = "left" if first == "right" else "right"
+            return tuple(finger.replace(first, other) for finger in reversed(laid))
         return tuple(sorted(laid, key=lambda finger: finger.startswith(first)))
 
 

@@ -8,7 +8,7 @@ from functools import cache, cached_property
 
 from modaltouch.protocol import AnswersSection, Texts
 from modaltouch.window.layout import Layout
-from modaltouch.window.shapes import Box, Mark, Words, framed, rounded, triangle
+from modaltouch.window.shapes import Box, Mark, Words, framed, triangle
 from modaltouch.window.theme import Theme
 from modaltouch.window.typesetting import Typesetter
 
@@ -116,8 +116,7 @@ def key_caps(texts: Texts, theme: Theme, keys: Sequence[str], box: Box) -> tuple
     x = box.x - (sum(widths) + gap * (len(widths) - 1)) / 2
     for key, label, width in zip(shown, labels, widths, strict=True):
         cap = Box(x + width / 2, box.y, width, box.height)
-        marks.append(rounded(cap, 0.2 * box.height, theme.button_edge))
-        marks.append(rounded(cap.inset(0.05 * box.height), 0.16 * box.height, theme.ground))
+        marks += framed(cap, 0.2 * box.height, theme.button_edge, theme.ground, 0.05 * box.height)
         if label is None:
             marks.append(triangle(key, cap.x, cap.y, 0.24 * box.height, theme.text))
         else:

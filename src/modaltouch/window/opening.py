@@ -113,7 +113,14 @@ def open_window(
     elif answerer is None:
         raise ValueError(f"given answers by {answers!r} and no observer; give `answerer`, or answers by 'window'")
     elif answers == "simulated":
-        return _simulated(answerer, protocol, tick, log, clock)
+        from modaltouch.window.simulated import SimulatedParticipant
+
+        section = protocol.answers
+        before = section.question_delay_s if section.stimulus_until == "answer" else 0.0
+        return SimulatedParticipant(
+            answerer, tick=tick, log=log, stimulus_until=section.stimulus_until, after_longest=section.after_longest,
+            time_out=before + (section.time_out_s or math.inf), clock=clock,
+        )  # fmt: skip
     from modaltouch.window.buttons import typesetter_of
     from modaltouch.window.participant import ParticipantWindow
     from modaltouch.window.robot import Robot
@@ -134,20 +141,3 @@ def open_window(
     except BaseException:
         display.close()
         raise
-
-
-def _simulated(answerer: Answerer, protocol: Protocol, tick: Tick, log: Log, clock: Clock) -> AnswerWindow:
-    """Return a simulated participant, who needs no screen."""
-    from modaltouch.window.simulated import SimulatedParticipant
-
-    section = protocol.answers
-    before = section.question_delay_s if section.stimulus_until == "answer" else 0.0
-    return SimulatedParticipant(
-        answerer,
-        tick=tick,
-        log=log,
-        stimulus_until=section.stimulus_until,
-        after_longest=section.after_longest,
-        time_out=before + (section.time_out_s or math.inf),
-        clock=clock,
-    )

@@ -36,8 +36,8 @@ def draw_beam(layout: Layout, theme: Theme, touched: tuple[str, ...], typesetter
         )
     ]
     edges = {round(edge, 6) for box in layout.zones.values() for edge in (box.left, box.right)}
-    for x in sorted(edges - {round(beam.left, 6), round(beam.right, 6)}):
-        marks.append(rectangle(Box(x, beam.y, 0.003 * unit, beam.height), theme.beam_edge))
+    within = sorted(edges - {round(beam.left, 6), round(beam.right, 6)})
+    marks += [rectangle(Box(x, beam.y, 0.003 * unit, beam.height), theme.beam_edge) for x in within]
     room = 0.94 * min((right.x - left.x for left, right in pairwise(layout.zones.values())), default=beam.width)
     names, size = tuple(map(spoken, layout.zones)), 0.05 * unit
     size *= common_share(typesetter, names, Box(0, 0, room, 0.07 * unit), size)
@@ -87,17 +87,16 @@ def draw_hands(
             palm, on_beam = _draw_hand(layout, theme, side, own, own_fills)
             palms += palm
             touching += on_beam
-    # Crossed hands on neighbouring zones overlap: no palm may hide the other hand's finger.
-    marks = [*palms, *touching]
     gap = min((abs(tips[a][0] - tips[b][0]) for a, b in pairwise(fingers)), default=layout.beam.width / 2)
     room = Box(
         0, layout.beam.top + 0.094 * layout.unit, max(gap, layout.zones[zones[0]].width) * 0.94, 0.05 * layout.unit
     )
     size = 0.031 * layout.type_scale
     size *= common_share(typesetter, names, room, size)
-    for zone, name, fill in zip(zones, names, colours, strict=True):
-        marks.append(Words(name, replace(room, x=layout.zones[zone].x), size, fill, bold=True))
-    return tuple(marks)
+    named = zip(zones, names, colours, strict=True)
+    words = (Words(name, replace(room, x=layout.zones[zone].x), size, fill, bold=True) for zone, name, fill in named)
+    # Crossed hands on neighbouring zones overlap: no palm may hide the other hand's finger.
+    return (*palms, *touching, *words)
 
 
 def spoken(zone: str) -> str:
@@ -129,8 +128,7 @@ def _draw_hand(
     touching: list[Mark] = []
     for name, tip in tips.items():
         knuckle = (knuckles[name], top)
-        touching.append(capsule(knuckle, tip, thick + line, theme.ground))
-        touching.append(capsule(knuckle, tip, thick, fills[name]))
+        touching += [capsule(knuckle, tip, thick + line, theme.ground), capsule(knuckle, tip, thick, fills[name])]
         touching.append(_draw_nail(knuckle, tip, thick, mixed(fills[name], theme.nail, 0.65)))
     return marks, touching
 

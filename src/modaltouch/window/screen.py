@@ -130,23 +130,26 @@ class Screen:
         self._place: dict[str, Any] = {"fullscreen": fullscreen, "monitor": monitor}
         self._typesetter = typesetter or Typesetter()
         self._ready: OrderedDict[Mark, Any] = OrderedDict()
-        self._window = _open(
-            visual,
-            fit(size, monitor),
-            fullscr=fullscreen,
-            allowGUI=not fullscreen,
-            screen=monitor,
-            color=ground,
-            colorSpace="rgb",
-            units="height",
-            # A monitor without a file behind it: PsychoPy then neither warns nor writes one.
-            monitor=monitors.Monitor("modaltouch", width=50, distance=60, verbose=False, autoLog=False),
-            checkTiming=False,
-            gammaErrorPolicy="ignore",
-            winType="pyglet",
-            autoLog=False,
-            title=title,
-        )
+        within = fit(size, monitor)
+        try:
+            self._window = visual.Window(
+                within,
+                fullscr=fullscreen,
+                allowGUI=not fullscreen,
+                screen=monitor,
+                color=ground,
+                colorSpace="rgb",
+                units="height",
+                # A monitor without a file behind it: PsychoPy then neither warns nor writes one.
+                monitor=monitors.Monitor("modaltouch", width=50, distance=60, verbose=False, autoLog=False),
+                checkTiming=False,
+                gammaErrorPolicy="ignore",
+                winType="pyglet",
+                autoLog=False,
+                title=title,
+            )
+        except Exception as error:
+            raise WindowError(explain(error)) from error
         self._window.mouseVisible = True
         self._tap = EventTap(self._window.winHandle, clock)
         self._loss = DisplayLoss(self._tap.poll)
@@ -299,11 +302,3 @@ def _import_psychopy() -> tuple[Any, Any]:
     except Exception as error:
         raise WindowError(explain(error)) from error
     return visual, monitors
-
-
-def _open(visual: Any, size: tuple[int, int], **options: Any) -> Any:
-    """Return a PsychoPy window."""
-    try:
-        return visual.Window(size, **options)
-    except Exception as error:
-        raise WindowError(explain(error)) from error
