@@ -189,11 +189,12 @@ def answer_warnings(protocol: Protocol) -> list[str]:
             "they show what is guessed, not how often; add `none` to answers.keys"
         )
     if not any(answer.fingers or answer.interval for answer in offered) and protocol.answers.scale is None:
-        nothing = offered.naming()
+        nothing, own = offered.naming(), {"question": protocol.answers.question, "instructions": protocol.instructions}
         which = "whatever it feels" if nothing is None else f"but {nothing.name} where it feels nothing"
+        left = " and ".join(f"`{key}`" for key, words in own.items() if words is None)
         warnings.append(
-            f"no answer names a finger ({', '.join(offered.names)}): the texts must ask for what they say (`question`, "
-            f"`instructions`), and a simulated participant answers at random, {which}"
+            f"no answer names a finger ({', '.join(offered.names)}): a simulated participant answers at random, {which}"
+            + (f"; {left} in the texts must suit these answers" if left else "")
         )
     return warnings
 

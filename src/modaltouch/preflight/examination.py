@@ -389,7 +389,8 @@ def _check_memories(findings: Findings, apparatus: Apparatus, bursts: Sequence[B
     if n_records > n_memories:
         given = f"{len(bursts)} stimuli with {n_records} different records"
         allowed = f"at most {n_memories}, one for each memory of the generator: two stimuli on two outputs"
-        yield findings.problem(("stimuli",), given, allowed, "use fewer, or make separate protocols of them")
+        remedy = "use fewer (those that differ only in rate, bursts or masking share theirs), or several protocols"
+        yield findings.problem(("stimuli",), given, allowed, remedy)
 
 
 def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> Stimulus:
