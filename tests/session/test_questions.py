@@ -253,6 +253,6 @@ def test_power_refuses_a_scale_in_its_place() -> None:
     """It simulates how two fingers are compared."""
     with pytest.raises(
         InputError,
-        match="answers.scale: given the answers rated, .* analyse those, as `modaltouch prereg` does",
+        match="answers.scale: given a scale, .* analyse those, as `modaltouch prereg` does",
     ):
         designs_for(examine("magnitude").require(), read_observer("paper"))

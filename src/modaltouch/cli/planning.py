@@ -256,10 +256,10 @@ def tell(found: Power, target: float) -> None:
         print_table(
             f"Participants for a power of {target:g}", ("question", "test", "reps", "participants"), rows, n_words=2
         )
-    for floor in found.floors:
+    for floor in (each for each in found.floors if each.least_participants != 1):
         least = floor.least_participants
         reach = "no number of participants" if least is None else f"fewer than {least} participants"
-        where = f"{floor.family} ({floor.n_tests} tests, {floor.n_repetitions} a cell)"
+        where = f"{floor.family} ({floor.n_tests} test{'s' * (floor.n_tests != 1)}, {floor.n_repetitions} a cell)"
         console.print(f"[dim]{where}: {reach} can {'' if least is None else 'never '}be significant[/]")
 
 

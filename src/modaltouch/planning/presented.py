@@ -105,7 +105,8 @@ def refuse_unlike(preflight: Preflight) -> None:
         (
             odd or not offered.compares or offered.naming("left", "right") is None,
             ("answers", "keys" if protocol.answers.scale is None else "scale"),
-            f"the answers {', '.join(offered.names)}, which an observer that compares two fingers does not give",
+            ("a scale" if protocol.answers.scale else f"the answers {', '.join(offered.names)}")
+            + ", which an observer that compares two fingers does not give",
             "an answer for each finger and one for both, with or without one for neither",
             _SIMULATE,
         ),
