@@ -479,7 +479,7 @@ def test_it_is_said_how_answers_without_fingers_are_simulated(edit: Edit, other:
     labels = "\nanswers:\n  stronger: Stronger\n  weaker: Weaker\n"
     words.write_text(words.read_text(encoding="utf-8").replace("\nanswers:\n", labels), encoding="utf-8")
     (said,) = [each for each in examine(file).as_dict()["warnings"] if "names a finger" in each]
-    assert said.endswith(f"answers at random, {told}")
+    assert f"answers at random, {told}; `question` and `instructions` in the texts must suit" in said
 
 
 def test_bursts_released_freely_are_told_apart(edit: Edit, preflight: Preflight) -> None:

@@ -160,15 +160,9 @@ class Reading(Generic[Model]):
         steps = tuple(path)
         (file, line, column), written = self._place(steps, at_key=at_key)
         return Problem(
-            file or str(self.source.path),
-            line,
-            column,
-            format_path(steps),
-            given,
-            allowed,
-            remedy,
-            format_path(written),
-        )
+            file or str(self.source.path), line, column, format_path(steps),
+            given, allowed, remedy, format_path(written),
+        )  # fmt: skip
 
     def faults(self, *known: tuple[object, Iterable[Step], str, str, str]) -> Iterator[Problem]:
         """Yield a problem for each tuple (condition, path, given, allowed, remedy) whose condition is true."""
