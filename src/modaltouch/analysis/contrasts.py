@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -15,6 +16,7 @@ from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.shares import Shares, mean_of_known
 
 FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,29 +136,39 @@ class Contrast:
 def signs_of(contrast: Contrast | None) -> FamilyResult | None:
     """Return exact tests of the null hypothesis that each participant's two shares are exchangeable.
 
-    Repetitions have no natural partner, so every pairing of answers to the same level counts. Flips hold their level
-    only if neither condition has far more answers, so participants with more than twice as many to one do not count.
+    A participant's answers to one condition may hang together, so conditions are flipped as a whole. That is exact with
+    as many answers to each level in both; where one has more, as many as the other has are drawn from them.
     """
     if contrast is None:
         return None
     first, second = contrast.first, contrast.second
-    score = (first.given * second.answered - second.given * first.answered).sum(axis=-1)
+    n_kept = np.minimum(first.answered, second.answered)
+    n_left_out = (first.answered + second.answered - 2 * n_kept).sum(axis=(-2, -1))
+    score = first.given - second.given
+    for at in map(tuple, np.argwhere(n_left_out)):
+        score[at] = _drawn_difference([(each.given[at], each.answered[at]) for each in (first, second)])
     mean = contrast.scores.mean
-    interval = Interval.point(mean.estimate, mean.n)
-    sizes = np.stack([first.answered, second.answered])
-    totals = np.where(sizes.min(axis=0) > 0, sizes, 0).sum(axis=-1)
-    uneven = totals.max(axis=0) > 2 * totals.min(axis=0)
 
     def notes(place: int) -> list[str]:
-        n = int(uneven[place].sum())
-        return [
-            *contrast.notes(place),
-            f"{n} participant{'s' * (n > 1)} with more than twice as many answers to one as to the other left out of "
-            "the test" * (n > 0),
-        ]
+        n = int(n_left_out[place])
+        said = f"{n} answers left out of the test, drawn at random so that both have as many at each level"
+        return [*contrast.notes(place), said if n else ""]
 
-    score = np.where(uneven, 0, score if first.is_short or second.is_short else score // first.asked)
-    return FamilyResult(contrast.scopes, contrast.quantities, sign_flip_test(score), interval, notes=notes)
+    test, interval = sign_flip_test(score.sum(axis=-1)), Interval.point(mean.estimate, mean.n)
+    return FamilyResult(contrast.scopes, contrast.quantities, test, interval, notes=notes)
+
+
+def _drawn_difference(counts: Sequence[tuple[IntArray, IntArray]]) -> IntArray:
+    """Return the difference of two counts of answers, out of equally many drawn at each level; for one test.
+
+    The draw follows from the counts, not from the order of the participants, so that the same answers have the same p.
+    """
+    table = np.stack([np.stack([given, answered - given], axis=-1) for given, answered in counts], axis=1)
+    table = table[np.lexsort(table.reshape(len(table), -1).T)]
+    good, bad = np.moveaxis(table, -1, 0)
+    n_kept = (good + bad).min(axis=1, keepdims=True)
+    drawn = np.random.default_rng(zlib.crc32(table.tobytes())).hypergeometric(good, bad, n_kept)
+    return np.asarray(drawn[:, 0] - drawn[:, 1])
 
 
 def means_of(scores: MeanScores | None) -> FamilyResult | None:
