@@ -36,8 +36,8 @@ MANY = "its likelihood ratio follows the chi-squared distribution only for large
 RUNS = "there are few trials, at levels that depend on earlier answers"
 BIASED = "thresholds from few trials are biased, and participants without a threshold are left out"
 REASONS = {
-    "d' of one": MANY, "criterion of one": MANY, "same and different of one": MANY, "threshold of one": MANY,
-    "PSE of one": MANY, "JND of one": MANY, "run of one, forced choice": RUNS, "run of one, felt": RUNS,
+    "threshold of one": MANY, "PSE of one": MANY, "JND of one": MANY,
+    "run of one, forced choice": RUNS, "run of one, felt": RUNS,
     "mean threshold": BIASED, "mean PSE": BIASED, "mean of runs, forced choice": BIASED, "mean of runs, felt": BIASED,
     "mean JND": "spreads fitted to few trials are too small, which biases every JND downwards",
     "mean d'": "the correction that keeps every d' finite biases it towards zero, the more so the fewer the trials",

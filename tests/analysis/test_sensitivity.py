@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 import mpmath
 import numpy as np
 import pytest
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
+from scipy.stats import binom, binomtest
 
 from modaltouch.analysis.sensitivity import (
-    DROP,
     m_intervals,
     odd_of_three,
     same_different,
@@ -29,24 +30,37 @@ def test_yes_no_is_the_difference_of_normal_quantiles() -> None:
 
 
 @pytest.mark.parametrize(("hits", "alarms"), [((20, 25), (10, 25)), ((9, 12), (0, 30)), ((3, 3), (1, 4))])
-def test_bounds_of_d_prime_are_where_its_profile_likelihood_has_fallen(hits, alarms) -> None:
-    """By definition: at a bound the best criterion leaves a log likelihood 1.92 below the best of all; on a grid."""
+def test_bounds_of_d_prime_join_exact_limits_of_both_rates(hits, alarms) -> None:
+    """By definition: the extreme d' of limits by SciPy's `binomtest` whose normal quantiles are on a circle."""
     interval = yes_no(hits, alarms).d_prime
-    criteria = np.linspace(-6, 6, 40_001)
 
-    def best_at(d_prime: float) -> float:
-        total = 0.0
-        for (k, n), sign in ((hits, 1), (alarms, -1)):
-            p = np.clip(ndtr(sign * d_prime / 2 - criteria), 1e-300, 1 - 1e-16)
-            total = total + k * np.log(p) + (n - k) * np.log1p(-p)
-        return float(np.max(total))
+    def limits(count: tuple[int, int], quantile: float) -> tuple[float, float]:
+        exact = binomtest(*count).proportion_ci(2 * float(ndtr(quantile)) - 1, "exact")
+        return exact.low, exact.high
 
-    best = sum(k * math.log(k / n) if k else 0.0 for k, n in (hits, alarms))
-    best += sum((n - k) * math.log(1 - k / n) if k < n else 0.0 for k, n in (hits, alarms))
-    for bound in (interval.low, interval.high):
-        if math.isfinite(bound):
-            assert best - best_at(bound) == pytest.approx(DROP, abs=2e-3)
+    angles = np.linspace(0.001, np.pi / 2 - 0.001, 300)
+    lows, highs = [], []
+    with np.errstate(divide="ignore"):
+        for hit, alarm in zip(1.959964 * np.sin(angles), 1.959964 * np.cos(angles), strict=True):
+            (low, high), (least, most) = limits(hits, hit), limits(alarms, alarm)
+            lows.append(float(ndtri(low) - ndtri(most)))
+            highs.append(float(ndtri(high) - ndtri(least)))
+    assert (interval.low, interval.high) == pytest.approx((min(lows), max(highs)), abs=2e-3)
     assert math.isinf(interval.high) == (alarms[0] == 0 or hits[0] == hits[1])
+
+
+@pytest.mark.parametrize(("n_signals", "n_noises"), [(20, 10), (40, 40), (80, 8)])
+def test_intervals_of_d_prime_and_criterion_hold_the_truth(n_signals, n_noises) -> None:
+    """Exact coverage, by all outcomes: at least 95 % for d' from 0 to 3 and a criterion from -1 to 1."""
+    told = [[yes_no((k, n_signals), (m, n_noises)) for m in range(n_noises + 1)] for k in range(n_signals + 1)]
+    for name in ("d_prime", "criterion"):
+        low, high = (np.array([[getattr(getattr(each, name), end) for each in row] for row in told])
+                     for end in ("low", "high"))  # fmt: skip
+        for d_prime, criterion in product((0.0, 0.5, 1.0, 2.0, 3.0), (-1.0, -0.5, 0.0, 0.5, 1.0)):
+            hits, alarms = (binom.pmf(range(n + 1), n, ndtr(sign * d_prime / 2 - criterion))
+                            for n, sign in ((n_signals, 1), (n_noises, -1)))  # fmt: skip
+            true = d_prime if name == "d_prime" else criterion
+            assert np.outer(hits, alarms)[(low <= true) & (true <= high)].sum() >= 0.95
 
 
 @pytest.mark.parametrize(("share", "d_prime"), [(0.55, 0.18), (0.7, 0.74), (0.75, 0.95), (0.85, 1.47), (0.95, 2.33)])

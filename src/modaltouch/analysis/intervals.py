@@ -61,14 +61,14 @@ class Interval:
         return cls(estimate, nothing, nothing, np.broadcast_to(n, np.shape(estimate))[()])
 
 
-def clopper_pearson(successes: ArrayLike, n: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
+def clopper_pearson(successes: ArrayLike, n: ArrayLike, confidence: ArrayLike = CONFIDENCE) -> Interval:
     """Return the exact interval of a proportion; 0 to 1 with NaN as the estimate where n is zero.
 
     Parameters
     ----------
     successes, n : float or arrays
         Successes out of n; not always whole, as a design effect may have scaled both.
-    confidence : float
+    confidence : float or array
         Confidence of the interval [1].
 
     Raises
@@ -87,7 +87,7 @@ def clopper_pearson(successes: ArrayLike, n: ArrayLike, confidence: float = CONF
     k, m = np.broadcast_arrays(np.asarray(successes, dtype=float), np.asarray(n, dtype=float))
     if not ((k >= 0) & (k <= m)).all():
         raise ValueError(f"{successes!r} successes out of {n!r}: allowed: 0 to n")
-    tail = (1 - confidence) / 2
+    tail = (1 - np.asarray(confidence)) / 2
     low = np.where(k > 0, betaincinv(np.where(k > 0, k, 1), m - k + 1, tail), 0.0)
     high = np.where(k < m, betaincinv(k + 1, np.where(k < m, m - k, 1), 1 - tail), 1.0)
     share = np.divide(k, m, out=np.full(m.shape, math.nan), where=m > 0)

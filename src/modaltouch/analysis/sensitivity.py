@@ -1,7 +1,7 @@
 """Sensitivity d' and criterion of one participant, by signal detection theory, with 95 % intervals.
 
 Estimates use rates with the log-linear correction, (k + 0.5) / (n + 1), so that they are finite. Intervals use the
-counts themselves: profile likelihood for two rates, exact limits for one; a bound is infinite if the answers do not
+counts themselves and exact limits of the rates, so they cover at least 95 %; a bound is infinite if the answers do not
 determine it.
 
 References
@@ -21,7 +21,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ncfdtr, ndtr, ndtri, xlog1py, xlogy
+from scipy.special import ncfdtr, ndtr, ndtri
 
 from modaltouch.analysis.intervals import DROP, Interval, clopper_pearson
 
@@ -75,9 +75,9 @@ def yes_no(signal: Count, noise: Count) -> SignalDetection:
     (4.483, inf)
     """
     return SignalDetection(
-        _profile(lambda hit, alarm: ndtri(hit) - ndtri(alarm), signal, noise),
+        _joint(lambda hit, alarm: ndtri(hit) - ndtri(alarm), signal, noise),
         _rate(signal) - _rate(noise),
-        _profile(lambda hit, alarm: -(ndtri(hit) + ndtri(alarm)) / 2, signal, noise),
+        _joint(lambda hit, alarm: -(ndtri(hit) + ndtri(alarm)) / 2, signal, noise),
     )
 
 
@@ -168,9 +168,9 @@ def same_different(differing: Count, alike: Count) -> SignalDetection:
         Answers "different" in trials whose stimuli differ, and in those whose stimuli are the same.
     """
     return SignalDetection(
-        _profile(_signed, differing, alike),
+        _joint(_signed, differing, alike),
         _rate(differing) - _rate(alike),
-        _profile(lambda hit, alarm: _criterion(alarm), differing, alike),
+        _joint(lambda hit, alarm: _criterion(alarm), differing, alike),
         "differencing (same or different)",
     )
 
@@ -215,11 +215,13 @@ def _corrected(given: int, n: int) -> float:
     return (given + 0.5) / (n + 1)
 
 
-def _profile(statistic: Statistic, first: Count, second: Count) -> Interval:
-    """Return a statistic of two rates, and its bounds, where their joint log likelihood has dropped by `DROP`."""
+def _joint(statistic: Statistic, first: Count, second: Count) -> Interval:
+    """Return a statistic that is monotonic in each of two rates, and its bounds.
+
+    At a bound each rate is at an exact limit of its own; squares of their normal quantiles add up to that of 97.5 %.
+    """
     estimate = statistic(*(np.asarray(_corrected(*count)) for count in (first, second)))
-    # At a bound, one rate takes a part of the drop and the other the rest.
-    one, other = _rates(*first), _rates(*second)[:, ::-1]
+    one, other = _limits(*first), _limits(*second)[:, ::-1]
     with np.errstate(invalid="ignore"):
         values = statistic(one[:, np.newaxis], other[np.newaxis])
     # Rounding errors about zero become zero, without a sign.
@@ -227,30 +229,12 @@ def _profile(statistic: Statistic, first: Count, second: Count) -> Interval:
     return Interval(best, low, high, first[1] + second[1])
 
 
+_PARTS = 2 * ndtr(math.sqrt(2 * DROP) * np.sin(np.linspace(0, np.pi / 2, 61))) - 1
+"""Confidence of a rate's limits at bounds of a statistic, from none to 95 %; closely spaced at both ends."""
+
+
 @lru_cache(maxsize=4096)
-def _rates(given: int, n: int) -> FloatArray:
-    """Return the lowest and highest rates whose log likelihood is at most some parts of `DROP` below the maximum.
-
-    Returns
-    -------
-    (2, 61) array
-        For parts that rise from 0 to `DROP`.
-    """
-    drop = DROP * np.sin(np.linspace(0, np.pi / 2, 61)) ** 2  # closely spaced at both ends
-    if n == 0:
-        return np.stack([np.zeros(drop.shape), np.ones(drop.shape)])
-    share = given / n
-    most = xlogy(given, share) + xlog1py(n - given, -share)
-
-    def fallen(rate: FloatArray) -> FloatArray:
-        return np.asarray(most - xlogy(given, rate) - xlog1py(n - given, -rate))
-
-    ends = []
-    for end in (0.0, 1.0):
-        inside, outside = np.full(drop.shape, share), np.full(drop.shape, end)
-        for _ in range(_HALVINGS):
-            middle = (inside + outside) / 2
-            is_in = fallen(middle) <= drop
-            inside, outside = np.where(is_in, middle, inside), np.where(is_in, outside, middle)
-        ends.append(inside if share != end else outside)
-    return np.stack(ends)
+def _limits(given: int, n: int) -> FloatArray:
+    """Return the lowest and the highest rate that a count allows at each confidence of `_PARTS`, (2, 61) array."""
+    share = clopper_pearson(given, n, _PARTS)
+    return np.stack([share.low, share.high])
