@@ -173,6 +173,13 @@ class TestFaults:
         assert len(problems) == 1
         assert "given 'nowhere' (in 240 rows)" in problems[0]
 
+    def test_levels_that_all_differ_are_told_once_as_what_they_are(self, write_csv, paper_rows) -> None:
+        """Measured levels: no row is missing, and rows cannot be added."""
+        rows = [{**row, "velocity_mm_s": row["velocity_mm_s"] + number / 100} for number, row in enumerate(paper_rows)]
+        (problem,) = fails(write_csv(rows))
+        assert ":2:18: velocity_mm_s: given 240 different levels in 240 rows; allowed: the same levels for" in problem
+        assert "give the levels asked for" in problem and "add the missing rows" not in problem
+
     def test_a_missing_column_is_named_with_what_was_found(self, write_csv, paper_rows) -> None:
         """The likely other name is suggested."""
         rows = [{("velocity" if k == "velocity_mm_s" else k): v for k, v in row.items()} for row in paper_rows]
