@@ -84,9 +84,12 @@ class TestPaperLikeAnswers:
 
     def test_the_cells_agree_with_the_counts(self, tests) -> None:
         """One hand, (A, C), 150 mm/s: 9 of 10 chose C."""
-        row = rows(tests, "a1", scope="one_hand A-C 150 mm/s").iloc[0]
-        assert row["estimate"] == 0.9
+        row = rows(tests, "a1", "multinomial", "one_hand A-C 150 mm/s").iloc[0]
+        assert row["estimate"] == 0.9 and math.isnan(row["low"])
         assert "left 0, both 1, right 9" in row["note"]
+        share = rows(tests, "a1", "share in a cell", "one_hand A-C 150 mm/s").iloc[0]
+        assert (share["estimate"], share["role"]) == (0.9, "estimate")
+        assert (share["low"], share["high"]) == pytest.approx((0.555, 0.9975), abs=5e-5)  # R: binom.test(9, 10)
 
     def test_single_cells_without_discordance_have_the_width_of_who_may_be_missing(self, tests) -> None:
         """Closed form: 1 - 0.025^(1/10) = 0.3085."""
@@ -200,16 +203,17 @@ class TestMissingAnswers:
         assert shares.is_short and not Shares(np.array([[1]]), np.array([[4]]), 4).is_short
         assert (shares.least.item(), shares.most.item()) == (1 / 4, 2 / 4)
 
-    def test_pairings_and_bounds_count_what_was_answered(self) -> None:
-        """By hand: of four asked, one of three against none of four, and one of three against one of four."""
+    def test_flips_and_bounds_count_what_was_answered(self) -> None:
+        """By hand: of four asked, one of three against none of four, and one of three against four of four."""
         first = Shares(np.array([[[1], [1]]]), np.array([[[3], [3]]]), 4)
-        second = Shares(np.array([[[0], [1]]]), np.array([[[4], [4]]]), 4)
+        second = Shares(np.array([[[0], [4]]]), np.array([[[4], [4]]]), 4)
         contrast = Contrast(["one"], ["difference"], first, second)
         found = signs_of(contrast)
         assert found is not None
-        assert found.test.statistic.tolist() == [4 + 1]
-        assert contrast.scores.highest.tolist() == [[2 / 4, 1 / 4]]
-        assert contrast.scores.lowest.tolist() == [[1 / 4, 0.0]]
+        assert found.test.statistic.tolist() == [(1 - 0) + (1 - 3)]
+        assert found.notes(0)[0].startswith("2 answers left out of the test")
+        assert contrast.scores.highest.tolist() == [[2 / 4, -2 / 4]]
+        assert contrast.scores.lowest.tolist() == [[1 / 4, -3 / 4]]
 
     def test_every_question_is_still_answered(self, gaps, paper_frame) -> None:
         """The same rows as without a gap, every p a probability."""
@@ -239,23 +243,36 @@ def test_equivalence_is_said_where_it_is_shown_and_where_it_is_not(paper_frame) 
     assert "c alike" not in set(run_tests(paper_frame)["family"])
 
 
-def test_flips_leave_out_who_has_far_more_answers_to_one_of_two() -> None:
-    """Eight answers against one, all as likely: of 400 experiments of rare answers a fifth were significant."""
-    rng, shape = np.random.default_rng(8), (400, 1, 20, 4)
-    first, second = (Shares(rng.binomial(n, 0.01, shape), np.full(shape, n), 8) for n in (8, 1))
-    naive = (first.given * second.answered - second.given * first.answered).sum(axis=-1)
-    assert (sign_flip_test(naive).p <= 0.05).mean() > 0.15
-    assert (signs_of(Contrast(["all"], ["P"], first, second)).test.p == 1).all()
+@pytest.mark.parametrize("uneven", [(8, 1, 8, 1), (8, 8, 8, 8)])
+@pytest.mark.parametrize("correlation", [0.0, 0.5])
+def test_flips_hold_their_level_with_any_number_of_answers(uneven, correlation) -> None:
+    """Eight answers against one, at some levels or at all; independent or correlated: 2,000 experiments of no effect.
 
-
-def test_half_as_many_answers_still_count() -> None:
-    """Eight against four: the level holds, and the note says who was left out of another test."""
-    rng, shape = np.random.default_rng(9), (2000, 1, 20, 4)
-    first, second = (Shares(rng.binomial(n, 0.03, shape), np.full(shape, n), 8) for n in (8, 4))
+    Where all pairings were flipped, a fifth of tests of rare, independent answers, eight against one, were significant;
+    where answers were shuffled within levels, a third of those of correlated ones.
+    """
+    rng, shape = np.random.default_rng(8), (2000, 1, 20, 1)
+    chance = rng.beta(0.1, 0.9, (2, *shape)) if correlation else np.full((2, *shape), 0.01)
+    asked = np.broadcast_to(uneven, (2000, 1, 20, 4)), np.broadcast_to(9 - np.array(uneven), (2000, 1, 20, 4))
+    first, second = (Shares(rng.binomial(n, p), n, 8) for n, p in zip(asked, chance, strict=True))
     found = signs_of(Contrast(["all"], ["P"], first, second))
-    assert 0.02 < (found.test.p <= 0.05).mean() < 0.05
-    few = np.where(np.arange(20) < 3, 1, 8)[None, :, None]
-    told = signs_of(Contrast(["all"], ["P"], Shares(few * 0, few, 8), Shares(few * 0, 0 * few + 8, 8)))
-    assert told.notes(0) == [
-        "3 participants with more than twice as many answers to one as to the other left out of the test"
+    assert (found.test.p <= 0.05).mean() < 0.05 + 3 * math.sqrt(0.05 / 2000)
+    if uneven[1] == 8 and not correlation:
+        naive = (first.given * second.answered - second.given * first.answered).sum(axis=-1)
+        assert (sign_flip_test(naive).p <= 0.05).mean() > 0.15
+
+
+def test_answers_are_drawn_alike_whatever_the_names_of_participants() -> None:
+    """Another order of the participants draws the same answers; a strong effect is found with half as many of one."""
+    rng, asked = np.random.default_rng(9), np.full((1, 20, 4), 8)
+    first = Shares(rng.binomial(asked, 0.6), asked, 8)
+    second = Shares(rng.binomial(asked // 2, 0.3), asked // 2, 8)
+    found, turned = (
+        signs_of(Contrast(["all"], ["P"], *(Shares(each.given[:, way], each.answered, 8) for each in (first, second))))
+        for way in (slice(None), slice(None, None, -1))
+    )
+    assert found.test.statistic.tolist() == turned.test.statistic.tolist()
+    assert found.test.p < 0.001
+    assert found.notes(0) == [
+        "320 answers left out of the test, drawn at random so that both have as many at each level"
     ]

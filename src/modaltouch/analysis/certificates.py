@@ -16,12 +16,12 @@ _OF_NAMES = {
     "Friedman": ("friedman",), "leaning": ("leaning", "leaning share"), "agreement between": ("agreement",),
     "prevalence of": ("prevalence",), "share of answers": ("share",), "paired difference": ("paired difference",),
     "odds ratio": ("odds ratio",), "reaction times": ("time",), "false alarms,": ("share",), "misses,": ("share",),
-    "exact multinomial": ("a1", "a1 share"), "bounded mean": ("c mean",),
+    "share in a cell": ("a1 share",), "bounded mean": ("c mean",),
     "d' over": ("d'", "mean d'"), "detection threshold": (),
     "threshold over": ("mean threshold",),
     "PSE over": ("mean PSE",), "JND over": ("mean JND",), "exponent of": ("mean exponent",),
 }  # fmt: skip
-"""Certificates of `a1`, and of findings outside all families, by a part of their name; the first match counts.
+"""Certificates of findings outside all families, by a part of their name; the first match counts.
 
 Empty where no errors were counted, as for sign flips of criteria or of ratings.
 """
@@ -42,7 +42,7 @@ def coverage_caveat(name: str) -> str:
 def certificates_of(finding: Finding) -> tuple[str, ...]:
     """Return the names of the certificates of a test and its interval; empty if there are none."""
     known = (names for part, names in _OF_NAMES.items() if part in finding.name)
-    return (finding.family,) if finding.family in STATISTICS and finding.family != "a1" else next(known, ())
+    return (finding.family,) if finding.family in STATISTICS else next(known, ())
 
 
 def certificates_in_words(names: Iterable[str]) -> str:

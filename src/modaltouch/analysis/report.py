@@ -42,12 +42,9 @@ def _cautions(answers: AnswerCounts) -> dict[str, str]:
     felt = [answers.answers[place].name for place in answers.felt]
     return {
         "a1": "Each p is of all answers in a cell, tested against an even split over "
-        f"{', '.join(felt[:-1])} and {felt[-1]}; each interval is of one share, and may hold chance, however small p is"
-        + (
-            "; an answer that nothing was felt is left out of this test, and counts in every share."
-            * answers.has_none_answer
-            or "."
-        ),
+        f"{', '.join(felt[:-1])} and {felt[-1]}"
+        + ("; an answer that nothing was felt is left out of it" * answers.has_none_answer)
+        + ". Each share is of all answers, whatever the test of its cell.",
         "b": "A lack of information is not evidence that the level does not matter.",
         "c": "A difference that is not significant does not show that the conditions are alike; "
         + (

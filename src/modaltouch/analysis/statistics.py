@@ -17,6 +17,7 @@ from itertools import combinations, product
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from modaltouch.analysis.consistency import consistency_findings, effect_findings
 from modaltouch.analysis.contrasts import Contrast, FamilyResult, MeanScores, equivalence_of, means_of, signs_of
@@ -28,6 +29,8 @@ from modaltouch.analysis.intervals import Interval, clopper_pearson
 from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.shares import Shares
 from modaltouch.analysis.trend import MOST_EXACT, smallest_trend_p, trend_test
+
+IntArray = NDArray[np.int64]
 
 
 def _unanimous_p(levels: Sequence[float], n_participants: int, n_repetitions: int, margin: float | None) -> float:
@@ -81,10 +84,7 @@ def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
     felt = answers.felt
     if len(felt) < 2 or not answers.guesses_evenly:
         return None
-    shown = [answers.effects(pair)[0] for pair in answers.pairs]
-    kinds = answers.n_modal
-    chosen = np.stack([kinds[..., q, :, place] for q, (_, place) in enumerate(shown)], axis=-2)
-    chosen, kinds = chosen.reshape(*chosen.shape[:-3], -1), kinds.reshape(*kinds.shape[:-4], -1, kinds.shape[-1])
+    scopes, quantities, kinds, chosen = _cells_of(answers)
     n, nothing = kinds.sum(axis=-1), answers.answers.naming()
 
     def notes(place: int) -> list[str]:
@@ -97,15 +97,28 @@ def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
             said.append(f"most frequent answer of each participant, {ties} {why} and left out")
         return said
 
+    share = Interval.point(clopper_pearson(chosen, n).estimate, n)
+    return FamilyResult(scopes, quantities, multinomial_test(kinds[..., felt]), share, n, notes)
+
+
+def _cells_of(answers: AnswerCounts) -> tuple[list[str], list[str], IntArray, IntArray]:
+    """Return scopes, labels of one answer, participants by most frequent answer, and those by that one; by cell."""
+    shown = [answers.effects(pair)[0] for pair in answers.pairs]
+    kinds = answers.n_modal
+    chosen = np.stack([kinds[..., q, :, place] for q, (_, place) in enumerate(shown)], axis=-2)
+    chosen, kinds = chosen.reshape(*chosen.shape[:-3], -1), kinds.reshape(*kinds.shape[:-4], -1, kinds.shape[-1])
     cells = list(product(answers.pair_cells, answers.levels))
-    return FamilyResult(
-        [f"{scope} {answers.scale.say(level)}" for (*_, scope), level in cells],
-        [f"P({shown[q][0]})" for (_, q, _), _ in cells],
-        multinomial_test(kinds[..., felt]),
-        clopper_pearson(chosen, n),
-        n,
-        notes,
-    )
+    scopes = [f"{scope} {answers.scale.say(level)}" for (*_, scope), level in cells]
+    return scopes, [f"P({shown[q][0]})" for (_, q, _), _ in cells], kinds, chosen
+
+
+def cell_share_findings(answers: AnswerCounts) -> Iterator[Finding]:
+    """Yield the share of one answer in each cell, of participants by their most frequent answer."""
+    scopes, quantities, kinds, chosen = _cells_of(answers)
+    shares = clopper_pearson(chosen, kinds.sum(axis=-1))
+    for place, (scope, quantity) in enumerate(zip(scopes, quantities, strict=True)):
+        share = shares[place]
+        yield finding_of("a1", "share in a cell, exact interval", scope, None, quantity, share, int(share.n_effective))
 
 
 def dominance(answers: AnswerCounts) -> Contrast | None:
@@ -256,7 +269,7 @@ _ON_AVERAGE = "mean over participants, test and interval of a bounded mean"
 STATISTICS: dict[str, Statistic] = {
     "a1": Statistic(
         "a1", "does a cell differ from guessing",
-        "exact multinomial test of all answers against chance, interval of one share", chance_tests, "share",
+        "exact multinomial test of all answers against chance", chance_tests, "share",
         lambda levels, n, n_repetitions, margin: float(multinomial_test([n, 0, 0]).p), against_guessing=True,
     ),
     "a2": Statistic(
@@ -347,7 +360,9 @@ def uncorrected(answers: AnswerCounts, frame: pd.DataFrame, of_design: Iterable[
 def _choice_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield the findings on answers that are chosen from a list."""
     for family in STATISTICS:
-        yield from family_findings(family, answers)
+        yield from (own := list(family_findings(family, answers)))
+        if family == "a1" and own:
+            yield from cell_share_findings(answers)
         if family == "a2" and answers.compares:
             yield from leaning_findings(answers)
     yield from consistency_findings(answers)
