@@ -117,7 +117,7 @@ def test_counts_and_exact_tests_are_those_of_the_tables(study, found) -> None:
         (row["finger_condition"], row["zone_left"], float(row["velocity_mm_s"]), row["response"])
         for row in tables(folder)
     )
-    chance = {row["scope"]: row["p"] for row in found["tests"] if row["question"] == "a1"}
+    chance = {row["scope"]: row["p"] for row in found["tests"] if row["family"] == "a1"}
     for cell in found["counts"]:
         counts = [given[cell["finger_condition"], cell["zone_left"], cell["velocity_mm_s"], name] for name in names]
         assert [cell[name] for name in names] == counts
