@@ -48,7 +48,7 @@ def test_reaction_times_are_compared_by_medians_of_participants(build) -> None:
     finding = found["one_hand A-C - B-D"]
     assert finding.estimate == pytest.approx(-0.2, abs=0.01)
     assert finding.p == 2 / 2**10
-    assert "1 of 240 answers below 0.15 s" in finding.note
+    assert "1 of all 240 answers left out as faster than 0.15 s" in finding.note
 
 
 def test_a_pair_that_everybody_answered_too_early_has_no_time(build) -> None:

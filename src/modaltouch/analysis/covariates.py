@@ -144,7 +144,7 @@ def time_findings(answers: AnswerCounts, frame: pd.DataFrame, n_untimed: int = 0
             gap = (medians[first.label] - medians[second.label]).dropna().to_numpy()
             every = (all_medians[first.label] - all_medians[second.label]).dropna().to_numpy()
             test, unfiltered = (sign_flip_test(np.rint(values * 1000).astype(np.int64)) for values in (gap, every))
-            notes = [f"{dropped} of {len(frame)} answers below {ANTICIPATION:g} s left out in all"]
+            notes = [f"{dropped} of all {len(frame)} answers left out as faster than {ANTICIPATION:g} s"]
             notes += [f"with them p = {unfiltered.p:.2g}"] if dropped else []
             notes += [f"{n_untimed} more answer{'s' * (n_untimed > 1)} without a reaction time"] if n_untimed else []
             notes += [f"reaction times are known to {known * 1e3:.2g} ms"] if known else []

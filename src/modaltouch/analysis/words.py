@@ -169,8 +169,8 @@ def _estimate(own: Sequence[Finding], answers: AnswerCounts) -> str:
     if tested:
         n_low = sum(row.p <= ALPHA for row in tested)
         said.append(
-            f"Exploratory: p ≤ {ALPHA:g} in {n_low} of {len(tested)} uncorrected tests; chance alone may give "
-            f"{ALPHA * len(tested):.2g}"
+            f"Exploratory: p ≤ {ALPHA:g} in {n_low} of {len(tested)} uncorrected tests, where chance alone would "
+            f"give {ALPHA * len(tested):.2g} on average"
         )
     return ". ".join(words[:1].upper() + words[1:] for words in said) + "."
 
