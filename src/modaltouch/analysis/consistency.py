@@ -100,16 +100,12 @@ def shows_dominance(first: IntArray, second: IntArray) -> NDArray[np.bool_]:
 
 def _prevalence(answers: AnswerCounts, first: IntArray, second: IntArray, scope: str, zone: str) -> Finding:
     """Return the share of participants whose own answers show dominance, and its prevalence in the population."""
-    n, quantity = answers.n_participants, f"share showing {zone}"
-    least = 2.0 ** (1 - answers.n_answers)
-    if least > ALPHA:
-        note = f"no information: {answers.n_answers} answers of one participant cannot give p below {least:.2g}"
-        return finding_of(
-            "e", "prevalence of dominance", scope, None, quantity, Interval.point(math.nan, 0), n, notes=[note]
-        )
-    shown = int(shows_dominance(first, second).sum())
-    note = (
-        f"{shown} of {n} have a significant sign test by themselves; "
-        f"likeliest prevalence {prevalence(shown, n):.2f} (Ince 2021)"
-    )
-    return finding_of("e", "prevalence of dominance", scope, None, quantity, clopper_pearson(shown, n), n, notes=[note])
+    n, least = answers.n_participants, 2.0 ** (1 - answers.n_answers)
+    share = Interval.point(math.nan, 0)
+    note = f"no information: {answers.n_answers} answers of one participant cannot give p below {least:.2g}"
+    if least <= ALPHA:
+        shown = int(shows_dominance(first, second).sum())
+        share, note = clopper_pearson(shown, n), f"{shown} of {n} have a significant sign test by themselves; "
+        note += f"likeliest prevalence {prevalence(shown, n):.2f} (Ince 2021)"
+    name, quantity = "prevalence of dominance", f"share showing {zone}"
+    return finding_of("e", name, scope, None, quantity, share, n, notes=[note])

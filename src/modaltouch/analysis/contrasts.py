@@ -133,14 +133,12 @@ class Contrast:
         )
 
 
-def signs_of(contrast: Contrast | None) -> FamilyResult | None:
+def signs_of(contrast: Contrast) -> FamilyResult:
     """Return exact tests of the null hypothesis that each participant's two shares are exchangeable.
 
     A participant's answers to one condition may hang together, so conditions are flipped as a whole. That is exact with
     as many answers to each level in both; where one has more, as many as the other has are drawn from them.
     """
-    if contrast is None:
-        return None
     first, second = contrast.first, contrast.second
     n_kept = np.minimum(first.answered, second.answered)
     n_left_out = (first.answered + second.answered - 2 * n_kept).sum(axis=(-2, -1))
@@ -171,17 +169,16 @@ def _drawn_difference(counts: Sequence[tuple[IntArray, IntArray]]) -> IntArray:
     return np.asarray(drawn[:, 0] - drawn[:, 1])
 
 
-def means_of(scores: MeanScores | None) -> FamilyResult | None:
+def means_of(compared: Contrast | MeanScores) -> FamilyResult:
     """Return tests of the null hypothesis of no difference on average, with the intervals that invert them."""
-    if scores is None:
-        return None
+    scores = compared.scores if isinstance(compared, Contrast) else compared
     mean = scores.mean
     return FamilyResult(scores.scopes, scores.quantities, mean.test(), mean.interval(), mean.n, scores.say)
 
 
-def equivalence_of(scores: MeanScores | None, margin: float | None) -> FamilyResult | None:
+def equivalence_of(scores: MeanScores, margin: float | None) -> FamilyResult | None:
     """Return equivalence tests: participants differ by less than a margin on average; None without a margin."""
-    if scores is None or margin is None:
+    if margin is None:
         return None
     mean = scores.mean
     test, interval = mean.equivalence(margin), mean.interval(0.9)

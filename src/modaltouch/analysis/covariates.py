@@ -57,7 +57,10 @@ def has_values(frame: pd.DataFrame, column: str) -> bool:
 def side_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield whether the focus is chosen more often when it lies on the right than on the left."""
     yield from _aliased_side_findings(answers)
-    left, right = focused_pairs(answers)
+    left, right = (
+        [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_side == side]
+        for side in ("left", "right")
+    )
     if not (right and left):
         return
     dominant = answers.shares(answers.dominant).mean
@@ -76,15 +79,6 @@ def _mean_finding(
     """Return the mean over participants of scores from -1 to 1, with its test and interval."""
     mean, name = BoundedMean(scores), f"{what}, test and interval of a bounded mean"
     return finding_of(question, name, scope, mean.test(), quantity, mean.interval(), int(mean.n), notes=notes)
-
-
-def focused_pairs(answers: AnswerCounts) -> tuple[list[int], list[int]]:
-    """Return the indices of the pairs with the focus under the left finger, and under the right one."""
-    sides = ("left", "right")
-    left, right = (
-        [q for q, pair in enumerate(answers.pairs) if pair.focused and pair.dominant_side == side] for side in sides
-    )
-    return left, right
 
 
 def _aliased_side_findings(answers: AnswerCounts) -> Iterator[Finding]:
@@ -135,7 +129,8 @@ def order_findings(answers: AnswerCounts, frame: pd.DataFrame) -> Iterator[Findi
 def time_findings(answers: AnswerCounts, frame: pd.DataFrame, n_untimed: int = 0) -> Iterator[Finding]:
     """Yield whether reaction times differ between pairs: sign flips over the medians of the participants."""
     kept = frame[frame["response_time"] >= ANTICIPATION]
-    dropped, known = len(frame) - len(kept), known_to(frame)
+    dropped, unsure = len(frame) - len(kept), "response_uncertainty"
+    known = float(frame[unsure].quantile(0.95)) if has_values(frame, unsure) else 0.0
     for condition in answers.finger_conditions:
         # If every answer to a pair came too early, there is no median to compare.
         pairs = [pair.label for pair in answers.pairs]
@@ -177,13 +172,6 @@ def centre_interval(seconds: FloatArray) -> Interval:
         return centres.start + kept
 
     return Interval(float(seconds.mean()), lowest(values) / 1000, -lowest(-values) / 1000, values.size)
-
-
-def known_to(frame: pd.DataFrame) -> float:
-    """Return the 95th percentile of the uncertainty of reaction times [s]; 0 if the table does not give it."""
-    if not has_values(frame, "response_uncertainty"):
-        return 0.0
-    return float(frame["response_uncertainty"].quantile(0.95))
 
 
 def _rounded(interval: Interval, known: float) -> Interval:

@@ -86,7 +86,7 @@ def _of_intervals(part: pd.DataFrame, task: TrialTask, level: float) -> SignalDe
     place, named = part["interval"].astype(int), part["response"].map(task.named).astype(int)
     if task.turns(level):
         place = 3 - place
-    if task.asks_for_odd_one:
+    if task.n_intervals == 3 and not task.asks_stronger and not task.detects:
         return odd_of_three(_share(part, named == place))
     if task.n_intervals != 2 or place.nunique() < 2:
         return m_intervals(_share(part, named == place), task.n_intervals)

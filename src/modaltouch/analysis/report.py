@@ -43,7 +43,10 @@ def _cautions(answers: AnswerCounts) -> dict[str, str]:
     return {
         "a1": "Each p is of all answers in a cell, tested against an even split over "
         f"{', '.join(felt[:-1])} and {felt[-1]}"
-        + ("; an answer that nothing was felt is left out of the test, and counts in the shares" * answers.has_none_answer)
+        + (
+            "; an answer that nothing was felt is left out of the test, and counts in the shares"
+            * answers.has_none_answer
+        )
         + ".",
         "b": "A lack of information is not evidence that the level does not matter.",
         "c": "A difference that is not significant does not show that the conditions are alike; "

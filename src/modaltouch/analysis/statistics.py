@@ -33,11 +33,6 @@ from modaltouch.analysis.trend import MOST_EXACT, smallest_trend_p, trend_test
 IntArray = NDArray[np.int64]
 
 
-def _unanimous_p(levels: Sequence[float], n_participants: int, n_repetitions: int, margin: float | None) -> float:
-    """Return p if all participants lean the same way."""
-    return float(2.0 ** (1 - n_participants))
-
-
 @dataclass(frozen=True)
 class Statistic:
     """A family of tests; the analysis reports it, and planning simulates its power.
@@ -69,7 +64,7 @@ class Statistic:
     name: str
     compute: Callable[[AnswerCounts], FamilyResult | None]
     unit: str = "difference of shares"
-    smallest_p: Callable[[Sequence[float], int, int, float | None], float] = _unanimous_p
+    smallest_p: Callable[[Sequence[float], int, int, float | None], float] = lambda levels, n, *_: float(2.0 ** (1 - n))
     against_guessing: bool = False
     when_alike: bool = False
 
@@ -259,8 +254,8 @@ def pairs_compared(answers: AnswerCounts) -> Contrast | None:
     )
 
 
-def _scores(contrast: Contrast | None) -> MeanScores | None:
-    return None if contrast is None else contrast.scores
+def _tests_of(contrast: Contrast | None, tests: Callable[[Contrast], FamilyResult | None]) -> FamilyResult | None:
+    return None if contrast is None else tests(contrast)
 
 
 _SHARP_NULL = "exact sign-flip test that no participant differs"
@@ -274,11 +269,11 @@ STATISTICS: dict[str, Statistic] = {
     ),
     "a2": Statistic(
         "a2", "is one zone chosen more than the other by any participant", "exact sign-flip test of net dominance",
-        lambda answers: signs_of(dominance(answers)),
+        lambda answers: _tests_of(dominance(answers), signs_of),
     ),
     "a2 mean": Statistic(
         "a2", "is one zone chosen more than the other on average", f"net dominance, {_ON_AVERAGE}",
-        lambda answers: means_of(_scores(dominance(answers))),
+        lambda answers: _tests_of(dominance(answers), means_of),
     ),
     "b": Statistic(
         "b", "does the choice change with the level in any participant",
@@ -287,30 +282,32 @@ STATISTICS: dict[str, Statistic] = {
     ),
     "b mean": Statistic(
         "b", "does the choice change with the level on average", f"slope, {_ON_AVERAGE}",
-        lambda answers: means_of(slopes(answers)), "slope per 100 mm/s",
+        lambda answers: None if (found := slopes(answers)) is None else means_of(found), "slope per 100 mm/s",
     ),
     "c": Statistic(
         "c", "do the answers differ between finger conditions in any participant", _SHARP_NULL,
-        lambda answers: signs_of(conditions_compared(answers)),
+        lambda answers: _tests_of(conditions_compared(answers), signs_of),
     ),
     "c mean": Statistic(
         "c", "do the answers differ between finger conditions on average", f"difference, {_ON_AVERAGE}",
-        lambda answers: means_of(_scores(conditions_compared(answers))),
+        lambda answers: _tests_of(conditions_compared(answers), means_of),
     ),
     "c alike": Statistic(
         "c", "are the finger conditions alike on average, within the margin of the protocol",
         "equivalence, two one-sided tests of a bounded mean, with the 90 % interval",
-        lambda answers: equivalence_of(_scores(conditions_compared(answers)), answers.margin),
+        lambda answers: _tests_of(
+            conditions_compared(answers), lambda contrast: equivalence_of(contrast.scores, answers.margin)
+        ),
         smallest_p=lambda levels, n, n_repetitions, margin: float(BoundedMean([0.0] * n).equivalence(margin or 0.0).p),
         when_alike=True,
     ),
     "d": Statistic(
         "d", "do the pairs of zones differ in any participant", _SHARP_NULL,
-        lambda answers: signs_of(pairs_compared(answers)),
+        lambda answers: _tests_of(pairs_compared(answers), signs_of),
     ),
     "d mean": Statistic(
         "d", "do the pairs of zones differ on average", f"difference, {_ON_AVERAGE}",
-        lambda answers: means_of(_scores(pairs_compared(answers))),
+        lambda answers: _tests_of(pairs_compared(answers), means_of),
     ),
 }  # fmt: skip
 """Families of tests, each corrected by Holm's method."""

@@ -103,11 +103,6 @@ class TrialTask:
             return "a comparison in only some of the three intervals: the models assume all three"
         return ""
 
-    @property
-    def asks_for_odd_one(self) -> bool:
-        """Whether the odd one of three is asked for, whichever way it differs."""
-        return self.n_intervals == 3 and not self.asks_stronger and not self.detects
-
     def is_same(self, frame: pd.DataFrame, level: str) -> pd.Series:
         """Return in which trials the comparison equals the standard.
 

@@ -62,11 +62,6 @@ class Study:
         typical = replace(self.observer.typical, side_bias=0.0)
         return replace(self.design, speeds=alike), replace(self.observer, typical=typical)
 
-    def seed_of(self, job: Job) -> np.random.SeedSequence:
-        """Return the seed of a job, spawned from the study's and the same whatever other jobs there are."""
-        key = (job.n_participants, job.n_repetitions, job.batch)
-        return np.random.SeedSequence(self.seed, spawn_key=key)
-
 
 @dataclass(frozen=True, order=True)
 class Job:
@@ -140,7 +135,9 @@ def divide(design: Design, sizes: Iterable[tuple[int, int]], n_experiments: int)
 
 def run_job(study: Study, job: Job) -> Tallies:
     """Return the results of the experiments of a job, family by family."""
-    observed, guessed = (np.random.default_rng(seed) for seed in study.seed_of(job).spawn(2))
+    # A job's seed is the same whatever other jobs there are.
+    seed = np.random.SeedSequence(study.seed, spawn_key=(job.n_participants, job.n_repetitions, job.batch))
+    observed, guessed = map(np.random.default_rng, seed.spawn(2))
     design, observer = study.simulated
     answers = simulate(design, observer, job, observed)
     tallies = {}

@@ -156,17 +156,15 @@ class Power:
         `n_participants` is the smallest simulated number from which on every simulated number reaches the target; None
         if there is none.
         """
-        rows = []
-        for row in (*self.families, *self.tests):
-            key = {"question": row["question"], "family": row["family"], "scope": row.get("scope", "any test")}
-            rows.append(({**key, "n_repetitions": row["n_repetitions"]}, row["n_participants"], row["power"]))
         wanted: dict[tuple[Any, ...], dict[str, Any]] = {}
-        for key, n_participants, power in rows:
+        for row in (*self.families, *self.tests):
+            key = {"scope": "any test", **row}
+            key = {name: key[name] for name in ("question", "family", "scope", "n_repetitions")}
             entry = wanted.setdefault(tuple(key.values()), {**key, "target_power": target, "n_participants": None})
-            if power < target:
+            if row["power"] < target:
                 entry["n_participants"] = None
             elif entry["n_participants"] is None:
-                entry["n_participants"] = n_participants
+                entry["n_participants"] = row["n_participants"]
         return list(wanted.values())
 
     def as_dict(self, target: float = 0.8) -> dict[str, Any]:

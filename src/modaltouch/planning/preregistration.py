@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -102,7 +101,10 @@ def preregister(
     InputError
         If anything is wrong with the protocol, or its levels depend on a threshold that is not given.
     """
-    protocol, path = preflight.experiment.protocol, _public(preflight.experiment.sources.protocol.path)
+    protocol, source = preflight.experiment.protocol, preflight.experiment.sources.protocol
+    # The name of a shipped protocol is the same everywhere, and tells no user's name.
+    shipped = {file: name for name, file in Source.shipped("protocol").items()}
+    path = shipped.get(source.path.absolute(), source.path.as_posix())
     given = f" --threshold {threshold_mm_s:g}" if threshold_mm_s else ""
     if threshold_mm_s is None:
         refuse_own_levels(preflight, "give the threshold that you expect with --threshold")
@@ -112,7 +114,13 @@ def preregister(
         counted = Study(design, observer, tuple(filter(design.scopes, STATISTICS)), null=False, seed=seed)
         found = _by_counts(counted, protocol, n_participants, n_experiments or N_COUNTED, on_progress)
     several = (preflight, *preflight.others) if preflight.others else ()
-    terms, size = _terms(preflight, found), {"n": n_participants, "observer": observer.name, "seed": seed}
+    terms = {
+        "date": datetime.now(UTC).date().isoformat(),
+        **found.terms,
+        "protocol (SHA-256)": source.sha256,
+        "equivalence margin": (protocol.model_dump().get("analysis") or {}).get("equivalence_margin"),
+    }
+    size = {"n": n_participants, "observer": observer.name, "seed": seed}
     return render_page(
         "modaltouch.planning",
         "prereg.md.j2",
@@ -128,12 +136,6 @@ def preregister(
         block=json.dumps(terms, indent=1, ensure_ascii=False),
         program=(version(), commit()),
     )
-
-
-def _public(path: Path) -> str:
-    """Return a protocol's path, or the name of a shipped one: it is the same everywhere, and tells no user's name."""
-    shipped = {file: name for name, file in Source.shipped("protocol").items()}
-    return shipped.get(path.absolute(), path.as_posix())
 
 
 def _counted(preflight: Preflight, observer: Observer) -> Design | None:
@@ -160,7 +162,18 @@ def _by_counts(
     rows = [{**row, "floor": floors[row["family"]]} for row in found.families]
     shape = (n_participants, *design.shape, len(offered))
     planned = replace(design.count(np.zeros(shape, dtype=np.int64), n_repetitions), answers=offered)
-    described = [_describe_family(family, design) for family in study.families]
+    described: list[dict[str, Any]] = [
+        {
+            "name": family,
+            "asks": STATISTICS[family].asks,
+            "test": STATISTICS[family].name,
+            "scopes": [
+                f"{scope_in_words(scope, design.finger_conditions, design.pairs)}: {quantity}"
+                for scope, quantity in design.tests[family]
+            ],
+        }
+        for family in study.families
+    ]
     tests = {family["name"]: len(family["scopes"]) for family in described}
     again = "modaltouch power {path} -n {n} --experiments {experiments} --observer {observer} --seed {seed}"
     again += f" --questions '{','.join(study.families)}'"
@@ -210,26 +223,4 @@ def _describe_threshold(name: str, found: Sequence[dict[str, Any]]) -> dict[str,
         "factor": float(np.median(factors)) if factors else None,
         "n_without_interval": len(found) - len(factors),
         "without_threshold": sum(row["n_without_threshold"] for row in found) / sum(row["n_runs"] for row in found),
-    }
-
-
-def _describe_family(family: str, design: Design) -> dict[str, Any]:
-    return {
-        "name": family,
-        "asks": STATISTICS[family].asks,
-        "test": STATISTICS[family].name,
-        "scopes": [
-            f"{scope_in_words(scope, design.finger_conditions, design.pairs)}: {quantity}"
-            for scope, quantity in design.tests[family]
-        ],
-    }
-
-
-def _terms(preflight: Preflight, found: _Plan) -> dict[str, Any]:
-    protocol = preflight.experiment.protocol
-    return {
-        "date": datetime.now(UTC).date().isoformat(),
-        **found.terms,
-        "protocol (SHA-256)": preflight.experiment.sources.protocol.sha256,
-        "equivalence margin": (protocol.model_dump().get("analysis") or {}).get("equivalence_margin"),
     }

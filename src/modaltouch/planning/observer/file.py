@@ -24,29 +24,7 @@ def read_observer(name: Path | str) -> Observer:
     InputError
         With every fault of the file and its position; or with the shipped names, if there is no such file.
     """
-    return observer_of(ObserverFile.read(name))
-
-
-def usual_observer(protocol: Protocol) -> str:
-    """Return the name of the shipped observer that simulates a protocol by default.
-
-    Adaptive runs, levels that follow from their thresholds, silent standards, and answers felt or not need `fingertip`,
-    whose thresholds lie within a beam's range; `paper` feels any level, and tells the zones apart.
-
-    Parameters
-    ----------
-    protocol : Protocol
-        The protocol.
-    """
-    at_thresholds = protocol.adaptive is not None or protocol.conditions.sensation_levels is not None
-    is_silent = protocol.intervals is not None and protocol.intervals.standard.velocity_mm_s == 0
-    offered = protocol.answers.offered
-    is_detected = len(offered) == 2 and offered.naming() is not None
-    return "fingertip" if at_thresholds or is_silent or is_detected else "paper"
-
-
-def observer_of(file: ObserverFile) -> Observer:
-    """Return the observer that the keys of a file describe."""
+    file = ObserverFile.read(name)
     typical, spread = file.typical, file.spread
     return Observer(
         typical=Participant(
@@ -72,6 +50,24 @@ def observer_of(file: ObserverFile) -> Observer:
         front_end=file.front_end,
         name=file.observer,
     )
+
+
+def usual_observer(protocol: Protocol) -> str:
+    """Return the name of the shipped observer that simulates a protocol by default.
+
+    Adaptive runs, levels that follow from their thresholds, silent standards, and answers felt or not need `fingertip`,
+    whose thresholds lie within a beam's range; `paper` feels any level, and tells the zones apart.
+
+    Parameters
+    ----------
+    protocol : Protocol
+        The protocol.
+    """
+    at_thresholds = protocol.adaptive is not None or protocol.conditions.sensation_levels is not None
+    is_silent = protocol.intervals is not None and protocol.intervals.standard.velocity_mm_s == 0
+    offered = protocol.answers.offered
+    is_detected = len(offered) == 2 and offered.naming() is not None
+    return "fingertip" if at_thresholds or is_silent or is_detected else "paper"
 
 
 def write_observer(observer: Observer, name: str, description: str) -> str:
