@@ -79,13 +79,16 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
     """
     _refuse_adaptive(path, is_adaptive=preflight.experiment.protocol.adaptive is not None)
     refuse_unlike(preflight)
-    _refuse_unnamed(path, tuple(preflight.variants))
+    is_table = path.is_file() and path.suffix != ".jsonl"
+    if is_table and preflight.variants:
+        given = "a CSV file, which does not say which stimulus an answer belongs to"
+        allowed = f"sessions with {', '.join(preflight.variants)}"
+        raise InputError.of(path, given, allowed, "give the sessions themselves")
     if preflight.findings.measured:
         given = "measured, so everybody felt different speeds"
         remedy = "see `modaltouch analyse --speed predicted`"
         allowed = "fingers that are the same for all"
         raise InputError([preflight.findings.problem(("stimulus", "fingers"), given, allowed, remedy)])
-    is_table = path.is_file() and path.suffix != ".jsonl"
     offered = preflight.experiment.protocol.answers.offered
     taken = {
         name: read_responses(
@@ -93,22 +96,12 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
         )
         for name in preflight.parts
     }
-    recorded = []
-    for name, part in preflight.parts.items():
-        felt = felt_speeds(part, prior.front_end)
-        recorded.append(_record(_count(part, path, taken[name]), felt))
+    recorded = [
+        _record(_count(part, path, taken[name]), felt_speeds(part, prior.front_end))
+        for name, part in preflight.parts.items()
+    ]
     # Every session presents all stimuli, so their participants are the same.
     return Fitted(fit_observer(RecordedAnswers.joined(recorded), prior), tuple(taken.values()), len(recorded[0].facing))
-
-
-def _refuse_unnamed(path: Path, stimuli: tuple[str, ...]) -> None:
-    """Refuse answers that do not say which of several stimuli they belong to."""
-    if stimuli and path.is_file() and path.suffix != ".jsonl":
-        given, remedy = (
-            "a CSV file, which does not say which stimulus an answer belongs to",
-            "give the sessions themselves",
-        )
-        raise InputError.of(path, given, f"sessions with {', '.join(stimuli)}", remedy)
 
 
 def _refuse_adaptive(path: Path, *, is_adaptive: bool) -> None:

@@ -84,14 +84,6 @@ def test_the_near_miss_multiplies_the_noise() -> None:
     assert Participant().noise_at(0.01, 0.5) == Participant().noise
 
 
-def test_the_weber_fraction_is_one_deviation_of_the_ratio() -> None:
-    """Expected: at the ratio 1 + w the difference is the noise (definition), less for one hand than for two."""
-    person = Participant(detection_speed=0.0)
-    fraction = person.weber_fraction("one_hand")
-    assert person.difference(0.1, 0.1 * (1 + fraction), "one_hand") == pytest.approx(person.noise)
-    assert fraction < person.weber_fraction("two_hands")
-
-
 def test_an_observer_survives_the_record() -> None:
     """Expected: through JSON and back, the same observer."""
     observer = replace(Observer(), front_end="envelope", name="x", typical=Participant(noise=0.3))

@@ -120,9 +120,6 @@ def _grid() -> FloatArray:
     return np.concatenate([ndtri(cube), np.zeros((1, N_NODES))])
 
 
-Z95 = 1.959964
-
-
 @dataclass(frozen=True)
 class _Quantity:
     """A quantity that is fitted: its name in an observer, the scale on which it is fitted, and its prior there."""
@@ -293,7 +290,7 @@ def _covariance(cost: Callable[[FloatArray], float], point: FloatArray, deviatio
 def _estimate(
     name: str, natural: Callable[[float], float], middle: float, variance: float, prior_variance: float
 ) -> FittedParameter:
-    reach = Z95 * math.sqrt(max(variance, 0.0))
+    reach = 1.959964 * math.sqrt(max(variance, 0.0))
     learned = min(max(1 - float(variance) / float(prior_variance), 0.0), 1.0)
     ends = (natural(middle - reach), natural(middle + reach))
     if natural is math.expm1:

@@ -101,16 +101,6 @@ class Participant:
         """
         return self.suppression if finger_condition == SAME_HAND else self.suppression_across_hands
 
-    def weber_fraction(self, finger_condition: str) -> float:
-        """Return the relative difference of speeds that equals one standard deviation of noise [1].
-
-        Parameters
-        ----------
-        finger_condition : str
-            ``one_hand`` or another; suppression sharpens the difference.
-        """
-        return math.expm1(self.noise / (1 + self.suppression_in(finger_condition)))
-
     def noise_at(self, speed_left: float, speed_right: float) -> float:
         """Return the standard deviation of the comparison at a level [1].
 
