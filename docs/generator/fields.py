@@ -234,19 +234,16 @@ def _write_events(folder: Path, told: Found) -> None:
 def _write_table(folder: Path) -> None:
     from modaltouch.record import view
 
-    extra = {
-        "catch": view.CATCH,
-        "multiple_of_threshold": view.MULTIPLE,
-        **view.INTERVALS,
-        "masked": view.MASKED,
-        "stimulus": view.STIMULUS,
+    extra = {name: column for needs, columns in view.FURTHER.items() for name, column in columns.items()
+             if needs not in ("counted", "line")}  # fmt: skip
+    extra |= {
         "value": {"Description": "Number given on a scale; n/a without an answer"},
         "<question>": {"Description": "Answer to the further question of this name: an answer or a number"},
         "<question>_time": view.QUESTION_TIME,
     }
     groups = {
         "In every session": view.COLUMNS,
-        "In sessions whose bursts are counted": {**view.COUNTED, **view.LINE},
+        "In sessions whose bursts are counted": {**view.FURTHER["counted"], **view.FURTHER["line"]},
         "If the protocol has them": extra,
     }
     blocks = [

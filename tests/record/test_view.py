@@ -9,12 +9,7 @@ from modaltouch import __version__
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.session import Session
-from modaltouch.record.view import (
-    COLUMNS,
-    LINE,
-    table_text,
-    write_view,
-)
+from modaltouch.record.view import COLUMNS, FURTHER, table_text, write_view
 
 CONDITION = {
     "finger_condition": "one_hand",
@@ -154,7 +149,7 @@ def test_the_side_file_says_what_the_table_is_of(place, session):
     assert side["SessionLog"] == {"File": "session.jsonl", "lines": 7, "check": "ab" * 32}
     assert place.table.read_text() == table_text(session)
     described = {name: column for name, column in side.items() if name not in ("TaskName", "Mode", "SessionLog")}
-    assert list(described) == [*COLUMNS, *LINE]
+    assert list(described) == [*COLUMNS, *FURTHER["line"]]
     for name, column in described.items():
         assert set(column) <= {"Description", "Levels", "Units"}, name
         assert column["Description"].strip(), name

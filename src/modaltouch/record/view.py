@@ -60,69 +60,79 @@ COLUMNS: dict[str, dict[str, Any]] = {
     },
 }
 
-COUNTED: dict[str, dict[str, Any]] = {
-    "onset": {
-        "Description": "When the first sample of the first burst left the generator, by the clock of the session log; "
-        "the focus comes at the protocol's focusing_instant_ms after it",
-        "Units": "s",
+_YES = {"0": "no", "1": "yes"}
+FURTHER: dict[str, dict[str, dict[str, Any]]] = {
+    "counted": {
+        "onset": {
+            "Description": "When the first sample of the first burst left the generator, by the clock of the session "
+            "log; the focus comes at the protocol's focusing_instant_ms after it",
+            "Units": "s",
+        },
+        "onset_uncertainty": {
+            "Description": "How far the true onset can be from it, either way: half the time from sending the trigger "
+            "command until the instrument had accepted it, plus the bounds of the trigger latency; at least a "
+            "millisecond if that latency has not been measured",
+            "Units": "s",
+        },
+        "n_bursts": {"Description": "Complete bursts that were played; n/a if they cannot be counted"},
+        "n_bursts_dropped": {"Description": "Bursts left out because they would have come too late"},
+        "repetition_by": {
+            "Description": "What repeats the bursts",
+            "Levels": {
+                "single": "a command for each burst",
+                "timer": "the generator's free timer: bursts are not counted, and the first is known to within a "
+                "period",
+                "continuous": "one record, repeated continuously: bursts are not counted",
+                "wired": "a pulse source at the trigger input: bursts are counted there",
+            },
+        },
+        "presentation": {"Description": "Number of this presentation of the trial, from 1"},
+        "device": {"Description": "Source of the answer: key, mouse, console, model, or none at a time-out"},
+        "speed_left_mm_s": {"Description": "Predicted peak speed of the beam under the left finger", "Units": "mm/s"},
+        "speed_right_mm_s": {"Description": "Predicted peak speed of the beam under the right finger", "Units": "mm/s"},
     },
-    "onset_uncertainty": {
-        "Description": "How far the true onset can be from it, either way: half the time from sending the trigger "
-        "command until the instrument had accepted it, plus the bounds of the trigger latency; at least a millisecond "
-        "if that latency has not been measured",
-        "Units": "s",
+    "line": {"log_line": {"Description": f"Line number in {LOG_NAME}"}},
+    "catch": {"catch": {"Description": "Catch trial: nothing was driven, and the velocity is 0", "Levels": _YES}},
+    "multiples": {
+        "multiple_of_threshold": {
+            "Description": "Velocity as a multiple of the participant's own threshold; n/a in a catch trial",
+            "Units": "1",
+        }
     },
-    "n_bursts": {"Description": "Complete bursts that were played; n/a if they cannot be counted"},
-    "n_bursts_dropped": {"Description": "Bursts left out because they would have come too late"},
-    "repetition_by": {
-        "Description": "What repeats the bursts",
-        "Levels": {
-            "single": "a command for each burst",
-            "timer": "the generator's free timer: bursts are not counted, and the first is known to within a period",
-            "continuous": "one record, repeated continuously: bursts are not counted",
-            "wired": "a pulse source at the trigger input: bursts are counted there",
+    "masking": {
+        "masked": {
+            "Description": "Masking noise was on and at its level during the whole trial",
+            "Levels": _YES,
+        }
+    },
+    "stimuli": {"stimulus": {"Description": "Which of the protocol's stimuli; n/a in a catch trial"}},
+    "three_fingers": {
+        "zone_between": {"Description": "Zone under the finger between the outer two"},
+        "finger_between": {"Description": "Finger on that zone"},
+        "speed_between_mm_s": {"Description": "Predicted peak speed of the beam under that finger", "Units": "mm/s"},
+    },
+    "intervals": {
+        "interval": {"Description": "Interval of the trial in which this condition was presented, from 1"},
+        "standard_mm_s": {"Description": "Level at the focus in the other intervals, 0 for silence", "Units": "mm/s"},
+        "correct": {
+            "Description": "Whether the answer is right; n/a if any answer may be right, and at a time-out",
+            "Levels": _YES,
         },
     },
-    "presentation": {"Description": "Number of this presentation of the trial, from 1"},
-    "device": {"Description": "Source of the answer: key, mouse, console, model, or none at a time-out"},
-    "speed_left_mm_s": {"Description": "Predicted peak speed of the beam under the left finger", "Units": "mm/s"},
-    "speed_right_mm_s": {"Description": "Predicted peak speed of the beam under the right finger", "Units": "mm/s"},
+    "delivered": {
+        "delivered_mm_s": {
+            "Description": "Peak speed of the beam under the faster finger, from a record of the first burst",
+            "Units": "mm/s",
+        }
+    },
 }
-"""Columns of sessions whose bursts are counted, since format 2 of the log."""
-
-BETWEEN: dict[str, dict[str, Any]] = {
-    "zone_between": {"Description": "Zone under the finger between the outer two"},
-    "finger_between": {"Description": "Finger on that zone"},
-    "speed_between_mm_s": {"Description": "Predicted peak speed of the beam under that finger", "Units": "mm/s"},
-}
-"""Columns of sessions with three fingers."""
-
-DELIVERED: dict[str, dict[str, Any]] = {
-    "delivered_mm_s": {
-        "Description": "Peak speed of the beam under the faster finger, from a record of the first burst",
-        "Units": "mm/s",
-    }
-}
-"""Columns of sessions whose fingers are measured."""
-
-LINE: dict[str, dict[str, Any]] = {"log_line": {"Description": f"Line number in {LOG_NAME}"}}
-
+"""Columns by what a session must have for them; bursts are counted since format 2 of the log."""
+QUESTION_TIME: dict[str, Any] = {"Description": "Time from the question to its answer", "Units": "s"}
 _FORMATS = {
     **dict.fromkeys(("velocity_mm_s", "multiple_of_threshold", "standard_mm_s"), "g"),
     **dict.fromkeys(("speed_left_mm_s", "speed_between_mm_s", "speed_right_mm_s", "delivered_mm_s"), "g"),
     **dict.fromkeys(("response_time", "onset", "onset_uncertainty"), ".4f"),
 }
-
-CATCH: dict[str, Any] = {
-    "Description": "Catch trial: nothing was driven, and the velocity is 0",
-    "Levels": {"0": "no", "1": "yes"},
-}
-
-MASKED: dict[str, Any] = {
-    "Description": "Masking noise was on and at its level during the whole trial",
-    "Levels": {"0": "no", "1": "yes"},
-}
-
 _FINGERS: dict[tuple[str, ...] | None, str] = {
     ("left",): "left finger",
     ("right",): "right finger",
@@ -130,24 +140,6 @@ _FINGERS: dict[tuple[str, ...] | None, str] = {
     ("between",): "finger between them",
     (): "neither finger",
 }
-
-MULTIPLE: dict[str, Any] = {
-    "Description": "Velocity as a multiple of the participant's own threshold; n/a in a catch trial",
-    "Units": "1",
-}
-
-QUESTION_TIME: dict[str, Any] = {"Description": "Time from the question to its answer", "Units": "s"}
-
-INTERVALS: dict[str, dict[str, Any]] = {
-    "interval": {"Description": "Interval of the trial in which this condition was presented, from 1"},
-    "standard_mm_s": {"Description": "Level at the focus in the other intervals, 0 for silence", "Units": "mm/s"},
-    "correct": {
-        "Description": "Whether the answer is right; n/a if any answer may be right, and at a time-out",
-        "Levels": {"0": "no", "1": "yes"},
-    },
-}
-
-STIMULUS: dict[str, Any] = {"Description": "Which of the protocol's stimuli; n/a in a catch trial"}
 
 
 def write_view(
@@ -223,19 +215,20 @@ def _columns(session: Session) -> dict[str, dict[str, Any]]:
     laid = COLUMNS["finger_condition"]
     for name, fingers in design.get("conditions", {}).get("fingers", {}).items():
         laid = laid | {"Levels": laid["Levels"] | {name: ", ".join(fingers)}}
-    known = (
-        (True, COLUMNS | {"response": _describe_answers(design.get("answers", {})), "finger_condition": laid}),
-        (session.start.get("schema", 1) > 1, COUNTED),
-        (True, LINE),
-        (design.get("schedule", {}).get("catch_trials"), {"catch": CATCH}),
-        (session.multiples, {"multiple_of_threshold": MULTIPLE}),
-        (design.get("masking"), {"masked": MASKED}),
-        (design.get("stimuli"), {"stimulus": STIMULUS}),
-        (any(len(zones) > 2 for zones in design.get("conditions", {}).get("zones", ())), BETWEEN),
-        (design.get("intervals"), INTERVALS),
-        (design.get("stimulus", {}).get("fingers") == "measured", DELIVERED),
-    )
-    columns = {name: column for held, columns in known if held for name, column in columns.items()}
+    has = {
+        "counted": session.start.get("schema", 1) > 1,
+        "line": True,
+        "catch": design.get("schedule", {}).get("catch_trials"),
+        "multiples": session.multiples,
+        "masking": design.get("masking"),
+        "stimuli": design.get("stimuli"),
+        "three_fingers": any(len(zones) > 2 for zones in design.get("conditions", {}).get("zones", ())),
+        "intervals": design.get("intervals"),
+        "delivered": design.get("stimulus", {}).get("fingers") == "measured",
+    }
+    columns = COLUMNS | {"response": _describe_answers(design.get("answers", {})), "finger_condition": laid}
+    for name, further in FURTHER.items():
+        columns |= further if has[name] else {}
     for name, asked in session.questions.items():
         columns[name] = describe_question(asked)
         columns |= {f"{name}_time": QUESTION_TIME} if name != "value" else {}
