@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from modaltouch.cli.commands import app
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.rig import Recording
-from modaltouch.system.interruption import Interrupted, Interruption
+from modaltouch.system.operating_system import Interrupted, Interruption
 
 APPARATUS = str(Path(__file__).parents[2] / "protocols" / "apparatus" / "beam_100x6x2.yaml")
 RUN = CliRunner()

@@ -26,8 +26,8 @@ from modaltouch.record.files import hold, is_locked, open_file, replace_file
 from modaltouch.record.folders import refuse_existing
 from modaltouch.record.log import SessionLog
 from modaltouch.session.console.consoles import EventLines
-from modaltouch.system import files as system_files
-from modaltouch.system.files import lock
+from modaltouch.system import operating_system
+from modaltouch.system.operating_system import lock
 
 WINDOWS = pytest.mark.parametrize("rules", ["windows"], indirect=True)
 UNIX = pytest.mark.parametrize("rules", ["unix"], indirect=True)
@@ -263,7 +263,7 @@ def test_a_draft_that_gets_its_name_while_it_is_open_is_found_out(
 @WINDOWS
 def test_a_lock_on_what_is_read_is_found_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody else could read the record of a session that is being run."""
-    monkeypatch.setattr(system_files, "LOCKED_BYTE", 0)
+    monkeypatch.setattr(operating_system, "LOCKED_BYTE", 0)
     with (
         SessionLog.create(tmp_path / "session.jsonl", "start") as log,
         pytest.raises(RecordError, match="locked a port"),

@@ -5,7 +5,7 @@ import signal
 
 import pytest
 
-from modaltouch.system.interruption import Interrupted, Interruption
+from modaltouch.system.operating_system import Interrupted, Interruption
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])

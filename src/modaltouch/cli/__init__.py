@@ -11,8 +11,8 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.cli.commands import app
-    from modaltouch.cli.exit_status import BAD_INPUT, INTERRUPTED, print_json
+    from modaltouch.cli.output import BAD_INPUT, INTERRUPTED, print_json
 else:
-    __getattr__ = lazily(__name__, {"commands": "app", "exit_status": "BAD_INPUT INTERRUPTED print_json"})
+    __getattr__ = lazily(__name__, {"commands": "app", "output": "BAD_INPUT INTERRUPTED print_json"})
 
 __all__ = ["BAD_INPUT", "INTERRUPTED", "app", "print_json"]

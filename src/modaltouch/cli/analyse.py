@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from modaltouch.cli.exit_status import print_json, reporting
 from modaltouch.cli.options import JSON, MODE
+from modaltouch.cli.output import print_json, reporting
 
 if TYPE_CHECKING:
     from modaltouch.analysis import TableFormat

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from modaltouch.cli.exit_status import BAD_INPUT, print_json, reporting
 from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, WITH_MARKED
-from modaltouch.cli.tables import print_table
+from modaltouch.cli.output import BAD_INPUT, print_json, print_table, reporting
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from modaltouch.cli.exit_status import BAD_INPUT, leave, reporting
-from modaltouch.cli.lab import bars, give
+from modaltouch.cli.lab import bars
 from modaltouch.cli.options import APPARATUS, JSON, MEASURED_RIG, SHIPPED_APPARATUS
+from modaltouch.cli.output import print_json, reporting
 
 FILES = Annotated[
     list[Path] | None,
@@ -119,12 +119,10 @@ def identify(
             spacing=spacing_Hz, seed=seed, export=export, leave_out=tuple(place * 1e-3 for place in leave_out or ()),
             use_clipped=use_clipped, estimator=estimator,
         )  # fmt: skip
-        try:
-            with bars() as progress:
-                report = measure(options, progress)
-        except ValueError as error:
-            leave(BAD_INPUT, str(error), json_output=json_output)
-        give(report, _show, json_output=json_output)
+        with bars(json_output=json_output) as progress:
+            report = measure(options, progress)
+        values = report.write()
+        print_json(values) if json_output else _show(values)
 
 
 def _show(result: dict[str, Any]) -> None:

@@ -3,39 +3,29 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from modaltouch.cli.exit_status import BAD_INPUT, leave, print_json, reporting
 from modaltouch.cli.options import CALIBRATION, JSON, MEASURED_RIG, PROTOCOL, RECORD, SEED_OF_TWIN
-from modaltouch.cli.tables import make_bars, print_table
+from modaltouch.cli.output import BAD_INPUT, leave, make_bars, print_json, print_table, reporting
 
 if TYPE_CHECKING:
-    from rich.progress import Progress, TaskID
+    from rich.progress import TaskID
 
     from modaltouch.lab import MeasurementProgress
     from modaltouch.protocol import Calibration
 
 
-class LabReport(Protocol):
-    """What a command of the lab returns."""
-
-    def write(self) -> dict[str, Any]:
-        """Write the files and return everything as plain values."""
-
-
-def give(report: LabReport, show: Callable[[dict[str, Any]], None], *, json_output: bool) -> None:
-    """Write a report's files, and print its contents."""
-    (print_json if json_output else show)(report.write())
-
-
 @contextmanager
-def bars() -> Iterator[MeasurementProgress]:
-    """Show on standard error what is being done and how far it is, and ask there for the vibrometer to be aimed."""
+def bars(*, json_output: bool = False) -> Iterator[MeasurementProgress]:
+    """Show on standard error what is being done and how far it is, and ask there for the vibrometer to be aimed.
+
+    What cannot be measured or designed as it was asked for (ValueError) ends the command as bad input.
+    """
     from modaltouch.lab import MeasurementProgress, TooFewPointsError
 
     shown = make_bars()
@@ -52,30 +42,26 @@ def bars() -> Iterator[MeasurementProgress]:
         """Ask once for each position, however many records are taken there in a row."""
         if aimed != [(position, across)]:
             row = f", {across * 1e3:+.2f} mm across from the mid-line" if across else ""
-            with _aside(shown):
+            shown.stop()
+            # Ctrl-C ends the question at once.
+            noting = signal.signal(signal.SIGINT, signal.default_int_handler)
+            try:
                 ask_for(f"Aim the vibrometer at {position * 1e3:+.2f} mm from mid-beam{row}")
+            finally:
+                signal.signal(signal.SIGINT, noting)
+                shown.start()
             aimed[:] = [(position, across)]
 
     try:
         yield MeasurementProgress(show=show, say=shown.print, aim=aim)
     except TooFewPointsError as error:
         raise typer.BadParameter(str(error)) from None
+    except ValueError as error:
+        leave(BAD_INPUT, str(error), json_output=json_output)
     finally:
         # Where nothing was measured, nothing was shown.
         if shown.live.is_started:
             shown.stop()
-
-
-@contextmanager
-def _aside(bars: Progress) -> Iterator[None]:
-    """Remove the bars while the user is asked for something, and let Ctrl-C end the question at once."""
-    bars.stop()
-    noting = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, noting)
-        bars.start()
 
 
 def ask_for(words: str) -> None:
@@ -116,9 +102,10 @@ def calibrate(
     from modaltouch.lab import calibrate as measure
 
     with reporting(json_output=json_output):
-        with bars() as progress:
+        with bars(json_output=json_output) as progress:
             report = measure(protocol, out, rig=rig, person=person, accept=accept, record=record, progress=progress)
-        give(report, lambda _: _show_calibration(report.calibration, out, protocol), json_output=json_output)
+        values = report.write()
+        print_json(values) if json_output else _show_calibration(report.calibration, out, protocol)
 
 
 def _show_calibration(calibration: Calibration, out: Path, protocol: Path) -> None:
@@ -219,21 +206,19 @@ def compare(
     from modaltouch.lab import compare as measure
 
     with reporting(json_output=json_output):
-        try:
-            with bars() as progress:
-                report = measure(
-                    protocol,
-                    out=out,
-                    scan=scan,
-                    points=points,
-                    averages=averages,
-                    beams=beams,
-                    seed=seed,
-                    progress=progress,
-                )
-        except ValueError as error:
-            leave(BAD_INPUT, str(error), json_output=json_output)
-        give(report, lambda values: _show_comparison(report.table, values), json_output=json_output)
+        with bars(json_output=json_output) as progress:
+            report = measure(
+                protocol,
+                out=out,
+                scan=scan,
+                points=points,
+                averages=averages,
+                beams=beams,
+                seed=seed,
+                progress=progress,
+            )
+        values = report.write()
+        print_json(values) if json_output else _show_comparison(report.table, values)
 
 
 def _show_comparison(lines: list[dict[str, Any]], values: dict[str, Any]) -> None:
@@ -286,7 +271,7 @@ def validate(
     from modaltouch.lab import validate as measure
 
     with reporting(json_output=json_output):
-        with bars() as progress:
+        with bars(json_output=json_output) as progress:
             report = measure(
                 protocol,
                 calibration=calibration,
@@ -299,7 +284,8 @@ def validate(
                 record=record,
                 progress=progress,
             )
-        give(report, lambda values: _show_validation(report.table, values), json_output=json_output)
+        values = report.write()
+        print_json(values) if json_output else _show_validation(report.table, values)
 
 
 def _show_validation(lines: list[dict[str, Any]], values: dict[str, Any]) -> None:
@@ -361,23 +347,21 @@ def probe(
     from modaltouch.lab import probe_fingers
 
     with reporting(json_output=json_output):
-        try:
-            with bars() as progress:
-                report = probe_fingers(
-                    protocol,
-                    out,
-                    rig=rig,
-                    pair=pair,
-                    hand=hand,
-                    laser=None if laser_mm is None else laser_mm * 1e-3,
-                    speed=speed_mm_s * 1e-3,
-                    seed=seed,
-                    progress=progress,
-                    lay=ask_for,
-                )
-        except ValueError as error:
-            leave(BAD_INPUT, str(error), json_output=json_output)
-        give(report, _show_fingers, json_output=json_output)
+        with bars(json_output=json_output) as progress:
+            report = probe_fingers(
+                protocol,
+                out,
+                rig=rig,
+                pair=pair,
+                hand=hand,
+                laser=None if laser_mm is None else laser_mm * 1e-3,
+                speed=speed_mm_s * 1e-3,
+                seed=seed,
+                progress=progress,
+                lay=ask_for,
+            )
+        values = report.write()
+        print_json(values) if json_output else _show_fingers(values)
 
 
 def _show_fingers(result: dict[str, Any]) -> None:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from modaltouch.cli.exit_status import print_json, reporting
 from modaltouch.cli.options import JSON
+from modaltouch.cli.output import print_json, reporting
 
 if TYPE_CHECKING:
     from modaltouch.protocol import Protocol

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from modaltouch.cli.exit_status import reporting
+from modaltouch.cli.output import reporting
 
 SHIPPED_APPARATUS = Path("beam_100x6x2")
 

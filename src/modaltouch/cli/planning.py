@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from modaltouch.cli.analyse import participants
-from modaltouch.cli.exit_status import INTERRUPTED, print_json, reporting
 from modaltouch.cli.options import JSON, MODE, OBSERVER, PROTOCOL, USUAL_OBSERVER
-from modaltouch.cli.tables import print_table, progress
+from modaltouch.cli.output import INTERRUPTED, print_json, print_table, progress, reporting
 
 if TYPE_CHECKING:
     from modaltouch.analysis import Responses

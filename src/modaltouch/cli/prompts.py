@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from modaltouch.cli.check import show
-from modaltouch.cli.exit_status import INTERRUPTED, leave
+from modaltouch.cli.output import INTERRUPTED, leave
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -17,9 +17,8 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from modaltouch.cli.exit_status import RECORD_AT_RISK, RIG_FAILED, print_json, reporting
 from modaltouch.cli.options import APPARATUS, JSON, RECORDS, SHIPPED_APPARATUS
-from modaltouch.cli.tables import print_table
+from modaltouch.cli.output import RECORD_AT_RISK, RIG_FAILED, print_json, print_table, reporting
 from modaltouch.system import sync_file, versions
 
 MARKS = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "fault": ("FAULT", "red")}

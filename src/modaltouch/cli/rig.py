@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from modaltouch.cli.exit_status import print_json, reporting
 from modaltouch.cli.options import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS
+from modaltouch.cli.output import print_json, reporting
 
 rig = typer.Typer(
     name="rig",

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from modaltouch.cli.exit_status import print_json, reporting
 from modaltouch.cli.options import (
     CALIBRATION,
     EVENTS,
@@ -30,7 +29,7 @@ from modaltouch.cli.options import (
     WITH_MARKED,
     ThemeChoice,
 )
-from modaltouch.cli.tables import progress
+from modaltouch.cli.output import print_json, progress, reporting
 
 if TYPE_CHECKING:
     from modaltouch.record import Session

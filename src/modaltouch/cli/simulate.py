@@ -7,9 +7,8 @@ from typing import Annotated
 
 import typer
 
-from modaltouch.cli.exit_status import print_json, reporting
 from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, RESULTS, SEED, USUAL_OBSERVER, WITH_MARKED
-from modaltouch.cli.tables import progress
+from modaltouch.cli.output import print_json, progress, reporting
 
 
 def simulate(

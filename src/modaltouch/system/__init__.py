@@ -38,19 +38,15 @@ def lazily(package: str, places: Mapping[str, str]) -> Callable[[str], Any]:
 
 
 if TYPE_CHECKING:
-    from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock
-    from modaltouch.system.clock_timing import measure_clock
-    from modaltouch.system.files import lock, sync_file
-    from modaltouch.system.interruption import Interrupted, Interruption
+    from modaltouch.system.clock import SYSTEM_CLOCK, Clock, VirtualClock, measure_clock
+    from modaltouch.system.operating_system import Interrupted, Interruption, lock, sync_file
     from modaltouch.system.provenance import commit, version, versions
 else:
     __getattr__ = lazily(
         __name__,
         {
-            "clock": "Clock SYSTEM_CLOCK VirtualClock",
-            "clock_timing": "measure_clock",
-            "files": "lock sync_file",
-            "interruption": "Interrupted Interruption",
+            "clock": "Clock SYSTEM_CLOCK VirtualClock measure_clock",
+            "operating_system": "Interrupted Interruption lock sync_file",
             "provenance": "commit version versions",
         },
     )

@@ -20,8 +20,8 @@ from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.problems import InputError
 from modaltouch.rig.interface import RigError
-from modaltouch.stimulus.correction import Correction
-from modaltouch.system.interruption import Interrupted
+from modaltouch.stimulus.burst import Correction
+from modaltouch.system.operating_system import Interrupted
 
 
 def test_shipped_mismatch_is_met_closer(
