@@ -29,9 +29,9 @@ from peers import (
 from threadpoolctl import threadpool_limits
 
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.timing import Timing
 
 N_SAMPLES = 65_536
 TIMING = Timing(replace(AFG3022B.converter, clock_rate=N_SAMPLES * 20 * 190), n_samples=N_SAMPLES)

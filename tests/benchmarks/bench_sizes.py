@@ -17,9 +17,9 @@ from threadpoolctl import threadpool_limits
 
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.blocks import BlockKernel
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import DiagonalSystem, moments
 from modaltouch.stimulus.synthesis import synthesise
-from modaltouch.stimulus.timing import Timing
 
 MODES = (6, 12, 25, 50, 100, 200)
 SAMPLES = tuple(2**power for power in range(10, 23, 2))

@@ -30,10 +30,10 @@ from threadpoolctl import threadpool_limits
 from tradeoff_figure import draw
 
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import Stimulus
 from modaltouch.stimulus.target_field import TargetField
-from modaltouch.stimulus.timing import Timing
 
 SAMPLES = (12_500, 25_000, 62_500, 125_000)
 MODES = (3, 6, 9)

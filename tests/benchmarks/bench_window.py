@@ -137,7 +137,7 @@ def console_on_a_terminal() -> Iterator[Any]:
 @contextmanager
 def silence() -> Iterator[Any]:
     """Give no console."""
-    from modaltouch.session.console.interface import Console
+    from modaltouch.session.console import Console
 
     yield Console()
 

@@ -10,11 +10,11 @@ import numpy as np
 from scipy import signal
 
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import Stimulus, design_stimulus
 from modaltouch.stimulus.target_field import TargetField
-from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import BlockStates, history
 
 ZONES = (-0.04, -0.02, 0.0, 0.02, 0.04)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import Stimulus, design_stimulus
 from modaltouch.stimulus.target_field import TargetField
-from modaltouch.stimulus.timing import Timing
 
 FREQUENCY = (229, 2553, 7137, 12701, 22810, 29390, 58303, 68543, 87855)
 RATIO = (0.0437, 0.0165, 0.0265, 0.0168, 0.0112, 0.0166, 0.0101, 0.0176, 0.0147)

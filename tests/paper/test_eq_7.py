@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from modaltouch.rig.afg3022b import AFG3022B
-from modaltouch.stimulus.timing import Timing
+from modaltouch.stimulus.burst import Timing
 
 TABLE = {1: (229, "0.0437"), 3: (2553, "0.0165"), 5: (7137, "0.0265"), 13: (58303, "0.0101")}
 

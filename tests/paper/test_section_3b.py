@@ -5,8 +5,8 @@ import pytest
 from forward import modal_history
 
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.timing import Timing
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from modaltouch.rig.connection import Patience
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.pacing import LocalClient
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.state import Behaviour
+from modaltouch.rig.simulator.common import Behaviour
 from modaltouch.rig.visa import VisaSession
 from modaltouch.stimulus.burst import Burst
 from modaltouch.system.clock import VirtualClock

@@ -14,7 +14,7 @@ from modaltouch.rig.checklist import check_rig
 from modaltouch.rig.connection import Patience
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.state import Behaviour
+from modaltouch.rig.simulator.common import Behaviour
 
 PATIENCE = Patience(reply=0.3, copy=1.0, tries=2, pause=0.02)
 

@@ -460,13 +460,13 @@ def test_level_change_sends_no_record(loaded: Generator, heard: Any) -> None:
 def test_levels_are_set_while_the_trigger_is_stopped(loaded: Generator, simulator: Simulator) -> None:
     """No burst plays between the two channels' settings: the trigger waits and both outputs are off."""
     seen = []
-    set_levels = simulator.afg.set_levels
+    change = simulator.afg.change
 
     def watch(number: int, **levels: float) -> None:
         seen.append((simulator.afg.trigger_source, simulator.outputs))
-        set_levels(number, **levels)
+        change(number, **levels)
 
-    simulator.afg.set_levels = watch
+    simulator.afg.change = watch
     loaded.fire(0.1)
     loaded.fire(0.2)
     assert seen == [("EXT", (False, False))] * 4

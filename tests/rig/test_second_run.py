@@ -17,7 +17,7 @@ from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.generator import Generator
 from modaltouch.rig.interface import RigError, StimulusLost
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.state import Behaviour
+from modaltouch.rig.simulator.common import Behaviour
 from modaltouch.rig.visa import VisaSession
 from modaltouch.stimulus.burst import Burst
 

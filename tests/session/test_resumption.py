@@ -21,7 +21,7 @@ from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import RecordInputError, read_chain
 from modaltouch.record.session import Session, read_session
 from modaltouch.rig.interface import Bursts, Firing
-from modaltouch.session.console.interface import Console, Facts, Request
+from modaltouch.session.console import Console, Facts, Request
 from modaltouch.session.resumption import answers_to_ask_again, examine_interruption, refuse_old, resume, wire_resume
 from modaltouch.session.setup import Setup, begin
 from modaltouch.session.wiring import wire_run

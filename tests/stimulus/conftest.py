@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import Stimulus, design_stimulus
 from modaltouch.stimulus.target_field import TargetField
-from modaltouch.stimulus.timing import Timing
 
 TABLE_I = (
     # label, Hz, damping ratio, mm/s^2 per V, channel

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.drive import Steering
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.other_drives import least_norm, least_peak
-from modaltouch.stimulus.timing import Timing
 
 UNMODELLED = ModalModel((19,), [120e3], [0.015], [[50.0, 50.0]], 0.1)
 

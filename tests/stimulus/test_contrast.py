@@ -7,11 +7,11 @@ import pytest
 from scipy.optimize import linprog
 
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.contrast import least_peak
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.fingers import Finger
 from modaltouch.stimulus.target_field import TargetField
-from modaltouch.stimulus.timing import Timing
 
 LEVEL, LIMIT = 0.2, 250.0
 

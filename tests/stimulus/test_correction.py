@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from modaltouch.stimulus.correction import Correction, corrected
+from modaltouch.stimulus.burst import Correction, corrected
 
 
 def test_corrected_targets_hold_in_proportion_at_other_levels():

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.drive import FALL, RISE, Drive, Release, Steering, exact_drive
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.stimulus import design_stimulus
 from modaltouch.stimulus.target_field import TargetField
-from modaltouch.stimulus.timing import Timing
 
 EPS = np.finfo(float).eps
 PI = np.longdouble("3.14159265358979323846264338327950288")

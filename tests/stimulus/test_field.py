@@ -6,12 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.shapes import mode_shapes
 from modaltouch.stimulus.stimulus import design_stimulus
 from modaltouch.stimulus.target_field import Projection, TargetField, quadrature
-from modaltouch.stimulus.timing import Timing
 
 SHAPES = ("triangle", "box", "half_cosine", "raised_cosine", "gaussian")
 

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.fingers import CoupledModes, Finger, _gauss
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.sensitivity import derivative
-from modaltouch.stimulus.timing import Timing
 
 LONG = np.longdouble
 MASS = 3.3e-3

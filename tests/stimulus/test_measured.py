@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.measured_shapes import MeasuredShapes
 from modaltouch.stimulus.shapes import mode_shapes
 from modaltouch.stimulus.stimulus import design_stimulus
 from modaltouch.stimulus.target_field import Projection, TargetField
-from modaltouch.stimulus.timing import Timing
 
 LABELS = tuple(range(1, 18, 2))
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.quantised import _changes, _Walk
 from modaltouch.stimulus.target_field import TargetField
-from modaltouch.stimulus.timing import Timing
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.stimulus.burst import Converter, Timing
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
-from modaltouch.stimulus.quantisation import Converter
-from modaltouch.stimulus.timing import Timing
 
 PI = np.longdouble("3.14159265358979323846264338327950288")
 

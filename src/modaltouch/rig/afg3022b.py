@@ -5,13 +5,17 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.instrument import Commands, Instrument, RecordAccess, Setting, upload_twice
+from modaltouch.rig.instrument import Commands, Instrument, Setting
 from modaltouch.rig.interface import LinkError, Unconfirmed
 from modaltouch.stimulus import Converter
+
+if TYPE_CHECKING:
+    from modaltouch.rig.controls import Controls
 
 N_SPOTS = 64
 
@@ -30,84 +34,84 @@ class EditMemory:
 
     n_memories: int
 
-    def store(self, desk: RecordAccess, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
+    def store(self, controls: Controls, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
         """Store records that are not stored yet, verify them, and return the numbers of their memories."""
         used: list[str] = []
         for channel, codes in records:
-            used.append(self._store(desk, codes, str(channel), used))
+            used.append(self._store(controls, codes, str(channel), used))
         return used
 
     def locks(self, memories: Sequence[str]) -> list[Setting]:
         """Return the settings that keep memories from being overwritten at the front panel."""
         return [LOCKED.filled(memory=memory) for memory in dict.fromkeys(memories)]
 
-    def _store(self, desk: RecordAccess, codes: NDArray[np.uint16], wanted: str, in_use: Sequence[str]) -> str:
+    def _store(self, controls: Controls, codes: NDArray[np.uint16], wanted: str, in_use: Sequence[str]) -> str:
         """Return the memory of a record, stored if need be: in the memory wanted, or another if that is in use."""
         digest = hashlib.sha256(codes.astype(">u2").tobytes()).hexdigest()
-        known = [memory for memory, held in desk.stored.items() if held == digest]
+        known = [memory for memory, held in controls.stored.items() if held == digest]
         if known:
             return known[0]
         if wanted in in_use:
             memories = (str(number) for number in range(self.n_memories, 0, -1))
             wanted = next(memory for memory in memories if memory not in in_use)
-        if wanted not in desk.stored and self._holds(desk, wanted, codes):
-            desk.log("record_found", memory=f"USER{wanted}", sha256=digest, n_points=codes.size)
+        if wanted not in controls.stored and self._holds(controls, wanted, codes):
+            controls.log("record_found", memory=f"USER{wanted}", sha256=digest, n_points=codes.size)
         else:
-            self._upload(desk, wanted, codes)
-            desk.log("record_sent", memory=f"USER{wanted}", sha256=digest, n_points=codes.size)
-        desk.stored[wanted] = digest
+            self._upload(controls, wanted, codes)
+            controls.log("record_sent", memory=f"USER{wanted}", sha256=digest, n_points=codes.size)
+        controls.stored[wanted] = digest
         return wanted
 
-    def _holds(self, desk: RecordAccess, memory: str, codes: NDArray[np.uint16]) -> bool:
-        if f"USER{memory}" not in desk.ask("DATA:CAT?"):
+    def _holds(self, controls: Controls, memory: str, codes: NDArray[np.uint16]) -> bool:
+        if f"USER{memory}" not in controls.ask("DATA:CAT?"):
             return False
         try:
-            return bool(np.array_equal(self._read_back(desk, memory), codes))
+            return bool(np.array_equal(self._read_back(controls, memory), codes))
         except Unconfirmed:
             return False
         except LinkError:
-            desk.revive()
+            controls.revive()
             return False
 
-    def _upload(self, desk: RecordAccess, memory: str, codes: NDArray[np.uint16]) -> None:
-        desk.stored.pop(memory, None)
-        desk.apply([LOCKED.filled(memory=memory).off])
-        upload_twice(desk, f"USER{memory}", lambda: self._upload_once(desk, memory, codes))
+    def _upload(self, controls: Controls, memory: str, codes: NDArray[np.uint16]) -> None:
+        controls.stored.pop(memory, None)
+        controls.apply([LOCKED.filled(memory=memory).off])
+        controls.upload_twice(f"USER{memory}", lambda: self._upload_once(controls, memory, codes))
 
-    def _upload_once(self, desk: RecordAccess, memory: str, codes: NDArray[np.uint16]) -> None:
-        desk.send_block("DATA:DATA EMEM", codes.astype(">u2").tobytes())
-        (n_points,) = desk.complete("the upload", "*OPC?", "DATA:POIN? EMEM")
+    def _upload_once(self, controls: Controls, memory: str, codes: NDArray[np.uint16]) -> None:
+        controls.send_block("DATA:DATA EMEM", codes.astype(">u2").tobytes())
+        (n_points,) = controls.complete("the upload", "*OPC?", "DATA:POIN? EMEM")
         if n_points != str(codes.size):
             raise Unconfirmed(f"{codes.size} points were sent, but the generator counts {n_points}")
-        _complete(desk, f"DATA:COPY USER{memory},EMEM")
-        if not self._verified(desk, memory, codes):
+        _complete(controls, f"DATA:COPY USER{memory},EMEM")
+        if not self._verified(controls, memory, codes):
             raise Unconfirmed(f"USER{memory} does not hold the record that was sent, after two uploads")
 
-    def _verified(self, desk: RecordAccess, memory: str, codes: NDArray[np.uint16]) -> bool:
+    def _verified(self, controls: Controls, memory: str, codes: NDArray[np.uint16]) -> bool:
         """Return whether a memory reads back as stored, checked by a sample of points if blocks cannot be read."""
         for _ in range(2):
             try:
-                return bool(np.array_equal(self._read_back(desk, memory), codes))
+                return bool(np.array_equal(self._read_back(controls, memory), codes))
             except LinkError:
-                desk.revive()
-        return self._spots_agree(desk, codes)
+                controls.revive()
+        return self._spots_agree(controls, codes)
 
-    def _read_back(self, desk: RecordAccess, memory: str) -> NDArray[np.uint16]:
-        _complete(desk, f"DATA:COPY EMEM,USER{memory}")
-        return desk.read_codes("DATA:DATA? EMEM")
+    def _read_back(self, controls: Controls, memory: str) -> NDArray[np.uint16]:
+        _complete(controls, f"DATA:COPY EMEM,USER{memory}")
+        return controls.read_codes("DATA:DATA? EMEM")
 
-    def _spots_agree(self, desk: RecordAccess, codes: NDArray[np.uint16]) -> bool:
+    def _spots_agree(self, controls: Controls, codes: NDArray[np.uint16]) -> bool:
         """Return whether the edit memory agrees with a record in length, strongest points and evenly spread ones."""
-        desk.log("record_spot_check", n_spots=N_SPOTS, why="its blocks cannot be read back")
-        if desk.ask("DATA:POIN? EMEM") != str(codes.size):
+        controls.log("record_spot_check", n_spots=N_SPOTS, why="its blocks cannot be read back")
+        if controls.ask("DATA:POIN? EMEM") != str(codes.size):
             return False
         strongest = np.argsort(np.abs(codes.astype(int) - int(np.median(codes))))[-N_SPOTS // 2 :]
         spread = np.linspace(0, codes.size - 1, N_SPOTS // 2).astype(int)
-        return all(desk.ask(f"DATA:DATA:VAL? EMEM,{at + 1}") == str(codes[at]) for at in {*strongest, *spread})
+        return all(controls.ask(f"DATA:DATA:VAL? EMEM,{at + 1}") == str(codes[at]) for at in {*strongest, *spread})
 
 
-def _complete(desk: RecordAccess, command: str) -> None:
-    desk.complete(command, f":{command};*OPC?")
+def _complete(controls: Controls, command: str) -> None:
+    controls.complete(command, f":{command};*OPC?")
 
 
 LOCKED = Setting("DATA:LOCK:STAT", "ON", of="USER{memory}")

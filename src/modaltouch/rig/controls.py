@@ -20,8 +20,6 @@ MOST_ERRORS = 64
 class Controls(Link):
     """A link that makes settings, reads them back and uploads records; raises LinkError or Unconfirmed on failure.
 
-    It is the `modaltouch.rig.instrument.RecordAccess` for the instrument's `Records`.
-
     Parameters
     ----------
     transport : Transport
@@ -143,6 +141,14 @@ class Controls(Link):
             if not 2 <= codes.size <= most:
                 raise Unconfirmed(f"a record of {codes.size} points: the generator holds 2 to {most}")
         return self._instrument.records.store(self, records)
+
+    def upload_twice(self, memory: str, upload: Callable[[], None]) -> None:
+        """Call `upload`, and once more if it is not confirmed."""
+        try:
+            upload()
+        except Unconfirmed as error:
+            self.log("upload_repeated", memory=memory, reason=str(error))
+            upload()
 
     def complete(self, what: str, message: str, *queries: str) -> list[str]:
         """Send a message that waits for completion, read the error queue, and return the replies to further queries."""

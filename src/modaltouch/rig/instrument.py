@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import typing
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.interface import RigError, Unconfirmed
+from modaltouch.rig.interface import RigError
 from modaltouch.stimulus import Burst, Converter
 
 
@@ -93,46 +93,6 @@ class Setting:
         )
 
 
-class RecordAccess(typing.Protocol):
-    """The driver as `Records` use it; every method may raise LinkError or Unconfirmed."""
-
-    stored: dict[str, str]
-    """Hash of the record that each memory is known to hold, by the memory's name."""
-
-    def ask(self, query: str) -> str:
-        """Return the reply to a query."""
-
-    def ask_raw(self, query: str) -> bytes:
-        """Return the reply to a query as received, with the long timeout of a copy."""
-
-    def read_codes(self, query: str) -> NDArray[np.uint16]:
-        """Return the codes of the block that a query returns, two bytes each, big-endian."""
-
-    def complete(self, what: str, message: str, *queries: str) -> list[str]:
-        """Send a message that waits for completion, and return the replies to further queries."""
-
-    def apply(self, settings: Sequence[Setting]) -> tuple[str, ...]:
-        """Make settings, and return the values read back."""
-
-    def send_block(self, command: str, block: bytes) -> None:
-        """Send a command whose last argument is a block."""
-
-    def revive(self) -> object:
-        """Reopen the connection after a failed exchange, outputs off."""
-
-    def log(self, event: str, **facts: Any) -> object:
-        """Log an event."""
-
-
-def upload_twice(desk: RecordAccess, memory: str, upload: Callable[[], None]) -> None:
-    """Call `upload`, and once more if it is not confirmed."""
-    try:
-        upload()
-    except Unconfirmed as error:
-        desk.log("upload_repeated", memory=memory, reason=str(error))
-        upload()
-
-
 class Records(typing.Protocol):
     """How an instrument stores waveform records and verifies them."""
 
@@ -140,10 +100,11 @@ class Records(typing.Protocol):
     def n_memories(self) -> int:
         """Number of different records that it can hold at a time."""
 
-    def store(self, desk: RecordAccess, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
+    def store(self, controls: Any, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
         """Store records, each verified for its channel, and return what fills ``{memory}`` for each.
 
-        A record that is already stored, known from this session or read back, is not sent again.
+        A record that is already stored, known from this session or read back, is not sent again. `controls` are the
+        `modaltouch.rig.controls.Controls` of the open instrument.
 
         Raises
         ------

@@ -16,14 +16,18 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.rig.instrument import Commands, Instrument, RecordAccess, Setting, upload_twice
+from modaltouch.rig.instrument import Commands, Instrument, Setting
 from modaltouch.rig.interface import LinkError, Unconfirmed
 from modaltouch.rig.link import block_bounds
 from modaltouch.stimulus import Converter
+
+if TYPE_CHECKING:
+    from modaltouch.rig.controls import Controls
 
 ZERO = 32767
 """The driver's code for 0 V: its codes count from 0, the instrument's run from -32767 to 32767."""
@@ -48,67 +52,67 @@ class ChannelMemories:
 
     n_memories: int
 
-    def store(self, desk: RecordAccess, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
+    def store(self, controls: Controls, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
         """Store records in the memories of their channels, verify them, and return their names."""
         # Names begin with a letter and have at most twelve characters.
         names = ["MT" + hashlib.sha256(codes.tobytes()).hexdigest()[:10].upper() for _, codes in records]
         for channel in dict.fromkeys(channel for channel, _ in records):
             wanted = {name: codes for name, (each, codes) in zip(names, records, strict=True) if each == channel}
-            if all(desk.stored.get(f"{channel}:{name}") for name in wanted):
+            if all(controls.stored.get(f"{channel}:{name}") for name in wanted):
                 continue
             event = "record_found"
-            if not self._holds(desk, channel, wanted):
+            if not self._holds(controls, channel, wanted):
                 event = "record_sent"
-                upload_twice(desk, f"{channel}:{','.join(wanted)}", partial(self._upload, desk, channel, wanted))
+                controls.upload_twice(f"{channel}:{','.join(wanted)}", partial(self._upload, controls, channel, wanted))
             for name, codes in wanted.items():
                 digest = hashlib.sha256(codes.astype(">u2").tobytes()).hexdigest()
-                desk.stored[f"{channel}:{name}"] = digest
-                desk.log(event, memory=f"{channel}:{name}", sha256=digest, n_points=codes.size)
+                controls.stored[f"{channel}:{name}"] = digest
+                controls.log(event, memory=f"{channel}:{name}", sha256=digest, n_points=codes.size)
         return names
 
     def locks(self, memories: Sequence[str]) -> list[Setting]:
         """Return no settings: records cannot be locked; one selected at the front panel is revealed by its name."""
         return []
 
-    def _holds(self, desk: RecordAccess, channel: int, wanted: dict[str, NDArray[np.uint16]]) -> bool:
+    def _holds(self, controls: Controls, channel: int, wanted: dict[str, NDArray[np.uint16]]) -> bool:
         """Return whether a channel's memory already holds all records."""
-        held = desk.ask(f"SOUR{channel}:DATA:VOL:CAT?").upper()
+        held = controls.ask(f"SOUR{channel}:DATA:VOL:CAT?").upper()
         try:
-            return all(f'"{name}"' in held and _verified(desk, channel, name, wanted[name]) for name in wanted)
+            return all(f'"{name}"' in held and _verified(controls, channel, name, wanted[name]) for name in wanted)
         except Unconfirmed:
             return False
 
-    def _upload(self, desk: RecordAccess, channel: int, wanted: dict[str, NDArray[np.uint16]]) -> None:
-        for known in [memory for memory in desk.stored if memory.startswith(f"{channel}:")]:
-            del desk.stored[known]
+    def _upload(self, controls: Controls, channel: int, wanted: dict[str, NDArray[np.uint16]]) -> None:
+        for known in [memory for memory in controls.stored if memory.startswith(f"{channel}:")]:
+            del controls.stored[known]
         # Names in use are refused (error 786), even if a fault has spoiled the record stored under one.
         clear = f"SOUR{channel}:DATA:VOL:CLE"
-        desk.complete(clear, f":{clear};*OPC?")
-        desk.apply([Setting("FORM:BORD", "NORM", replies=("NORM", "NORMAL"))])
+        controls.complete(clear, f":{clear};*OPC?")
+        controls.apply([Setting("FORM:BORD", "NORM", replies=("NORM", "NORMAL"))])
         for name, codes in wanted.items():
             block = (codes.astype(int) - ZERO).astype(">i2").tobytes()
-            desk.send_block(f"SOUR{channel}:DATA:ARB:DAC {name}", block)
-            desk.complete("the upload", "*OPC?")
-            if not _verified(desk, channel, name, codes):
+            controls.send_block(f"SOUR{channel}:DATA:ARB:DAC {name}", block)
+            controls.complete("the upload", "*OPC?")
+            if not _verified(controls, channel, name, codes):
                 raise Unconfirmed(
                     f"{name} of output {channel} does not hold the record that was sent, after two uploads"
                 )
 
 
-def _verified(desk: RecordAccess, channel: int, name: str, codes: NDArray[np.uint16]) -> bool:
+def _verified(controls: Controls, channel: int, name: str, codes: NDArray[np.uint16]) -> bool:
     """Return whether a record is stored correctly, by its statistics and, if it can be read back, by every code."""
-    told = [desk.ask(f"SOUR{channel}:DATA:ATTR:{figure}? {name}") for figure in FIGURES]
+    told = [controls.ask(f"SOUR{channel}:DATA:ATTR:{figure}? {name}") for figure in FIGURES]
     if not all(_agrees(*each) for each in zip(told, figures(codes), strict=True)):
         return False
     for _ in range(2):
         try:
-            read = _read_back(desk, channel, name)
+            read = _read_back(controls, channel, name)
         except LinkError:
-            desk.revive()
+            controls.revive()
             continue
         if read is not None:
             return bool(np.array_equal(read, codes))
-    desk.log("record_figures", memory=f"{channel}:{name}", figures=told, why="its file cannot be read back")
+    controls.log("record_figures", memory=f"{channel}:{name}", figures=told, why="its file cannot be read back")
     return True
 
 
@@ -129,17 +133,17 @@ def _agrees(reply: str, figure: float) -> bool:
         return False
 
 
-def _read_back(desk: RecordAccess, channel: int, name: str) -> NDArray[np.uint16] | None:
+def _read_back(controls: Controls, channel: int, name: str) -> NDArray[np.uint16] | None:
     """Return the codes of a record from the file that the instrument writes of it; None if it writes no such file."""
     # Unverified: that the file contains the record selected, and the format of its header.
-    desk.apply([Setting(f"SOUR{channel}:FUNC:ARB", f'"{name}"', replies=(f'"{name}"', name))])
+    controls.apply([Setting(f"SOUR{channel}:FUNC:ARB", f'"{name}"', replies=(f'"{name}"', name))])
     store = f"MMEM:STOR:DATA{channel} {FILE}"
     try:
-        desk.complete(store, f":{store};*OPC?")
+        controls.complete(store, f":{store};*OPC?")
     except Unconfirmed:
         return None
-    content = desk.ask_raw(f"MMEM:UPL? {FILE}")
-    desk.complete("MMEM:DEL", f":MMEM:DEL {FILE};*OPC?")
+    content = controls.ask_raw(f"MMEM:UPL? {FILE}")
+    controls.complete("MMEM:DEL", f":MMEM:DEL {FILE};*OPC?")
     try:
         start, end = block_bounds(content)
         head, _, body = content[start:end].decode("ascii").partition("Data:")

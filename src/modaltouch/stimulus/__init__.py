@@ -15,22 +15,19 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.stimulus.blocks import BlockKernel
-    from modaltouch.stimulus.burst import Burst
-    from modaltouch.stimulus.correction import Correction
+    from modaltouch.stimulus.burst import Burst, Converter, Correction, Timing
     from modaltouch.stimulus.drive import Law, Release
     from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
     from modaltouch.stimulus.fingers import Finger
     from modaltouch.stimulus.measured_shapes import MeasuredShapes
     from modaltouch.stimulus.modes import ModalModel
     from modaltouch.stimulus.probe import Probe
-    from modaltouch.stimulus.quantisation import Converter
     from modaltouch.stimulus.reachability import Taper
     from modaltouch.stimulus.sample_count import cheapest_samples
     from modaltouch.stimulus.sensitivity import focus_sensitivity, scatter
     from modaltouch.stimulus.shapes import characteristic_root, mode_shapes
     from modaltouch.stimulus.stimulus import Stimulus, design_stimulus
     from modaltouch.stimulus.target_field import TargetField
-    from modaltouch.stimulus.timing import Timing
     from modaltouch.stimulus.timoshenko import TimoshenkoBeam
     from modaltouch.stimulus.vibration import BlockStates
 else:
@@ -38,22 +35,19 @@ else:
         __name__,
         {
             "blocks": "BlockKernel",
-            "burst": "Burst",
-            "correction": "Correction",
+            "burst": "Burst Converter Correction Timing",
             "drive": "Law Release",
             "fingers": "Finger",
             "dynamics": "Amplifier DiagonalSystem",
             "measured_shapes": "MeasuredShapes",
             "modes": "ModalModel",
             "probe": "Probe",
-            "quantisation": "Converter",
             "reachability": "Taper",
             "sample_count": "cheapest_samples",
             "sensitivity": "focus_sensitivity scatter",
             "shapes": "characteristic_root mode_shapes",
             "stimulus": "Stimulus design_stimulus",
             "target_field": "TargetField",
-            "timing": "Timing",
             "timoshenko": "TimoshenkoBeam",
             "vibration": "BlockStates",
         },

@@ -1,16 +1,306 @@
-"""A burst: the codes of both channels that the generator plays at each trigger, and their amplitudes."""
+"""A burst as the generator plays it: its clock and converter, the codes of both channels, and their amplitudes."""
 
 from __future__ import annotations
 
 import hashlib
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus.correction import LevelCorrections, corrected
-from modaltouch.stimulus.quantisation import Converter
+from modaltouch.stimulus.quantities import FloatArray, require_positive
+
+_LONGEST_STRETCH = 1.05
+"""Largest ratio of full scale to the peak, which costs a fifteenth of a bit [1]."""
+
+
+@dataclass(frozen=True)
+class Converter:
+    """An instrument's converter: code ``c`` stands for ``(c / mid_code - 1) * full_scale / 2`` volts.
+
+    Attributes
+    ----------
+    mid_code : int
+        Code of zero volts; codes run from 0 to twice that.
+    max_points : int
+        Length of the longest record [points].
+    clock_rate : float
+        Rate of its clock [Hz].
+    amplitude_digits, amplitude_decimals : int
+        Most significant digits and most decimals of an amplitude in volts peak to peak.
+    of_record : bool
+        Whether an amplitude spans the record, from its lowest code to its highest; else it spans all codes, the full
+        scale.
+    any_rate : bool
+        Whether its clock adapts to the sampling rate, so that no sample begins late.
+    """
+
+    mid_code: int
+    max_points: int
+    clock_rate: float
+    amplitude_digits: int
+    amplitude_decimals: int
+    of_record: bool = False
+    any_rate: bool = False
+
+    def shares(self, codes: FloatArray | NDArray[np.uint16]) -> FloatArray:
+        """Return the amplitude of each channel of a record relative to its full scale, (n_channels,) array [1]."""
+        shares = np.ones(codes.shape[0])
+        if self.of_record:
+            span = np.subtract(codes.max(axis=1), codes.min(axis=1), dtype=float)
+            np.divide(span, 2 * self.mid_code, out=shares, where=span > 0)
+        return shares
+
+    def round_amplitude(self, amplitude: float) -> float:
+        """Return an amplitude rounded to the instrument's grid [V peak to peak]."""
+        return max(round(float(f"{amplitude:.{self.amplitude_digits}g}"), self.amplitude_decimals), 0.0)
+
+    def amplitudes_at(
+        self, full_scale: tuple[float, ...], velocity: float, reference: float, shares: FloatArray
+    ) -> tuple[float, ...]:
+        """Return the amplitudes at a level, on the instrument's grid, from the full scales at a reference level [V]."""
+        each = zip(full_scale, shares.tolist(), strict=True)
+        return tuple(self.round_amplitude(full * velocity / reference * share) for full, share in each)
+
+    def full_scale(self, least: float, shares: tuple[float, ...]) -> float:
+        """Return a full scale, at or above the least, for which the amplitudes of all levels are close to the grid.
+
+        Parameters
+        ----------
+        least : float
+            Smallest amplitude that holds the peak [V peak to peak].
+        shares : tuple of float
+            Levels as fractions of the highest [1].
+
+        Returns
+        -------
+        float
+            Of the amplitudes up to 5 % above the least, the one whose products with `shares` are closest to the grid;
+            the smallest, if several are [V peak to peak].
+        """
+        if least <= 0:
+            return 0.0
+        step = max(10.0 ** (np.floor(np.log10(least)) + 1 - self.amplitude_digits), 10.0**-self.amplitude_decimals)
+        first = int(np.ceil(least / step - 1e-9))
+        last = max(first, int(least * _LONGEST_STRETCH / step))
+        best, smallest_miss = self.round_amplitude(first * step), np.inf
+        for count in range(first, last + 1):
+            candidate = self.round_amplitude(count * step)
+            # Above a power of ten the grid is coarser than `step`: rounding may leave the range at either end.
+            if not least * (1 - 1e-12) <= candidate <= max(least * _LONGEST_STRETCH, first * step) * (1 + 1e-12):
+                continue
+            miss = max((abs(self.round_amplitude(candidate * s) / (candidate * s) - 1) for s in shares), default=0.0)
+            if miss < smallest_miss - 1e-12:
+                best, smallest_miss = candidate, miss
+            if smallest_miss < 1e-12:
+                break
+        return best
+
+    def round_to_codes(self, voltage: FloatArray, volts_per_code: FloatArray) -> FloatArray:
+        """Return the nearest signed codes; the first and the last are 0, where the generator idles.
+
+        Parameters
+        ----------
+        voltage : (n_channels, n_samples) array
+            Voltages at the beam [V].
+        volts_per_code : (n_channels,) array
+            Voltage of one code at the beam [V]; 0 for a silent channel.
+
+        Returns
+        -------
+        (n_channels, n_samples) array
+            Whole numbers from minus to plus `mid_code` [1].
+
+        Raises
+        ------
+        ValueError
+            If a voltage exceeds the full scale.
+        """
+        steps = np.empty(voltage.shape)
+        for channel, (row, unit, out) in enumerate(zip(voltage, volts_per_code, steps, strict=True)):
+            if unit <= 0:
+                out[:] = 0.0
+                continue
+            np.rint(np.divide(row, unit, out=out), out=out)
+            if max(out.max(), -out.min()) > self.mid_code:
+                raise ValueError(
+                    f"channel {channel + 1} peaks at {np.abs(row).max():g} V, beyond its full scale of "
+                    f"{unit * self.mid_code:g} V: raise the full scale"
+                )
+        steps[:, 0] = steps[:, -1] = 0.0
+        return steps
+
+    def unsigned(self, signed: FloatArray) -> NDArray[np.uint16]:
+        """Return codes for the generator from codes relative to mid-scale, array of the same shape."""
+        codes = np.empty(signed.shape, dtype=np.uint16)
+        return np.add(signed, self.mid_code, out=codes, casting="unsafe")
+
+    def signed(self, codes: NDArray[np.uint16]) -> FloatArray:
+        """Return codes relative to mid-scale from codes for the generator, array of the same shape."""
+        return np.subtract(codes, self.mid_code, dtype=float)
+
+
+_ON_GRID = 1e-6
+"""Distance from the sample grid, in samples, below which an instant counts as on it [1]."""
+
+
+@dataclass(frozen=True)
+class Timing:
+    """One burst on the generator's clock.
+
+    Attributes
+    ----------
+    converter : Converter
+        Converter of the generator, with its clock and the length of its longest record.
+    n_samples : int
+        Number of samples of each channel, at least 2.
+    duration : float
+        Length of the burst [s].
+    focusing_instant : float
+        Time from the start of the burst to the instant at which the target field is reached [s].
+    repetition_rate : float
+        Bursts per second [Hz].
+    """
+
+    converter: Converter
+    n_samples: int = 125_000
+    duration: float = 0.05
+    focusing_instant: float = 0.025
+    repetition_rate: float = 7.0
+
+    def __post_init__(self) -> None:
+        """Refuse a burst that the generator cannot play."""
+        if not 2 <= self.n_samples <= self.converter.max_points:
+            raise ValueError(
+                f"a burst of {self.n_samples} samples does not fit the generator, which holds 2 to "
+                f"{self.converter.max_points}: take 125000 over 50 ms, which it holds exactly 100 clocks each"
+            )
+        require_positive("the duration of the burst", self.duration, "s", "50 ms is the paper's")
+        require_positive("the repetition rate", self.repetition_rate, "Hz", "7 Hz is the paper's")
+        require_positive("the clock rate", self.clock_rate, "Hz", "the generator's data sheet states it")
+        require_positive("the focusing instant", self.focusing_instant, "s", "25 ms is the paper's")
+        if self.duration * self.repetition_rate > 1 + 1e-12:
+            raise ValueError(
+                f"a burst of {self.duration * 1e3:g} ms does not fit the period of "
+                f"{1e3 / self.repetition_rate:g} ms: shorten the burst or lower the repetition rate of "
+                f"{self.repetition_rate:g} Hz"
+            )
+        if self.focusing_instant < self.hold * (1 - _ON_GRID):
+            raise ValueError(
+                f"the focusing instant of {self.focusing_instant:g} s is shorter than one sample of "
+                f"{self.hold:g} s: set it later, or take more samples"
+            )
+        if self.focusing_instant > self.duration * (1 + 1e-12):
+            raise ValueError(
+                f"the focusing instant of {self.focusing_instant * 1e3:g} ms lies beyond the burst of "
+                f"{self.duration * 1e3:g} ms: set it earlier, or lengthen the burst"
+            )
+        if self.hold * self.clock_rate < 1 - 1e-12:
+            raise ValueError(
+                f"{self.n_samples} samples in {self.duration:g} s exceed the clock rate of {self.clock_rate:g} Hz: "
+                f"take at most {int(self.duration * self.clock_rate)}"
+            )
+
+    @property
+    def clock_rate(self) -> float:
+        """Clock of the generator [Hz]."""
+        return self.converter.clock_rate
+
+    @property
+    def hold(self) -> float:
+        """Duration of each sample [s]."""
+        return self.duration / self.n_samples
+
+    @property
+    def sampling_rate(self) -> float:
+        """Samples per second [Hz]."""
+        return self.n_samples / self.duration
+
+    def samples_until(self, instant: float) -> tuple[int, float]:
+        """Return the number of samples that end by an instant, and the remaining time.
+
+        Parameters
+        ----------
+        instant : float
+            Time from the start of the burst [s].
+
+        Returns
+        -------
+        n_samples : int
+            Number of whole samples that end by then, at most all of them.
+        remainder : float
+            Time from the end of the last of them to the instant [s]; 0 on the grid.
+        """
+        steps = instant * self.sampling_rate
+        nearest = round(steps)
+        whole = nearest if abs(steps - nearest) < _ON_GRID else int(np.floor(steps))
+        whole = max(0, min(whole, self.n_samples))
+        remainder = (steps - whole) * self.hold
+        return whole, 0.0 if abs(remainder) < _ON_GRID * self.hold else remainder
+
+    @cached_property
+    def clock_error(self) -> FloatArray | None:
+        """Delay with which the clock begins each sample, (n_samples + 1,) array [s], or None if it is never late.
+
+        A clock that adapts to any rate is never late. A phase accumulator plays sample
+        ``floor(clock * n_samples / n_clocks)``: if the number of clock cycles in a burst is not a multiple of the
+        number of samples, sample n begins at the first clock edge at or after ``n * hold``.
+        """
+        clocks = self.duration * self.clock_rate / self.n_samples
+        if self.converter.any_rate or abs(clocks - round(clocks)) < 1e-9 * clocks:
+            return None
+        ideal = np.arange(self.n_samples + 1) * clocks
+        late = np.ceil(ideal - 1e-6) - ideal
+        return np.asarray(np.maximum(late, 0.0) / self.clock_rate)
+
+
+LevelCorrections = tuple[tuple[float, float], ...]
+"""Levels [m/s], each with its amplitude factor [1]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Corrected targets of the exact law, with which the real beam reaches the target field.
+
+    Attributes
+    ----------
+    velocity, displacement : (n_modes,) arrays
+        Target modal velocities, and target modal displacements times angular frequency, for the level `reference`
+        [m/s].
+    reference : float
+        Level of these targets; those of other levels are proportional [m/s].
+    corrections : tuple of (float, float)
+        Levels [m/s], each with its amplitude factor [1].
+    """
+
+    velocity: FloatArray
+    displacement: FloatArray
+    reference: float
+    corrections: LevelCorrections = ()
+
+    def at(self, level: float) -> tuple[FloatArray, FloatArray]:
+        """Return the targets for a level: modal velocities, and displacements times angular frequency [m/s]."""
+        share = level / self.reference
+        return self.velocity * share, self.displacement * share
+
+
+def corrected(velocity: float, corrections: LevelCorrections) -> float:
+    """Return the level to set so that a level is reached [m/s].
+
+    Between two levels with factors, as in adaptive runs, the factor is interpolated linearly over the logarithm of the
+    level; beyond them the level is set unchanged.
+    """
+    own = next((factor for level, factor in corrections if math.isclose(level, velocity)), None)
+    if own is not None:
+        return velocity * own
+    below = max((each for each in corrections if each[0] < velocity), default=None)
+    above = min((each for each in corrections if each[0] > velocity), default=None)
+    if below is None or above is None:
+        return velocity
+    share = math.log(velocity / below[0]) / math.log(above[0] / below[0])
+    return velocity * (below[1] + share * (above[1] - below[1]))
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import FloatArray
-from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import history
 
 HOLD = 2e-6

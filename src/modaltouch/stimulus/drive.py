@@ -28,11 +28,11 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_positive
 from modaltouch.stimulus.reachability import GramianSolver, ReachabilityGramian, Taper
-from modaltouch.stimulus.timing import Timing
 
 if TYPE_CHECKING:
     from modaltouch.stimulus.real_form import RealSystem

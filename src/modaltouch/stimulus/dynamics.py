@@ -24,10 +24,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_positive
 from modaltouch.stimulus.synthesis import BLOCK, CHUNK, decay, exponential_tables
-from modaltouch.stimulus.timing import Timing
 
 if TYPE_CHECKING:
     from modaltouch.stimulus.fingers import Load

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier, DiagonalSystem
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import decay
-from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import BlockStates, history
 
 if TYPE_CHECKING:

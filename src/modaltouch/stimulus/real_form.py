@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier, late_steps
 from modaltouch.stimulus.fingers import CoupledModes
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import FloatArray
-from modaltouch.stimulus.timing import Timing
 
 _BLOCK = 256
 """Samples whose effects are summed by one matrix product."""

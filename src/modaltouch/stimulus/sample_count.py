@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.quantities import FloatArray, require_positive
 from modaltouch.stimulus.stimulus import Stimulus
-from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import history
 
 LEAST_SAMPLES_PER_CYCLE = 2.5

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from modaltouch.stimulus.burst import Burst
-from modaltouch.stimulus.correction import Correction
+from modaltouch.stimulus.burst import Burst, Correction, Timing
 from modaltouch.stimulus.drive import (
     MEANT,
     Design,
@@ -30,7 +29,6 @@ from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantised import QuantisedStimulus, settle
 from modaltouch.stimulus.quantities import FloatArray, require_positive
 from modaltouch.stimulus.target_field import Projection, TargetField
-from modaltouch.stimulus.timing import Timing
 from modaltouch.stimulus.vibration import history
 
 if TYPE_CHECKING:

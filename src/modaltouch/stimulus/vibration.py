@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.stimulus.blocks import SHORT, BlockKernel, BlockRecursion, PeakBound
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import DiagonalSystem, clock_inputs
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import BLOCK, decay, exponential_tables
-from modaltouch.stimulus.timing import Timing
 
 _OUTPUTS = 256
 """Number of outputs whose peaks are searched for together, which bounds the memory."""

@@ -18,10 +18,10 @@ from modaltouch.lab.comparison.methods import (
 )
 from modaltouch.lab.comparison.training_data import TrainingData, TransferFunctions
 from modaltouch.rig.afg3022b import AFG3022B
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import Amplifier
 from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.target_field import TargetField
-from modaltouch.stimulus.timing import Timing
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,9 +13,9 @@ from modaltouch.protocol.twin import TrueAmplifier
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import Twin
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.stimulus import design_stimulus
 from modaltouch.stimulus.target_field import TargetField
-from modaltouch.stimulus.timing import Timing
 
 
 def make_playback(amplitude: float = 4.0, *, n: int = 2000, hertz: float = 229.0, code: int = 8191) -> Playback:

@@ -6,9 +6,9 @@ import math
 
 import pytest
 
-from modaltouch.rig.simulator.commands import afg_twin
+from modaltouch.rig.simulator.afg import afg_twin
+from modaltouch.rig.simulator.common import Behaviour
 from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
-from modaltouch.rig.simulator.state import Behaviour
 from modaltouch.system.clock import VirtualClock
 
 NO_ERROR = '0,"No error"'

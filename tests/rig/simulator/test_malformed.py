@@ -17,7 +17,7 @@ import pyvisa
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.commands import afg_twin
+from modaltouch.rig.simulator.afg import afg_twin
 from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
 from modaltouch.rig.simulator.scpi import TEXTS
 

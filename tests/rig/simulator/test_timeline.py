@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from modaltouch.rig.simulator.commands import afg_twin
+from modaltouch.rig.simulator.afg import afg_twin
+from modaltouch.rig.simulator.common import Behaviour
 from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
-from modaltouch.rig.simulator.state import Behaviour
 from modaltouch.rig.simulator.timeline import FINEST, Delays, PlayedBurst
 from modaltouch.system.clock import VirtualClock
 

@@ -15,9 +15,9 @@ from modaltouch.rig.simulator.held import state_at
 from modaltouch.rig.simulator.motion import DriveVoltage, Motion
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.rig.simulator.twin import Twin
+from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.stimulus import design_stimulus
 from modaltouch.stimulus.target_field import TargetField
-from modaltouch.stimulus.timing import Timing
 
 
 def test_twin_without_differences_does_what_the_design_predicts(

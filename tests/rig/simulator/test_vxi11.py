@@ -21,7 +21,7 @@ import pyvisa
 
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator import Simulator
-from modaltouch.rig.simulator.state import Behaviour
+from modaltouch.rig.simulator.common import Behaviour
 
 NO_ERROR = '0,"No error"'
 

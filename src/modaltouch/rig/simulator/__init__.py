@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.protocol import Apparatus
-from modaltouch.rig.simulator.commands import afg_twin
+from modaltouch.rig.simulator.afg import afg_twin
+from modaltouch.rig.simulator.common import Behaviour
 from modaltouch.rig.simulator.instrument import Faults, SimulatedInstrument
-from modaltouch.rig.simulator.state import Behaviour
 from modaltouch.rig.simulator.timeline import Delays, Playback
 from modaltouch.rig.simulator.twin import TrueState, Twin
 from modaltouch.rig.simulator.vxi11 import Vxi11Server

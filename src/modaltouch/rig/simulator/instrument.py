@@ -9,8 +9,8 @@ import time
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from modaltouch.rig.simulator.common import GeneratorState
 from modaltouch.rig.simulator.scpi import CommandTable, ScpiError
-from modaltouch.rig.simulator.state import GeneratorState
 
 
 @dataclass(frozen=True)

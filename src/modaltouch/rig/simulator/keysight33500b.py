@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.rig.simulator import common, scpi
+from modaltouch.rig.simulator.common import SOURCE_IMPEDANCE, Behaviour, GeneratorState, OutputChannel
 from modaltouch.rig.simulator.scpi import Argument, Arguments, Command, CommandTable, ScpiError, one
-from modaltouch.rig.simulator.state import SOURCE_IMPEDANCE, Behaviour, GeneratorState, OutputChannel
 from modaltouch.rig.simulator.timeline import Playback
 from modaltouch.stimulus import Converter
 
