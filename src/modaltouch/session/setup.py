@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Self
 
 from modaltouch.preflight import Preflight, estimated_duration
-from modaltouch.protocol import InputError, Protocol, Schedule
+from modaltouch.protocol import InputError, Schedule
 from modaltouch.record import (
     RecordError,
     RecordInputError,
@@ -18,8 +18,8 @@ from modaltouch.record import (
     read_session,
 )
 from modaltouch.rig import Rig, instrument_of
+from modaltouch.session.console import Console
 from modaltouch.session.console.experimenter import Experimenter
-from modaltouch.session.console.interface import Console
 from modaltouch.session.events import boot_id, describe_ending, describe_start, how_to_continue
 from modaltouch.session.loop import SessionRun, conduct
 from modaltouch.system import SYSTEM_CLOCK, Clock, Interruption, commit, versions
@@ -27,7 +27,6 @@ from modaltouch.window import AnswerWindow, Intervention, Masking, Tick
 
 if TYPE_CHECKING:
     from modaltouch.lab import Prober
-    from modaltouch.protocol import Levels
     from modaltouch.session.markers import Markers
 
 OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
@@ -222,9 +221,7 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
         try:
             setup.place.list_participants(log.events[0])
             masking.start()
-            sitting = _sitting(setup, rig, window, log, buffer, tick)
-            if prober is not None:
-                sitting = _measuring(sitting, setup, prober, window)
+            sitting = _sitting(setup, rig, window, log, buffer, tick, prober)
             conduct(replace(sitting, experimenter=experimenter, masking=masking))
         except BaseException as error:
             ending = describe_ending(error)
@@ -253,15 +250,6 @@ def _follow(log: SessionLog, experimenter: Experimenter, markers: Markers | None
         experimenter.tell(event)
 
     log.listener = tell
-
-
-def _levels(protocol: Protocol) -> Levels | None:
-    """Return what chooses the levels of an adaptive run; None if the protocol fixes them."""
-    if protocol.adaptive is None:
-        return None
-    from modaltouch.protocol import Levels
-
-    return Levels(protocol)
 
 
 def _with_assigned_turn(setup: Setup) -> Setup:
@@ -304,9 +292,9 @@ def _sitting(
     log: SessionLog,
     buffer: EventBuffer,
     tick: Tick,
+    prober: Prober | None,
 ) -> SessionRun:
-    done = log.session.answered
-    schedule = setup.schedule
+    done, schedule, preflight = log.session.answered, setup.schedule, setup.preflight
     remaining = [trial for trial in (*schedule.practice, *schedule.trials) if (trial.practice, trial.index) not in done]
     total = len(schedule.trials)
 
@@ -317,35 +305,32 @@ def _sitting(
             setup.on_progress(log.session.n_answered, total)
 
     save_view()
-    designs = tuple(setup.preflight.designs)
+    protocol, designs, levels, probing = preflight.experiment.protocol, tuple(preflight.designs), None, None
+    if protocol.adaptive is not None:
+        from modaltouch.protocol import Levels
+
+        levels = Levels(protocol)
+    if prober is not None:
+        from modaltouch.session.probing import Probing
+
+        probing = Probing(preflight, prober, rig, window, log, setup.clock)
+    # While fingers are measured, the latest measurement decides the design.
+    latest = probing or setup
     return SessionRun(
-        protocol=setup.preflight.experiment.protocol,
+        protocol=protocol,
         trials=tuple(remaining),
         total=total,
-        levels=_levels(setup.preflight.experiment.protocol),
-        speeds=setup.preflight.speeds,
-        which=lambda trial: designs.index(setup.preflight.design_of(trial.condition)),
-        played=lambda trial, level: setup.preflight.played(trial.condition, level),
+        levels=levels,
+        speeds=lambda trial: latest.preflight.speeds(trial),
+        which=probing.which if probing else lambda trial: designs.index(preflight.design_of(trial.condition)),
+        played=lambda trial, level: latest.preflight.played(trial.condition, level),
+        probing=probing,
         rig=rig,
         window=window,
         log=log,
         save_view=save_view,
         tick=tick,
         clock=setup.clock,
-    )
-
-
-def _measuring(sitting: SessionRun, setup: Setup, prober: Prober, window: AnswerWindow) -> SessionRun:
-    """Return the sitting with stimuli designed for the fingers that are measured in it."""
-    from modaltouch.session.probing import Probing
-
-    probing = Probing(setup.preflight, prober, sitting.rig, window, sitting.log, setup.clock)
-    return replace(
-        sitting,
-        probing=probing,
-        speeds=lambda trial: probing.preflight.speeds(trial),
-        which=probing.which,
-        played=lambda trial, level: probing.preflight.played(trial.condition, level),
     )
 
 

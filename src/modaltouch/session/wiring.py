@@ -81,10 +81,13 @@ def wire_run(
 
         place, drawn_as = next_session(place, protocol.schedule.n_sessions)
     given, preflight, gap = _on_occasion(preflight, place, drawn_as, seed, group, any_gap=any_gap)
-    preflight, calibrated = _at_own_levels(preflight, place, threshold_mm_s)
-    schedule = _drawn(preflight, participant, seed, drawn_as, given)
+    own_levels: dict[str, Any] = {}
+    if threshold_mm_s is not None or protocol.conditions.sensation_levels is not None:
+        from modaltouch.session.sensation_level import at_own_levels
+
+        preflight, own_levels = at_own_levels(preflight, place, threshold_mm_s)
     parts = SessionParts(preflight, place, seed, rig, answers, window_options, observer or _usual(protocol, answers))
-    setup = parts.setup(schedule, calibrated | gap)
+    setup = parts.setup(_drawn(preflight, participant, seed, drawn_as, given), own_levels | gap)
     if answers != "window" and (fields := setup.to_ask):
         rng = Schedule.random_generator(seed, participant, place.session, "people")
         setup = setup.with_people({name: each.draw(rng) for name, each in fields.items()})
@@ -122,17 +125,6 @@ def _on_occasion(
     usual = Turn.of(place.participant, seed, drawn_as, groups)
     given = None if (own, reason) == (usual.group, usual.group_by) else replace(usual, group=own, group_by=reason)
     return given, preflight.at(own, "" if kind is None else kind.name), facts
-
-
-def _at_own_levels(
-    preflight: Preflight, place: SessionFolder, threshold_mm_s: float | None
-) -> tuple[Preflight, dict[str, Any]]:
-    """Return the preflight at the participant's own levels, if the protocol wants them, and facts for the record."""
-    if threshold_mm_s is None and preflight.experiment.protocol.conditions.sensation_levels is None:
-        return preflight, {}
-    from modaltouch.session.sensation_level import at_own_levels
-
-    return at_own_levels(preflight, place, threshold_mm_s)
 
 
 def simulate_session(

@@ -17,8 +17,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TextIO
 
+from modaltouch.session.console import COMMANDS, Console, Facts, Request
 from modaltouch.session.console.drawing import describe_last, describe_time
-from modaltouch.session.console.interface import COMMANDS, Console, Facts, Request
 from modaltouch.session.console.keyboard import restore_terminal, save_terminal
 
 _OPENING = b'{"time": "'

@@ -9,7 +9,7 @@ from rich.console import Group, RenderableType
 from rich.rule import Rule
 from rich.text import Text
 
-from modaltouch.session.console.interface import Facts
+from modaltouch.session.console import Facts
 
 STATES = {
     "waiting": "between trials",

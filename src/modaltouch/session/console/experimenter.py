@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from modaltouch.session.console.interface import Console
+from modaltouch.session.console import Console
 from modaltouch.window import Event, Intervention, SessionStopped
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from modaltouch.session.console.interface import AT_ONCE, Command, Facts, Request
+from modaltouch.session.console import AT_ONCE, Command, Facts, Request
 
 _ARROWS = ("up", "down", "right", "left")
 _NAMED_KEYS = {

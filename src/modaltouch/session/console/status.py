@@ -10,7 +10,7 @@ from string import ascii_lowercase
 from typing import Any
 
 from modaltouch.protocol import AnswerList, AnswersSection
-from modaltouch.session.console.interface import OWN_KEYS, Facts
+from modaltouch.session.console import OWN_KEYS, Facts
 
 HASTY = 0.1
 """Nobody feels, decides and presses within this time: such an answer was ready before its question [s]."""
@@ -19,7 +19,7 @@ HASTY = 0.1
 def read_signs(trials: Sequence[dict[str, Any]], nothing: str | None = None) -> list[str]:
     """Return warnings about the answers, in words; empty if there are none."""
     hasty = [event["trial"]["index"] for event in trials if is_hasty(event)]
-    caught = [event for event in trials if nothing is not None and is_catch(event)]
+    caught = [event for event in trials if nothing is not None and event["trial"]["condition"]["velocity_mm_s"] == 0]
     missed = [event["trial"]["index"] for event in caught if event["response"]["answer"] != nothing]
     doubles = [event["trial"]["index"] for event in trials if event["response"].get("double")]
     said = (
@@ -37,11 +37,6 @@ def is_hasty(event: dict[str, Any]) -> bool:
     if response.get("onset") == "first_burst" and response.get("question_after") is not None:
         since -= response["question_after"]
     return bool(since < HASTY)
-
-
-def is_catch(event: dict[str, Any]) -> bool:
-    """Return whether nothing was presented in a trial."""
-    return bool(event["trial"]["condition"]["velocity_mm_s"] == 0)
 
 
 def _times(count: int) -> str:
@@ -159,9 +154,10 @@ class Status:
         react = getattr(self, f"_on_{name}", None)
         if react is not None:
             react(event)
-        if name in TROUBLES:
-            self._facts["generator"]["last_error"] = _words(name, event)
-        if name in _QUIET and event.get("what") not in TROUBLES and not event.get("device"):
+        trouble = event.get("what", name)
+        if trouble in TROUBLES:
+            self._facts["generator"]["last_error"] = _words(trouble, event)
+        elif name in _QUIET and not event.get("device"):
             return False
         self._facts |= {"event": name, "line": event.get("n"), "replayed": replayed}
         return True
@@ -181,6 +177,8 @@ class Status:
         """Return the state of the session."""
         answers = Counter(str(event["response"]["answer"]) for event in self._trials.values())
         left = max(self._total - len(self._trials), 0)
+        # The median of the last 20 trials, once three have been timed.
+        pace = statistics.median(self._durations[-20:]) if len(self._durations) >= 3 else self._guess
         return {
             **self._facts,
             "generator": dict(self._facts["generator"]),
@@ -188,16 +186,12 @@ class Status:
             "n_trials": self._total,
             "answers": dict(answers),
             "elapsed_s": round(self._clock() - self._began, 1),
-            "time_left_s": round(left * self._pace(), 1),
+            "time_left_s": round(left * pace, 1),
             "warnings": [
                 *([self._unmasked] if self._unmasked else []),
                 *read_signs(list(self._trials.values()), self._nothing),
             ],
         }
-
-    def _pace(self) -> float:
-        """Return the duration of a trial [s]: the median of the last 20, once three have been timed."""
-        return statistics.median(self._durations[-20:]) if len(self._durations) >= 3 else self._guess
 
     def _on_start(self, event: dict[str, Any]) -> None:
         facts = self._facts
@@ -330,11 +324,6 @@ class Status:
     def _on_stop(self, event: dict[str, Any]) -> None:
         self._on_trial_cut(event)
         self._facts |= {"state": "ended", "stopped_by": event["reason"]}
-
-    def _on_exchange(self, event: dict[str, Any]) -> None:
-        what = event["what"]
-        if what in TROUBLES:
-            self._facts["generator"]["last_error"] = _words(what, event)
 
 
 def _words(name: str, event: dict[str, Any]) -> str:
