@@ -61,7 +61,7 @@ def test_condition_number_is_reported_and_noise_grows_by_it_at_most():
 
 def test_model_with_measured_shapes_designs_as_theory_does(model):
     """On a fine scan of theoretical shapes the measured basis gives the theoretical stimulus."""
-    measured = replace(model, theory="measured", basis=scan(401))
+    measured = replace(model, basis=scan(401))
     assert Projection(measured, TargetField()).selected == (1, 3, 5, 7, 11, 13)
     stimulus = design_stimulus(
         measured, TargetField(), Timing(AFG3022B.converter, n_samples=25_000), Amplifier(gain=25.0, limit=250.0)
@@ -98,10 +98,8 @@ def test_what_is_no_scan_is_refused(place, shape, message):
 
 def test_basis_and_model_must_agree(model):
     """One measured shape to each mode, in the same order; a field on the scan grid."""
-    with pytest.raises(ValueError, match=r"the shapes are measured, but a measured basis is given: False"):
-        replace(model, theory="measured")
     with pytest.raises(ValueError, match=r"the measured basis has the modes"):
-        replace(model, theory="measured", basis=MeasuredShapes((1,), [-0.05, 0.0, 0.05], [[1.0, 1.0, 1.0]], 0.1))
+        replace(model, basis=MeasuredShapes((1,), [-0.05, 0.0, 0.05], [[1.0, 1.0, 1.0]], 0.1))
     with pytest.raises(ValueError, match=r"the field has the shape \(3,\), but the scan grid has 41 points"):
         scan(41).project([1.0, 2.0, 3.0])
     with pytest.raises(ValueError, match=r"the array of shapes has the shape \(1, 2\)"):

@@ -164,7 +164,7 @@ def test_impossible_beams_are_refused():
 
 def test_model_takes_timoshenko_shapes(model):
     """On the slender shipped beam the design hardly moves, but it moves; every state is met."""
-    bent = replace(model, theory="timoshenko", beam=SHIPPED)
+    bent = replace(model, beam=SHIPPED)
     stimulus = design_stimulus(
         bent, TargetField(), Timing(AFG3022B.converter, n_samples=25_000), Amplifier(gain=25.0, limit=250.0)
     )
@@ -175,9 +175,7 @@ def test_model_takes_timoshenko_shapes(model):
     assert stimulus.velocity_at_focus([0.0], 0.2)[0] == pytest.approx(0.2, rel=1e-5)
 
 
-def test_theory_and_beam_must_agree(model):
-    """A Timoshenko model has its beam, of the same length."""
-    with pytest.raises(ValueError, match=r"shapes are timoshenko, but a Timoshenko beam is given: False"):
-        replace(model, theory="timoshenko")
+def test_model_and_beam_are_of_one_length(model):
+    """Two lengths would be two beams."""
     with pytest.raises(ValueError, match=r"Timoshenko beam is 0\.2 m long, the model 0\.1 m"):
-        replace(model, theory="timoshenko", beam=TimoshenkoBeam(length=0.2, thickness=0.002))
+        replace(model, beam=TimoshenkoBeam(length=0.2, thickness=0.002))

@@ -259,7 +259,6 @@ class Apparatus(Section):
             damping_ratio=np.array([mode.damping_ratio for mode in self.modes]),
             modal_gain=gain,
             length=length,
-            theory=beam.theory,
             basis=basis,
             beam=bending,
             mass=beam.mass,

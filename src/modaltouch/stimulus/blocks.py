@@ -306,13 +306,6 @@ class BlockKernel:
             if rest:
                 row[n_whole * SHORT :] = side[n_whole] @ table[:, :rest]
 
-    def _respond_one(self, place: int, blocks: FloatArray, begin: ComplexArray) -> FloatArray:
-        """Return one output at the starts of the samples of some blocks, (n_blocks, SHORT) array."""
-        inputs, states, table = self._tables[place]
-        side = _inputs_beside(blocks, inputs, len(states))
-        _write_states(side, begin, states)
-        return np.asarray(side @ table)
-
     def peak(self, place: int, blocks: FloatArray, begin: ComplexArray, bound: FloatArray, least: float) -> float:
         """Return the largest magnitude of one output within the blocks, or `least` if that is higher.
 
@@ -333,11 +326,14 @@ class BlockKernel:
         """
         if bound.max() <= least:
             return least
+        inputs, states, table = self._tables[place]
         order = np.argsort(-bound)
         for some in (order[:_LIKELIEST], order[_LIKELIEST:]):
             higher = some[bound[some] > least]
             if higher.size:
-                part = self._respond_one(place, blocks[:, higher], begin[:, higher])
+                side = _inputs_beside(blocks[:, higher], inputs, len(states))
+                _write_states(side, begin[:, higher], states)
+                part = side @ table
                 least = max(least, float(part.max()), -float(part.min()))
         return least
 

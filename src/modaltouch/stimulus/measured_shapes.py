@@ -57,16 +57,12 @@ class MeasuredShapes:
             still = self.label[int(np.flatnonzero(np.abs(shape).max(axis=1) == 0)[0])]
             raise ValueError(f"mode {still} is zero at every point: measure it again, or leave it out")
         object.__setattr__(self, "position", position)
-        object.__setattr__(self, "shape", self._scaled(position, shape))
-        self._check_rank()
-
-    def _scaled(self, position: FloatArray, shape: FloatArray) -> FloatArray:
-        """Return the shapes with unit mean square over the beam, from their smooth fit, not a sum over a few points."""
-        fit = self._fit(position, shape)
-        # The fitting shapes are orthonormal over the beam: the mean square is the sum of the squares.
-        size = np.sqrt((fit**2).sum(axis=1))
+        # Unit mean square over the beam, by their smooth fit, not by a sum over a few points: the fitting shapes are
+        # orthonormal over the beam, so that the mean square is the sum of the squares.
+        size = np.sqrt((self._fit(position, shape) ** 2).sum(axis=1))
         end = np.sign(shape[:, -1])
-        return np.asarray(shape / (size * np.where(end == 0, 1.0, end))[:, None])
+        object.__setattr__(self, "shape", shape / (size * np.where(end == 0, 1.0, end))[:, None])
+        self._check_rank()
 
     def _fit(self, position: FloatArray, shape: FloatArray) -> FloatArray:
         """Return the coefficients of the shapes in theoretical shapes, (n_modes, n_fitted) array."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,12 +39,10 @@ class ModalModel:
         Modal acceleration per volt at the beam [m/s^2 per V]; 0 where a channel does not drive a mode.
     length : float
         Length of the beam [m].
-    theory : str
-        Source of the shapes: ``euler_bernoulli``, ``timoshenko`` (see `beam`) or ``measured`` (see `basis`).
     basis : MeasuredShapes, optional
-        Measured shapes of every mode, in the order of the labels.
+        Measured shapes of every mode, in the order of the labels, instead of those of a slender beam.
     beam : TimoshenkoBeam, optional
-        The bare beam, whose shear and rotary inertia affect the bending modes.
+        The bare beam, whose shear and rotary inertia affect the bending modes, instead of a slender one.
     fingers : tuple of Finger
         Fingertips on the beam, which couple the modes; all other attributes are those of the untouched beam.
     mass : float, optional
@@ -56,7 +54,6 @@ class ModalModel:
     damping_ratio: FloatArray
     modal_gain: FloatArray
     length: float
-    theory: Literal["euler_bernoulli", "timoshenko", "measured"] = "euler_bernoulli"
     basis: MeasuredShapes | None = None
     beam: TimoshenkoBeam | None = None
     fingers: tuple[Finger, ...] = ()
@@ -72,7 +69,7 @@ class ModalModel:
             object.__setattr__(self, name, values)
         require_positive("the length of the beam", self.length, "m", "measure the beam")
         self._check_labels()
-        self._check_theory()
+        self._check_shapes()
         self._check_fingers()
         for k, frequency, ratio, gain in zip(
             label, self.natural_frequency, self.damping_ratio, self.modal_gain, strict=True
@@ -102,11 +99,7 @@ class ModalModel:
                     f"give one value (for the gain one row of at least one channel) to each mode"
                 )
 
-    def _check_theory(self) -> None:
-        if (self.theory == "measured") != (self.basis is not None):
-            raise ValueError(f"the shapes are {self.theory}, but a measured basis is given: {self.basis is not None}")
-        if (self.theory == "timoshenko") != (self.beam is not None):
-            raise ValueError(f"the shapes are {self.theory}, but a Timoshenko beam is given: {self.beam is not None}")
+    def _check_shapes(self) -> None:
         if self.beam is not None and self.beam.length != self.length:
             raise ValueError(
                 f"the Timoshenko beam is {self.beam.length:g} m long, the model {self.length:g} m: give one length"

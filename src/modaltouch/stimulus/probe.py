@@ -241,7 +241,9 @@ class Probe:
                 f"the probe is too weak: half of its responses contain more than {noise:.0%} of noise, allowed: "
                 f"{_WEAK:.0%}; check that the vibrometer sees the beam, or give `fingers probe` a higher --speed-mm-s"
             )
-        start = _identified(model)
+        n = model.n_modes
+        prior = np.diag(np.repeat(_BEAM_SPREAD, [n, n, n * model.n_channels, 1]) ** 2)
+        start = ProbedBeam(model.touched(()), 0.0, prior, np.inf, np.ones(0, dtype=bool))
         turned = self._responses(start)[0] * np.exp(-2j * np.pi * np.outer(_DELAYS, self.frequency))
         missed = (np.abs((turned - self.response) / self.deviation) ** 2).sum(axis=1)
         start = replace(start, delay=float(_DELAYS[missed.argmin()]), trusted=np.ones(self.frequency.size, dtype=bool))
@@ -414,13 +416,6 @@ def _moved(finger: Finger, step: FloatArray, length: float) -> Finger:
 def _rank(beam: ProbedBeam) -> float:
     """Return the misfit, increased for Maxwell terms: they are used only if they explain much more."""
     return beam.misfit * (_TERMS_MUST_GAIN if any(finger.maxwell for finger in beam.model.fingers) else 1.0)
-
-
-def _identified(model: ModalModel) -> ProbedBeam:
-    """Return the untouched beam of a table of modes, with its prior, before any probe."""
-    n = model.n_modes
-    sizes = np.repeat(_BEAM_SPREAD, [n, n, n * model.n_channels, 1])
-    return ProbedBeam(model.touched(()), 0.0, np.diag(sizes**2), np.inf, np.ones(0, dtype=bool))
 
 
 def _strongest(model: ModalModel) -> FloatArray:

@@ -11,9 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.quantities import FloatArray, require_positive
 from modaltouch.stimulus.stimulus import Stimulus
 from modaltouch.stimulus.vibration import history
@@ -81,11 +80,13 @@ def cheapest_samples(finest: Stimulus, tolerance: float, positions: ArrayLike) -
     """
     require_positive("the tolerance on the field", tolerance, "", "1e-3 of the level is a good start")
     shapes, most = finest.model.shapes(positions), finest.timing.n_samples
-    reference = _history(finest)
+    reference, focus = _history(finest), finest.timing.focusing_instant
+    begin, end = max(0.0, focus - _AROUND), min(finest.timing.duration, focus + _AROUND)
     tried: list[tuple[int, float]] = []
     for count in _counts(finest):
         stimulus = replace(finest, timing=replace(finest.timing, n_samples=count))
-        around = _around_focus(stimulus.timing)
+        samples = (begin * stimulus.timing.sampling_rate - 1e-6, end * stimulus.timing.sampling_rate + 1e-6)
+        around = np.arange(math.ceil(samples[0]), math.floor(samples[1]) + 1)
         change = _history(stimulus)[:, around] - reference[:, around * (most // count)]
         error = float(np.abs(shapes.T @ change).max()) / finest.target_field.velocity
         tried.append((count, error))
@@ -108,10 +109,3 @@ def _counts(finest: Stimulus) -> Iterator[int]:
 
 def _history(stimulus: Stimulus) -> FloatArray:
     return history(stimulus.system, stimulus.system.velocity, stimulus.voltage, stimulus.timing)
-
-
-def _around_focus(timing: Timing) -> NDArray[np.intp]:
-    """Return the samples around the focusing instant."""
-    begin, end = max(0.0, timing.focusing_instant - _AROUND), min(timing.duration, timing.focusing_instant + _AROUND)
-    rate = timing.sampling_rate
-    return np.arange(math.ceil(begin * rate - 1e-6), math.floor(end * rate + 1e-6) + 1)

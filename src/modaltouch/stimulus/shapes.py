@@ -96,7 +96,8 @@ def mode_shapes(label: ArrayLike, position: ArrayLike, length: float, derivative
         # Rigid translation, rigid rotation, symmetric and antisymmetric bending modes.
         rows = np.flatnonzero(labels == kind + 1 if kind < 2 else (labels > 2) & (labels % 2 == 1 - kind % 2))
         if kind < 2:
-            shapes[rows] = _rigid(kind, y, derivative)
+            size = (1.0, math.sqrt(12.0))[kind]
+            shapes[rows] = size * y if kind > derivative else size * (kind == derivative)
         elif rows.size:
             shapes[rows] = _bending(labels[rows].tolist(), y, derivative)
     return shapes / length**derivative
@@ -152,12 +153,6 @@ def scaled_position(position: ArrayLike, length: float) -> FloatArray:
             f"measure from mid-beam"
         )
     return np.asarray(np.clip(y, -0.5, 0.5))
-
-
-def _rigid(order: int, y: FloatArray, derivative: int) -> FloatArray:
-    """Return the translation (order 0) or rotation (order 1) at y = x/L, or its derivative along y [1]."""
-    size = (1.0, math.sqrt(12.0))[order]
-    return size * y if order > derivative else np.full(y.shape, size if order == derivative else 0.0)
 
 
 def _bending(labels: list[int], y: FloatArray, derivative: int) -> FloatArray:

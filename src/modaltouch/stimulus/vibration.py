@@ -83,7 +83,8 @@ class BlockStates:
         kernel = BlockKernel(self.system.exponent, self._push, some, self.timing.hold)
         # The outputs at the starts of the blocks are a lower bound of the peaks, which rules out most blocks.
         peak = np.maximum(np.abs((some @ self.begin).real).max(axis=1), floor)
-        bound = self._bounds(some)
+        fine, _ = exponential_tables(self.system.exponent, self.timing.hold, 1)
+        bound = self._peak_bound.of_outputs(some, self._push, fine[:, ::-1])
         which = np.flatnonzero((bound > peak[:, None]).any(axis=0))
         if which.size > _DENSE * bound.shape[1]:
             peak = np.maximum(peak, kernel.peaks(self.blocks, self.begin[:, :-1]))
@@ -97,11 +98,6 @@ class BlockStates:
     def _push(self) -> ComplexArray:
         """What a unit of each input adds to the states at the end of its sample, (n_states, n_inputs) array."""
         return self.system.clock_gain(self.timing)
-
-    def _bounds(self, output: ComplexArray) -> FloatArray:
-        """Return upper bounds of the outputs in each block, (n_outputs, n_blocks) array."""
-        fine, _ = exponential_tables(self.system.exponent, self.timing.hold, 1)
-        return self._peak_bound.of_outputs(output, self._push, fine[:, ::-1])
 
     def _evaluate_blocks(self, which: NDArray[np.intp], kernel: BlockKernel, peak: FloatArray) -> None:
         """Raise the peaks, in place, to what the outputs reach within some blocks."""
