@@ -8,7 +8,7 @@ import io
 import json
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +54,7 @@ def write_files(
     refuse_other(folder, command)
     files = {name: _encode(name, content) for name, content in contents.items()}
     about = {"generated_by": _MAKER + command, **about}
-    known = _read_manifest(folder)
+    _, known = _read_manifest(folder)
     for name in files:
         _refuse_foreign_file(folder / name, known.get(name, []))
     if not known:
@@ -85,17 +85,13 @@ def _encode(name: str, content: Any) -> bytes:
         return content
     if isinstance(content, str):
         return content.encode()
-    if name.endswith(".csv"):
-        return _encode_rows(content)
-    return (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
-
-
-def _encode_rows(rows: Sequence[Mapping[str, Any]]) -> bytes:
-    """Return rows as CSV with the columns of the first row; None and NaN become empty fields."""
+    if not name.endswith(".csv"):
+        return (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
     buffer = io.StringIO()
-    writer = csv.DictWriter(buffer, list(rows[0]) if rows else [], lineterminator="\n")
+    writer = csv.DictWriter(buffer, list(content[0]) if content else [], lineterminator="\n")
     writer.writeheader()
-    for row in rows:
+    for row in content:
+        # None and NaN become empty fields.
         writer.writerow({key: value if value == value else None for key, value in row.items()})
     return buffer.getvalue().encode()
 
@@ -118,8 +114,8 @@ def refuse_other(folder: Path, command: str) -> None:
     standing = next(path for path in (folder, *folder.parents) if path.exists())
     if not standing.is_dir():
         raise RecordError(f"{standing}: is a file, but a folder is needed; give another one with --out")
-    maker = str(_manifest_of(folder).get("generated_by", ""))
-    if maker.startswith(_MAKER) and maker != _MAKER + command:
+    maker, _ = _read_manifest(folder)
+    if maker not in ("", _MAKER + command):
         raise RecordError(
             f"{folder}: contains output of `{maker}`, which would be replaced; give another folder with --out"
         )
@@ -143,23 +139,15 @@ def _manifest(about: dict[str, Any], hashes: dict[str, list[str]]) -> bytes:
     return (json.dumps(values, indent=2, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
-def _read_manifest(folder: Path) -> dict[str, list[str]]:
-    values = _manifest_of(folder)
-    if not str(values.get("generated_by", "")).startswith(_MAKER):
-        return {}
-    try:
-        return {name: [str(h) for h in hashes] for name, hashes in values["files"].items() if Path(name).name == name}
-    except (KeyError, TypeError, AttributeError):
-        return {}
-
-
-def _manifest_of(folder: Path) -> dict[str, Any]:
-    """Return a folder's manifest; empty if there is none that can be read."""
+def _read_manifest(folder: Path) -> tuple[str, dict[str, list[str]]]:
+    """Return what wrote a folder, and the hashes of its files; empty without a manifest of this program."""
     try:
         values = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return values if isinstance(values, dict) else {}
+        maker, files = str(values["generated_by"]), values["files"].items()
+        hashes = {name: [str(each) for each in known] for name, known in files if Path(name).name == name}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return "", {}
+    return (maker, hashes) if maker.startswith(_MAKER) else ("", {})
 
 
 def _refuse_foreign_file(path: Path, own: list[str]) -> None:
