@@ -342,9 +342,9 @@ def test_a_session_begun_anew_says_as_which():
     """The last closing counts; a session that may go on has none."""
     start = {"n": 1, "event": "start"}
     closed = [{"n": n, "event": "closed", "begun_anew_as": n + 1} for n in (2, 3)]
-    assert Session(Path("session.jsonl"), (start,)).begun_anew_as is None
-    assert Session(Path("session.jsonl"), (start, closed[0])).begun_anew_as == 3
-    assert Session(Path("session.jsonl"), (start, *closed)).begun_anew_as == 4
+    assert Session(Path("session.jsonl"), (start,)).started_over_as is None
+    assert Session(Path("session.jsonl"), (start, closed[0])).started_over_as == 3
+    assert Session(Path("session.jsonl"), (start, *closed)).started_over_as == 4
 
 
 def test_only_confirmed_answers_to_scheduled_trials_complete_a_session():

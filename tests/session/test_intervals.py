@@ -17,7 +17,7 @@ from modaltouch.preflight import examine
 from modaltouch.protocol import Trial
 from modaltouch.protocol.questions import QuestionSection
 from modaltouch.record import Session, audit_session, read_session
-from modaltouch.record.sequence import check_answers
+from modaltouch.record.expectation import check_answers
 from modaltouch.rig import Generator, RigError, Simulator
 from modaltouch.session import simulate_session
 from modaltouch.session.console.status import Status

@@ -11,9 +11,9 @@ from typing import Any
 
 from modaltouch.protocol import InputError, Protocol, Schedule, Sources, Turn
 from modaltouch.record.chain import RecordError, read_chain
+from modaltouch.record.expectation import MALFORMED, SPEED, RestoredExperiment, TrialExpectation, restore
 from modaltouch.record.folders import SessionFolder
-from modaltouch.record.restored import MALFORMED, RestoredExperiment, TrialExpectation, restore
-from modaltouch.record.sequence import SPEED, EventSequence
+from modaltouch.record.sequence import EventSequence
 from modaltouch.record.session import Session, check_shape
 from modaltouch.record.view import check_view
 
@@ -112,8 +112,8 @@ def _completeness(session: Session, audit: Audit) -> str:
         return "complete"
     if session.is_running:
         return "not complete: another program is running this session now"
-    if session.begun_anew_as is not None:
-        return f"closed and not complete: started over as session {session.begun_anew_as}"
+    if session.started_over_as is not None:
+        return f"closed and not complete: started over as session {session.started_over_as}"
     if not set(audit.problems) <= set(audit.to_mend):
         return "not complete; the analysis leaves it out"  # and `modaltouch resume` refuses it
     return "not complete: `modaltouch resume` continues it; until then the analysis leaves it out"

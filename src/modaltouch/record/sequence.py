@@ -5,176 +5,33 @@ Level, amplitudes and speeds of a trial must follow from its place in the order;
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from datetime import datetime
-from typing import Any
 
-from modaltouch.protocol import TIME_OUT, AnswersSection, Protocol, Schedule, Trial, judge_round
-from modaltouch.record.restored import MALFORMED, TrialExpectation
+from modaltouch.protocol import Schedule, Trial, judge_round
+from modaltouch.record.expectation import (
+    MALFORMED,
+    SPEED,
+    Event,
+    TrialExpectation,
+    check_amplitudes,
+    check_answered,
+    check_bursts,
+    check_delivered,
+    check_form,
+    check_instants,
+    check_intervals,
+)
 from modaltouch.record.session import Session
-from modaltouch.record.timing import INSTANT, Event, check_bursts, check_instants, listed
-
-
-def check_answers(event: Event, asked: AnswersSection) -> Iterator[str]:
-    """Yield faults in the answers of a line; further questions are asked only after a confirmed stimulus."""
-    response = event["response"]
-    yield from _check_response(response, asked)
-    is_asked = event["confirmed"]["confirmed"] and response["answer"] != TIME_OUT
-    wanted = asked.further if event["event"] == "trial" and is_asked else {}
-    further = response.get("further", {})
-    if list(further) != list(wanted):
-        yield f"answers the further questions {', '.join(further) or '-'}, but {', '.join(wanted) or '-'} were asked"
-        return
-    before = 0.0
-    if wanted:
-        # Questions are timed from the onset of the last interval; the line itself describes the comparison's.
-        onset = (event.get("intervals") or [event])[-1]["confirmed"]["onset"]
-        before = max(event["instants"]["answer"]["earliest_s"] - onset, before)
-    for name, how in wanted.items():
-        came = further[name].get("question_after")
-        if came is not None and came < before - INSTANT:
-            yield f"{name}: was asked {came:.6g} s after the stimulus began, before the answer at {before:.6g} s"
-        before = before if came is None else came + further[name]["reaction_time"]
-        yield from (f"{name}: {fault}" for fault in _check_response(further[name], how))
-
-
-def check_form(event: Event, protocol: Protocol, done: set[str]) -> Iterator[str]:
-    """Yield faults in an answer to the closing form.
-
-    Parameters
-    ----------
-    event : dict
-        The line of the answer.
-    protocol : Protocol
-        The protocol with the form.
-    done : set of str
-        Questions answered so far, to which this one is added.
-    """
-    name, asked = event["name"], protocol.closing
-    if name not in asked or name in done:
-        yield f"the form {'has no question' if name not in asked else 'already has an answer to'} {name!r}"
-        return
-    done.add(name)
-    yield from (f"{name} of the form: {fault}" for fault in _check_response(event["response"], asked[name]))
-
-
-def _check_response(response: Event, asked: AnswersSection) -> Iterator[str]:
-    if not asked.takes(response["answer"], response.get("value")):
-        value = f" {response['value']}" if "value" in response else ""
-        yield f"was answered {response['answer']!r}{value}; allowed: {asked.allowed}, {TIME_OUT}"
-    if not 0 <= response["reaction_time"] < math.inf:
-        yield f"has a reaction time of {response['reaction_time']} s"
-
-
-SPEED = 2e-3
-"""Tolerance of speeds, which are written to 0.001 mm/s [mm/s]."""
 
 Key = tuple[bool, int]
 """Whether a trial is practice, and its index."""
-
 _MOST = 20
 """Number of faults that are listed one by one."""
-
 _SAME = ("trial", "presentation", "fingers", "planned", "commanded", "response", "correct", "supersedes")
 """Members that the line of an answer and that of its finished trial have in common."""
-
-
-def check_amplitudes(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield faults if the amplitudes of a line are not those of the trial's level."""
-    silent, confirmed = trial.condition.is_catch, event["confirmed"]
-    # A catch trial goes through the same steps as a trial at the lowest level.
-    level = min(given.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
-    level = given.restored.preflight.played(trial.condition, level)
-    sent, back = tuple(confirmed["commanded_amplitude"]), tuple(confirmed["confirmed_amplitude"])
-    said = (sent, tuple(event["commanded"]["amplitude_Vpp"])) if "commanded" in event else (sent,)
-    found = given.restored.preflight.design_of(trial.condition), level, sent, back
-    if found in given.restored.agreed and said[-1] == sent:
-        return
-    needed = given.restored.amplitudes(trial, level)
-    for amplitude in said:
-        if amplitude != needed:
-            yield f"{level:g} mm/s needs {listed(needed)} Vpp, but {listed(amplitude)} Vpp were commanded"
-            return
-    instrument, pairs = given.restored.instrument, zip(needed, back, strict=False)
-    agree = len(back) == len(needed) and all(instrument.level(1, a).confirmed_by(str(b)) for a, b in pairs)
-    if (confirmed["confirmed"] or event["event"] == "fired") and not agree:
-        yield f"{level:g} mm/s needs {listed(needed)} Vpp, but {listed(back)} Vpp were read back"
-    if agree:
-        given.restored.agreed.add(found)
-
-
-def check_answered(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield contradictions between an answer's line and its trial: level, predicted speeds, fingers, answers."""
-    condition, response = trial.condition, event["response"]
-    yield from _check_planned(event["planned"], trial, given)
-    fingers = given.protocol.conditions.fingers_of(condition)
-    if tuple(event["fingers"]) != fingers:
-        yield f"was felt with {listed(fingers)}, but the record says {listed(tuple(event['fingers']))}"
-    if event.get("catch", False) is not condition.is_catch:
-        yield f"at {condition.velocity_mm_s:g} mm/s it is {'' if condition.is_catch else 'not '}a catch trial"
-    yield from check_answers(event, given.protocol.answers)
-    if event.get("correct") is not (correct := given.protocol.is_correct(trial, response["answer"])):
-        words = {True: "right", False: "wrong", None: "neither"}
-        said, found = words[event.get("correct")], words[correct]
-        yield f"was answered {response['answer']!r}, which is {found}; the record says {said}"
-
-
-def _check_planned(planned: dict[str, Any], trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield faults if the level or the predicted speeds of a stimulus are not those of its condition."""
-    condition = trial.condition
-    level, said = condition.velocity_mm_s, tuple(planned[f"speed_{side}_mm_s"] for side in condition.sides)
-    if planned["velocity_mm_s"] != level:
-        yield f"was planned at {planned['velocity_mm_s']:g} mm/s and presented at {level:g} mm/s"
-    found = tuple(speed * 1e3 for speed in given.restored.preflight.speeds(trial))
-    if not all(abs(a - b) <= SPEED for a, b in zip(said, found, strict=True)):
-        yield f"{level:g} mm/s gives {listed(found)} mm/s at the fingers, not {listed(said)}"
-
-
-def check_delivered(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield faults if the delivered speeds do not follow from the fingers that were measured in the trial."""
-    said = event.get("delivered", {"refused": ""})
-    if "refused" in said:
-        return
-    from modaltouch.preflight import delivered_figures, has_drifted
-
-    preflight = given.restored.preflight
-    found = {**delivered_figures(preflight, trial, said), "drifted": has_drifted(preflight, trial, said)}
-    for name, value in found.items():
-        if abs(said[name] - value) > SPEED:
-            yield f"the fingers found in its burst give a delivered {name} of {value}, not {said[name]}"
-
-
-def check_intervals(event: Event, trial: Trial, begun: list[Event], given: TrialExpectation) -> Iterator[str]:
-    """Yield faults if the intervals of an answer are not those of its trial, or not those that were started."""
-    parts, told, section = given.protocol.presented(trial), event.get("intervals", []), given.protocol.intervals
-    if section is None:
-        return
-    if len(told) != len(parts) or [each["interval"] for each in begun] != list(range(1, len(parts) + 1)):
-        yield f"has {len(parts)} intervals; {len(begun)} began, but its line lists {len(told)}"
-        return
-    over, sound = -math.inf, True
-    for number, (part, said, first) in enumerate(zip(parts, told, begun, strict=True), 1):
-        confirmed = said["confirmed"]
-        line = {**event, **said, "instants": {**event["instants"], "first_burst": said["first_burst"]}}
-        faults = [*check_amplitudes(line, part, given), *_check_planned(said["planned"], part, given)]
-        if event["event"] == "trial" or number < len(parts):
-            sound = sound and confirmed["confirmed"]
-            faults += check_bursts(line, part, given)
-        if any(confirmed[name] != first["confirmed"][name] for name in ("onset", "commanded_amplitude")):
-            faults += ["is not the one that began"]
-        own = (event, said) if number == trial.interval else (said, said)
-        if any(own[0][name] != own[1][name] for name in ("commanded", "bursts")):
-            faults += ["is not that of its trial"]
-        gap, unsure = confirmed["onset"] - over, (each["onset_uncertainty"] for each in (confirmed, first["confirmed"]))
-        if gap + sum(unsure) + INSTANT < section.gap_s:
-            faults += [f"began {gap:.6g} s after the one before, but its protocol has a gap of {section.gap_s:g} s"]
-        over = confirmed["onset"] + given.protocol.longest_s(part.condition.stimulus)
-        yield from (f"interval {number}: {fault}" for fault in faults)
-    if not sound and (event["event"] == "answered" or event["confirmed"]["confirmed"]):
-        yield "counts, although one of its intervals is not confirmed"
 
 
 class EventSequence:

@@ -32,12 +32,7 @@ _NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] 
         (("rig_choice",), str),
         (("answers_choice",), str),
         (("design",), dict),
-        (("sources", "protocol", "text"), str),
-        (("sources", "protocol", "path"), str),
-        (("sources", "apparatus", "text"), str),
-        (("sources", "apparatus", "path"), str),
-        (("sources", "texts", "text"), str),
-        (("sources", "texts", "path"), str),
+        *((("sources", file, key), str) for file in ("protocol", "apparatus", "texts") for key in ("text", "path")),
         (("schedule", "order_hash"), str),
         (("stimulus", "content_hash"), str),
         (("versions",), dict),
@@ -153,7 +148,7 @@ class Session:
         return int(self.start.get("schedule", {}).get("seeds", {}).get("session", self.start.get("session", 1)))
 
     @property
-    def begun_anew_as(self) -> int | None:
+    def started_over_as(self) -> int | None:
         """Number of the session that restarted this one; None if this one can be continued."""
         closed = [event["begun_anew_as"] for event in self.events if event.get("event") == "closed"]
         return int(closed[-1]) if closed else None
@@ -193,7 +188,7 @@ class Session:
         bursts, planned, confirmed, delivered = (event.get(name) or {} for name in kinds)
         others = (each["planned"] for n, each in enumerate(event.get("intervals", ()), 1) if n != trial["interval"])
         velocity = float(condition["velocity_mm_s"])
-        laid: list[str] = event.get("fingers") or []
+        fingers: list[str] = event.get("fingers") or []
         return {
             "participant": self.participant,
             "session": self.start.get("session", 1),
@@ -204,9 +199,9 @@ class Session:
             "zone_left": condition["zone_left"],
             "zone_between": condition.get("zone_between", ""),
             "zone_right": condition["zone_right"],
-            "finger_left": laid[0] if laid else None,
-            "finger_between": laid[1] if len(laid) > 2 else None,
-            "finger_right": laid[-1] if len(laid) > 1 else None,
+            "finger_left": fingers[0] if fingers else None,
+            "finger_between": fingers[1] if len(fingers) > 2 else None,
+            "finger_right": fingers[-1] if len(fingers) > 1 else None,
             "placement": condition.get("placement", "normal"),
             "velocity_mm_s": velocity,
             "multiple_of_threshold": self.multiples.get(velocity),
@@ -253,22 +248,13 @@ class Session:
     @cached_property
     def answered(self) -> frozenset[tuple[bool, int]]:
         """Trials that are done, as (practice, index): answered, with the stimulus confirmed by the instrument."""
-        return frozenset(
-            (event["trial"]["practice"], event["trial"]["index"])
-            for event in self.trials
-            if event["confirmed"]["confirmed"]
-        )
+        confirmed = (event["trial"] for event in self.trials if event["confirmed"]["confirmed"])
+        return frozenset((trial["practice"], trial["index"]) for trial in confirmed)
 
     @property
     def n_answered(self) -> int:
         """Number of trials answered, practice not counted."""
-        return len(
-            {
-                event["trial"]["index"]
-                for event in self.trials
-                if event["confirmed"]["confirmed"] and not event["trial"]["practice"]
-            }
-        )
+        return sum(not practice for practice, _ in self.answered)
 
     @cached_property
     def form(self) -> dict[str, dict[str, Any]]:
@@ -305,8 +291,8 @@ class Session:
     @property
     def unfit(self) -> str:
         """Why the analysis leaves the session out, although it is sound; empty if all its answers can be used."""
-        if not self.complete and self.begun_anew_as is not None:
-            return f"closed: started over as session {self.begun_anew_as}"
+        if not self.complete and self.started_over_as is not None:
+            return f"closed: started over as session {self.started_over_as}"
         total = self.start.get("schedule", {}).get("n_trials", 0)
         if not self.complete and not self.lacks_trials:
             return "incomplete: the form at the end is not filled in (continue with `modaltouch resume`)"

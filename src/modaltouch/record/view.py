@@ -212,9 +212,9 @@ def form_text(session: Session) -> str:
 def _columns(session: Session) -> dict[str, dict[str, Any]]:
     """Return the columns of a session's table, which depend on its protocol, with their descriptions."""
     design = session.start.get("design", {})
-    laid = COLUMNS["finger_condition"]
+    finger_conditions = COLUMNS["finger_condition"]
     for name, fingers in design.get("conditions", {}).get("fingers", {}).items():
-        laid = laid | {"Levels": laid["Levels"] | {name: ", ".join(fingers)}}
+        finger_conditions = finger_conditions | {"Levels": finger_conditions["Levels"] | {name: ", ".join(fingers)}}
     has = {
         "counted": session.start.get("schema", 1) > 1,
         "line": True,
@@ -226,7 +226,10 @@ def _columns(session: Session) -> dict[str, dict[str, Any]]:
         "intervals": design.get("intervals"),
         "delivered": design.get("stimulus", {}).get("fingers") == "measured",
     }
-    columns = COLUMNS | {"response": _describe_answers(design.get("answers", {})), "finger_condition": laid}
+    columns = COLUMNS | {
+        "response": _describe_answers(design.get("answers", {})),
+        "finger_condition": finger_conditions,
+    }
     for name, further in FURTHER.items():
         columns |= further if has[name] else {}
     for name, asked in session.questions.items():

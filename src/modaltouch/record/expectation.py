@@ -1,0 +1,386 @@
+"""What lines of a session are checked against, restored from the texts in its start record; the checks of one line."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any, Self
+
+from modaltouch.preflight import examine_findings
+from modaltouch.protocol import TIME_OUT, AnswersSection, Findings, Protocol, Sources, Trial
+from modaltouch.rig import RigError, instrument_of
+
+if TYPE_CHECKING:
+    from modaltouch.protocol import Levels
+
+Event = dict[str, Any]
+
+INSTANT = 5e-6
+"""Tolerance of sums of instants, which are written to the microsecond [s]."""
+_LATE = 0.2
+"""Tolerance in counts of due bursts [periods]; a burst later than a twentieth of a period is dropped."""
+_IN_ORDER = ("trigger", "first_burst", "question", "answer")
+_COUNTS = ("asked", "played", "whole", "dropped")
+SPEED = 2e-3
+"""Tolerance of speeds, which are written to 0.001 mm/s [mm/s]."""
+
+MALFORMED = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, RigError)
+"""Errors raised by evaluating a line that lacks required members or has wrong ones."""
+
+
+class RestoredExperiment:
+    """The part of an experiment that depends only on the texts of its files, and which all sessions of a study share.
+
+    Parameters
+    ----------
+    sources : Sources
+        The texts.
+    occasion : (str, str)
+        The group and the kind of session.
+
+    Raises
+    ------
+    InputError
+        With every fault in the texts.
+    """
+
+    def __init__(self, sources: Sources, occasion: tuple[str, str]) -> None:
+        self.preflight = examine_findings(Findings.restored(sources, occasion)).require()
+        self.protocol = self.preflight.experiment.protocol
+        apparatus = self.preflight.experiment.apparatus
+        self.instrument = instrument_of(apparatus)
+        self._limits = self.instrument.limits(apparatus)
+        self._fields: dict[tuple[float, ...], list[dict[str, Any]]] = {}
+        self._forget()
+
+    def _forget(self) -> None:
+        self.agreed: set[tuple[str, float, tuple[float, ...], tuple[float, ...]]] = set()
+        """Stimulus, level, and amplitudes commanded and read back, that were found to agree."""
+        self._amplitudes: dict[tuple[str, float], tuple[float, ...]] = {}
+
+    def measured(self, trial: Trial, found: dict[str, Any], levels_mm_s: tuple[float, ...]) -> Self:
+        """Return a copy in which the stimuli of a trial's placement are designed for the fingers measured there.
+
+        Parameters
+        ----------
+        trial, found
+            As for `modaltouch.preflight.with_measured`.
+        levels_mm_s : tuple of float
+            The participant's levels [mm/s].
+        """
+        from modaltouch.preflight import with_measured
+
+        other = copy.copy(self)
+        other.preflight = with_measured(self.preflight.with_levels(levels_mm_s), trial, found)
+        other._forget()
+        return other
+
+    @cached_property
+    def levels(self) -> Levels:
+        """Computation of the levels of an adaptive run."""
+        from modaltouch.protocol import Levels
+
+        return Levels(self.protocol)
+
+    def fields(self, own_levels_mm_s: tuple[float, ...]) -> list[dict[str, Any]]:
+        """Return the predicted field of each stimulus at the highest level, of the protocol or of own levels [mm/s]."""
+        if own_levels_mm_s not in self._fields:
+            own = self.preflight.with_levels(own_levels_mm_s) if own_levels_mm_s else self.preflight
+            self._fields[own_levels_mm_s] = own.fields
+        return self._fields[own_levels_mm_s]
+
+    def amplitudes(self, trial: Trial, level_mm_s: float) -> tuple[float, ...]:
+        """Return the amplitude of each channel for the design of a trial at a level [V peak to peak].
+
+        Parameters
+        ----------
+        trial : Trial
+            The trial; for a catch trial, which has no stimulus, the first one is taken.
+        level_mm_s : float
+            Peak velocity at the focus [mm/s].
+
+        Raises
+        ------
+        RigError
+            If the level exceeds a limit.
+        """
+        name = self.preflight.design_of(trial.condition)
+        key = name, level_mm_s
+        if key not in self._amplitudes:
+            burst = self.preflight.designs[name].stimulus.burst
+            self._amplitudes[key] = self._limits.amplitudes(burst, level_mm_s * 1e-3)
+        return self._amplitudes[key]
+
+
+@dataclass(frozen=True)
+class TrialExpectation:
+    """The values against which a trial is checked.
+
+    Attributes
+    ----------
+    restored : RestoredExperiment
+        The experiment restored from the start record.
+    protocol : Protocol
+        The protocol, with the participant's own levels if there are any.
+    schema : int
+        Version of the log format.
+    """
+
+    restored: RestoredExperiment
+    protocol: Protocol
+    schema: int
+
+
+@lru_cache(maxsize=4)
+def restore(sources: Sources, occasion: tuple[str, str] = ("", "")) -> RestoredExperiment:
+    """Return the experiment restored from its texts; the latest few are cached.
+
+    Raises
+    ------
+    InputError
+        With every fault in the texts.
+    """
+    return RestoredExperiment(sources, occasion)
+
+
+def check_answers(event: Event, asked: AnswersSection) -> Iterator[str]:
+    """Yield faults in the answers of a line; further questions are asked only after a confirmed stimulus."""
+    response = event["response"]
+    yield from _check_response(response, asked)
+    is_asked = event["confirmed"]["confirmed"] and response["answer"] != TIME_OUT
+    wanted = asked.further if event["event"] == "trial" and is_asked else {}
+    further = response.get("further", {})
+    if list(further) != list(wanted):
+        yield f"answers the further questions {', '.join(further) or '-'}, but {', '.join(wanted) or '-'} were asked"
+        return
+    before = 0.0
+    if wanted:
+        # Questions are timed from the onset of the last interval; the line itself describes the comparison's.
+        onset = (event.get("intervals") or [event])[-1]["confirmed"]["onset"]
+        before = max(event["instants"]["answer"]["earliest_s"] - onset, before)
+    for name, how in wanted.items():
+        came = further[name].get("question_after")
+        if came is not None and came < before - INSTANT:
+            yield f"{name}: was asked {came:.6g} s after the stimulus began, before the answer at {before:.6g} s"
+        before = before if came is None else came + further[name]["reaction_time"]
+        yield from (f"{name}: {fault}" for fault in _check_response(further[name], how))
+
+
+def check_form(event: Event, protocol: Protocol, done: set[str]) -> Iterator[str]:
+    """Yield faults in an answer to the closing form.
+
+    Parameters
+    ----------
+    event : dict
+        The line of the answer.
+    protocol : Protocol
+        The protocol with the form.
+    done : set of str
+        Questions answered so far, to which this one is added.
+    """
+    name, asked = event["name"], protocol.closing
+    if name not in asked or name in done:
+        yield f"the form {'has no question' if name not in asked else 'already has an answer to'} {name!r}"
+        return
+    done.add(name)
+    yield from (f"{name} of the form: {fault}" for fault in _check_response(event["response"], asked[name]))
+
+
+def _check_response(response: Event, asked: AnswersSection) -> Iterator[str]:
+    if not asked.takes(response["answer"], response.get("value")):
+        value = f" {response['value']}" if "value" in response else ""
+        yield f"was answered {response['answer']!r}{value}; allowed: {asked.allowed}, {TIME_OUT}"
+    if not 0 <= response["reaction_time"] < math.inf:
+        yield f"has a reaction time of {response['reaction_time']} s"
+
+
+def check_amplitudes(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
+    """Yield faults if the amplitudes of a line are not those of the trial's level."""
+    silent, confirmed = trial.condition.is_catch, event["confirmed"]
+    # A catch trial goes through the same steps as a trial at the lowest level.
+    level = min(given.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
+    level = given.restored.preflight.played(trial.condition, level)
+    sent, back = tuple(confirmed["commanded_amplitude"]), tuple(confirmed["confirmed_amplitude"])
+    said = (sent, tuple(event["commanded"]["amplitude_Vpp"])) if "commanded" in event else (sent,)
+    found = given.restored.preflight.design_of(trial.condition), level, sent, back
+    if found in given.restored.agreed and said[-1] == sent:
+        return
+    needed = given.restored.amplitudes(trial, level)
+    for amplitude in said:
+        if amplitude != needed:
+            yield f"{level:g} mm/s needs {listed(needed)} Vpp, but {listed(amplitude)} Vpp were commanded"
+            return
+    instrument, pairs = given.restored.instrument, zip(needed, back, strict=False)
+    agree = len(back) == len(needed) and all(instrument.level(1, a).confirmed_by(str(b)) for a, b in pairs)
+    if (confirmed["confirmed"] or event["event"] == "fired") and not agree:
+        yield f"{level:g} mm/s needs {listed(needed)} Vpp, but {listed(back)} Vpp were read back"
+    if agree:
+        given.restored.agreed.add(found)
+
+
+def check_answered(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
+    """Yield contradictions between an answer's line and its trial: level, predicted speeds, fingers, answers."""
+    condition, response = trial.condition, event["response"]
+    yield from _check_planned(event["planned"], trial, given)
+    fingers = given.protocol.conditions.fingers_of(condition)
+    if tuple(event["fingers"]) != fingers:
+        yield f"was felt with {listed(fingers)}, but the record says {listed(tuple(event['fingers']))}"
+    if event.get("catch", False) is not condition.is_catch:
+        yield f"at {condition.velocity_mm_s:g} mm/s it is {'' if condition.is_catch else 'not '}a catch trial"
+    yield from check_answers(event, given.protocol.answers)
+    if event.get("correct") is not (correct := given.protocol.is_correct(trial, response["answer"])):
+        words = {True: "right", False: "wrong", None: "neither"}
+        said, found = words[event.get("correct")], words[correct]
+        yield f"was answered {response['answer']!r}, which is {found}; the record says {said}"
+
+
+def _check_planned(planned: dict[str, Any], trial: Trial, given: TrialExpectation) -> Iterator[str]:
+    """Yield faults if the level or the predicted speeds of a stimulus are not those of its condition."""
+    condition = trial.condition
+    level, said = condition.velocity_mm_s, tuple(planned[f"speed_{side}_mm_s"] for side in condition.sides)
+    if planned["velocity_mm_s"] != level:
+        yield f"was planned at {planned['velocity_mm_s']:g} mm/s and presented at {level:g} mm/s"
+    found = tuple(speed * 1e3 for speed in given.restored.preflight.speeds(trial))
+    if not all(abs(a - b) <= SPEED for a, b in zip(said, found, strict=True)):
+        yield f"{level:g} mm/s gives {listed(found)} mm/s at the fingers, not {listed(said)}"
+
+
+def check_delivered(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
+    """Yield faults if the delivered speeds do not follow from the fingers that were measured in the trial."""
+    said = event.get("delivered", {"refused": ""})
+    if "refused" in said:
+        return
+    from modaltouch.preflight import delivered_figures, has_drifted
+
+    preflight = given.restored.preflight
+    found = {**delivered_figures(preflight, trial, said), "drifted": has_drifted(preflight, trial, said)}
+    for name, value in found.items():
+        if abs(said[name] - value) > SPEED:
+            yield f"the fingers found in its burst give a delivered {name} of {value}, not {said[name]}"
+
+
+def check_intervals(event: Event, trial: Trial, begun: list[Event], given: TrialExpectation) -> Iterator[str]:
+    """Yield faults if the intervals of an answer are not those of its trial, or not those that were started."""
+    parts, recorded, section = given.protocol.presented(trial), event.get("intervals", []), given.protocol.intervals
+    if section is None:
+        return
+    if len(recorded) != len(parts) or [each["interval"] for each in begun] != list(range(1, len(parts) + 1)):
+        yield f"has {len(parts)} intervals; {len(begun)} began, but its line lists {len(recorded)}"
+        return
+    over, sound = -math.inf, True
+    for number, (part, said, first) in enumerate(zip(parts, recorded, begun, strict=True), 1):
+        confirmed = said["confirmed"]
+        line = {**event, **said, "instants": {**event["instants"], "first_burst": said["first_burst"]}}
+        faults = [*check_amplitudes(line, part, given), *_check_planned(said["planned"], part, given)]
+        if event["event"] == "trial" or number < len(parts):
+            sound = sound and confirmed["confirmed"]
+            faults += check_bursts(line, part, given)
+        if any(confirmed[name] != first["confirmed"][name] for name in ("onset", "commanded_amplitude")):
+            faults += ["is not the one that began"]
+        own = (event, said) if number == trial.interval else (said, said)
+        if any(own[0][name] != own[1][name] for name in ("commanded", "bursts")):
+            faults += ["is not that of its trial"]
+        gap, unsure = confirmed["onset"] - over, (each["onset_uncertainty"] for each in (confirmed, first["confirmed"]))
+        if gap + sum(unsure) + INSTANT < section.gap_s:
+            faults += [f"began {gap:.6g} s after the one before, but its protocol has a gap of {section.gap_s:g} s"]
+        over = confirmed["onset"] + given.protocol.longest_s(part.condition.stimulus)
+        yield from (f"interval {number}: {fault}" for fault in faults)
+    if not sound and (event["event"] == "answered" or event["confirmed"]["confirmed"]):
+        yield "counts, although one of its intervals is not confirmed"
+
+
+def check_instants(event: Event, trial: Trial) -> Iterator[str]:
+    """Yield contradictions between the instants of an answer, and with its reaction time."""
+    instants, response, confirmed = event["instants"], event["response"], event["confirmed"]
+    between = {name: (span["earliest_s"], span["latest_s"]) for name, span in instants.items() if span is not None}
+    for name, (earliest, latest) in between.items():
+        if not earliest <= latest:
+            yield f"its {name.replace('_', ' ')} came between {earliest} and {latest} s"
+    if not between["answer"][0] <= event["clock"] + INSTANT:
+        yield f"its answer came at {between['answer'][0]} s, after its line was written at {event['clock']} s"
+    known = [name for name in _IN_ORDER if name in between]
+    for place, name in enumerate(known):
+        late = next((each for each in known[place + 1 :] if between[each][1] < between[name][0] - INSTANT), None)
+        if late is not None:
+            yield f"its {late.replace('_', ' ')} came before its {name.replace('_', ' ')}"
+    if trial.condition.is_catch and "first_burst" in between:
+        yield "is a catch trial with a first burst"
+    if response["answer"] == "time_out":
+        return
+    onset, around = confirmed["onset"], confirmed["onset_uncertainty"]
+    answered = between["answer"]
+    first = between.get("first_burst", (onset - around, onset + around))
+    asked = response["onset"] == "question"
+    begun = between.get("question", first) if asked else first
+    least, most = answered[0] - begun[1], answered[1] - begun[0]
+    # Without a screen the instant of the question is unknown, except that it came after the first burst.
+    least = 0.0 if asked and "question" not in between else least
+    time = response["reaction_time"]
+    if not least - INSTANT <= time <= most + INSTANT:
+        yield f"has a reaction time of {time:.6g} s, but its instants give {least:.6g} to {most:.6g} s"
+
+
+def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
+    """Yield contradictions between the counts of a finished stimulus, and with the protocol and its instants."""
+    bursts, confirmed = event["bursts"], event["confirmed"]
+    asked, played, whole, dropped = counts = [bursts[name] for name in _COUNTS]
+    first, around = bursts["first_s"], bursts["uncertainty_s"]
+    if any(each is not None and (type(each) is not int or each < 0) for each in counts):
+        yield f"its burst counts are not whole numbers from 0: {counts}"
+        return
+    repeats = given.restored.preflight.experiment.apparatus.generator.repeats
+    if confirmed["repetition"] != repeats:
+        yield f"its bursts were repeated as {confirmed['repetition']!r}, but its apparatus file says {repeats!r}"
+    if confirmed["confirmed"] and confirmed["repetition"] == "single":
+        if None in counts or (first is None) is not trial.condition.is_catch:
+            yield "is confirmed, although its bursts are not all counted"
+            return
+        if whole != played or played + dropped != asked:
+            yield f"is confirmed with {asked} bursts due, {played} played, {whole} whole and {dropped} dropped"
+        yield from _check_number(event, trial, given)
+    if not _rises(whole, played, asked) or not _rises(dropped, asked):
+        yield f"has {asked} bursts due, {played} played, {whole} whole and {dropped} dropped"
+    if first is None:
+        return
+    said = event["instants"]["first_burst"]
+    ends = None if said is None else (said["earliest_s"], said["latest_s"])
+    if ends is None or max(abs(ends[0] - first + around), abs(ends[1] - first - around)) > INSTANT:
+        yield f"its first burst came at {first} s +- {around} s, but its instants say {listed(ends or ('never',))}"
+    if abs(confirmed["onset"] - first) > around + INSTANT:
+        yield f"its first burst came at {first} s, but its onset is {confirmed['onset']} s"
+
+
+def _check_number(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
+    """Yield faults if a confirmed stimulus of single bursts has not the number that follows from protocol and time."""
+    asked, rate = event["bursts"]["asked"], given.protocol.stimulus_of(trial.condition.stimulus).repetition_rate_Hz
+    if trial.condition.is_catch:
+        if asked:
+            yield f"is a catch trial with {asked} bursts due"
+        return
+    most = given.protocol.n_bursts(trial.condition.stimulus)
+    if given.protocol.answers.stimulus_until == "question":
+        if (asked, event["bursts"]["dropped"]) != (most, 0):
+            yield f"is confirmed with {asked} of {most} bursts due and {event['bursts']['dropped']} dropped"
+        return
+    first, around = event["bursts"]["first_s"], event["bursts"]["uncertainty_s"]
+    due = (event["instants"]["answer"]["earliest_s"] - first - around) * rate + 1
+    possible = (event["clock"] - first + around) * rate + 1
+    if not (min(due - 1 - _LATE, most) <= asked <= most and event["bursts"]["played"] <= possible + _LATE):
+        yield (
+            f"its record says {asked} bursts due, but at {rate:g} Hz {max(due, 1):.0f} were due by its answer and "
+            f"{possible:.0f} by its end, at most {most}"
+        )
+
+
+def _rises(*counts: int | None) -> bool:
+    """Return whether counts do not decrease, ignoring unknown ones."""
+    known = [count for count in counts if count is not None]
+    return known == sorted(known)
+
+
+def listed(values: tuple[Any, ...]) -> str:
+    """Return values as a list in words, numbers to six digits."""
+    return ", ".join(f"{each:.6g}" if isinstance(each, float) else str(each) for each in values)
