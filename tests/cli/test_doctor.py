@@ -33,7 +33,7 @@ def test_each_missing_library_is_named_with_its_package(monkeypatch: pytest.Monk
 
 def test_a_missing_python_package_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each package whose version a record states is needed, pyglet too, which draws the window."""
-    monkeypatch.setattr(doctor, "versions", lambda: versions() | {"pyglet": "absent"})
+    monkeypatch.setattr(doctor.system, "versions", lambda: versions() | {"pyglet": "absent"})
     found = doctor._packages()
     assert (found.state, found.found, found.remedy) == ("fault", "missing: pyglet", "reinstall modaltouch")
 

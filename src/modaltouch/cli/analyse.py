@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
+from modaltouch import analysis, protocol
 from modaltouch.cli.options import JSON, MODE
 from modaltouch.cli.output import print_json, reporting
-
-if TYPE_CHECKING:
-    from modaltouch.analysis import TableFormat
 
 _SOURCE = Annotated[
     list[Path],
@@ -83,11 +81,9 @@ def analyse(
     json_output: JSON = False,
 ) -> None:
     """Write the tables and bars of Fig. 10 and Fig. 11, exact statistics, and an HTML report."""
-    from modaltouch.analysis import analyse as run_analysis
-
     with reporting(json_output=json_output):
         is_table = any(option is not None for option in (protocol, answers, missing))
-        analysis = run_analysis(
+        found = analysis.analyse(
             source[0],
             out,
             labs=source[1:],
@@ -100,22 +96,19 @@ def analyse(
             speed=speed,
         )
         if json_output:
-            print_json(analysis.as_dict())
+            print_json(found.as_dict())
         else:
-            tell(analysis)
+            tell(found)
 
 
-def _table_format(protocol: str | None, answers: str | None, missing: str | None) -> TableFormat:
-    """Return how a CSV is to be read; the code that reads a protocol is loaded only here."""
-    from modaltouch.analysis import TableFormat
-    from modaltouch.protocol import Findings
-
+def _table_format(file: str | None, answers: str | None, missing: str | None) -> analysis.TableFormat:
+    """Return how a CSV is to be read."""
     words = {} if answers is None else _mapped(answers)
-    given = None if protocol is None else Findings.read(protocol).experiment().protocol
+    given = None if file is None else protocol.Findings.read(file).experiment().protocol
     margin = given.analysis.equivalence_margin if given else None
     codes = tuple(word.strip() for word in (missing or "").split(","))
     design = given.model_dump(mode="json") if given else {}
-    return TableFormat(given.answers.offered if given else None, words, codes, margin, design)
+    return analysis.TableFormat(given.answers.offered if given else None, words, codes, margin, design)
 
 
 def _mapped(answers: str) -> dict[str, str]:
@@ -131,9 +124,9 @@ def participants(number: int) -> str:
     return "1 participant" if number == 1 else f"{number} participants"
 
 
-def tell(analysis: Any) -> None:
+def tell(found: Any) -> None:
     """Print what an analysis found and where its files are."""
-    values = analysis.as_dict()
+    values = found.as_dict()
     print(f"{values['n_responses']} answers of {participants(values['n_participants'])}")
     for note in values.get("notes", ()):
         print(note)

@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from modaltouch import preflight, record
 from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, WITH_MARKED
 from modaltouch.cli.output import BAD_INPUT, print_json, print_table, reporting
 
 if TYPE_CHECKING:
     from rich.console import Console
-
-    from modaltouch.preflight import Preflight
 _MOST_ROWS = 12
 """Rows of the table of sensitivities that are shown, the worst first."""
 
@@ -77,54 +76,52 @@ def check(
     No instrument is opened, and only --export writes a file. All faults are reported at once, each with file, line and
     column.
     """
-    from modaltouch.preflight import check_legibility, examine
-
     with reporting(json_output=json_output):
-        preflight = check_legibility(examine(protocol, calibration, marked=with_marked_calibration))
+        checked = preflight.check_legibility(preflight.examine(protocol, calibration, marked=with_marked_calibration))
         more = (sensitivity, designs, contrast, tolerance)
-        asked = _explore(preflight, *more) if any(more) and not preflight.problems else {}
-        if export is not None and not preflight.problems:
-            _export(preflight, export)
+        asked = _explore(checked, *more) if any(more) and not checked.problems else {}
+        if export is not None and not checked.problems:
+            _export(checked, export)
         if json_output:
-            print_json(preflight.as_dict(compare=compare, fingers=fingers) | asked)
-        elif preflight.problems:
-            for problem in preflight.problems:
+            print_json(checked.as_dict(compare=compare, fingers=fingers) | asked)
+        elif checked.problems:
+            for problem in checked.problems:
                 typer.secho(str(problem), err=True, fg=typer.colors.RED)
         else:
-            show(preflight, compare=compare, fingers=fingers, asked=asked)
-        if preflight.problems:
+            show(checked, compare=compare, fingers=fingers, asked=asked)
+        if checked.problems:
             raise typer.Exit(BAD_INPUT)
 
 
-def _export(preflight: Preflight, file: Path) -> None:
+def _export(checked: preflight.Preflight, file: Path) -> None:
     """Write the voltages at the beam."""
     import numpy as np
 
-    from modaltouch.record import replace_file
-
     if file.suffix != ".npz":
         raise typer.BadParameter(f"--export is {file}; allowed: a file whose name ends with .npz, such as drive.npz")
-    np.savez_compressed(contents := BytesIO(), **preflight.drive_arrays())
-    replace_file(file, contents.getvalue(), "give another file with --export")
+    np.savez_compressed(contents := BytesIO(), **checked.drive_arrays())
+    record.replace_file(file, contents.getvalue(), "give another file with --export")
 
 
 def show(
-    preflight: Preflight, *, compare: bool = False, fingers: str | None = None, asked: dict[str, Any] | None = None
+    checked: preflight.Preflight,
+    *,
+    compare: bool = False,
+    fingers: str | None = None,
+    asked: dict[str, Any] | None = None,
 ) -> None:
     """Print a summary of the sessions of this protocol, and what was asked for besides."""
     from rich.console import Console
     from rich.markup import escape
 
-    console = Console()
-    values = preflight.as_dict(compare=compare, fingers=fingers)
+    console, values = Console(), checked.as_dict(compare=compare, fingers=fingers)
     catches = f" ({values['n_catch_trials']} of them catch trials)" if values["n_catch_trials"] else ""
     console.print(
         f"[bold]{escape(values['title'] or values['protocol'])}[/]: {values['n_trials']} trials{catches} and "
         f"{values['n_practice_trials']} for practice, about {values['estimated_duration_min']:.0f} min"
     )
     stimuli = values["stimuli"]
-    for line in _stimulus_lines(preflight, stimuli):
-        console.print(line)
+    console.print(*_stimulus_lines(checked, stimuli), sep="\n")
     for each in values.get("occasions", ()):
         levels = ", ".join(format(level, "g") for level in each["peak_velocities_mm_s"])
         console.print(
@@ -142,13 +139,13 @@ def show(
             f"threshold that a session of the protocol {own['thresholds_from']} found, for thresholds of "
             f"{own['thresholds_mm_s'][0]:g} to {own['thresholds_mm_s'][1]:.4g} mm/s; below, the bounds of all levels"
         )
-    for whose, rows in _by_occasion(preflight, stimuli, fingers).items():
+    for whose, rows in _by_occasion(checked, stimuli, fingers).items():
         _show_levels(rows, whose)
         if any("touched" in each for each in rows):
             _show_touched(rows, whose)
     if any("touched" in each for each in stimuli):
         console.print(f"[dim]{_PULL}[/]")
-    elif fingers is None and (said := preflight.untouched_warning()):
+    elif fingers is None and (said := checked.untouched_warning()):
         console.print(f"[yellow]{escape(said)}[/]")
     if stimuli[-1]["release"] == "free":
         console.print(
@@ -168,9 +165,9 @@ def show(
     _show_explored(console, asked or {})
 
 
-def _stimulus_lines(preflight: Preflight, stimuli: list[dict[str, Any]]) -> Iterator[str]:
+def _stimulus_lines(checked: preflight.Preflight, stimuli: list[dict[str, Any]]) -> Iterator[str]:
     """Yield one line about each stimulus."""
-    protocol, firsts = preflight.experiment.protocol, dict[str, dict[str, Any]]()
+    protocol, firsts = checked.experiment.protocol, dict[str, dict[str, Any]]()
     for each in stimuli:
         firsts.setdefault(each.get("stimulus", ""), each)
     for name, each in firsts.items():
@@ -184,24 +181,25 @@ def _stimulus_lines(preflight: Preflight, stimuli: list[dict[str, Any]]) -> Iter
 
 
 def _explore(
-    preflight: Preflight, sensitivity: bool, compared: bool, contrast: bool, tolerance: float | None
+    checked: preflight.Preflight, sensitivity: bool, compared: bool, contrast: bool, tolerance: float | None
 ) -> dict[str, Any]:
     """Return what was asked for besides the check; nothing else is computed."""
     asked: dict[str, Any] = {}
-    from modaltouch.preflight import contrast_figures, design_figures, sample_figures, sensitivity_figures
-
-    inputs, stimulus = preflight.of_one_stimulus().sound
+    inputs, stimulus = checked.of_one_stimulus().sound
     if sensitivity:
-        place = next(iter(preflight.placed), "")
-        asked["sensitivity"] = {**({"placement": place} if place else {}), **sensitivity_figures(inputs, stimulus)}
+        place = next(iter(checked.placed), "")
+        asked["sensitivity"] = {
+            **({"placement": place} if place else {}),
+            **preflight.sensitivity_figures(inputs, stimulus),
+        }
     if compared:
-        asked["designs"] = design_figures(stimulus)
+        asked["designs"] = preflight.design_figures(stimulus)
     if contrast:
-        pairs = map("-".join, preflight.experiment.protocol.conditions.contacts)
-        designs = {name: part.sound for name, part in preflight.placed.items()}
-        asked["contrast"] = contrast_figures(designs or dict.fromkeys(pairs, preflight.sound))
+        pairs = map("-".join, checked.experiment.protocol.conditions.contacts)
+        designs = {name: part.sound for name, part in checked.placed.items()}
+        asked["contrast"] = preflight.contrast_figures(designs or dict.fromkeys(pairs, checked.sound))
     if tolerance is not None:
-        asked["samples"] = sample_figures(inputs, stimulus, tolerance)
+        asked["samples"] = preflight.sample_figures(inputs, stimulus, tolerance)
     return asked
 
 
@@ -278,12 +276,12 @@ def _show_contrast(console: Console, rows: list[dict[str, Any]]) -> None:
 
 
 def _by_occasion(
-    preflight: Preflight, stimuli: list[dict[str, Any]], fingers: str | None
+    checked: preflight.Preflight, stimuli: list[dict[str, Any]], fingers: str | None
 ) -> dict[str, list[dict[str, Any]]]:
     """Return the rows of the tables by the groups and kinds of session that share them; without a name if all do."""
     found: list[tuple[list[str], list[dict[str, Any]]]] = []
-    for each in (preflight, *preflight.others):
-        rows = stimuli if each is preflight else each.as_dict(fingers=fingers)["stimuli"]
+    for each in (checked, *checked.others):
+        rows = stimuli if each is checked else each.as_dict(fingers=fingers)["stimuli"]
         alike = next((names for names, known in found if known == rows), None)
         if alike is None:
             found.append((alike := [], rows))

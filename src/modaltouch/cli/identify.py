@@ -8,8 +8,9 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from modaltouch.cli.lab import bars
-from modaltouch.cli.options import APPARATUS, JSON, MEASURED_RIG, SHIPPED_APPARATUS
+from modaltouch import lab
+from modaltouch.cli.lab import MEASURED_RIG, bars
+from modaltouch.cli.options import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS
 from modaltouch.cli.output import print_json, reporting
 
 FILES = Annotated[
@@ -67,9 +68,6 @@ USE_CLIPPED = Annotated[
 ESTIMATOR = Annotated[
     Literal["H1", "H2", "Hv"], typer.Option(help="H1; H2 if the measured drive is noisy; Hv lies between.")
 ]
-SEED = Annotated[
-    int | None, typer.Option(min=0, help="Seed of the simulated rig, instead of the one in the apparatus file.")
-]
 EXPORT = Annotated[
     Path | None,
     typer.Option(
@@ -96,7 +94,7 @@ def identify(
     conjugated: CONJUGATED = False,
     lowest_Hz: LOWEST = None,
     spacing_Hz: SPACING = None,
-    seed: SEED = None,
+    seed: SEED_OF_TWIN = None,
     export: EXPORT = None,
     leave_out: LEAVE_OUT = None,
     use_clipped: USE_CLIPPED = False,
@@ -108,11 +106,8 @@ def identify(
     Each point is on disk as soon as it is measured. To continue an interrupted scan, run the same command again. The
     result is an apparatus file that `modaltouch check` reads, with a table and figures next to it.
     """
-    from modaltouch.lab import IdentifyOptions
-    from modaltouch.lab import identify as measure
-
     with reporting(json_output=json_output):
-        options = IdentifyOptions(
+        options = lab.IdentifyOptions(
             apparatus, tuple(files or ()), rig, out, points=points, averages=averages, rows=rows, voltage=drive_V,
             excitation=excitation, lowest=lowest_Hz, highest=None if highest_kHz is None else highest_kHz * 1e3,
             margin=margin_mm * 1e-3, sets=tuple(sets or ()), modes=modes, quantity=quantity, conjugated=conjugated,
@@ -120,7 +115,7 @@ def identify(
             use_clipped=use_clipped, estimator=estimator,
         )  # fmt: skip
         with bars(json_output=json_output) as progress:
-            report = measure(options, progress)
+            report = lab.identify(options, progress)
         values = report.write()
         print_json(values) if json_output else _show(values)
 

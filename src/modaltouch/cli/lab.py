@@ -10,24 +10,35 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from modaltouch.cli.options import CALIBRATION, JSON, MEASURED_RIG, PROTOCOL, RECORD, SEED_OF_TWIN
+from modaltouch import lab
+from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, SEED_OF_TWIN
 from modaltouch.cli.output import BAD_INPUT, leave, make_bars, print_json, print_table, reporting
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-    from modaltouch.lab import MeasurementProgress
     from modaltouch.protocol import Calibration
 
 
+MEASURED_RIG = Annotated[
+    str, typer.Option(help="`simulated`, or the generator's VISA address; a real one is measured with a PicoScope.")
+]
+RECORD = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder where another scope leaves its records as CSV or NPZ files, one by one as the program asks for "
+        "them.",
+        show_default="measured with a PicoScope",
+    ),
+]
+
+
 @contextmanager
-def bars(*, json_output: bool = False) -> Iterator[MeasurementProgress]:
+def bars(*, json_output: bool = False) -> Iterator[lab.MeasurementProgress]:
     """Show on standard error what is being done and how far it is, and ask there for the vibrometer to be aimed.
 
     What cannot be measured or designed as it was asked for (ValueError) ends the command as bad input.
     """
-    from modaltouch.lab import MeasurementProgress, TooFewPointsError
-
     shown = make_bars()
     tasks: dict[str, TaskID] = {}
     aimed: list[tuple[float, float]] = []
@@ -53,8 +64,8 @@ def bars(*, json_output: bool = False) -> Iterator[MeasurementProgress]:
             aimed[:] = [(position, across)]
 
     try:
-        yield MeasurementProgress(show=show, say=shown.print, aim=aim)
-    except TooFewPointsError as error:
+        yield lab.MeasurementProgress(show=show, say=shown.print, aim=aim)
+    except lab.TooFewPointsError as error:
         raise typer.BadParameter(str(error)) from None
     except ValueError as error:
         leave(BAD_INPUT, str(error), json_output=json_output)
@@ -99,11 +110,11 @@ def calibrate(
     end. A calibration that misses the protocol's `calibration.limits` needs --accept to be written, and `run` needs
     --with-marked-calibration to use it.
     """
-    from modaltouch.lab import calibrate as measure
-
     with reporting(json_output=json_output):
         with bars(json_output=json_output) as progress:
-            report = measure(protocol, out, rig=rig, person=person, accept=accept, record=record, progress=progress)
+            report = lab.calibrate(
+                protocol, out, rig=rig, person=person, accept=accept, record=record, progress=progress
+            )
         values = report.write()
         print_json(values) if json_output else _show_calibration(report.calibration, out, protocol)
 
@@ -203,11 +214,9 @@ def compare(
 
     Everything runs on the twin, whose true beam is the reference. All methods learn from the same recordings.
     """
-    from modaltouch.lab import compare as measure
-
     with reporting(json_output=json_output):
         with bars(json_output=json_output) as progress:
-            report = measure(
+            report = lab.compare(
                 protocol,
                 out=out,
                 scan=scan,
@@ -268,11 +277,9 @@ def validate(
 
     The highest level of the protocol is played. The measured field is compared with the target; errors are in mm/s.
     """
-    from modaltouch.lab import validate as measure
-
     with reporting(json_output=json_output):
         with bars(json_output=json_output) as progress:
-            report = measure(
+            report = lab.validate(
                 protocol,
                 calibration=calibration,
                 rig=rig,
@@ -344,11 +351,9 @@ def probe(
     under them, with its 95 % interval. The table must contain all modes of the beam, including even ones; `modaltouch
     identify --modes all` finds them.
     """
-    from modaltouch.lab import probe_fingers
-
     with reporting(json_output=json_output):
         with bars(json_output=json_output) as progress:
-            report = probe_fingers(
+            report = lab.probe_fingers(
                 protocol,
                 out,
                 rig=rig,

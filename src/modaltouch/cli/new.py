@@ -6,15 +6,13 @@ import shlex
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from modaltouch import protocol, system
 from modaltouch.cli.options import JSON
 from modaltouch.cli.output import print_json, reporting
-
-if TYPE_CHECKING:
-    from modaltouch.protocol import Protocol
 
 
 def new(
@@ -50,13 +48,13 @@ def write_study(folder: Path, template: str) -> tuple[Path, ...]:
     InputError
         If there is no such protocol, or the folder holds something or cannot be written; what was begun is removed.
     """
-    from modaltouch.protocol import InputError
-
     contents = _contents(template)
     with ExitStack() as undo:
         try:
             if folder.exists() and (held := next(folder.iterdir(), None)):
-                raise InputError.of(folder, f"a folder that holds {held.name}", "a folder that is new or empty")
+                raise protocol.InputError.of(
+                    folder, f"a folder that holds {held.name}", "a folder that is new or empty"
+                )
             for place, text in contents.items():
                 file = folder / place
                 for parent in reversed([each for each in file.parents if not each.exists()]):
@@ -68,21 +66,19 @@ def write_study(folder: Path, template: str) -> tuple[Path, ...]:
                     opened.write(text)
         except OSError as error:
             given = f"a folder that cannot be written ({error.strerror})"
-            raise InputError.of(folder, given, "one that you may write to") from error
+            raise protocol.InputError.of(folder, given, "one that you may write to") from error
         undo.pop_all()
     return tuple(folder / place for place in contents)
 
 
 def _contents(template: str) -> dict[str, str]:
     """Return the text of each file by its place in the study, its protocol first."""
-    from modaltouch.protocol import Findings, InputError, Source
-
-    known = Source.shipped("protocol")
+    known = protocol.Source.shipped("protocol")
     if template not in known:
-        raise InputError.of("--from", f"{template!r}, which is not a shipped protocol", ", ".join(known))
-    experiments = [Findings.read(known[template]).experiment()]
+        raise protocol.InputError.of("--from", f"{template!r}, which is not a shipped protocol", ", ".join(known))
+    experiments = [protocol.Findings.read(known[template]).experiment()]
     if own := experiments[0].protocol.conditions.sensation_levels:
-        experiments.append(Findings.read(known[own.thresholds_from]).experiment())
+        experiments.append(protocol.Findings.read(known[own.thresholds_from]).experiment())
     named = [vars(each.sources)[key].path for each in experiments for key in ("protocol", "apparatus", "texts")]
     folder = known[template].parent
     # Every language and every instrument, so that changing them takes only another name in the protocol.
@@ -93,14 +89,12 @@ def _contents(template: str) -> dict[str, str]:
     return copied | {"README.md": readme, "results/.gitignore": "*\n!.gitignore\n"}
 
 
-def _readme(protocols: list[Protocol]) -> Iterator[str]:
+def _readme(protocols: list[protocol.Protocol]) -> Iterator[str]:
     """Yield the lines of the study's README: the commands of its protocol, and of any that is needed before it."""
-    from modaltouch.system import version
-
-    protocol, name = protocols[0], protocols[0].protocol
+    first, name = protocols[0], protocols[0].protocol
     files = [f"protocols/{each.protocol}.yaml" for each in reversed(protocols)]
-    yield f"# {protocol.title}\n"
-    yield f"Written by modaltouch {version()} from its protocol `{name}`. In this folder, in this order:\n"
+    yield f"# {first.title}\n"
+    yield f"Written by modaltouch {system.version()} from its protocol `{name}`. In this folder, in this order:\n"
     yield "| command | purpose |\n|---|---|"
     for file in files:
         yield f"| `modaltouch check {file}` | after each change: faults with their place, speeds, duration |"
@@ -110,7 +104,7 @@ def _readme(protocols: list[Protocol]) -> Iterator[str]:
         yield f"| `modaltouch run {file} -p p01 --fullscreen` | a session; asks for the generator's address |"
     yield f"| `modaltouch verify results/{name}/sub-p01/ses-1` | checks its record by recomputing it |"
     yield f"| `modaltouch analyse results/{name}` | the same for your participants |"
-    yield f"\nYour beam goes into `protocols/{protocol.apparatus}`, your words into `protocols/{protocol.texts}`."
+    yield f"\nYour beam goes into `protocols/{first.apparatus}`, your words into `protocols/{first.texts}`."
 
 
 def _remove(path: Path) -> None:

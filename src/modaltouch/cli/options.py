@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from modaltouch.cli.output import reporting
 
 SHIPPED_APPARATUS = Path("beam_100x6x2")
-
-ThemeChoice = Literal["dark", "light"]
-"""Colours of the window."""
 
 # Eager: known before a protocol is looked for.
 JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.", is_eager=True)]
@@ -46,56 +43,10 @@ USUAL_OBSERVER = Annotated[
     str | None, typer.Option("--observer", help=_OBSERVER, show_default="paper; fingertip where thresholds matter")
 ]
 
-SESSION = Annotated[Path, typer.Argument(help="A session's folder or its session.jsonl.", show_default=False)]
-RECORDS = "A session's folder or its session.jsonl, or a folder of sessions"
 RESULTS = Annotated[Path, typer.Option(help="Folder where sessions are recorded.")]
 SEED = Annotated[int, typer.Option(min=0, help="Seed of the study; the same for all its participants.")]
 MODE = Annotated[str | None, typer.Option(help="Which sessions of a results folder: real, pilot or simulated.")]
 
-FULLSCREEN = Annotated[
-    bool | None,
-    typer.Option(
-        "--fullscreen/--windowed",
-        help="Show the answer window full screen.",
-        show_default="windowed",
-    ),
-]
-SIZE = Annotated[
-    str | None,
-    typer.Option(
-        help="Size of the answer window in pixels, unless it is full screen.",
-        show_default="1280x800",
-    ),
-]
-THEME = Annotated[
-    ThemeChoice | None,
-    typer.Option(help="Colours of the answer window.", show_default="dark"),
-]
-SCREEN = Annotated[
-    int | None,
-    typer.Option(min=0, help="Which screen shows the answer window.", show_default="0"),
-]
-SCREENSHOTS = Annotated[Path | None, typer.Option(help="Folder for a screenshot of each kind of screen.")]
-
-EVENTS = Annotated[
-    Path | None,
-    typer.Option(
-        help="File or named pipe for the session's state as JSON lines; a pipe that nobody reads causes no delay."
-    ),
-]
-PLAIN = Annotated[bool, typer.Option("--plain", help="Print plain lines instead of the live console, without keys.")]
-
-MEASURED_RIG = Annotated[
-    str, typer.Option(help="`simulated`, or the generator's VISA address; a real one is measured with a PicoScope.")
-]
-RECORD = Annotated[
-    Path | None,
-    typer.Option(
-        help="Folder where another scope leaves its records as CSV or NPZ files, one by one as the program asks for "
-        "them.",
-        show_default="measured with a PicoScope",
-    ),
-]
 SEED_OF_TWIN = Annotated[
     int | None, typer.Option(min=0, help="Seed of the simulated rig, instead of the one in the apparatus file.")
 ]

@@ -78,22 +78,19 @@ def reporting(*, json_output: bool = False) -> Iterator[None]:
     except (typer.Exit, typer.Abort, typer.BadParameter):
         raise
     except BaseException as error:
-        status, problems = explain(error)
+        status = exit_status(error)
         if status is None:
             raise
+        problems = [problem.as_dict() for problem in getattr(error, "problems", ())]
         why = "; ".join([_say(error, status), *getattr(error, "__notes__", [])])
         leave(status, why, problems, json_output=json_output)
 
 
-def explain(error: BaseException) -> tuple[int | None, list[dict[str, Any]]]:
-    """Return the exit status of an error and its problems one by one; no status for a programming error."""
-    # Found by name in the modules already loaded: reporting a failure must not import PyVISA or pandas.
-    from modaltouch.protocol import InputError
-
-    if isinstance(error, InputError):
-        return BAD_INPUT, [problem.as_dict() for problem in error.problems]
+def exit_status(error: BaseException) -> int | None:
+    """Return the exit status of an error; None for a programming error."""
     statuses = {
         ("builtins", "KeyboardInterrupt"): INTERRUPTED,
+        ("modaltouch.protocol.problems", "InputError"): BAD_INPUT,
         ("modaltouch.rig.interface", "RigError"): RIG_FAILED,
         ("modaltouch.window.interface", "WindowError"): RIG_FAILED,
         ("modaltouch.record.chain", "RecordInputError"): BAD_INPUT,
@@ -101,11 +98,12 @@ def explain(error: BaseException) -> tuple[int | None, list[dict[str, Any]]]:
         ("modaltouch.window.interface", "SessionStopped"): INTERRUPTED,
         ("modaltouch.system.operating_system", "Interrupted"): INTERRUPTED,
     }
+    # Found by name in the modules already loaded: reporting a failure must not import PyVISA or pandas.
     for (module, name), status in statuses.items():
         if isinstance(error, getattr(sys.modules.get(module), name, ())):
-            return status, []
+            return status
     # Only its owner may read what a session wrote; others are refused even the question whether a file exists.
-    return (BAD_INPUT if isinstance(error, PermissionError) and error.filename is not None else None), []
+    return BAD_INPUT if isinstance(error, PermissionError) and error.filename is not None else None
 
 
 def _say(error: BaseException, status: int) -> str:

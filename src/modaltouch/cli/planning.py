@@ -7,19 +7,14 @@ from functools import partial
 from itertools import groupby
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
+from modaltouch import analysis, planning, preflight, record, report, session, system
 from modaltouch.cli.analyse import participants
 from modaltouch.cli.options import JSON, MODE, OBSERVER, PROTOCOL, USUAL_OBSERVER
 from modaltouch.cli.output import INTERRUPTED, print_json, print_table, progress, reporting
-
-if TYPE_CHECKING:
-    from modaltouch.analysis import Responses
-    from modaltouch.planning import Observer, Power
-    from modaltouch.preflight import Preflight
-
 
 _FAMILIES_PER_TABLE = 4
 """Most families of tests in a table, so that it fits into a terminal of 80 columns."""
@@ -70,26 +65,21 @@ def power(
     """
     sizes_n = parse_sizes(participants, "--participants", _MOST_PARTICIPANTS)
     sizes_r = parse_sizes(reps, "--reps", _MOST_ANSWERS) if reps is not None else None
-    from modaltouch.planning import Study, designs_for, plan, read_observer
-    from modaltouch.preflight import examine
-    from modaltouch.report import refuse_other
-    from modaltouch.system import Interruption
-
     with reporting(json_output=json_output):
-        model = read_observer(observer)
-        preflight = examine(protocol, uncalibrated=True).require()
-        repetitions = sizes_r or (preflight.experiment.protocol.schedule.all_repetitions,)
-        designs = designs_for(preflight, model)
-        _refuse_too_large(max(sizes_n) * max(repetitions) * len(preflight.experiment.protocol.scheduled_levels))
+        model = planning.read_observer(observer)
+        checked = preflight.examine(protocol, uncalibrated=True).require()
+        repetitions = sizes_r or (checked.experiment.protocol.schedule.all_repetitions,)
+        designs = planning.designs_for(checked, model)
+        _refuse_too_large(max(sizes_n) * max(repetitions) * len(checked.experiment.protocol.scheduled_levels))
         folders = {name: out / name for name in designs} if out is not None else {}
         for folder in folders.values():
-            refuse_other(folder, "power")
-        found: list[Power] = []
-        with Interruption() as interruption:
+            report.refuse_other(folder, "power")
+        found: list[planning.Power] = []
+        with system.Interruption() as interruption:
             for name, design in designs.items():
                 with progress(f"{name}: experiments" if name else "experiments") as on_progress:
-                    planned = plan(
-                        Study(design, model, _families(questions, design.scopes, null=null), null, seed),
+                    planned = planning.plan(
+                        planning.Study(design, model, _families(questions, design.scopes, null=null), null, seed),
                         [(n, r) for r in repetitions for n in sizes_n],
                         experiments,
                         n_processes=jobs,
@@ -102,16 +92,14 @@ def power(
         _report(found, target, folders, json_output=json_output)
 
 
-def _report(plans: Sequence[Power], target: float, folders: Mapping[str, Path], *, json_output: bool) -> None:
+def _report(plans: Sequence[planning.Power], target: float, folders: Mapping[str, Path], *, json_output: bool) -> None:
     """Write and print the plan of each stimulus, even if the last was interrupted."""
     values = []
     for found in plans:
         folder = folders.get(found.study.design.stimulus)
         files: dict[str, Path] = {}
         if folder is not None and found.tallies:
-            from modaltouch.planning import write_power
-
-            files = write_power(folder, found, target)
+            files = planning.write_power(folder, found, target)
         values.append({**found.as_dict(target), "files": {name: str(path) for name, path in files.items()}})
         if not json_output:
             tell(found, target)
@@ -177,17 +165,15 @@ def _refuse_too_large(n_answers: int) -> None:
 
 def _families(questions: str | None, scopes: Callable[[str], tuple[str, ...]], *, null: bool) -> tuple[str, ...]:
     """Return the families of tests that are asked for and that the protocol has."""
-    from modaltouch.analysis import STATISTICS
-
     asked = [word.strip() for word in (questions or "a1,a2,b,c,d,c alike").split(",")]
     for word in asked:
-        if word not in STATISTICS:
-            allowed = ", ".join(STATISTICS)
+        if word not in analysis.STATISTICS:
+            allowed = ", ".join(analysis.STATISTICS)
             raise typer.BadParameter(f"given --questions {word!r}; allowed: {allowed}, separated by commas")
     # Where no effect is simulated, finding the conditions alike is no false alarm.
     found = tuple(
         family
-        for family, each in STATISTICS.items()
+        for family, each in analysis.STATISTICS.items()
         if family in asked and scopes(family) and not (null and each.when_alike)
     )
     if not found:
@@ -198,7 +184,7 @@ def _families(questions: str | None, scopes: Callable[[str], tuple[str, ...]], *
     return found
 
 
-def _done(found: Power) -> str:
+def _done(found: planning.Power) -> str:
     if not found.tallies:
         return "nothing, as no experiment was finished"
     if found.complete:
@@ -210,7 +196,7 @@ def _done(found: Power) -> str:
     )
 
 
-def tell(found: Power, target: float) -> None:
+def tell(found: planning.Power, target: float) -> None:
     """Print a plan: power of each family at each size, participants needed, and least numbers for significance.
 
     Parameters
@@ -222,8 +208,6 @@ def tell(found: Power, target: float) -> None:
     """
     from rich.console import Console
     from rich.markup import escape
-
-    from modaltouch.analysis import scope_in_words
 
     console = Console()
     study = found.study
@@ -245,7 +229,7 @@ def tell(found: Power, target: float) -> None:
         rows = [
             (
                 row["family"],
-                scope_in_words(row["scope"], *of),
+                analysis.scope_in_words(row["scope"], *of),
                 str(row["n_repetitions"]),
                 str(row["n_participants"] or "more"),
             )
@@ -268,21 +252,22 @@ def _cell(row: dict[str, Any]) -> str:
 
 
 def _simulate_study(
-    preflight: Preflight, population: Observer, n_participants: int, threshold_mm_s: float | None, seed: int
-) -> Responses:
+    checked: preflight.Preflight,
+    population: planning.Observer,
+    n_participants: int,
+    threshold_mm_s: float | None,
+    seed: int,
+) -> analysis.Responses:
     """Return the answers of a whole experiment in simulated sessions, whose records are not kept."""
-    from modaltouch.analysis import read_responses
-    from modaltouch.session import simulate_session
-
-    schedule = preflight.experiment.protocol.schedule
+    schedule = checked.experiment.protocol.schedule
     with TemporaryDirectory() as folder:
         for number in range(1, n_participants + 1):
-            for session in range(1, schedule.n_sessions + 1):
-                simulate_session(
-                    preflight, f"p{number:04d}", folder, seed=seed, observer=population, session=session,
+            for number_of_session in range(1, schedule.n_sessions + 1):
+                session.simulate_session(
+                    checked, f"p{number:04d}", folder, seed=seed, observer=population, session=number_of_session,
                     threshold_mm_s=threshold_mm_s,
                 )  # fmt: skip
-        return read_responses(Path(folder))
+        return analysis.read_responses(Path(folder))
 
 
 def prereg(
@@ -318,24 +303,20 @@ def prereg(
     by whole sessions and their analysis. An existing page is never overwritten. `modaltouch analyse` lists departures
     from it.
     """
-    from modaltouch.planning import preregister, read_observer, usual_observer
-    from modaltouch.preflight import examine
-    from modaltouch.record import prepare_file, replace_file
-
     with reporting(json_output=json_output):
-        preflight = examine(protocol, uncalibrated=True).require()
-        source = preflight.experiment.sources.protocol.path
+        checked = preflight.examine(protocol, uncalibrated=True).require()
+        source = checked.experiment.sources.protocol.path
         file = out or (source if protocol.is_file() else Path(source.name)).with_suffix(".prereg.md")
-        prepare_file(file)
-        population = read_observer(observer or usual_observer(preflight.experiment.protocol))
+        record.prepare_file(file)
+        population = planning.read_observer(observer or planning.usual_observer(checked.experiment.protocol))
         with progress("experiments") as on_progress:
-            text = preregister(
-                preflight, population, participants, n_experiments=experiments, seed=seed, threshold_mm_s=threshold,
+            text = planning.preregister(
+                checked, population, participants, n_experiments=experiments, seed=seed, threshold_mm_s=threshold,
                 on_progress=on_progress,
-                study=partial(_simulate_study, preflight, population, participants, threshold),
+                study=partial(_simulate_study, checked, population, participants, threshold),
             )  # fmt: skip
-        prepare_file(file)  # a page may have been written there meanwhile
-        replace_file(file, text.encode(), "give another file with --out")
+        record.prepare_file(file)  # a page may have been written there meanwhile
+        record.replace_file(file, text.encode(), "give another file with --out")
         print_json({"file": str(file)}) if json_output else print(
             f"{file}\nPut it where nobody can change it, such as OSF."
         )
@@ -358,20 +339,16 @@ def fit(
     The given observer is the centre of the priors, and its front end is kept. If the protocol has several stimuli, one
     observer is fitted to the answers to all of them.
     """
-    from modaltouch.planning import fit_answers, read_observer, write_observer
-    from modaltouch.preflight import examine
-    from modaltouch.record import prepare_file, replace_file
-
     with reporting(json_output=json_output):
-        prior = read_observer(observer)
-        preflight = examine(protocol, uncalibrated=True).require()
+        prior = planning.read_observer(observer)
+        checked = preflight.examine(protocol, uncalibrated=True).require()
         if out is not None:
-            prepare_file(out)
-        fitted = fit_answers(preflight, answers, prior, mode=mode)
+            record.prepare_file(out)
+        fitted = planning.fit_answers(checked, answers, prior, mode=mode)
         n_answers = f"{fitted.fit.n_answers} answers of {participants(fitted.n_participants)}"
         if out is not None:
-            text = write_observer(fitted.fit.observer, "fitted", f"Fitted to {n_answers} in {answers.name}")
-            replace_file(out, text.encode(), "give another file with --out")
+            text = planning.write_observer(fitted.fit.observer, "fitted", f"Fitted to {n_answers} in {answers.name}")
+            record.replace_file(out, text.encode(), "give another file with --out")
         if json_output:
             print_json({**fitted.as_dict(), "file": None if out is None else str(out)})
             return

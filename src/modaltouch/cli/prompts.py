@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from modaltouch import record, rig, session
 from modaltouch.cli.check import show
 from modaltouch.cli.output import INTERRUPTED, leave
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-    from modaltouch.session import Setup
 
 
 def can_ask() -> bool:
@@ -35,29 +34,28 @@ def ask_rig(may_ask: bool) -> str:
     typer.BadParameter
         If nobody is: a forgotten option must not leave a participant at a silent beam.
     """
-    from modaltouch.rig import RigError, find_instruments
-    from modaltouch.session import SIMULATED
-
     if not may_ask:
         raise typer.BadParameter(
             "a session needs a rig: give --rig with the generator's VISA address (`modaltouch rig list` shows what "
             "this machine can see), or --rig simulated, where nothing vibrates"
         )
     try:
-        found = find_instruments()
-    except RigError as error:
+        found = rig.find_instruments()
+    except rig.RigError as error:
         found = ()
         typer.secho(str(error), err=True, fg=typer.colors.YELLOW)
     for number, address in enumerate(found, start=1):
         typer.echo(f"{number}  {address}", err=True)
     hint = "its number above" if found else "none is seen; one on the network answers at TCPIP::<its address>::INSTR"
     while True:
-        given = str(_prompt(f"Generator's VISA address ({hint}), or {SIMULATED}", default="", shown=False)).strip()
+        given = str(
+            _prompt(f"Generator's VISA address ({hint}), or {session.SIMULATED}", default="", shown=False)
+        ).strip()
         if given.isdecimal() and 1 <= int(given) <= len(found):
             return found[int(given) - 1]
-        if given.casefold() == SIMULATED or "::" in given:
-            return given if "::" in given else SIMULATED
-        typer.secho(f"given {given!r}; allowed: a VISA address, or {SIMULATED}", err=True, fg=typer.colors.RED)
+        if given.casefold() == session.SIMULATED or "::" in given:
+            return given if "::" in given else session.SIMULATED
+        typer.secho(f"given {given!r}; allowed: a VISA address, or {session.SIMULATED}", err=True, fg=typer.colors.RED)
 
 
 def ask_participant(dataset: Path) -> str:
@@ -73,17 +71,14 @@ def ask_participant(dataset: Path) -> str:
     typer.BadParameter
         If there is no terminal to ask in.
     """
-    from modaltouch.record import RecordError, SessionFolder
-    from modaltouch.session import propose_participant
-
     if not can_ask():
         raise typer.BadParameter("a session needs a participant id: give it with -p, for example -p p01")
     while True:
         words = "Participant id (a code of letters and digits, never a name)"
-        participant = str(_prompt(words, default=propose_participant(dataset))).strip()
+        participant = str(_prompt(words, default=session.propose_participant(dataset))).strip()
         try:
-            return SessionFolder.check_participant(participant)
-        except RecordError as error:
+            return record.SessionFolder.check_participant(participant)
+        except record.RecordError as error:
             typer.secho(str(error), err=True, fg=typer.colors.RED)
 
 
@@ -118,7 +113,7 @@ def ask_people(fields: Mapping[str, Any], may_ask: bool) -> dict[str, Any]:
     return answers
 
 
-def wait_for_start(setup: Setup, rig: str) -> None:
+def wait_for_start(setup: session.Setup, rig: str) -> None:
     """Show what is about to happen and wait for ``start``; quitting records nothing."""
     place = setup.place
     show(setup.preflight)

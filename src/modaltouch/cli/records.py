@@ -17,44 +17,42 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from modaltouch.cli.options import APPARATUS, JSON, RECORDS, SHIPPED_APPARATUS
+from modaltouch import protocol, record, report, rig, session, system, window
+from modaltouch.cli.options import APPARATUS, JSON, SHIPPED_APPARATUS
 from modaltouch.cli.output import RECORD_AT_RISK, RIG_FAILED, print_json, print_table, reporting
-from modaltouch.system import sync_file, versions
 
-MARKS = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "fault": ("FAULT", "red")}
+RECORDS = "A session's folder or its session.jsonl, or a folder of sessions"
+STATES = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "fault": ("FAULT", "red")}
 
 
 def verify(
     session: Annotated[Path, typer.Argument(help=f"{RECORDS}.", show_default=False)], json_output: JSON = False
 ) -> None:
     """Check the record of a session, or of all in a folder: recompute lines, order, drive and BIDS view."""
-    from modaltouch.record import Session, audit_session
-
     with reporting(json_output=json_output):
 
-        def look(log: Path, several: bool) -> _Seen:
-            session = Session.find(log)
-            verdict = audit_session(session)
+        def look(log: Path, several: bool) -> _Result:
+            session = record.Session.find(log)
+            verdict = record.audit_session(session)
             remedy = (f"`modaltouch doctor {log.parent}` says what can be recovered",) * bool(session.chain.problems)
             return verdict.as_dict(), verdict.lines, verdict.problems + remedy
 
         _look_at(session, look, json_output=json_output)
 
 
-_Seen = tuple[dict[str, Any], Sequence[str], Sequence[str]]
+_Result = tuple[dict[str, Any], Sequence[str], Sequence[str]]
 """What was found in a record: as plain values, in words, and what is wrong with it."""
 
 
-def _look_at(place: Path, look: Callable[[Path, bool], _Seen], *, json_output: bool) -> None:
+def _look_at(place: Path, look: Callable[[Path, bool], _Result], *, json_output: bool) -> None:
     """Print what is found in a record, or in all records of a folder; the exit status is that of the worst."""
-    from modaltouch.record import RecordError, SessionFolder
-
-    logs = SessionFolder.logs_under(place)
+    logs = record.SessionFolder.logs_under(place)
     several, found = len(logs) > 1, []
     for log in logs:
         try:
             values, lines, problems = look(log, several)
-        except RecordError as error:  # among several, one that cannot be read must not keep the others from being read
+        except record.RecordError as error:
+            # Among several, one that cannot be read must not keep the others from being read.
             if not several:
                 raise
             values, lines, problems = {"session": str(log), "sound": False}, (), (str(error),)
@@ -114,18 +112,16 @@ def doctor(
             print_json({"findings": [vars(finding) for finding in findings]})
         else:
             for finding in findings:
-                word, colour = MARKS[finding.state]
+                word, colour = STATES[finding.state]
                 remedy = f": {finding.remedy}" if finding.remedy else ""
                 typer.echo(f"{typer.style(f'{word:8}', fg=colour)} {finding.subject:16} {finding.found}{remedy}")
         if any(finding.state == "fault" for finding in findings):
             raise typer.Exit(RIG_FAILED)
 
 
-def _examine_record(session: Path, several: bool, into: Path | None) -> _Seen:
+def _examine_record(session: Path, several: bool, into: Path | None) -> _Result:
     """Return what can be verified in a record, and recover it if asked; among several, only if it is damaged."""
-    from modaltouch.record import survey
-
-    found = survey(session)
+    found = record.survey(session)
     lines = found.lines
     recovered = None
     if into is not None and not (several and found.is_sound):
@@ -142,25 +138,21 @@ def _examine_record(session: Path, several: bool, into: Path | None) -> _Seen:
     return {**found.as_dict(), "recovered_into": str(recovered) if recovered else None}, lines, ()
 
 
-def _measure(rig: str, apparatus: Path, *, json_output: bool) -> None:
+def _measure(address: str, apparatus: Path, *, json_output: bool) -> None:
     """Print how accurately window, keyboard, generator and clock keep time; one that cannot be reached is a fault."""
-    from modaltouch.rig import RigError
-    from modaltouch.system import measure_clock
-    from modaltouch.window import WindowError, measure_timing
-
     figures: dict[str, Any] = {}
     verdicts: dict[str, str] = {}
     faults: dict[str, str] = {}
     for subject, measure in (
-        ("window", measure_timing),
-        ("generator", lambda: _measure_generator(rig, apparatus)),
-        ("clock", measure_clock),
+        ("window", window.measure_timing),
+        ("generator", lambda: _measure_generator(address, apparatus)),
+        ("clock", system.measure_clock),
     ):
         try:
             figures[subject], verdicts[subject] = measure()
-        except (WindowError, RigError) as error:
+        except (window.WindowError, rig.RigError) as error:
             faults[subject] = str(error)
-    if rig == "simulated" and "generator" in verdicts:
+    if address == "simulated" and "generator" in verdicts:
         verdicts["generator"] = f"On the simulated rig, not on yours (--rig): {verdicts['generator']}"
     if json_output:
         print_json({**figures, "verdicts": verdicts, "faults": faults})
@@ -173,14 +165,11 @@ def _measure(rig: str, apparatus: Path, *, json_output: bool) -> None:
         raise typer.Exit(RIG_FAILED)
 
 
-def _measure_generator(rig: str, apparatus: Path) -> tuple[dict[str, Any], str]:
-    from modaltouch.protocol import Apparatus
-    from modaltouch.rig import Generator, Simulator
-
-    parts = Apparatus.read(apparatus)
+def _measure_generator(address: str, apparatus: Path) -> tuple[dict[str, Any], str]:
+    parts = protocol.Apparatus.read(apparatus)
     with ExitStack() as stack:
-        address = stack.enter_context(Simulator(parts)).address if rig == "simulated" else rig
-        return stack.enter_context(Generator(address, parts)).command_latency()
+        where = stack.enter_context(rig.Simulator(parts)).address if address == "simulated" else address
+        return stack.enter_context(rig.Generator(where, parts)).command_latency()
 
 
 _MAKER = '<meta name="generator" content="modaltouch study">'
@@ -197,59 +186,55 @@ def study(
 
     This reads only the logs and changes nothing; `modaltouch verify` recomputes them.
     """
-    from modaltouch.session import survey_results
-
     with reporting(json_output=json_output):
-        datasets = survey_results(results)
-        told = [_tell(dataset) for dataset in datasets]
+        datasets = session.survey_results(results)
+        shown = [_in_words(dataset) for dataset in datasets]
         if html is not None:
-            _write_page(html, results, told)
+            _write_page(html, results, shown)
         if json_output:
             print_json({"results": str(results), "datasets": datasets, "page": str(html) if html else None})
             return
-        for each in told:
+        for each in shown:
             _show(each)
         if html is not None:
             print(f"Page: {html}")
 
 
-def _write_page(file: Path, results: Path, told: list[dict[str, Any]]) -> None:
+def _write_page(file: Path, results: Path, shown: list[dict[str, Any]]) -> None:
     """Write the page; replace only an earlier one."""
-    from modaltouch.record import RecordError, prepare_file, replace_file
-    from modaltouch.report import render_page
-    from modaltouch.system import version
-
     if not file.exists():
-        prepare_file(file)
+        record.prepare_file(file)
     elif not file.is_file() or _MAKER not in file.read_text(encoding="utf-8", errors="replace"):
-        raise RecordError(f"{file}: exists already and is not from `modaltouch study`; give another file with --html")
+        raise record.RecordError(
+            f"{file}: exists already and is not from `modaltouch study`; give another file with --html"
+        )
     headings = {"sessions": _SESSION_HEADINGS, "orders": _ORDER_HEADINGS}
-    page = render_page(
+    page = report.render_page(
         "modaltouch.cli", "study.html.j2",
-        title="Study", maker=_MAKER, results=results, datasets=told, headings=headings, version=version(),
+        title="Study", maker=_MAKER, results=results, datasets=shown, headings=headings, version=system.version(),
     )  # fmt: skip
-    replace_file(file, page.encode(), "give another file with --html")
+    record.replace_file(file, page.encode(), "give another file with --html")
 
 
-def _show(told: dict[str, Any]) -> None:
+def _show(shown: dict[str, Any]) -> None:
     """Print one dataset within 80 columns."""
     from rich.console import Console
     from rich.markup import escape
 
     console = Console()
-    console.print(f"[bold]{escape(told['heading'])}[/]\n[dim]{escape(told['folder'])}[/]")
-    print_table("", _SESSION_HEADINGS, [list(map(escape, row)) for row in told["sessions"]], n_words=3)
-    if told["orders"]:
-        print_table("", _ORDER_HEADINGS, [list(map(escape, row)) for row in told["orders"]])
-    remarks = (f"[yellow]{escape(line)}[/]" for line in told["remarks"])
-    console.print(*remarks, *(f"next: {escape(line)}" for line in told["next"]), sep="\n")
+    console.print(f"[bold]{escape(shown['heading'])}[/]\n[dim]{escape(shown['folder'])}[/]")
+    print_table("", _SESSION_HEADINGS, [list(map(escape, row)) for row in shown["sessions"]], n_words=3)
+    if shown["orders"]:
+        print_table("", _ORDER_HEADINGS, [list(map(escape, row)) for row in shown["orders"]])
+    remarks = (f"[yellow]{escape(line)}[/]" for line in shown["remarks"])
+    console.print(*remarks, *(f"next: {escape(line)}" for line in shown["next"]), sep="\n")
 
 
 _SESSION_HEADINGS = ("participant", "session", "state", "begun (UTC)", "min", "answers")
 _ORDER_HEADINGS = ("order", "complete", "left incomplete", "open")
 
 
-def _tell(dataset: dict[str, Any]) -> dict[str, Any]:
+def _in_words(dataset: dict[str, Any]) -> dict[str, Any]:
     """Return a dataset in words: rows of the two tables, remarks, and who is next."""
     rows, n_each = dataset["sessions"], dataset["sessions_each"]
     n_complete = sum(row["state"] == "complete" for row in rows)
@@ -324,12 +309,10 @@ class MachineCheck:
 
 def examine_machine(results: Path) -> tuple[MachineCheck, ...]:
     """Check everything a session needs, and draw a letter in the window; no instrument is opened."""
-    from modaltouch.window import examine_environment
-
     return (
         _python(),
         _packages(),
-        *(MachineCheck(*check[:4]) for check in examine_environment()),
+        *(MachineCheck(*check[:4]) for check in window.examine_environment()),
         _usb(),
         _precedence(),
         _disk(results),
@@ -338,20 +321,20 @@ def examine_machine(results: Path) -> tuple[MachineCheck, ...]:
 
 def missing_packages() -> list[str]:
     """Return the Debian packages that this machine lacks for a session, a test or the demonstration."""
-    from modaltouch.window import examine_environment
-
-    return [package for check in examine_environment(quick=True) for package in check.packages]
+    return [package for check in window.examine_environment(quick=True) for package in check.packages]
 
 
 def _python() -> MachineCheck:
-    found = f"Python {versions()['python']} on {versions()['system']}"
+    found = f"Python {system.versions()['python']} on {system.versions()['system']}"
     if (3, 11) <= sys.version_info[:2] <= (3, 12):
         return MachineCheck("python", "ok", found)
     return MachineCheck("python", "fault", found, "use Python 3.11 or 3.12: PsychoPy does not support 3.13 or later")
 
 
 def _packages() -> MachineCheck:
-    found = {name: version for name, version in versions().items() if name not in ("modaltouch", "python", "system")}
+    found = {
+        name: version for name, version in system.versions().items() if name not in ("modaltouch", "python", "system")
+    }
     if missing := [name for name, version in found.items() if version == "absent"]:
         return MachineCheck("packages", "fault", f"missing: {', '.join(missing)}", "reinstall modaltouch")
     return MachineCheck("packages", "ok", ", ".join(f"{name} {version}" for name, version in found.items()))
@@ -388,7 +371,7 @@ def _disk(results: Path) -> MachineCheck:
             start = time.perf_counter()
             file.write(b"x" * 512)
             file.flush()
-            sync_file(file.fileno())
+            system.sync_file(file.fileno())
             elapsed = time.perf_counter() - start
     except OSError as error:
         remedy = "give a folder you may write to with --results"

@@ -8,38 +8,54 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
-from modaltouch.cli.options import (
-    CALIBRATION,
-    EVENTS,
-    FULLSCREEN,
-    JSON,
-    PLAIN,
-    PROTOCOL,
-    RESULTS,
-    SCREEN,
-    SCREENSHOTS,
-    SEED,
-    SESSION,
-    SIZE,
-    THEME,
-    WITH_MARKED,
-    ThemeChoice,
-)
+from modaltouch import analysis, preflight, protocol, record, window
+from modaltouch import session as sessions
+from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, RESULTS, SEED, WITH_MARKED
 from modaltouch.cli.output import print_json, progress, reporting
-
-if TYPE_CHECKING:
-    from modaltouch.record import Session
-    from modaltouch.session import Setup
-    from modaltouch.window import WindowOptions
-
 
 AnswersChoice = Literal["window", "robot", "simulated"]
 """Who answers, and how."""
 
+ThemeChoice = Literal["dark", "light"]
+"""Colours of the window."""
+SESSION = Annotated[Path, typer.Argument(help="A session's folder or its session.jsonl.", show_default=False)]
+FULLSCREEN = Annotated[
+    bool | None,
+    typer.Option(
+        "--fullscreen/--windowed",
+        help="Show the answer window full screen.",
+        show_default="windowed",
+    ),
+]
+SIZE = Annotated[
+    str | None,
+    typer.Option(
+        help="Size of the answer window in pixels, unless it is full screen.",
+        show_default="1280x800",
+    ),
+]
+THEME = Annotated[
+    ThemeChoice | None,
+    typer.Option(help="Colours of the answer window.", show_default="dark"),
+]
+SCREEN = Annotated[
+    int | None,
+    typer.Option(
+        min=0, help="Which screen shows the answer window.", show_default="0"
+    ),
+]
+SCREENSHOTS = Annotated[Path | None, typer.Option(help="Folder for a screenshot of each kind of screen.")]
+EVENTS = Annotated[
+    Path | None,
+    typer.Option(
+        help="File or named pipe for the session's state as JSON lines; a pipe that nobody reads causes no delay."
+    ),
+]
+PLAIN = Annotated[bool, typer.Option("--plain", help="Print plain lines instead of the live console, without keys.")]
 RIG = Annotated[
     str | None,
     typer.Option(
@@ -122,26 +138,23 @@ def run(
     outputs are off and `modaltouch resume` continues where it stopped.
     """
     from modaltouch.cli.prompts import ask_participant, ask_rig, can_ask, wait_for_start
-    from modaltouch.preflight import check_legibility, examine
-    from modaltouch.window import WindowOptions
 
     may_ask = can_ask() and not yes and not json_output
     with reporting(json_output=json_output):
         _refuse_people(people, answers)
         chosen = _chosen(size, theme, fullscreen=fullscreen, screen=screen, screenshots=screenshots)
-        window_options = WindowOptions(**chosen)
-        preflight = examine(protocol, calibration, marked=with_marked_calibration)
+        window_options = window.WindowOptions(**chosen)
+        checked = preflight.examine(protocol, calibration, marked=with_marked_calibration)
         if answers != "simulated":
-            preflight = check_legibility(preflight, None if fullscreen else window_options.size)
-        preflight.require()
-        from modaltouch.record import SessionFolder
-        from modaltouch.session import begin, mode_of, wire_run
-
-        mode = mode_of(rig := rig or ask_rig(may_ask), answers, pilot=pilot)
-        dataset = SessionFolder.dataset_of(results, mode, preflight.experiment.protocol.protocol)
-        participant = SessionFolder.check_participant(ask_participant(dataset) if participant is None else participant)
-        setup = wire_run(
-            preflight, participant, session=session, rig=rig, answers=answers, pilot=pilot, seed=seed,
+            checked = preflight.check_legibility(checked, None if fullscreen else window_options.size)
+        checked.require()
+        mode = sessions.mode_of(rig := rig or ask_rig(may_ask), answers, pilot=pilot)
+        dataset = record.SessionFolder.dataset_of(results, mode, checked.experiment.protocol.protocol)
+        participant = record.SessionFolder.check_participant(
+            ask_participant(dataset) if participant is None else participant
+        )
+        setup = sessions.wire_run(
+            checked, participant, session=session, rig=rig, answers=answers, pilot=pilot, seed=seed,
             results=results, window_options=window_options, threshold_mm_s=threshold, group=group, any_gap=any_gap,
         )  # fmt: skip
         setup.place.refuse_existing()
@@ -149,7 +162,7 @@ def run(
         _try_masking(setup)
         if may_ask:
             wait_for_start(setup, rig)
-        _conduct(begin, setup, events, plain=plain, json_output=json_output)
+        _conduct(sessions.begin, setup, events, plain=plain, json_output=json_output)
 
 
 def _refuse_people(people: Path | None, answers: AnswersChoice) -> None:
@@ -158,7 +171,7 @@ def _refuse_people(people: Path | None, answers: AnswersChoice) -> None:
         raise typer.BadParameter(f"{given}, whose answers are drawn; leave it out, or have a person answer")
 
 
-def _with_people(setup: Setup, people: Path | None, may_ask: bool) -> Setup:
+def _with_people(setup: sessions.Setup, people: Path | None, may_ask: bool) -> sessions.Setup:
     """Return the setup with the answers to the protocol's questions about the participant, from a file or a prompt."""
     from modaltouch.cli.prompts import ask_people
 
@@ -168,7 +181,7 @@ def _with_people(setup: Setup, people: Path | None, may_ask: bool) -> Setup:
     return setup.with_people(ask_people(setup.to_ask, may_ask) if people is None else protocol.read_people(people))
 
 
-def _try_masking(setup: Setup) -> None:
+def _try_masking(setup: sessions.Setup) -> None:
     """Open the masking noise briefly and silently, so that a fault is reported before anything begins."""
     with setup.open_masking(lambda event, **facts: None) as masking:
         found = masking.describe()
@@ -201,18 +214,15 @@ def resume(
     Everything is taken from the record itself, so later changes to the protocol's files do not matter. The answer
     window opens as before, unless an option says otherwise.
     """
-    from modaltouch.session import resume as go_on
-    from modaltouch.session import wire_resume
-
     with reporting(json_output=json_output):
-        setup = wire_resume(
+        setup = sessions.wire_resume(
             session,
             rig=rig,
             answers=answers,
             restart=restart,
             window=_chosen(size, theme, fullscreen=fullscreen, screen=screen, screenshots=screenshots),
         )
-        _conduct(go_on, setup, events, plain=plain, json_output=json_output)
+        _conduct(sessions.resume, setup, events, plain=plain, json_output=json_output)
 
 
 def demo(
@@ -226,10 +236,8 @@ def demo(
 
     A simulated participant answers by typing into the window. Without a screen, a virtual one is started.
     """
-    from modaltouch.window import WindowOptions
-
     with reporting(json_output=json_output):
-        window_options = WindowOptions(**_chosen(size, theme))
+        window_options = window.WindowOptions(**_chosen(size, theme))
         with progress("trials answered") as on_progress:
             places = demonstrate(
                 results,
@@ -252,29 +260,23 @@ def demonstrate(
     results: Path,
     *,
     seed: int,
-    window_options: WindowOptions,
+    window_options: window.WindowOptions,
     tell: Callable[[str], None],
     on_progress: Callable[[int, int], None],
 ) -> dict[str, Path]:
     """Run the demonstration, a new session in the simulated tree of the results, and return where its files are."""
-    from modaltouch.analysis import analyse
-    from modaltouch.preflight import examine
-    from modaltouch.protocol import Source
-    from modaltouch.record import RecordExistsError, SessionFolder
-    from modaltouch.session import begin, wire_run
-
-    preflight = examine(Source.shipped("protocol")["demo"]).require()
-    name = preflight.experiment.protocol.protocol
+    checked = preflight.examine(protocol.Source.shipped("protocol")["demo"]).require()
+    name = checked.experiment.protocol.protocol
     with window_options.display() as display:
         for number in itertools.count(1):
-            place = SessionFolder(results, "simulated", name, DEMO_PARTICIPANT, number)
+            place = record.SessionFolder(results, "simulated", name, DEMO_PARTICIPANT, number)
             if place.log.exists():
                 continue
             traces = place.dataset / "derivatives" / f"sub-{DEMO_PARTICIPANT}_ses-{number}"
             screenshots = window_options.screenshots or traces / "screenshots"
             tell(f"Session {number} on {display}: a simulated participant answers in the window, about a minute.")
-            setup = wire_run(
-                preflight,
+            setup = sessions.wire_run(
+                checked,
                 DEMO_PARTICIPANT,
                 session=number,
                 answers="robot",
@@ -283,12 +285,12 @@ def demonstrate(
                 window_options=replace(window_options, screenshots=screenshots),
             )
             # Another demonstration may take the number while this one opens its window.
-            with suppress(RecordExistsError):
-                session = begin(replace(setup, on_progress=on_progress))
+            with suppress(record.RecordExistsError):
+                session = sessions.begin(replace(setup, on_progress=on_progress))
                 break
     tell(f"{session.n_answered} answers recorded; now the analysis.")
-    analysis = analyse(session.path.parent, traces / "analysis", mode="simulated")
-    return {"session": session.path.parent, "screenshots": screenshots, "report": analysis.files["report.html"]}
+    report = analysis.analyse(session.path.parent, traces / "analysis", mode="simulated")
+    return {"session": session.path.parent, "screenshots": screenshots, "report": report.files["report.html"]}
 
 
 def _chosen(
@@ -319,14 +321,17 @@ def _read_size(size: str) -> tuple[int, int]:
 
 
 def _conduct(
-    sit: Callable[[Setup], Session], setup: Setup, events: Path | None, *, plain: bool, json_output: bool
+    sit: Callable[[sessions.Setup], record.Session],
+    setup: sessions.Setup,
+    events: Path | None,
+    *,
+    plain: bool,
+    json_output: bool,
 ) -> None:
     """Run a sitting with the experimenter's console, and print its outcome."""
-    from modaltouch.session import open_console
-
     emergency_keys = setup.preflight.experiment.protocol.answers.emergency_keys
     try:
-        opened = open_console(events, emergency_keys, plain=plain)
+        opened = sessions.open_console(events, emergency_keys, plain=plain)
     except OSError as error:
         raise typer.BadParameter(
             f"given --events {events}, which cannot be written ({error.strerror}); give a file in a folder you "

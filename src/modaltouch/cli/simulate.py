@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from modaltouch import planning, preflight, session
 from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, RESULTS, SEED, USUAL_OBSERVER, WITH_MARKED
 from modaltouch.cli.output import print_json, progress, reporting
 
@@ -25,28 +26,24 @@ def simulate(
 
     Each has one session, or every kind of session that the protocol lists.
     """
-    from modaltouch.planning import read_observer, usual_observer
-    from modaltouch.preflight import examine
-    from modaltouch.session import simulate_session
-
     with reporting(json_output=json_output):
         # An observer that does not exist is reported before the protocol's stimuli are designed.
-        given = None if observer is None else read_observer(observer)
-        preflight = examine(protocol, calibration, marked=with_marked_calibration).require()
-        population = given or read_observer(usual_observer(preflight.experiment.protocol))
-        sessions, schedule = [], preflight.experiment.protocol.schedule
+        given = None if observer is None else planning.read_observer(observer)
+        checked = preflight.examine(protocol, calibration, marked=with_marked_calibration).require()
+        population = given or planning.read_observer(planning.usual_observer(checked.experiment.protocol))
+        sessions, schedule = [], checked.experiment.protocol.schedule
         with progress("participants") as on_progress:
             for number in range(1, participants + 1):
                 on_progress(number - 1, participants)
                 name = f"sim{number:0{max(2, len(str(participants)))}d}"
                 sessions += [
-                    simulate_session(preflight, name, results, seed=seed, observer=population, session=session)
-                    for session in range(1, len(schedule.session_kinds or (1,)) + 1)
+                    session.simulate_session(checked, name, results, seed=seed, observer=population, session=each)
+                    for each in range(1, len(schedule.session_kinds or (1,)) + 1)
                 ]
             on_progress(participants, participants)
         dataset = sessions[0].path.parents[3]
         if json_output:
-            print_json({"sessions": [str(session.path.parent) for session in sessions], "dataset": str(dataset)})
+            print_json({"sessions": [str(each.path.parent) for each in sessions], "dataset": str(dataset)})
         else:
             print(f"{len(sessions)} session{'s' * (len(sessions) > 1)} in {dataset}")
             print(f"Next: modaltouch analyse {dataset}")
