@@ -132,7 +132,17 @@ class Connection:
         try:
             self.controls.open()
             self.identity = self.controls.ask("*IDN?")
-            self._refuse_other_model()
+            fields = self.identity.split(",")
+            model = fields[1].strip() if len(fields) > 2 else ""
+            if model != self._expected_model:
+                known = ", ".join(name for each in instruments() for name in each.models)
+                raise RigError(
+                    f"the instrument at {self.address} says it is '{self.identity}', but the apparatus file names "
+                    f"{self._expected_model}; no output was switched on; correct the address, or generator.model in "
+                    f"the apparatus file (known models: {known})"
+                )
+            if model not in self.instrument.models:
+                self._log("unknown_model", model=model, taken_for=self.instrument.models[0])
             self.controls.outputs_off()
             self.controls.clear_errors()
             self._prepare()
@@ -251,16 +261,3 @@ class Connection:
         for channel in self.instrument.channels:
             self.controls.apply_each(self.limits.quiet_settings(channel))
         self.controls.apply(self.instrument.on_all(self.instrument.commands.stopped))
-
-    def _refuse_other_model(self) -> None:
-        fields = self.identity.split(",")
-        model = fields[1].strip() if len(fields) > 2 else ""
-        if model != self._expected_model:
-            known = ", ".join(name for each in instruments() for name in each.models)
-            raise RigError(
-                f"the instrument at {self.address} says it is '{self.identity}', but the apparatus file names "
-                f"{self._expected_model}; no output was switched on; correct the address, or generator.model in the "
-                f"apparatus file (known models: {known})"
-            )
-        if model not in self.instrument.models:
-            self._log("unknown_model", model=model, taken_for=self.instrument.models[0])

@@ -101,8 +101,8 @@ class ChannelMemories:
 
 def _verified(controls: Controls, channel: int, name: str, codes: NDArray[np.uint16]) -> bool:
     """Return whether a record is stored correctly, by its statistics and, if it can be read back, by every code."""
-    told = [controls.ask(f"SOUR{channel}:DATA:ATTR:{figure}? {name}") for figure in FIGURES]
-    if not all(_agrees(*each) for each in zip(told, figures(codes), strict=True)):
+    replies = [controls.ask(f"SOUR{channel}:DATA:ATTR:{figure}? {name}") for figure in FIGURES]
+    if not all(_agrees(*each) for each in zip(replies, figures(codes), strict=True)):
         return False
     for _ in range(2):
         try:
@@ -112,7 +112,7 @@ def _verified(controls: Controls, channel: int, name: str, codes: NDArray[np.uin
             continue
         if read is not None:
             return bool(np.array_equal(read, codes))
-    controls.log("record_figures", memory=f"{channel}:{name}", figures=told, why="its file cannot be read back")
+    controls.log("record_figures", memory=f"{channel}:{name}", figures=replies, why="its file cannot be read back")
     return True
 
 

@@ -223,7 +223,7 @@ class Pacer:
 
     def run(self, on_first: Callable[[], None]) -> None:
         """Play all bursts; `on_first` is called as soon as it is known whether the first was played."""
-        told = False
+        reported = False
         while (due := self.due) is not None:
             left = due - self._clock.now()
             if left > ALERT:
@@ -232,8 +232,8 @@ class Pacer:
             else:
                 self._clock.sleep(left)
             self.step()
-            if not told and (self.report.due or self.report.ended):
-                told = True
+            if not reported and (self.report.due or self.report.ended):
+                reported = True
                 on_first()
 
 

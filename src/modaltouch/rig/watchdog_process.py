@@ -168,7 +168,7 @@ class WatchdogProcess:
         elif letter == PLAY:
             self._play(Order(**json.loads(content)), answer_later)
         elif letter == LOOK:
-            return DONE, self._told()
+            return DONE, self._encoded_report()
         elif letter == END:
             self._end_bursts()
         elif letter == REPORT:
@@ -208,7 +208,7 @@ class WatchdogProcess:
         pacer = self._pacer = Pacer(order, trigger, lambda: self._clock.now() - self._heard, self._clock)
         self._pacing = threading.Thread(
             target=pacer.run,
-            args=(lambda: answer(self._told()),),
+            args=(lambda: answer(self._encoded_report()),),
             daemon=True,
             name="pacer",
         )
@@ -221,15 +221,15 @@ class WatchdogProcess:
     def _report(self, wait: bool) -> bytes:
         """End the bursts and return the report; with `wait`, once the last burst is over."""
         if self._pacer is None:
-            return self._told()
+            return self._encoded_report()
         self._pacer.end()
         if self._pacing.is_alive():
             self._pacing.join()
         if wait and self._pacer.report.ended != "failed":
             self._clock.sleep(self._pacer.silent_from - self._clock.now())
-        return self._told()
+        return self._encoded_report()
 
-    def _told(self) -> bytes:
+    def _encoded_report(self) -> bytes:
         return b"{}" if self._pacer is None else json.dumps(asdict(self._pacer.report)).encode()
 
     def _watch_client(self) -> None:

@@ -140,7 +140,7 @@ class ProbedBeam:
         )
         return replace(self, model=moved, delay=self.delay + float(step[self.n_beam - 1]) * 1e-6)
 
-    def laid(self, fingers: Sequence[Finger]) -> ProbedBeam:
+    def under(self, fingers: Sequence[Finger]) -> ProbedBeam:
         """Return the same beam under other fingers, with their wide priors."""
         spreads = [[*_FINGER_SPREAD, *[_TERM_SPREAD] * len(finger.maxwell)] for finger in fingers]
         n, sizes = self.n_beam, np.concatenate(spreads)
@@ -148,7 +148,7 @@ class ProbedBeam:
         covariance[:n, :n] = self.covariance[:n, :n]
         return replace(self, model=self.model.touched(tuple(fingers)), covariance=covariance)
 
-    def loosened(self) -> ProbedBeam:
+    def with_drift(self) -> ProbedBeam:
         """Return the beam some time later: with more uncertain fingers, channel gains and trigger."""
         model, n, covariance = self.model, self.n_beam, self.covariance.copy()
         gains = model.modal_gain / _strongest(model)
@@ -288,7 +288,7 @@ class Probe:
             near = [replace(each, position=each.position + by) for each, by in zip(fingers, shift, strict=True)]
             for start in (near, [replace(each, maxwell=terms) for each in near]):
                 if found.misfit > (_GOOD if shift == middle else _FAIR):
-                    found = min(found, self._fitted(free.laid(start)), key=_rank)
+                    found = min(found, self._fitted(free.under(start)), key=_rank)
         if found.misfit > _WORST:
             raise ValueError(
                 f"no combination of mass, damper and springs describes the fingers: misfit {found.misfit:.1f}, at "
@@ -310,7 +310,7 @@ class Probe:
         ValueError
             If no drift of fingers and gains explains the record.
         """
-        found = self._fitted(replace(known.loosened(), trusted=np.ones(self.frequency.size, dtype=bool)))
+        found = self._fitted(replace(known.with_drift(), trusted=np.ones(self.frequency.size, dtype=bool)))
         if found.misfit > _WORST:
             raise ValueError(
                 f"no drift of the fingers explains the record: misfit {found.misfit:.1f}, at most {_WORST:g} is allowed"

@@ -27,7 +27,7 @@ class Stage:
         self.clock = VirtualClock(1000.0)
         self.afg, table = afg_twin("AFG3022B", behaviour, delays=delays, seed=seed, clock=self.clock)
         self.played: list[PlayedBurst] = []
-        self.afg.timeline.told = self.played.append
+        self.afg.timeline.on_burst = self.played.append
         self.instrument = SimulatedInstrument(self.afg, table, Faults())
         self.tell("DATA:DEF EMEM,1000;:DATA:DATA:LINE EMEM,1,0,1000,9990;:DATA:COPY USER1", "TRIG:SOUR EXT")
         for n in (1, 2):

@@ -112,7 +112,7 @@ class Simulator:
             from modaltouch.rig.simulator.played import PlayedLog
 
             self._played = PlayedLog(played, self.twin, self.afg.settle, lambda: self.touched)
-            self.afg.timeline.told = self._played.take
+            self.afg.timeline.on_burst = self._played.take
         self._instrument = SimulatedInstrument(self.afg, table, self.faults)
         self._port = port
         self._sends = sends
@@ -173,9 +173,9 @@ class Simulator:
         """
         if self._followed is None:
             return self.twin.felt(self.playbacks, [self.position(place) for place in places])
-        laid = self.touched
-        positions = [laid[str(each)].position if str(each) in laid else self.position(each) for each in places]
-        return self.twin.felt(self.playbacks, positions, touched=tuple(laid.values()))
+        fingers = self.touched
+        positions = [fingers[str(each)].position if str(each) in fingers else self.position(each) for each in places]
+        return self.twin.felt(self.playbacks, positions, touched=tuple(fingers.values()))
 
     def true_state(self, instant: float, *, first: bool = False) -> TrueState:
         """Return the true state of the beam at an instant of the present burst, as a reference for measurements.
@@ -212,8 +212,8 @@ class Simulator:
         from modaltouch.stimulus import Finger
 
         at = {str(place): self.position(place) for place in places}
-        laid = self.twin.fingers(*at.values()) or [Finger(position) for position in at.values()]
-        self._touched = dict(zip(at, laid, strict=True))
+        fingers = self.twin.fingers(*at.values()) or [Finger(position) for position in at.values()]
+        self._touched = dict(zip(at, fingers, strict=True))
 
     @property
     def touched(self) -> dict[str, Finger]:

@@ -34,7 +34,7 @@ class FollowedSession:
         self._read = self._n_placements = self._n_trials = 0
         self._who = 0, "", 0
         self._fingers: dict[str, Finger] = {}
-        self._laid: dict[str, tuple[Any, float]] = {}
+        self._placed: dict[str, tuple[Any, float]] = {}
         self._lock = threading.Lock()
 
     def fingers(self) -> dict[str, Finger]:
@@ -60,7 +60,7 @@ class FollowedSession:
             self._n_trials += 1
             self._drift()
             return
-        self._fingers, self._laid = {}, {}
+        self._fingers, self._placed = {}, {}
         if event["event"] == "hands_off":
             return
         self._n_placements += 1
@@ -71,13 +71,13 @@ class FollowedSession:
                 if twin.fingers is None:
                     self._fingers[zone] = Finger(centre)
                 else:
-                    self._laid[zone] = twin.finger_spread.drawn(twin.fingers, rng), centre
+                    self._placed[zone] = twin.finger_spread.drawn(twin.fingers, rng), centre
         self._drift()
 
     def _drift(self) -> None:
         """Draw the fingers of a trial around those of its placement."""
         rng, spread = self._drawn_by(f"trial {self._n_trials}"), self._apparatus.twin.finger_trial_spread
-        self._fingers |= {zone: spread.drawn(own, rng).at(centre) for zone, (own, centre) in self._laid.items()}
+        self._fingers |= {zone: spread.drawn(own, rng).at(centre) for zone, (own, centre) in self._placed.items()}
 
     def _drawn_by(self, what: str) -> np.random.Generator:
         return Schedule.random_generator(*self._who, what)

@@ -203,7 +203,9 @@ class SimulatedScope(Scope):
     def _see_velocity(self, values: FloatArray) -> bool:
         """Convert a velocity in place into what the scope records [m/s], and return whether it exceeded a range."""
         limit, over = self._inputs.highest_velocity, False
-        for start in self._dropouts(values.size):
+        often = self._twin.apparatus.twin.vibrometer.dropouts_Hz * values.size / self._rate
+        begins = self._rng.integers(values.size, size=self._rng.poisson(often)).tolist() if often else []
+        for start in begins:
             values[start : start + max(1, int(DROPOUT * self._rate))] = 0.0
         for some, noise in zip(_parts(values), self._velocity_noise(_parts(values)), strict=True):
             some += noise
@@ -221,11 +223,6 @@ class SimulatedScope(Scope):
             some += self._white_noise(some.size, table)
             over |= self._convert(some, self._inputs.attenuation, self._ranges[1])
         return over
-
-    def _dropouts(self, n_samples: int) -> list[int]:
-        """Return the samples at which signal dropouts of the vibrometer begin."""
-        often = self._twin.apparatus.twin.vibrometer.dropouts_Hz * n_samples / self._rate
-        return self._rng.integers(n_samples, size=self._rng.poisson(often)).tolist() if often else []
 
     def _velocity_noise(self, parts: Iterable[FloatArray]) -> Iterator[FloatArray]:
         r"""Yield the noise of vibrometer and converter for each part of a record, as sampled [m/s].

@@ -87,9 +87,9 @@ def read_message(message: bytes) -> Iterator[MessageUnit]:
             continue
         found = _HEADER.match(message, at)
         if found is None:
-            raise ScpiError(-102 if 0x20 <= message[at] <= 0x7E else -101, _show(message[at : at + 20]))
+            raise ScpiError(-102 if 0x20 <= message[at] <= 0x7E else -101, message[at : at + 20].decode("latin1"))
         if len(found[1]) > LONGEST_TEXT:
-            raise ScpiError(-112, _show(found[1][:20]))
+            raise ScpiError(-112, found[1][:20].decode("latin1"))
         header, query = found[1].decode("ascii"), bool(found[2])
         arguments, at = _read_arguments(message, found.end())
         yield MessageUnit(header, query, arguments)
@@ -99,7 +99,7 @@ def _read_arguments(message: bytes, at: int) -> tuple[tuple[Argument, ...], int]
     """Return the arguments that start at an index of a message, and the index after their unit's end."""
     arguments: list[Argument] = []
     if at < len(message) and message[at] not in b" \t\r\n;":
-        raise ScpiError(-102, _show(message[at : at + 20]))
+        raise ScpiError(-102, message[at : at + 20].decode("latin1"))
     while True:
         while at < len(message) and message[at] in _BLANKS:
             at += 1
@@ -114,7 +114,7 @@ def _read_arguments(message: bytes, at: int) -> tuple[tuple[Argument, ...], int]
         if at >= len(message) or message[at] in b";\n":
             return tuple(arguments), at + 1
         if message[at] != ord(","):
-            raise ScpiError(-102, _show(message[at : at + 20]))
+            raise ScpiError(-102, message[at : at + 20].decode("latin1"))
         at += 1
 
 
@@ -124,7 +124,7 @@ def _read_argument(message: bytes, at: int) -> tuple[Argument, int]:
         start = at + 2 + int(message[at + 1 : at + 2])
         announced = message[at + 2 : start]
         if not announced.isdigit() or start + int(announced) > len(message):
-            raise ScpiError(-161, f"announced {_show(announced)} bytes, {max(len(message) - start, 0)} came")
+            raise ScpiError(-161, f"announced {announced.decode('latin1')} bytes, {max(len(message) - start, 0)} came")
         end = start + int(announced)
         return message[start:end], end
     if first in (b'"', b"'"):
@@ -135,12 +135,8 @@ def _read_argument(message: bytes, at: int) -> tuple[Argument, int]:
     found = _PLAIN.match(message, at)
     text = found[0] if found else b""
     if not text:
-        raise ScpiError(-102, _show(message[at : at + 20]))
+        raise ScpiError(-102, message[at : at + 20].decode("latin1"))
     return text.decode("latin1").strip(), at + len(text)
-
-
-def _show(text: bytes) -> str:
-    return text.decode("latin1").encode("ascii", "backslashreplace").decode()
 
 
 Arguments = tuple[Argument, ...]

@@ -159,7 +159,7 @@ class Timeline:
 
     Attributes
     ----------
-    told : callable or None
+    on_burst : callable or None
         Called with each burst when it ends.
     triggers : tuple of float
         Onsets of the latest two triggered bursts since outputs or internal triggers were last changed [s].
@@ -174,7 +174,7 @@ class Timeline:
         self._retrigger = retrigger
         self._random = random.Random(seed)
         self._phase = self._random.random()
-        self.told: Callable[[PlayedBurst], None] | None = None
+        self.on_burst: Callable[[PlayedBurst], None] | None = None
         self.triggers: tuple[float, ...] = ()
         self.caught: tuple[Playback | None, ...] | None = None
         self.commanded: float | None = None
@@ -232,7 +232,11 @@ class Timeline:
         """Let time pass up to an instant [s]; an earlier one is ignored."""
         if now <= self._now:
             return
-        self._skip(now)
+        target = now - self._reach
+        if target > self._now and (self.on_burst is None or not (self._closed or self._switching)):
+            # Most of a long span is skipped where bursts are not reported, or no relay is closed.
+            self._settle(target)
+            self._now = target
         while True:
             tick, cycle = self._next_tick(), self._cycle_length
             beat = _after(self._now, self._aligned, cycle) if cycle else math.inf
@@ -248,15 +252,6 @@ class Timeline:
                 self._end(None, in_burst=False)
                 self._begin(instant, None, in_burst=False)
         self._now = now
-
-    def _skip(self, now: float) -> None:
-        """Skip most of a long span in which bursts are not reported, or no relay is closed."""
-        if self.told is not None and (self._closed or self._switching):
-            return
-        target = now - self._reach
-        if target > self._now:
-            self._settle(target)
-            self._now = target
 
     def _settle(self, now: float) -> None:
         """Switch the relays that are due, and end the bursts that are over."""
@@ -308,7 +303,7 @@ class Timeline:
             self._closed.pop(channel, None)
             for run in self._running.values():
                 if not any(each in self._closed for each in run.spans):
-                    self._tell(run)
+                    self._report(run)
 
     def _cut(self, now: float) -> None:
         for in_burst in list(self._running):
@@ -320,7 +315,7 @@ class Timeline:
         if run is not None:
             for channel in run.spans:
                 self._pass(run, channel, run.end if at is None else at)
-            self._tell(run)
+            self._report(run)
 
     def _pass(self, run: _Run, channel: int, until: float) -> None:
         """Note the part of a burst that passed a relay which was closed until now."""
@@ -329,15 +324,15 @@ class Timeline:
             if last > first:
                 run.passed[channel] = first, last
 
-    def _tell(self, run: _Run) -> None:
+    def _report(self, run: _Run) -> None:
         """Report the part of a burst that passed the relays, once."""
         passed, run.passed = run.passed, {}
-        if not passed or self.told is None:
+        if not passed or self.on_burst is None:
             return
         outputs = self._situation.outputs
         due = [channel for channel in run.spans if channel in passed or outputs[channel]]
         n_channels = range(len(run.sent))
-        self.told(
+        self.on_burst(
             PlayedBurst(
                 start=min(first for first, _ in passed.values()),
                 end=max(last for _, last in passed.values()),

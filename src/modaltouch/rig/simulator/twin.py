@@ -151,13 +151,17 @@ class Twin:
             return np.zeros(len(positions))
         setting, scale, stretch = tuple(playbacks), 1.0, self.stretch(playbacks)
         if self._is_linear(playbacks):
-            setting, scale = _at_unit_level(playbacks, level), level
+            # The same records with an amplitude of 1 V at most, without offsets, which move nothing.
+            unit = (
+                each and replace(each, amplitude=round(each.amplitude / level, 12), offset=0.0) for each in playbacks
+            )
+            setting, scale = tuple(unit), level
         felt = self._felt.setdefault((stretch, _once(setting)), {})
         for oldest in list(self._felt)[:-SETTINGS_KEPT]:
             self._felt.pop(oldest, None)
         # Fingers that load the beam change its motion for all; the others only feel it.
-        laid = self.fingers(*positions) if touched is None else touched
-        fingers = tuple(sorted((finger for finger in laid if finger.loads_beam), key=lambda finger: finger.position))
+        on_beam = self.fingers(*positions) if touched is None else touched
+        fingers = tuple(sorted((finger for finger in on_beam if finger.loads_beam), key=lambda finger: finger.position))
         missing = [x for x in dict.fromkeys(positions) if (x, *fingers) not in felt]
         if missing:
             self.n_computed += 1
@@ -271,9 +275,14 @@ class Twin:
         first = next(playback for playback in together if playback is not None)
         n_samples = len(first.record) // 2
         voltage, rest = np.zeros((self.beam.n_channels, n_samples)), np.zeros(self.beam.n_channels)
+        limit = self.amplifier.limit
         for channel, playback in enumerate(together[: self.beam.n_channels]):
             if playback is not None:
-                voltage[channel], rest[channel] = self._amplify(playback, float(self._gains[channel]))
+                zero, gain = playback.converter.mid_code, float(self._gains[channel])
+                scale, shift = gain * playback.amplitude / (2 * zero), gain * playback.offset
+                codes = np.frombuffer(playback.record, ">u2").astype(float)
+                rest[channel] = np.clip((playback.idle_code - zero) * scale + shift, -limit, limit)
+                voltage[channel] = np.clip((codes - zero) * scale + shift, -limit, limit) - rest[channel]
         # Earlier cycles no longer affect the beam when the last ones end.
         n_cycles = min(first.n_cycles, max(1, MOST_SAMPLES // n_samples))
         duration = first.duration * n_cycles
@@ -281,14 +290,6 @@ class Twin:
         triggers = max(1.0, np.ceil((first.delay + first.duration * first.n_cycles) / first.period - 1e-9))
         period = first.period * triggers
         return Held(np.tile(voltage, n_cycles), rest, duration, period, first.delay, first.converter)
-
-    def _amplify(self, playback: Playback, gain: float) -> tuple[FloatArray, float]:
-        zero = playback.converter.mid_code
-        scale, shift = gain * playback.amplitude / (2 * zero), gain * playback.offset
-        limit = self.amplifier.limit
-        codes = np.frombuffer(playback.record, ">u2").astype(float)
-        rest = float(np.clip((playback.idle_code - zero) * scale + shift, -limit, limit))
-        return np.asarray(np.clip((codes - zero) * scale + shift, -limit, limit) - rest), rest
 
     def _is_linear(self, playbacks: Sequence[Playback | None]) -> bool:
         """Return whether the motion of the beam is proportional to the level."""
@@ -321,13 +322,6 @@ class Twin:
         # Bursts with different periods drift past each other, so that sooner or later their peaks coincide.
         total = sum((peak(system, output, held) for held in parts), np.zeros(len(positions)))
         return [float(speed) for speed in total]
-
-
-def _at_unit_level(playbacks: Sequence[Playback | None], level: float) -> Setting:
-    """Return the same records scaled so that the larger amplitude is 1 V, without offsets, which move nothing."""
-    return tuple(
-        p if p is None else replace(p, amplitude=round(p.amplitude / level, 12), offset=0.0) for p in playbacks
-    )
 
 
 def _once(setting: Setting) -> Setting:

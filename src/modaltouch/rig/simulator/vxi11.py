@@ -145,11 +145,14 @@ class Links:
         self._procedures: dict[int, tuple[typing.Callable[[_Link, bytes], bytes | None], int]] = {
             _WRITE: (self._write, 4),
             _READ: (self._read, 8),
-            _READ_STATUS: (self._read_status, 4),
+            _READ_STATUS: (
+                lambda link, _: struct.pack(">I", device.afg.status_byte | (16 if link.leaving else 0)),
+                4,
+            ),
             _TRIGGER: (lambda link, _: device.trigger(0 if link.panel else link.number), 0),
             _CLEAR: (self._clear, 0),
             **dict.fromkeys((_REMOTE, _LOCAL, _ENABLE_SERVICE), (lambda link, _: None, 0)),
-            _DESTROY_LINK: (self._destroy_link, 0),
+            _DESTROY_LINK: (lambda link, _: self.forget([link.number]), 0),
         }
 
     def __len__(self) -> int:
@@ -198,9 +201,6 @@ class Links:
         link = self.open(own, panel=name == PANEL)
         return struct.pack(">iII", link.number, 0, LARGEST_MESSAGE)
 
-    def _destroy_link(self, link: _Link, parameters: bytes) -> None:
-        self.forget([link.number])
-
     def _write(self, link: _Link, parameters: bytes) -> bytes:
         *_, flags, length = struct.unpack_from(">iIIiI", parameters)
         data = parameters[20 : 20 + length]
@@ -240,9 +240,6 @@ class Links:
         if not link.leaving:
             reason |= _REASON_END
         return struct.pack(">i", reason) + opaque(data)
-
-    def _read_status(self, link: _Link, parameters: bytes) -> bytes:
-        return struct.pack(">I", self._device.afg.status_byte | (16 if link.leaving else 0))
 
     def _clear(self, link: _Link, parameters: bytes) -> None:
         link.arriving, link.leaving = bytearray(), b""
