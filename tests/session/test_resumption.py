@@ -21,7 +21,7 @@ from modaltouch.record.audit import audit_session
 from modaltouch.record.chain import RecordInputError, read_chain
 from modaltouch.record.session import Session, read_session
 from modaltouch.rig.interface import Bursts, Firing
-from modaltouch.session.console import Console, Facts, Request
+from modaltouch.session.console import Console, Request, SessionState
 from modaltouch.session.resumption import answers_to_ask_again, examine_interruption, refuse_old, resume, wire_resume
 from modaltouch.session.setup import Setup, begin
 from modaltouch.session.wiring import wire_run
@@ -138,7 +138,7 @@ def test_whatever_line_a_session_is_cut_at_the_rest_has_the_order_of_an_uninterr
             assert done.path != log
             assert after == expected
             assert asked(read_session(log)) == before
-            assert read_session(log).begun_anew_as == 2
+            assert read_session(log).started_over_as == 2
             assert audit_session(Session.find(log)).lines[-1] == "closed and not complete: started over as session 2"
             continue
         assert after[: len(before)] == before
@@ -246,7 +246,7 @@ class Repeating(Console):
         self._index = index
         self._asks = False
 
-    def show(self, facts: Facts) -> None:
+    def show(self, facts: SessionState) -> None:
         shown = facts["trial"]
         self._asks = self._asks or bool(
             facts["state"] == "trial" and shown["number"] == self._index and not shown["practice"]

@@ -87,8 +87,8 @@ def render(figure: Figure, kind: str) -> bytes:
             if engine is not None:
                 engine.execute(figure)
                 figure.set_layout_engine(None)
-            told = {"svg": {"Date": None, "Creator": "modaltouch"}, "png": {"Software": "modaltouch"}}
-            figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata=told[kind])
+            metadata = {"svg": {"Date": None, "Creator": "modaltouch"}, "png": {"Software": "modaltouch"}}
+            figure.savefig(buffer, format=kind, dpi=PNG_DPI, metadata=metadata[kind])
     return buffer.getvalue()
 
 

@@ -178,7 +178,7 @@ def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, 
             f"{latest.path}: this session exists already and is not complete; continue it with `modaltouch resume "
             f"{latest.path.parent}`, or begin another with --session {number}{faults}"
         )
-    held = [session for session in every if session.begun_anew_as is None]
+    held = [session for session in every if session.started_over_as is None]
     if len(held) >= n_sessions:
         what = "its one session" if n_sessions == 1 else f"all {n_sessions} sessions"
         raise RecordError(

@@ -168,7 +168,7 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
 
 def _state(session: Session) -> tuple[str, str]:
     """Return the state of a readable session, and the reason for it."""
-    last, anew = session.events[-1], session.begun_anew_as
+    last, anew = session.events[-1], session.started_over_as
     known = (
         (session.complete, "complete", ""),
         (session.is_running, "running", ""),

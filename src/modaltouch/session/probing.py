@@ -134,11 +134,14 @@ class Probing:
         began = self._clock.now()
         try:
             found = self._prober.delivered()
-            widths, told = found.pop("half_width_mm_s"), dict[str, Any](delivered_figures(self.preflight, trial, found))
+            widths, speeds = (
+                found.pop("half_width_mm_s"),
+                dict[str, Any](delivered_figures(self.preflight, trial, found)),
+            )
             for side, zone in zip(trial.condition.sides, trial.condition.zones, strict=True):
-                speed = told[f"speed_{side}_mm_s"]
-                told[f"interval_{side}_mm_s"] = [round(speed + sign * widths[zone], 3) for sign in (-1, 1)]
-            return {"delivered": {**told, "drifted": has_drifted(self.preflight, trial, told), **found}}
+                speed = speeds[f"speed_{side}_mm_s"]
+                speeds[f"interval_{side}_mm_s"] = [round(speed + sign * widths[zone], 3) for sign in (-1, 1)]
+            return {"delivered": {**speeds, "drifted": has_drifted(self.preflight, trial, speeds), **found}}
         except (ValueError, RigError) as error:
             return {"delivered": {"refused": str(error)}}
         finally:

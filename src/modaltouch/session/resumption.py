@@ -102,7 +102,7 @@ def answers_to_ask_again(session: Session, schedule: Schedule, at: str) -> tuple
     )
 
 
-def go_on(
+def continue_log(
     place: SessionFolder,
     schedule: Schedule,
     at: str,
@@ -142,7 +142,7 @@ def go_on(
     return log
 
 
-def begin_anew(
+def start_over(
     old: SessionFolder,
     place: SessionFolder,
     cut: dict[str, Any],
@@ -168,7 +168,7 @@ def begin_anew(
         If either log cannot be written.
     """
     with SessionLog.reopen(old.log) as log:
-        if log.session.begun_anew_as is None:
+        if log.session.started_over_as is None:
             log.append("closed", begun_anew_as=place.session, interruption=cut)
         log.write_view(old)
     begun = {"session": old.session, "interruption": cut}
@@ -227,9 +227,9 @@ def wire_resume(
     schedule = Schedule.draw(protocol, place.participant, start["seed"], session.drawn_as, given=given)
     observer = Observer.from_dict(start["observer"]) if "observer" in start else Observer()
     at = protocol.schedule.resume.at
-    begins_anew = (restart and not session.complete) or (at == "restart" and session.lacks_trials)
-    begins_anew = begins_anew or session.begun_anew_as is not None
-    anew = _place_anew(place, session) if begins_anew else None
+    starts_over = (restart and not session.complete) or (at == "restart" and session.lacks_trials)
+    starts_over = starts_over or session.started_over_as is not None
+    anew = _next_free_place(place, session) if starts_over else None
     latest = next(event for event in reversed(session.events) if event["event"] in ("start", "resume"))
     wires = SessionParts(
         preflight,
@@ -277,14 +277,16 @@ def resume(setup: Setup) -> Session:
     if setup.replaces is not None:
         old = setup.replaces
         setup.place.refuse_existing()
-        return sit(setup, lambda place, facts: begin_anew(old, place, cut, facts, setup.clock), "start")
+        return sit(setup, lambda place, facts: start_over(old, place, cut, facts, setup.clock), "start")
     if cut["reason"] == PRACTICE_FAILED:
         raise RecordInputError(
             f"{session.path}: practice was not passed, and the protocol then ends the session "
             f"(schedule.after_failed_practice); {how_to_continue(PRACTICE_FAILED, session.path.parent)}"
         )
     refuse_old(session, cut, policy.within_hours)
-    return sit(setup, lambda place, facts: go_on(place, setup.schedule, policy.at, cut, facts, setup.clock), "resume")
+    return sit(
+        setup, lambda place, facts: continue_log(place, setup.schedule, policy.at, cut, facts, setup.clock), "resume"
+    )
 
 
 def _refuse_another_kind(session: Session, rig: str, answers: AnswersBy, *, restart: bool) -> None:
@@ -304,9 +306,9 @@ def _refuse_another_kind(session: Session, rig: str, answers: AnswersBy, *, rest
         )
 
 
-def _place_anew(place: SessionFolder, session: Session) -> SessionFolder:
+def _next_free_place(place: SessionFolder, session: Session) -> SessionFolder:
     """Return the place of the session that takes another one's place: the next free number."""
-    number = session.begun_anew_as
+    number = session.started_over_as
     if number is not None:
         anew = replace(place, session=number)
         if anew.log.exists():

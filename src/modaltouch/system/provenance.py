@@ -50,10 +50,10 @@ def _origin() -> tuple[str, str]:
     if built.is_file():
         found, _, commit = built.read_text(encoding="ascii").strip().partition(" ")
         return found, commit
-    told = re.fullmatch(r"(?:v.+-(\d+)-g)?([0-9a-f]{40,64})(-dirty)?", _describe(_PACKAGE.parents[1]))
-    if told is None:
+    described = re.fullmatch(r"(?:v.+-(\d+)-g)?([0-9a-f]{40,64})(-dirty)?", _describe(_PACKAGE.parents[1]))
+    if described is None:
         return RELEASE, ""
-    since_release, commit, dirty = told.groups()
+    since_release, commit, dirty = described.groups()
     if dirty:
         return f"{RELEASE}+g{commit[:12]}.dirty", f"{commit}+"
     return RELEASE if since_release == "0" else f"{RELEASE}+g{commit[:12]}", commit

@@ -21,7 +21,7 @@ from typing import Any, Self
 Command = typing.Literal["pause", "go_on", "answer", "repeat", "note", "end_after_block", "stop", "emergency_stop"]
 COMMANDS: tuple[Command, ...] = typing.get_args(Command)
 
-Facts = dict[str, Any]
+SessionState = dict[str, Any]
 """State of a session: plain values, keys with units (`status.Status.facts`)."""
 
 
@@ -63,7 +63,7 @@ class Request:
 class Console:
     """Shows the state of a session and takes requests; nothing here may raise or wait. This one shows nothing."""
 
-    def show(self, facts: Facts) -> None:
+    def show(self, facts: SessionState) -> None:
         """Show the state of the session."""
 
     def requests(self) -> list[Request]:

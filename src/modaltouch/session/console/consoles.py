@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TextIO
 
-from modaltouch.session.console import COMMANDS, Console, Facts, Request
+from modaltouch.session.console import COMMANDS, Console, Request, SessionState
 from modaltouch.session.console.drawing import describe_last, describe_time
 from modaltouch.session.console.keyboard import restore_terminal, save_terminal
 
@@ -73,7 +73,7 @@ class Consoles(Console):
     def __init__(self, consoles: list[Console]) -> None:
         self._consoles = consoles
 
-    def show(self, facts: Facts) -> None:
+    def show(self, facts: SessionState) -> None:
         """Show it on all of them."""
         for console in self._consoles:
             console.show(facts)
@@ -95,13 +95,13 @@ class PlainLines(Console):
         self._file = file
         self._warned: set[str] = set()
         self._error = ""
-        self._told: int | None = None
+        self._last_line: int | None = None
 
-    def show(self, facts: Facts) -> None:
+    def show(self, facts: SessionState) -> None:
         """Write what is new."""
         last = facts["last"]
-        if facts["event"] in ("answered", "trial") and last["line"] != self._told:
-            self._told = last["line"]
+        if facts["event"] in ("answered", "trial") and last["line"] != self._last_line:
+            self._last_line = last["line"]
             done = f"{facts['n_answered']} of {facts['n_trials']} answered"
             self._write(f"{done}: {describe_last(last)}; {describe_time(facts['time_left_s'])} left")
         elif facts["event"] in ("pause", "focus_lost", "continued", "rest", "stop"):
@@ -138,7 +138,7 @@ class EventLines(Console):
             raise FileExistsError(errno.EEXIST, "it already contains something other than events", str(path))
         self._open()
 
-    def show(self, facts: Facts) -> None:
+    def show(self, facts: SessionState) -> None:
         """Write a line, if it is taken at once."""
         try:
             if self._descriptor < 0:
@@ -168,7 +168,7 @@ class EventLines(Console):
                 raise
             # A pipe that nobody reads yet.
 
-    def _line(self, facts: Facts) -> bytes:
+    def _line(self, facts: SessionState) -> bytes:
         time = datetime.now(UTC).isoformat(timespec="milliseconds")
         said = {"time": time, **facts, **({"n_dropped": self._n_dropped} if self._n_dropped else {})}
         line = json.dumps(said, ensure_ascii=False).encode() + b"\n"
@@ -208,13 +208,13 @@ class TerminalConsole(Console):
         for number in passed:
             os.close(number)
         self._asked: deque[Request] = deque()
-        self._facts: deque[Facts] = deque(maxlen=_KEPT)
+        self._facts: deque[SessionState] = deque(maxlen=_KEPT)
         self._wake: queue.SimpleQueue[bool] = queue.SimpleQueue()
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._send, self._hear)]
         for thread in self._threads:
             thread.start()
 
-    def show(self, facts: Facts) -> None:
+    def show(self, facts: SessionState) -> None:
         """Show the state of the session, without waiting for a terminal that has stopped."""
         if self._process.poll() is not None:
             self._give_back()
@@ -255,7 +255,7 @@ class TerminalConsole(Console):
         restore_terminal(self._terminal, self._before)
 
     def _send(self) -> None:
-        """Write facts to the process until told to end."""
+        """Write facts to the process until the end."""
         pipe = self._process.stdin
         if pipe is None:
             return

@@ -9,7 +9,7 @@ from rich.console import Group, RenderableType
 from rich.rule import Rule
 from rich.text import Text
 
-from modaltouch.session.console import Facts
+from modaltouch.session.console import SessionState
 
 STATES = {
     "waiting": "between trials",
@@ -36,7 +36,7 @@ _MOST_WARNINGS = 4
 
 
 def draw_session(
-    facts: Facts, prompt: str, *, width: int, height: int = 24, since_s: float = 0.0, emergency: str = "f12"
+    facts: SessionState, prompt: str, *, width: int, height: int = 24, since_s: float = 0.0, emergency: str = "f12"
 ) -> RenderableType:
     """Return the console's picture.
 
@@ -89,13 +89,13 @@ def draw_session(
 
 def _draw_row(name: str, words: str, width: int) -> list[Text]:
     most = 7 if name in _BY_ANSWER else 3
-    told = textwrap.wrap(words, max(width - _NAMES - 1, 20), max_lines=most, placeholder=" ...") or ["-"]
+    lines = textwrap.wrap(words, max(width - _NAMES - 1, 20), max_lines=most, placeholder=" ...") or ["-"]
     style = {"state": "bold reverse" if words.startswith(STATES["paused"]) else "bold", "last error": "bold"}.get(
         name, ""
     )
     return [
         Text.assemble((f" {'' if place else name:{_NAMES - 1}}", "dim"), (line, style), no_wrap=True)
-        for place, line in enumerate(told)
+        for place, line in enumerate(lines)
     ]
 
 
@@ -103,7 +103,7 @@ def _wrap(words: str, width: int, style: str) -> list[Text]:
     return [Text(f" {line}", style=style, no_wrap=True) for line in textwrap.wrap(words, max(width - 2, 20))]
 
 
-def describe_progress(facts: Facts, since_s: float = 0.0, width: int = 80) -> str:
+def describe_progress(facts: SessionState, since_s: float = 0.0, width: int = 80) -> str:
     """Return the progress bar, if it fits a width [characters], the count, and the time left."""
     done, total = facts["n_answered"], max(facts["n_trials"], 1)
     ticking = since_s if facts["state"] != "ended" else 0.0
@@ -147,7 +147,7 @@ def describe_last(last: dict[str, Any] | None) -> str:
     return f"{last['answer']}, {last['reaction_time_s']:.2f} s after the {since} ({kind} {last['number']})"
 
 
-def _describe_cause(facts: Facts) -> str:
+def _describe_cause(facts: SessionState) -> str:
     """Return why a session is paused or has ended, after its state."""
     if facts["state"] == "paused" and facts["paused_by"] == "lost focus":
         return ": the window lost the keyboard; click into it"
@@ -158,7 +158,7 @@ def _describe_cause(facts: Facts) -> str:
     return f": {facts['stopped_by']}" if facts["stopped_by"] else ""
 
 
-def _describe_generator(facts: Facts) -> list[tuple[str, str]]:
+def _describe_generator(facts: SessionState) -> list[tuple[str, str]]:
     generator = facts["generator"]
     volts = " and ".join(f"{value:.3g}" for value in generator["amplitude_Vpp"])
     played = f", {volts} Vpp" if generator["outputs"] == "on" and volts else ""
@@ -184,7 +184,7 @@ def _describe_question(question: dict[str, Any]) -> str:
     return "; ".join([*typed, *(f"{answer}: {keys}" for answer, keys in named.items())])
 
 
-def _describe_requests(facts: Facts) -> str:
+def _describe_requests(facts: SessionState) -> str:
     requests = []
     if facts["too_early"]:
         requests.append(f"{facts['too_early']} came before the question and does not count")

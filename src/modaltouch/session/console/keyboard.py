@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
-from modaltouch.session.console import AT_ONCE, Command, Facts, Request
+from modaltouch.session.console import AT_ONCE, Command, Request, SessionState
 
 _ARROWS = ("up", "down", "right", "left")
 _NAMED_KEYS = {
@@ -195,7 +195,7 @@ class Dialogue:
         self.prompt = ""
         """Line that shows what was requested, or is being typed."""
 
-    def hear(self, facts: Facts) -> None:
+    def hear(self, facts: SessionState) -> None:
         """Take in the state of the session: which keys answer, and whether a question is open."""
         question = facts.get("question") or {"open": False, "keys": {}}
         self._answers = {key: answer for answer, keys in question["keys"].items() for key in keys}

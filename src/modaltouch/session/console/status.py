@@ -10,7 +10,7 @@ from string import ascii_lowercase
 from typing import Any
 
 from modaltouch.protocol import AnswerList, AnswersSection
-from modaltouch.session.console import OWN_KEYS, Facts
+from modaltouch.session.console import OWN_KEYS, SessionState
 
 HASTY = 0.1
 """Nobody feels, decides and presses within this time: such an answer was ready before its question [s]."""
@@ -109,7 +109,7 @@ class Status:
         self._clock = clock
         self._guess = seconds_per_trial
         self._began = clock()
-        self._facts: Facts = {
+        self._facts: SessionState = {
             "event": "",
             "line": None,
             "replayed": False,
@@ -173,7 +173,7 @@ class Status:
         """Whether the session waits for somebody to go on."""
         return bool(self._facts["state"] == "paused")
 
-    def facts(self) -> Facts:
+    def facts(self) -> SessionState:
         """Return the state of the session."""
         answers = Counter(str(event["response"]["answer"]) for event in self._trials.values())
         left = max(self._total - len(self._trials), 0)
