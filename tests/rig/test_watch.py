@@ -224,7 +224,7 @@ def test_signs_of_life_keep_an_armed_session_on() -> None:
     for _ in range(15):
         time.sleep(0.02)
         pipe.write(frame(BEAT, 0))
-    pressed, told = instrument.sent.count(OFF), json.loads(watch._told())
+    pressed, told = instrument.sent.count(OFF), json.loads(watch._encoded_report())
     pipe.write(frame(END, 0), frame(CLEAN, 0))
     serving.join(5)
     assert pressed == 0

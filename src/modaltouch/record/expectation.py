@@ -7,14 +7,11 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
-from modaltouch.preflight import examine_findings
+from modaltouch import preflight, protocol
 from modaltouch.protocol import TIME_OUT, AnswersSection, Findings, Protocol, Sources, Trial
 from modaltouch.rig import RigError, instrument_of
-
-if TYPE_CHECKING:
-    from modaltouch.protocol import Levels
 
 Event = dict[str, Any]
 
@@ -48,7 +45,7 @@ class RestoredExperiment:
     """
 
     def __init__(self, sources: Sources, occasion: tuple[str, str]) -> None:
-        self.preflight = examine_findings(Findings.restored(sources, occasion)).require()
+        self.preflight = preflight.examine_findings(Findings.restored(sources, occasion)).require()
         self.protocol = self.preflight.experiment.protocol
         apparatus = self.preflight.experiment.apparatus
         self.instrument = instrument_of(apparatus)
@@ -71,19 +68,15 @@ class RestoredExperiment:
         levels_mm_s : tuple of float
             The participant's levels [mm/s].
         """
-        from modaltouch.preflight import with_measured
-
         other = copy.copy(self)
-        other.preflight = with_measured(self.preflight.with_levels(levels_mm_s), trial, found)
+        other.preflight = preflight.with_measured(self.preflight.with_levels(levels_mm_s), trial, found)
         other._forget()
         return other
 
     @cached_property
-    def levels(self) -> Levels:
+    def levels(self) -> protocol.Levels:
         """Computation of the levels of an adaptive run."""
-        from modaltouch.protocol import Levels
-
-        return Levels(self.protocol)
+        return protocol.Levels(self.protocol)
 
     def fields(self, own_levels_mm_s: tuple[float, ...]) -> list[dict[str, Any]]:
         """Return the predicted field of each stimulus at the highest level, of the protocol or of own levels [mm/s]."""
@@ -253,10 +246,8 @@ def check_delivered(event: Event, trial: Trial, given: TrialExpectation) -> Iter
     said = event.get("delivered", {"refused": ""})
     if "refused" in said:
         return
-    from modaltouch.preflight import delivered_figures, has_drifted
-
-    preflight = given.restored.preflight
-    found = {**delivered_figures(preflight, trial, said), "drifted": has_drifted(preflight, trial, said)}
+    fitted = given.restored.preflight
+    found = {**preflight.delivered_figures(fitted, trial, said), "drifted": preflight.has_drifted(fitted, trial, said)}
     for name, value in found.items():
         if abs(said[name] - value) > SPEED:
             yield f"the fingers found in its burst give a delivered {name} of {value}, not {said[name]}"

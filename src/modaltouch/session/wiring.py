@@ -10,6 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from modaltouch import planning, window
 from modaltouch.planning import Observer, read_observer, usual_observer
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError, NoOrderError, Protocol, Schedule, Trial, Turn
@@ -21,7 +22,6 @@ from modaltouch.window import Answerer, AnswersBy, AnswerWindow, Masking, Tick, 
 
 if TYPE_CHECKING:
     from modaltouch.lab import Prober
-    from modaltouch.planning import FeltSpeeds
     from modaltouch.rig import Simulator
     from modaltouch.session.markers import Markers
 
@@ -273,9 +273,7 @@ class SessionParts:
         section = experiment.protocol.masking
         if section is None:
             return Masking()
-        from modaltouch.window import open_masking
-
-        return open_masking(section, experiment.apparatus, log, is_heard=self.answers == "window")
+        return window.open_masking(section, experiment.apparatus, log, is_heard=self.answers == "window")
 
     def _answerer(self) -> Answerer:
         who = self.seed, self.place.participant, self.place.session
@@ -301,13 +299,11 @@ class SessionParts:
         )
 
     @cached_property
-    def _senses(self) -> dict[str, FeltSpeeds]:
+    def _senses(self) -> dict[str, planning.FeltSpeeds]:
         """Output of the observer's front end for the predicted velocities of each design."""
-        from modaltouch.planning import FeltSpeeds
-
         centres = {name: zone.centre_mm * 1e-3 for name, zone in self.preflight.experiment.apparatus.zones.items()}
         parts = self.preflight.designs.items()
-        return {name: FeltSpeeds(part.stimulus, centres, self.observer.front_end) for name, part in parts}
+        return {name: planning.FeltSpeeds(part.stimulus, centres, self.observer.front_end) for name, part in parts}
 
 
 def _usual(protocol: Protocol, answers: AnswersBy) -> Observer:

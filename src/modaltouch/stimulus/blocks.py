@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -144,9 +143,6 @@ class BlockKernel:
         Length of a sample [s].
     """
 
-    BLOCK_LENGTH: ClassVar[int] = SHORT
-    """Samples per block."""
-
     exponent: ComplexArray
     push: ComplexArray
     output: ComplexArray
@@ -169,7 +165,7 @@ class BlockKernel:
 
     @staticmethod
     def blocks(inputs: FloatArray) -> FloatArray:
-        """Return samples as blocks, the last padded with zeros, (n_inputs, n_blocks, BLOCK_LENGTH) array."""
+        """Return samples as blocks, the last padded with zeros, (n_inputs, n_blocks, SHORT) array."""
         beyond = -inputs.shape[1] % SHORT
         filled = np.pad(inputs, ((0, 0), (0, beyond))) if beyond else inputs
         return filled.reshape(len(inputs), -1, SHORT)

@@ -83,13 +83,11 @@ class TrueBeam:
             if mode.family == "bending":
                 rows.append(mode_shapes([mode.label], x, self.table.length))
             else:
-                rows.append(self._torsion(mode.label, x, across)[None])
+                # A torsion shape of a uniform free-free beam, of unit mean square over its area.
+                order = mode.label
+                along = (-1) ** order * np.cos(order * math.pi * (x / self.table.length + 0.5))
+                rows.append((math.sqrt(24.0) * across / self.width * along)[None])
         return np.concatenate(rows)
-
-    def _torsion(self, order: int, x: FloatArray, across: FloatArray) -> FloatArray:
-        """Return a torsion shape of a uniform free-free beam, of unit mean square over its area."""
-        along = (-1) ** order * np.cos(order * math.pi * (x / self.table.length + 0.5))
-        return np.asarray(math.sqrt(24.0) * across / self.width * along)
 
     def equations(self, amplifier: Amplifier, touched: Sequence[Finger] = (), stretch: float = 1.0) -> DiagonalSystem:
         """Return the equations of the beam behind its amplifier, with fingers on it.
