@@ -75,9 +75,12 @@ def test_an_analysis_of_sessions_loads_what_reads_and_audits_them(results, tmp_p
 
 def test_a_check_loads_no_library_that_it_does_not_use():
     """What looks for plugins would load e-mail and sockets; a sound file needs ruamel.yaml no more than SciPy."""
-    program = PROGRAM + """
+    program = (
+        PROGRAM
+        + """
 sys.stderr.write(" ".join({"email", "socket", "ruamel", "scipy", "pandas", "psychopy"} & set(sys.modules)))
 """
+    )
     command = [sys.executable, "-c", program, "check", DEMO, "--json"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=150, check=True)
     assert done.stderr.endswith("}")

@@ -12,7 +12,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command
 
-from modaltouch.cli.exit_status import INTERRUPTED, leave
+from modaltouch.cli.output import INTERRUPTED, leave
 
 MODULES = {
     "demo": "run",

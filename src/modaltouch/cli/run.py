@@ -28,25 +28,23 @@ FULLSCREEN = Annotated[
     typer.Option(
         "--fullscreen/--windowed",
         help="Show the answer window full screen.",
-        show_default="windowed",
+        show_default="windowed, or as before",
     ),
 ]
 SIZE = Annotated[
     str | None,
     typer.Option(
         help="Size of the answer window in pixels, unless it is full screen.",
-        show_default="1280x800",
+        show_default="1280x800, or as before",
     ),
 ]
 THEME = Annotated[
     ThemeChoice | None,
-    typer.Option(help="Colours of the answer window.", show_default="dark"),
+    typer.Option(help="Colours of the answer window.", show_default="dark, or as before"),
 ]
 SCREEN = Annotated[
     int | None,
-    typer.Option(
-        min=0, help="Which screen shows the answer window.", show_default="0"
-    ),
+    typer.Option(min=0, help="Which screen shows the answer window.", show_default="0, or as before"),
 ]
 SCREENSHOTS = Annotated[Path | None, typer.Option(help="Folder for a screenshot of each kind of screen.")]
 EVENTS = Annotated[
