@@ -300,6 +300,7 @@ def test_coherence_that_is_none_is_refused(tmp_path: Path, frequency: np.ndarray
     ("made", "said"),
     [
         (lambda h: np.abs(h) + 1j * np.degrees(np.angle(h)), "amplitudes were taken for it"),
+        (lambda h: np.abs(h) * np.exp(1j * np.degrees(np.angle(h))), "degrees were taken for radians"),
         (lambda h: h.real + 0j, "the imaginary part is zero throughout"),
         (lambda h: 1j * h.imag, "the real part is zero throughout"),
         (
@@ -307,7 +308,7 @@ def test_coherence_that_is_none_is_refused(tmp_path: Path, frequency: np.ndarray
             "as alike as decibels",
         ),
     ],
-    ids=["amplitude and phase", "real part", "imaginary part", "decibels"],
+    ids=["amplitude and phase", "degrees", "real part", "imaginary part", "decibels"],
 )
 def test_what_is_no_complex_response_is_refused(
     tmp_path: Path, frequency: np.ndarray, made: Callable, said: str
@@ -320,6 +321,31 @@ def test_what_is_no_complex_response_is_refused(
     )  # fmt: skip
     with pytest.raises(ValueError, match=f"{said}; export real and imaginary part"):
         read_responses([tmp_path / "a.npz"])
+
+
+def test_damaged_universal_file_is_named(tmp_path: Path, frequency: np.ndarray) -> None:
+    """Cut off within its second response; a letter for a digit, with its line."""
+    whole = write_uff(tmp_path / "a.uff", frequency).read_text()
+    (tmp_path / "b.uff").write_text(whole[: len(whole) * 7 // 10])
+    with pytest.raises(ValueError, match="b.uff: it ends within a data set: it was cut off"):
+        read_responses([tmp_path / "b.uff"])
+    lines = whole.splitlines()
+    lines[99] = lines[99].replace(".", "x", 1)
+    (tmp_path / "c.uff").write_text("\n".join(lines))
+    with pytest.raises(ValueError, match="c.uff:100: cannot be read as a universal file"):
+        read_responses([tmp_path / "c.uff"])
+
+
+def test_coarse_converter_and_exponential_window_are_marked(tmp_path: Path) -> None:
+    """Noise that fades with the motion, and a motion of 8 bits."""
+    rng, time = np.random.default_rng(0), np.arange(4096) / 4096
+    drive = np.where(abs(time - 0.1) < 2e-3, np.cos(2 * np.pi * 125 * (time - 0.1)), 0.0)
+    motion = np.where(time > 0.1, np.exp(-20 * (time - 0.1)) * np.sin(2 * np.pi * 120 * time), 0.0)
+    motion = (motion + 1e-3 * rng.standard_normal(4096)) * np.exp(-5 * np.maximum(time - 0.1, 0))
+    path = blow(tmp_path / "a.npz", drive=drive[None, None], motion=motion[None, None])
+    assert any("exponential window" in mark for mark in read_responses([path]).marks)
+    path = blow(tmp_path / "b.npz", drive=drive[None, None], motion=np.round(127 * motion)[None, None])
+    assert any("different values, so that its converter's steps" in mark for mark in read_responses([path]).marks)
 
 
 def test_unknown_units_and_saturated_records_are_refused(tmp_path: Path) -> None:

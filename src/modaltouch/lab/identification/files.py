@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.identification.responses import (
     QUANTITIES,
     FrequencyResponses,
@@ -29,6 +29,8 @@ from modaltouch.lab.identification.time_records import TimeRecord, part_of, read
 _FUNCTION, _TIME, _RESPONSE = 58, 1, 4
 _NODES = (15, 2411)
 _UNITS = 164
+_NUMERIC, _GARBLED = b"0123456789+-.eEdD \t", 3
+"""Characters of a line of numbers, and how many others make it one that was garbled."""
 _QUANTITIES: dict[int, Quantity] = {8: "displacement", 11: "velocity", 12: "acceleration"}
 """Quantity of each specific data type of an ordinate's numerator."""
 
@@ -99,12 +101,17 @@ def _read_sets(path: Path) -> list[dict[str, Any]]:
     """Return the data sets of a universal file."""
     import pyuff
 
+    lines = path.read_bytes().splitlines()
+    if sum(line.rstrip() == b"    -1" for line in lines) % 2:
+        raise ValueError(f"{path}: it ends within a data set: it was cut off; export or copy it again")
     try:
         read = pyuff.UFF(str(path)).read_sets()
     # The library raises bare exceptions, and passes on whatever its parsing raises.
     except Exception as error:
-        raise ValueError(f"{path}: cannot be read as a universal file ({error}); export it again") from error
-    return [read] if isinstance(read, dict) else list(read)
+        strange = (len(text.translate(None, _NUMERIC)) * (text.count(b".") > 1) for text in lines)
+        where = next((f":{line}" for line, n in enumerate(strange, start=1) if 0 < n <= _GARBLED), "")
+        raise ValueError(f"{path}{where}: cannot be read as a universal file ({error}); export it again") from error
+    return read if isinstance(read, list) else [read]
 
 
 def _places(sets: list[dict[str, Any]], functions: list[dict[str, Any]]) -> dict[int, Place]:
@@ -142,6 +149,9 @@ FEWEST_SIGNED = 6
 
 LEAST_DECIBELS, ALIKE = 10.0, 3.0
 """Least median size of numbers that may be decibels, and the ratio of the largest to it, which responses exceed [1]."""
+
+MOST = 2.5 * np.pi
+"""Largest phase that a response turns by across its highest peak [rad]; a resonance turns by less than pi."""
 
 TIME_COLUMNS = ("time_s", "set", "position_mm", "drive", "motion")
 """Columns of time records in a CSV file, drive and motion in SI units."""
@@ -226,10 +236,23 @@ def _refuse_amplitudes(path: Path, part: Part) -> None:
         "the real part is zero throughout": not values.real.any(),
         "the real part of no response is ever negative: amplitudes were taken for it": bool((values.real >= 0).all()),
         "the numbers are as large and as alike as decibels": typical > LEAST_DECIBELS and size.max() < ALIKE * typical,
+        "the phase turns several times within each peak: degrees were taken for radians": _turns(values, size) > MOST,
     }
     fault = next((fault for fault, found in faults.items() if found), None)
     if fault and len(places) >= FEWEST_SIGNED:
         raise ValueError(f"{path}: {fault}; export real and imaginary part, in SI units")
+
+
+def _turns(values: ComplexArray, size: FloatArray) -> float:
+    """Return the median phase that responses turn by across their highest peaks, apart from a delay [rad]."""
+    turned = []
+    for row, amplitude in zip(values, size, strict=True):
+        turn = np.angle(row[1:] * row[:-1].conj())
+        turn = np.angle(np.exp(1j * (turn - np.median(turn))))
+        top, low = int(amplitude.argmax()), np.flatnonzero(amplitude < amplitude.max() / 2**0.5)
+        first, last = low[low < top].max(initial=0), low[low > top].min(initial=turn.size)
+        turned.append(np.abs(turn[first:last]).sum())
+    return float(np.median(turned))
 
 
 def _assemble(

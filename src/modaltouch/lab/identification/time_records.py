@@ -49,7 +49,13 @@ STEEP = 0.8
 """Value beside equal samples, relative to theirs, below which they are saturated and no round peak [1]."""
 
 STILL_MOVES = "still moves at the end of a record: record until it rests"
-"""Ending of the mark about truncated decays."""
+COARSE = "different values, so that its converter's steps are coarse: choose the smallest range that covers it"
+WINDOWED = "an exponential window, which makes damping ratios too large, was applied: record without it"
+"""Endings of the marks about truncated decays, coarse converters and windows, which explain what a fit leaves."""
+
+FEWEST_VALUES, FADED = 300, 0.2
+"""Least number of values of a motion that is not coarse, and noise at the end of a decay, relative to that before the
+blow, below which a window was applied [1]."""
 
 FEWEST_SAMPLES = 64
 """Least number of samples of a record."""
@@ -145,11 +151,11 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
         if hits is None:
             found.append((key, *averaged(motion, drive, step, how.n_averages)))
             continue
+        marks += _spoilt(path.name, drive, motion)
         n_double, n_hits = n_double + n_left_out, n_hits + n_left_out + len(hits)
         found += [(key, *transfer(motion[hit], drive[hit], step), None) for hit in hits]
         if not all(_rests(motion[hit]) for hit in hits):
-            cut = f"the motion of {path.name} {STILL_MOVES}"
-            marks += [cut] * (cut not in marks)
+            marks.append(f"the motion of {path.name} {STILL_MOVES}")
     if not found:
         raise ValueError(f"{path}: all {n_hits} impacts are double hits: strike again, or leave the file out")
     if n_double:
@@ -165,7 +171,19 @@ def part_of(path: Path, records: Sequence[TimeRecord], quantity: Quantity | None
     responses = [
         MeasuredResponse(key, values[:n_bins], None if c is None else c[:n_bins]) for key, _, values, c in found
     ]
-    return Part(axis, responses, quantity, tuple(marks))
+    return Part(axis, responses, quantity, tuple(dict.fromkeys(marks)))
+
+
+def _spoilt(name: str, drive: FloatArray, motion: FloatArray) -> list[str]:
+    """Return marks about a motion of few values, and about one whose noise fades from before a blow to the end."""
+    size, n_values = np.abs(drive - np.median(drive)), np.unique(motion).size
+    if n_values < min(FEWEST_VALUES, motion.size // 8):
+        return [f"the motion of {name} has only {n_values} {COARSE}"]
+    n_before = int((size > HIT * size.max()).argmax()) * 3 // 4
+    if n_before < FEWEST_SAMPLES:
+        return []
+    before, after = (float(np.std(np.diff(part, 2))) for part in (motion[:n_before], motion[-n_before:]))
+    return [f"to the motion of {name} {WINDOWED}"] * (after < FADED * before)
 
 
 def _refuse_unusable(path: Path, drive: FloatArray, motion: FloatArray) -> None:
