@@ -98,7 +98,11 @@ class StateHistory:
         push = (output @ system.input_gain).real @ self.voltage[:, :-1] * self.hold
         step = np.diff(value)
         from_left, from_right = slope[:-1] + push - step, step - (slope[1:] + push)
-        cubic = np.stack([value[:-1], step + from_left, from_right - 2 * from_left, from_left - from_right])
+        cubic = np.empty((4, step.size))
+        cubic[0] = value[:-1]
+        np.add(step, from_left, out=cubic[1])
+        np.subtract(from_right, 2 * from_left, out=cubic[2])
+        np.subtract(from_left, from_right, out=cubic[3])
         return Motion(self.held, self.hold, cubic, system.exponent, output * self.last)
 
 
