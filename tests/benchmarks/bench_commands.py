@@ -100,7 +100,8 @@ def main() -> int:
         long = ["simulate", with_repetitions(folder, 42), "-n", "1", "--results", str(folder / "long")]
         late = float(re.findall(r"late (\S+)", run(["-c", LATE, *long])[1].stdout)[0])
         for name, subject, out in ON_THE_TWIN:
-            best[name] = run([*program, name, *subject, "--out", str(folder / out)])[0]
+            again = [[*program, name, *subject, "--out", str(folder / f"{turn}{out}")] for turn in range(2)]
+            best[name] = min(run(arguments)[0] for arguments in again)
     times = {name: value / best["import_numpy"] for name, value in best.items()}
     bars = [
         at_most("modaltouch --help: times import numpy", times["help"], 1.5),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -116,9 +115,11 @@ def suggest(word: str, known: Iterable[str]) -> str:
     >>> suggest("peak_velocities_cm_s", ["zone_pairs", "peak_velocities_mm_s"])
     'peak_velocities_mm_s'
     """
+    from difflib import get_close_matches
+
     folded = {name.casefold().replace("-", "_").replace(" ", "_"): name for name in sorted(known)}
     wanted = word.casefold().replace("-", "_").replace(" ", "_")
     if wanted in folded:
         return folded[wanted]
-    close = difflib.get_close_matches(wanted, list(folded), n=1, cutoff=0.7)
+    close = get_close_matches(wanted, list(folded), n=1, cutoff=0.7)
     return folded[close[0]] if close else ""
