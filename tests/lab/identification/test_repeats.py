@@ -21,7 +21,7 @@ RATE = 4096.0
 ACCELERATION = ResponseFormat("acceleration")
 
 
-def moved(force: np.ndarray, rng: np.random.Generator, stretch: float = 1.0) -> np.ndarray:
+def moved(force: np.ndarray, rng: np.random.Generator, stretch: float = 1.0, noise: float = 2e-4) -> np.ndarray:
     """Return the acceleration of three modes under a force that begins and ends at rest, with noise."""
     omega = 2 * np.pi * np.fft.rfftfreq(force.size, 1 / RATE)
     total = np.zeros(omega.size, dtype=complex)
@@ -29,7 +29,7 @@ def moved(force: np.ndarray, rng: np.random.Generator, stretch: float = 1.0) -> 
         pole = 2 * np.pi * own * stretch
         total += -(omega**2) * size / (pole**2 - omega**2 + 2j * ratio * pole * omega)
     motion = np.fft.irfft(total * np.fft.rfft(force), force.size)
-    return motion + 2e-4 * np.abs(motion).max() * rng.standard_normal(force.size)
+    return motion + noise * np.abs(motion).max() * rng.standard_normal(force.size)
 
 
 def hit(at: Sequence[int], n: int = 8192) -> np.ndarray:
@@ -53,9 +53,9 @@ def write_csv(path: Path, records: Sequence[tuple[np.ndarray, np.ndarray]], plac
 
 
 def impacts_of_a_day(path: Path, seed: int) -> Path:
-    """Write three impacts, between which the natural frequencies wander by 2 in 10,000."""
+    """Write three impacts, between which the natural frequencies wander by 5 in 10,000."""
     rng = np.random.default_rng(seed)
-    return write_csv(path, [(hit([40]), moved(hit([40]), rng, 1 + 2e-4 * rng.standard_normal())) for _ in range(3)])
+    return write_csv(path, [(hit([40]), moved(hit([40]), rng, 1 + 5e-4 * rng.standard_normal())) for _ in range(3)])
 
 
 def test_two_days_of_one_beam_agree_within_their_intervals(tmp_path: Path) -> None:
@@ -233,3 +233,12 @@ def test_records_that_say_nothing_are_refused(tmp_path: Path, force: np.ndarray,
     motion = np.random.default_rng(8).standard_normal(force.size)
     with pytest.raises(ValueError, match=words):
         read_responses([write_csv(tmp_path / "a.csv", [(force, motion)])], ACCELERATION)
+
+
+def test_a_blow_without_noise_leaves_the_truth_within_the_intervals(tmp_path: Path) -> None:
+    """The other modes are not quite a linear background: without that share a frequency is 2.5 half-widths off."""
+    file = write_csv(tmp_path / "quiet.csv", [(hit([40]), moved(hit([40]), np.random.default_rng(), noise=0.0))])
+    found = identify_each(read_responses([file], ACCELERATION).between(60, 900))
+    for (own, ratio), mode in zip(POLES, found.modes, strict=True):
+        assert own in mode.natural_frequency
+        assert ratio in mode.damping_ratio

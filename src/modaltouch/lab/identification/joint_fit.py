@@ -174,6 +174,9 @@ def _course(problem: LeastSquaresProblem, natural_frequency: FloatArray, ratio: 
 WINDOW, FEWEST_IN_WINDOW = 10.0, 20
 """Half-width of the window about a single peak, in units of damping ratio times frequency, and its least bins [1]."""
 
+BACKGROUND = 1e-3
+"""Half-width of a 95 % interval of a pole fitted in a window, relative to its distance from the imaginary axis [1]."""
+
 SURE = 6.0
 """Least ratio of a pole's damping ratio to its standard deviation for the pole to count as a mode [1]."""
 
@@ -281,7 +284,10 @@ def identify_each(responses: FrequencyResponses) -> Identification:
         at_peak = int(np.abs(responses.frequency - own).argmin())
         strongest = magnitude[int(magnitude[:, at_peak].argmax())]
         peak = half_power(responses.frequency, strongest, float(own), float(ratio * own))
-        modes.append(replace(mode, half_power=peak))
+        # Modes outside the window are not quite a linear background.
+        own = mode.natural_frequency.widened(BACKGROUND * mode.damping_ratio.value)
+        ratio = mode.damping_ratio.widened(BACKGROUND)
+        modes.append(replace(mode, half_power=peak, natural_frequency=own, damping_ratio=ratio))
         misfit.append(found.misfit)
         fitted[..., np.isin(responses.frequency, window.frequency)] = found.fitted
     if not modes:
