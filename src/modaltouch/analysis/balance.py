@@ -72,11 +72,8 @@ def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True)
     lacks = np.maximum(usual - counts, 0)
     far = lacks.sum(axis=1) >= _MOST_MISSING * usual * len(cells)
     fewer = list(answers.index[far | ((counts == 0) & (counts == 0).all(axis=0)).any(axis=1)])
-    n_levels = frame[scale.column].nunique()
-    if fewer and 2 * n_levels > len(frame):
-        given, allowed = f"{n_levels} different levels in {len(frame)} rows", "the same levels for all participants"
-        remedy = f"give the levels asked for; measured ones go into a column of another name than {scale.column}"
-        return [table.problem(int(frame.index[0]), scale.column, given, allowed, remedy)], usual
+    if fewer and 2 * frame[scale.column].nunique() > len(frame):
+        return [_measured_levels(table, frame, scale.column)], usual
     more = [(answers.index[who], *cells[cell]) for who, cell in np.argwhere(counts > usual).tolist()]
     problems = [
         *again,
@@ -84,6 +81,12 @@ def check_balance(table: Table, frame: pd.DataFrame, *, is_crossed: bool = True)
         *list_faults(table.file, more, "cells with surplus answers", surplus, f"{usual} in every cell"),
     ]
     return problems, usual
+
+
+def _measured_levels(table: Table, frame: pd.DataFrame, column: str) -> Problem:
+    given = f"{frame[column].nunique()} different levels in {len(frame)} rows"
+    remedy = f"give the levels asked for; measured ones go into a column of another name than {column}"
+    return table.problem(int(frame.index[0]), column, given, "the same levels for all participants", remedy)
 
 
 def doubling_notes(table: Table) -> list[str]:

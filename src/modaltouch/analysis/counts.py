@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
@@ -340,8 +340,7 @@ def count_answers(
         If a response is not one of the answers.
     """
     participants = sorted(map(str, frame["participant"].unique()), key=_natural)
-    given = tuple(map(str, frame["finger_condition"].unique()))
-    conditions = sorted(given, key=(*PAPER_CONDITIONS, *given).index)
+    conditions = _ordered_conditions(map(str, frame["finger_condition"].unique()))
     names = zones_of(frame.columns)
     touched = sorted({str(zone) for name in names for zone in frame[name].unique()})
     placed = np.stack([_codes(frame[name], touched) for name in names])
@@ -358,8 +357,6 @@ def count_answers(
         level,
         _codes(frame["response"], offered.names),
     )
-    is_placed = "placement" in frame.columns
-    turned = frame["participant"][frame["placement"].astype(str).str.startswith("mirrored")] if is_placed else ()
     counts = np.zeros((len(participants), len(conditions), len(zones), len(levels), len(offered)), dtype=np.int64)
     np.add.at(counts, cells, frame["n"].to_numpy() if "n" in frame.columns else 1)
     return AnswerCounts(
@@ -370,7 +367,7 @@ def count_answers(
         counts,
         asked or int(counts.sum(axis=-1).max()),
         focus,
-        frozenset(map(str, turned)),
+        _mirrored(frame),
         scale,
         offered,
         margin,
@@ -401,6 +398,11 @@ def find_focus(zones: Sequence[tuple[str, ...]]) -> str:
     return "C" if any(zone == "C" for zone, _ in touched) else ""
 
 
+def _ordered_conditions(names: Iterable[str]) -> list[str]:
+    given = list(names)
+    return sorted(given, key=[*PAPER_CONDITIONS, *given].index)
+
+
 def _natural(name: str) -> tuple[tuple[int, int, str], ...]:
     """Return a key that sorts p2 before p10."""
     parts = filter(None, re.split(r"(\d+)", name))
@@ -410,3 +412,10 @@ def _natural(name: str) -> tuple[tuple[int, int, str], ...]:
 def _codes(column: pd.Series, words: Sequence[str]) -> NDArray[np.int64]:
     """Return the index of each row's word in a list of words."""
     return np.asarray(pd.Categorical(column, categories=list(words)).codes, dtype=np.int64)
+
+
+def _mirrored(frame: pd.DataFrame) -> frozenset[str]:
+    if "placement" not in frame.columns:
+        return frozenset()
+    turned = frame["placement"].astype(str).str.startswith("mirrored")
+    return frozenset(frame.loc[turned, "participant"].astype(str))

@@ -210,6 +210,12 @@ def _names(design: Mapping[str, Any]) -> Iterator[str]:
     yield from (*design.get("stimuli", ()), *(design.get("groups") or ()), *kinds_of(design))
 
 
+def _in_time(whole: pd.DataFrame, answers: AnswerList, *, keep: bool) -> pd.DataFrame:
+    """Return the trials without those that timed out, or, to `keep` them, with no answer to them."""
+    told = pd.Categorical(whole["response"].where(in_time := whole["response"] != TIME_OUT), list(answers.ranked.names))
+    return whole.assign(response=told)[in_time | keep].reset_index(drop=True)
+
+
 def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: str | None = None) -> Responses:
     """Return the answers of the complete, valid sessions in a folder, or in those of several labs.
 
@@ -236,11 +242,7 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
     choice = f"choose with --mode, or {_ONE}"
     chosen = mode or ("real" if "real" in modes else _only(place, "modes", modes, choice) or "real")
     left_out: list[ExcludedSource] = []
-    of_mode = _sort(
-        found,
-        left_out,
-        lambda item: f"{item.mode}, not {chosen} (choose with --mode {item.mode})" * (item.mode not in ("", chosen)),
-    )
+    of_mode = _sort(found, left_out, lambda item: _other_mode(item, chosen))
     _only(place, "protocols", [f"of {item.protocol!r}" for item in of_mode if item.mode], _ONE)
     taken = _sort(of_mode, left_out, lambda item: item.reason)
     _check(place, taken, left_out)
@@ -251,9 +253,7 @@ def read_tree(place: Path, *further: Path, mode: str | None = None, stimulus: st
     answers = _one_list(place, taken)
     whole = _join(place, taken, levels, answers, stimulus, is_crossed=is_crossed)
     asked = int(answers_per_cell(whole).to_numpy().max()) if levels != "adaptive" else None
-    # Of adaptive runs, trials that timed out are kept, without an answer.
-    told = pd.Categorical(whole["response"].where(in_time := whole["response"] != TIME_OUT), list(answers.ranked.names))
-    frame = whole.assign(response=told)[in_time | (levels == "adaptive")].reset_index(drop=True)
+    frame = _in_time(whole, answers, keep=levels == "adaptive")
     notes = [f"Groups are labs: {', '.join(frame['group'].cat.categories)}"] if further else []
     if levels != "adaptive" and is_crossed:
         notes += missing_answer_notes(whole, frame)
@@ -397,6 +397,10 @@ def _no_search_for_cycles() -> Iterator[None]:
     finally:
         if was_on:
             gc.enable()
+
+
+def _other_mode(item: SessionAnswers, chosen: str) -> str:
+    return f"{item.mode}, not {chosen} (choose with --mode {item.mode})" * (item.mode not in ("", chosen))
 
 
 def _is_crossed(taken: Sequence[SessionAnswers], stimulus: str | None) -> bool:

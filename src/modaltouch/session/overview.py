@@ -56,12 +56,13 @@ def _survey_logs(logs: list[Path]) -> tuple[list[dict[str, Any]], dict[str, Sess
 
 def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
     rows, begun, latest = _survey_logs(logs)
+    ends = {row["participant"]: row["ended"] for row in rows}
     survey: dict[str, Any] = {
         "folder": str(dataset),
         "protocol": latest.protocol,
         "title": "",
         "mode": latest.mode,
-        "n_participants": len({row["participant"] for row in rows}),
+        "n_participants": len(ends),
         "sessions_each": None,
         "sessions": rows,
         "orders": [],
@@ -71,16 +72,14 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
     try:
         survey["title"] = str(latest.start.get("design", {}).get("title", ""))
         protocol = _protocol_of(latest, *latest.occasion)
-        # Mode "real" leads to the dataset's folder, whatever its actual mode.
-        new = SessionFolder(dataset.parent, "real", dataset.name, propose_participant(dataset))
+        new = SessionFolder(dataset.parent, "real", dataset.name, propose_participant(dataset))  # whatever its mode
         group, _ = assign_group(new, protocol, int(latest.start["seed"]))
-        names = dict.fromkeys(row["participant"] for row in rows)
-        due = [each for name in names if (each := _next_of(name, rows, protocol.schedule.n_sessions))]
+        due = [each for name in ends if (each := _next_of(name, rows, protocol.schedule.n_sessions))]
         due.append({"participant": new.participant, "session": 1, "do": "run", "nth": 1})
         turns = {name: first_turn(session) for name, session in begun.items()}
         own = {name: session.occasion[0] for name, session in begun.items()} | {new.participant: group}
-        found = {nth: protocol.schedule.kind_of(nth) for nth in {1, *(each["nth"] for each in due)}}
-        kinds = {nth: "" if kind is None else kind.name for nth, kind in found.items()}
+        kind_of = protocol.schedule.kind_of
+        kinds = {nth: getattr(kind_of(nth), "name", "") for nth in {1, *(each["nth"] for each in due)}}
         gaps = {kind.name: kind.min_gap_days for kind in protocol.schedule.session_kinds}
         # A record keeps only the table of its own group.
         of_group = {session.occasion[0]: session for session in begun.values()}
@@ -95,13 +94,11 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
             turns[new.participant] = Turn.of(new.participant, int(latest.start["seed"]), 1, protocol.groups).number
     except (InputError, RecordError, LookupError, AttributeError, TypeError, ValueError) as error:
         return survey | {"notes": [f"orders and next sessions are not known: {error or type(error).__name__}"]}
-    ends = {row["participant"]: row["ended"] for row in rows}
     for each in due:
         who, nth = each["participant"], each.pop("nth")
         if who not in turns:
             continue
-        each |= _named(own[who], kinds[nth])
-        each |= _order(Turn(turns[who] + nth - 1, ""), protocols[own[who], kinds[nth]])
+        each |= _named(own[who], kinds[nth]) | _order(Turn(turns[who] + nth - 1, ""), protocols[own[who], kinds[nth]])
         if nth > 1 and each["do"] == "run" and (gap := gaps.get(kinds[nth], 0)) and (ended := ends.get(who)):
             each["from"] = (datetime.fromisoformat(ended) + timedelta(days=gap)).isoformat(timespec="minutes")
     once = {who: [("", turns[who], row["state"])] for row in rows if (who := row["participant"]) in turns}
@@ -115,8 +112,8 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
             [each[1:] for who in begun if own[who] == name for each in had[who] if each[0] == kind],
         )
     ]
-    notes = [*_notes(begun, rows), *_early(rows, {} if latest.mode == "simulated" else gaps)]
-    return survey | {"sessions_each": protocol.schedule.n_sessions, "orders": orders, "next": due, "notes": notes}
+    survey["notes"] = [*_notes(begun, rows), *_early(rows, {} if latest.mode == "simulated" else gaps)]
+    return survey | {"sessions_each": protocol.schedule.n_sessions, "orders": orders, "next": due}
 
 
 def _protocol_of(session: Session, group: str, kind: str) -> Protocol:

@@ -127,8 +127,7 @@ def open_window(
     from modaltouch.window.screen import Screen
     from modaltouch.window.theme import THEMES
 
-    options = options or WindowOptions()
-    robot = None if answerer is None else Robot(answerer, protocol, texts=texts)
+    options, robot = options or WindowOptions(), None if answerer is None else Robot(answerer, protocol, texts=texts)
     display = Screen(
         size=options.size, fullscreen=options.fullscreen, monitor=options.screen, ground=THEMES[options.theme].ground,
         title=protocol.title, typesetter=typesetter_of(texts), clock=clock,
