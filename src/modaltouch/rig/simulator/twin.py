@@ -45,15 +45,14 @@ class TrueState:
         Their modal velocities [m/s].
     displacement : (n_modes,) array
         Their modal displacements times natural angular frequency, w eta [m/s].
-    unlisted_velocity, unlisted_displacement : (n_unlisted,) array
-        The same for the modes not in the table [m/s].
+    unlisted_velocity : (n_unlisted,) array
+        Modal velocities of the modes not in the table [m/s].
     """
 
     label: tuple[int, ...]
     velocity: FloatArray
     displacement: FloatArray
     unlisted_velocity: FloatArray
-    unlisted_displacement: FloatArray
 
 
 @dataclass
@@ -254,7 +253,6 @@ class Twin:
             velocity=velocity[:n_listed],
             displacement=displacement[:n_listed],
             unlisted_velocity=velocity[n_listed:],
-            unlisted_displacement=displacement[n_listed:],
         )
 
     def held_of(self, playbacks: Sequence[Playback | None]) -> list[Held]:
