@@ -114,7 +114,7 @@ def show(
     from rich.console import Console
     from rich.markup import escape
 
-    console, values = Console(), checked.as_dict(compare=compare, fingers=fingers)
+    console, values = Console(highlight=False), checked.as_dict(compare=compare, fingers=fingers)
     catches = f" ({values['n_catch_trials']} of them catch trials)" if values["n_catch_trials"] else ""
     console.print(
         f"[bold]{escape(values['title'] or values['protocol'])}[/]: {values['n_trials']} trials{catches} and "
