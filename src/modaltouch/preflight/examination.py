@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from modaltouch.preflight.checked import Preflight
 from modaltouch.preflight.design_inputs import DesignInputs, design, find_design_inputs
-from modaltouch.protocol import Apparatus, Findings, NoOrderError, Problem, Schedule
+from modaltouch.protocol import Apparatus, Findings, InputError, Problem, Schedule
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Burst, Release, Stimulus
 
@@ -415,14 +415,14 @@ def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> St
     return stimulus
 
 
-def _check_schedule(findings: Findings) -> list[Problem]:
+def _check_schedule(findings: Findings) -> tuple[Problem, ...]:
     """Return why no order can be drawn, if none can."""
     try:
         # With a quarter of the effort, so that on the day an order is found for nearly every participant.
-        Schedule.draw(findings.experiment().protocol, "p01", 0, effort=0.25)
-    except NoOrderError as error:
-        return [findings.problem(("schedule", error.key), *error.said)]
-    return []
+        Schedule.draw_from(findings, "p01", 0, effort=0.25)
+    except InputError as error:
+        return error.problems
+    return ()
 
 
 def _check_masking_level(findings: Findings) -> Iterator[Problem]:

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from modaltouch.protocol.levels import Levels
     from modaltouch.protocol.masking import MaskingSection
     from modaltouch.protocol.observers import ObserverFile
-    from modaltouch.protocol.order_limits import NoOrderError
     from modaltouch.protocol.problems import InputError, Problem, suggest
     from modaltouch.protocol.questions import ScaleSection
     from modaltouch.protocol.schedule import Schedule, Turn, judge_round
@@ -40,7 +39,6 @@ else:
             "levels": "Levels",
             "masking": "MaskingSection",
             "observers": "ObserverFile",
-            "order_limits": "NoOrderError",
             "problems": "InputError Problem suggest",
             "questions": "ScaleSection",
             "schedule": "Schedule Turn judge_round",
@@ -62,7 +60,6 @@ __all__ = [
     "InputError",
     "Levels",
     "MaskingSection",
-    "NoOrderError",
     "ObserverFile",
     "Problem",
     "Protocol",

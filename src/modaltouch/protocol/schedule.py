@@ -11,15 +11,20 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from modaltouch.protocol.conditions import Cell, Placement
+from modaltouch.protocol.order_limits import NoOrderError
 from modaltouch.protocol.orders import insert_catches, order_cells
+from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import ALGORITHM, Stream, key_of, seed_sequence
 from modaltouch.protocol.trial import SIDES, Condition, Trial
+
+if TYPE_CHECKING:
+    from modaltouch.protocol.findings import Findings
 
 
 @dataclass(frozen=True)
@@ -276,6 +281,29 @@ class Schedule:
             group_by=decided.group_by,
             session_kind="" if kind is None else kind.name,
         )
+
+    @classmethod
+    def draw_from(
+        cls,
+        findings: Findings,
+        participant: str,
+        seed: int,
+        session: int = 1,
+        *,
+        given: Turn | None = None,
+        **how: float,
+    ) -> Schedule:
+        """Draw a participant's schedule from a file that is valid so far; arguments and `effort` as in `draw`.
+
+        Raises
+        ------
+        InputError
+            With the place of the limit that no order keeps, or that those that do are too rare to find.
+        """
+        try:
+            return cls.draw(findings.experiment().protocol, participant, seed, session, given=given, **how)
+        except NoOrderError as error:
+            raise InputError([findings.problem(("schedule", error.key), *error.said)]) from error
 
     @staticmethod
     def random_generator(seed: int, participant: str, session: int, purpose: str) -> np.random.Generator:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from modaltouch import planning, window
 from modaltouch.planning import Observer, read_observer, usual_observer
 from modaltouch.preflight import Preflight, examine
-from modaltouch.protocol import InputError, NoOrderError, Protocol, Schedule, Trial, Turn
+from modaltouch.protocol import InputError, Protocol, Schedule, Trial, Turn
 from modaltouch.record import RecordInputError, Session, SessionFolder
 from modaltouch.rig import Generator, Rig
 from modaltouch.session.setup import Setup, begin
@@ -97,11 +97,10 @@ def wire_run(
 def _drawn(preflight: Preflight, participant: str, seed: int, drawn_as: int, given: Turn | None) -> Schedule:
     """Return a participant's schedule; refuse limits that no order drawn for them satisfies, with their place."""
     try:
-        return Schedule.draw(preflight.experiment.protocol, participant, seed, drawn_as, given=given)
-    except NoOrderError as error:
-        refused, allowed, remedy = error.said
-        said = f"{refused}, for {participant}", allowed, f"{remedy}, or give another --seed"
-        raise InputError([preflight.findings.problem(("schedule", error.key), *said)]) from error
+        return Schedule.draw_from(preflight.findings, participant, seed, drawn_as, given=given)
+    except InputError as error:
+        error.add_note(f"this is the order of {participant}: another --seed draws another")
+        raise
 
 
 def _on_occasion(
