@@ -391,7 +391,7 @@ def test_what_fingers_make_of_another_design_is_predicted(design, beam, zones, v
     ("values", "amplifier", "allowed"),
     [
         (None, SLOW, 5e-9),
-        ((*FINGERS[0], RELAXING), SLOW, 5e-9),
+        ((*FINGERS[0], RELAXING), SLOW, 1e-8),
         ((*FINGERS[4], ()), PLAIN, 5e-9),
         ((0.15, None, 0.0, ()), PLAIN, 1e-6),
     ],
