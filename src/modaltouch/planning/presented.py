@@ -12,7 +12,7 @@ from modaltouch.planning.observer import Observer
 from modaltouch.planning.observer.felt import FeltSpeeds
 from modaltouch.planning.observer.population import FrontEnd
 from modaltouch.preflight import Preflight
-from modaltouch.protocol import InputError, Protocol, Schedule
+from modaltouch.protocol import InputError, Protocol, Turn
 
 _KNOWN = ("one_hand", "two_hands")
 _SIMULATE = "simulate sessions and analyse those, as `modaltouch prereg` does"
@@ -169,5 +169,5 @@ def _placements(protocol: Protocol) -> tuple[bool, ...]:
     if not any(name.startswith("mirrored") for name in conditions.placements):
         return (False,)
     n_turns = len(conditions.placements) * max(1, 2 * len(conditions.finger_conditions))
-    drawn = (Schedule.draw(protocol, f"p{number}", 0) for number in range(1, n_turns + 1))
-    return tuple(schedule.trials[0].condition.is_mirrored for schedule in drawn)
+    turns = (Turn.of(f"p{number}", 0, 1, protocol.groups) for number in range(1, n_turns + 1))
+    return tuple(turn.order(protocol)[1].startswith("mirrored") for turn in turns)

@@ -71,7 +71,7 @@ def _check_type(findings: Findings, window: tuple[int, int] | None) -> Iterator[
     size = window or (screen.width_px, screen.height_px)
     placements = {
         (each.condition.finger_condition, each.condition.zones, each.condition.placement): each
-        for each in Schedule.draw(protocol, "p01", 1).trials
+        for each in Schedule.draw_from(findings, "p01", 0).trials
     }
     pixels, text = smallest_type(
         protocol, experiment.texts, experiment.apparatus.zone_spans, [*placements.values()], size

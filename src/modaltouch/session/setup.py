@@ -269,7 +269,8 @@ def _with_assigned_turn(setup: Setup) -> Setup:
             raise RecordInputError(f"{given}; now {due} is due: begin again, or keep it with --group {drawn.group}")
     turn, balance = assign_turn(setup.place, protocol, setup.drawn_as, drawn.group)
     turn = replace(turn, group=drawn.group, group_by=drawn.group_by)
-    schedule = Schedule.draw(protocol, drawn.participant, drawn.seed, drawn.session, given=turn)
+    findings = setup.preflight.findings
+    schedule = Schedule.draw_from(findings, drawn.participant, drawn.seed, drawn.session, given=turn)
     return replace(setup, schedule=schedule, facts={**setup.facts, "balance": balance})
 
 
