@@ -496,3 +496,14 @@ def test_a_noise_that_is_too_loud_is_told_once_for_all_stimuli(edit: Callable[..
     own = "stimuli: {heard: {masked: false}, usual: {}}\nmasking: {level_dB_FS: 30}\n\nconditions:\n"
     (found,) = examine(edit("demo.yaml", ("conditions:\n", own))).problems
     assert (found.path, found.given.split(",")[0]) == ("masking.level_dB_FS", "30 dB FS")
+
+
+def test_a_protocol_that_lacks_a_line_is_described_all_the_same(edit: Edit) -> None:
+    """As far as it is valid: `check --json` never ends in a traceback."""
+    file = edit("demo.yaml")
+    lines = file.read_text("utf-8").splitlines(keepends=True)
+    for place, line in enumerate(lines):
+        if line.strip() and not line.startswith("#"):
+            file.write_text("".join([*lines[:place], *lines[place + 1 :]]), "utf-8")
+            values = examine(file).as_dict()
+            assert values["problems"] or values["n_trials"], line

@@ -60,7 +60,7 @@ def test_the_smallest_type_is_20_arcmin_at_the_stated_distance(edit: Edit) -> No
     assert faults(preflight, file) == []
     (fault,) = faults(preflight, file, (1280, 800))
     assert fault.endswith(
-        f"in which a capital of '10 of 99' is {20.5 * 800 / 1080:.1f} arcmin high; allowed: at least 20 arcmin; "
+        f"in which a capital of '11 of 99' is {20.5 * 800 / 1080:.1f} arcmin high; allowed: at least 20 arcmin; "
         "shorten the text, take a larger window (--fullscreen), or sit nearer"
     )
     assert " screen: given a window of 1280 x 800 pixels" in fault

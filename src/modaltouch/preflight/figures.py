@@ -174,7 +174,9 @@ DESIGN_FIGURES = ("sensation_levels", "n_trials", "n_catch_trials", "n_practice_
 
 
 def design_figures_of(protocol: Protocol) -> dict[str, Any]:
-    """Return how many trials a protocol has, and how long a session takes."""
+    """Return how many trials a protocol has, and how long a session takes; nothing if no finger has a zone."""
+    if not protocol.conditions.contacts:
+        return {}
     own, velocities = protocol.conditions.sensation_levels, protocol.conditions.peak_velocities_mm_s
     return {
         "sensation_levels": own
