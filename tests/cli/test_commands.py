@@ -81,7 +81,7 @@ def test_a_ctrl_c_while_the_program_is_still_being_loaded_is_no_traceback(tmp_pa
         (tmp_path / module).mkdir()
         (tmp_path / module / f"{module}.py").write_text("raise KeyboardInterrupt\n")
         words = [sys.executable, "-c", program, tmp_path / module, "simulate", "demo"]
-        done = subprocess.run(words, capture_output=True, text=True, timeout=60)
+        done = subprocess.run(words, capture_output=True, text=True, timeout=150)
         assert (done.returncode, done.stderr) == (130, said)
 
 

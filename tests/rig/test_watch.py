@@ -248,11 +248,11 @@ def test_signs_of_life_are_taken_behind_an_exchange_that_lasts() -> None:
     instrument, clock = Waiting(), VirtualClock(50.0)
     master = Master(instrument, clock)
     master.pipe.write(ask(1, b"*IDN?\n"), frame(BEAT, 2))
-    ((done, number, _),) = read_frames(io.BytesIO(master.answers.get(timeout=10)))
+    ((done, number, _),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))
     assert (done, number) == (DONE, 2)
     clock.sleep(0.4)
     instrument.may_answer.set()
-    ((_, number, answer),) = read_frames(io.BytesIO(master.answers.get(timeout=10)))
+    ((_, number, answer),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))
     assert (number, answer) == (1, b"0;0\n")
     assert clock.now() - master.watch._heard == pytest.approx(0.4)
     assert master.watch._silence() == 0
@@ -376,7 +376,7 @@ class Master:
     def ask(self, letter: bytes, content: bytes = b"") -> dict[str, Any]:
         """Return the report that answers a request."""
         self.pipe.write(frame(letter, 1, content))
-        ((done, _, answer),) = read_frames(io.BytesIO(self.answers.get(timeout=10)))
+        ((done, _, answer),) = read_frames(io.BytesIO(self.answers.get(timeout=60)))
         assert done == DONE
         return dict(json.loads(answer))
 
@@ -448,7 +448,7 @@ def test_bursts_end_with_the_pipe() -> None:
     """The master is gone: no further burst, then the outputs off."""
     master = Master(Instrument())
     master.pipe.write(frame(OPEN, 0))
-    master.answers.get(timeout=10)
+    master.answers.get(timeout=60)
     master.ask(PLAY, order(5))
     pacing, pacer = master.watch._pacing, master.watch._pacer
     master.pipe.close()
@@ -502,11 +502,11 @@ def test_trigger_that_fails_is_told_with_the_next_sign_of_life() -> None:
     failed = master.ask(PLAY, order(5))
     assert (failed["played"], failed["ended"], failed["reason"]) == (0, "failed", "trigger 1 failed (OSError: gone)")
     master.pipe.write(frame(BEAT, 3))
-    ((done, _, lost),) = read_frames(io.BytesIO(master.answers.get(timeout=10)))
+    ((done, _, lost),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))
     assert (done, lost) == (DONE, b"failed: trigger 1 failed (OSError: gone)")
     assert master.ask(PLAY, order(5))["ended"] == ""
     master.pipe.write(frame(BEAT, 3))
-    ((done, _, lost),) = read_frames(io.BytesIO(master.answers.get(timeout=10)))
+    ((done, _, lost),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))
     assert (done, lost) == (DONE, b"")
     master.pipe.write(frame(END, 0), frame(CLEAN, 0))
     master.serving.join(10)

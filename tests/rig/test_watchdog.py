@@ -153,7 +153,7 @@ def start(single_link: Simulator, host: subprocess.Popen[str], tmp_path: Path) -
             session.wait()
 
 
-def wait_until(happened: Callable[[], bool], what: str, patience: float = 20.0) -> float:
+def wait_until(happened: Callable[[], bool], what: str, patience: float = 60.0) -> float:
     """Wait for something, and return how long it took [s]."""
     started = time.monotonic()
     while not happened():

@@ -50,7 +50,7 @@ def start(context):
 def finish(start):
     """Run ``modaltouch`` with some words to its end and give the exit status."""
 
-    def run(*words, timeout=60):
+    def run(*words, timeout=150):
         process = start(*words)
         process.join(timeout)
         assert process.exitcode is not None, f"{words} did not end within {timeout} s"
@@ -71,7 +71,7 @@ def answers_of():
     return _answers_of
 
 
-def _wait_for_trials(log, n_trials, timeout=30.0):
+def _wait_for_trials(log, n_trials, timeout=100.0):
     end = time.monotonic() + timeout
     while time.monotonic() < end:
         if log.exists() and log.read_bytes().count(b'"event":"trial"') >= n_trials:

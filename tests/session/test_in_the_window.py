@@ -100,7 +100,7 @@ def session(display_name, *words):
             process.kill()
 
 
-def wait_until(holds, what, timeout=60.0):
+def wait_until(holds, what, timeout=120.0):
     """Wait for something to hold."""
     end = time.monotonic() + timeout
     while not holds():
@@ -173,7 +173,7 @@ def test_a_session_ended_on_purpose_is_off_and_kept(tmp_path, protocol, rig, out
             hands.press("Escape")
             wait_until(lambda: outputs() == ("0", "0"), "both outputs off while it asks", timeout=5)
             assert run.poll() is None
-            wait_until(lambda: (hands.press("q"), run.poll())[1] is not None, "the end", timeout=20)
+            wait_until(lambda: (hands.press("q"), run.poll())[1] is not None, "the end", timeout=60)
         else:
             run.send_signal(signal.SIGTERM)
         assert run.wait(20) == 130

@@ -43,19 +43,19 @@ def received(demo: Setup, tmp_path_factory: pytest.TempPathFactory) -> Iterator[
         import pylsl
 
         markers = Markers("demo/p01/1", demo.clock)
-        (found,) = pylsl.resolve_byprop("source_id", "demo/p01/1", timeout=10)
+        (found,) = pylsl.resolve_byprop("source_id", "demo/p01/1", timeout=60)
         inlet = pylsl.StreamInlet(found)
-        inlet.open_stream(timeout=10)
+        inlet.open_stream(timeout=60)
         session = begin(replace(demo, open_markers=lambda: markers))
         samples = []
         while len(samples) < 2 * len(session.trials):
-            (words,), instant = inlet.pull_sample(timeout=10)
+            (words,), instant = inlet.pull_sample(timeout=60)
             samples.append((words, instant))
         told = session.trials[1]
         fired = {"event": "fired", "trial": told["trial"], "confirmed": told["confirmed"]}
         for event in (fired | {"interval": 2}, fired | {"event": "trial_cut", "clock": 1.0}):
             markers.follow(event)
-        yield session, samples, [inlet.pull_sample(timeout=10)[0][0] for _ in range(2)]
+        yield session, samples, [inlet.pull_sample(timeout=60)[0][0] for _ in range(2)]
         inlet.close_stream()
 
 

@@ -154,7 +154,7 @@ def test_keys_and_clicks_lead_through_a_whole_session(
         else:
             outside_hands.key("Return")
             time.sleep(0.15)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     log = events(tmp_path)
     trials = [event for event in log if event["event"] == "answered"]
@@ -195,7 +195,7 @@ def test_a_session_that_is_ended_keeps_what_it_has(
         outside_hands.key("F12")
     else:
         outside_hands.press_close_button(TITLE)
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=120)
     assert process.returncode == returncode, err
     assert "Traceback" not in err
     log = events(tmp_path)

@@ -230,7 +230,7 @@ def test_pyvisa_shell_finds_the_simulator(simulator: Simulator) -> None:
         "    afg.write('source2:voltage:level:immediate:amplitude 0.5vpp')\n"
         "    print(afg.query_ascii_values('SOUR2:VOLT?')[0], afg.query('*IDN?').split(',')[1])\n"
     )
-    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=30, check=True)
+    ran = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=True)
     assert ran.stdout.split() == ["0.5", "AFG3022B"]
 
 

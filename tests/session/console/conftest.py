@@ -85,18 +85,18 @@ class Terminal:
         """Type on the terminal's keyboard."""
         os.write(self.master, keys.encode())
 
-    def wait_for(self, words: str, seconds: float = 60.0) -> None:
+    def wait_for(self, words: str, seconds: float = 150.0) -> None:
         """Wait until some words stand in the picture."""
         self.wait_until(lambda: any(words in line for line in self.picture), f"{words!r} in the picture", seconds)
 
-    def wait_until(self, holds: Callable[[], bool], what: str, seconds: float = 60.0) -> None:
+    def wait_until(self, holds: Callable[[], bool], what: str, seconds: float = 150.0) -> None:
         """Wait for something to hold."""
         end = time.monotonic() + seconds
         while not holds():
             assert time.monotonic() < end, f"{what} did not come; the terminal shows:\n" + "\n".join(self.picture)
             time.sleep(0.02)
 
-    def finish(self, seconds: float = 60.0) -> int:
+    def finish(self, seconds: float = 150.0) -> int:
         """Wait for the end and give the exit status."""
         return self.process.wait(seconds)
 

@@ -11,8 +11,6 @@ import pytest
 
 from modaltouch.session import propose_participant
 
-pytestmark = pytest.mark.timeout(180)
-
 
 @pytest.fixture
 def ask(terminal: Callable[..., Any], tmp_path: Path) -> Callable[..., Any]:

@@ -13,8 +13,6 @@ from typing import Any
 
 import pytest
 
-pytestmark = pytest.mark.timeout(180)
-
 
 @pytest.fixture
 def run(terminal: Callable[..., Any], long_protocol: Path, tmp_path: Path) -> Callable[..., Any]:

@@ -25,7 +25,7 @@ def in_a_process() -> Callable[[str, Path], subprocess.CompletedProcess[str]]:
     def run(script: str, alsa: Path) -> subprocess.CompletedProcess[str]:
         env = {**os.environ, "ALSA_CONFIG_PATH": str(alsa), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         return subprocess.run(
-            [sys.executable, "-c", script], capture_output=True, text=True, env=env, timeout=60, check=False
+            [sys.executable, "-c", script], capture_output=True, text=True, env=env, timeout=120, check=False
         )
 
     return run
