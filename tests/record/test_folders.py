@@ -1,5 +1,7 @@
 """Where sessions live: one dataset for each protocol and mode, and no path tricks."""
 
+import errno
+import os
 import stat
 from pathlib import Path
 
@@ -126,3 +128,24 @@ def test_what_is_no_session_is_refused(tmp_path):
         find_log(tmp_path / "gone")
     with pytest.raises(InputError, match="given a folder without a recorded session; allowed: a results folder"):
         find_log(tmp_path)
+
+
+@pytest.mark.parametrize("number", [errno.EACCES, errno.EINVAL], ids=["of another user", "of the system"])
+def test_a_folder_that_may_not_be_read_is_not_passed_over(monkeypatch, tmp_path, number):
+    """A session fewer would change a result without a word; what the system keeps in `/proc` is none."""
+    for name in ("a", "b"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "session.jsonl").touch()
+    look = os.scandir
+
+    def refuse(path):
+        if str(path).endswith("b"):
+            raise OSError(number, os.strerror(number), str(path))
+        return look(path)
+
+    monkeypatch.setattr(os, "scandir", refuse)
+    if number == errno.EINVAL:
+        assert SessionFolder.logs_under(tmp_path) == [tmp_path / "a" / "session.jsonl"]
+        return
+    with pytest.raises(PermissionError, match="b'$"):
+        SessionFolder.logs_under(tmp_path)

@@ -8,6 +8,7 @@ Brain Imaging Data Structure 1.10, "Behavioral experiments (with no neural recor
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, suppress
@@ -170,8 +171,16 @@ class SessionFolder:
         ------
         InputError
             If there is none; the message says what to give.
+        PermissionError
+            If a folder is another user's: what it holds must not be missing without a word.
         """
-        if logs := [place] if place.is_file() else sorted(place.rglob(LOG_NAME)):
+
+        def refuse(error: OSError) -> None:
+            if isinstance(error, PermissionError):
+                raise error
+
+        found = (Path(folder, LOG_NAME) for folder, _, names in os.walk(place, onerror=refuse) if LOG_NAME in names)
+        if logs := [place] if place.is_file() else sorted(found):
             return logs
         given = "a folder without a recorded session" if place.exists() else "no such file or folder"
         remedy = f"give the folder that `modaltouch run` wrote to; it holds files named {LOG_NAME}"
