@@ -94,6 +94,18 @@ def test_beam_that_drifts_in_a_scan_is_marked(beam: TrueBeam) -> None:
     assert any("drift: let the beam warm up" in said for said in warnings(found))
 
 
+def test_bending_beside_torsion_is_no_mode_that_moved(clean: FrequencyResponses) -> None:
+    """Mode 10 and the third torsion mode lie within one width; here a wrong digit leaves a residual elsewhere."""
+    response = clean.response.copy()
+    response[0, 4, int(np.abs(clean.frequency - 2554).argmin())] *= 10
+    found = identify(replace(clean, response=response), 0.1)
+    ten, torsion = found.mode(10), min(found.modes, key=lambda each: abs(each.natural_frequency.value - 26900))
+    assert torsion.label is None
+    assert torsion.natural_frequency.value - ten.natural_frequency.value < 2 * 26200 * ten.damping_ratio.value
+    assert warnings(found)
+    assert not any("within one width" in said for said in warnings(found))
+
+
 def test_gains_between_two_units_are_named(clean: FrequencyResponses, apparatus: Apparatus) -> None:
     """In g for m/s^2, differentiated once too often, and one output behind a probe of 10 : 1."""
     turn = 2 * np.pi * clean.frequency

@@ -99,8 +99,13 @@ def label_shapes(shapes: FloatArray, places: Sequence[Place], length: float) -> 
     length : float
         Length of the beam [m].
     """
+    return _in_order(bending_likeness(shapes, places, length))
+
+
+def bending_likeness(shapes: FloatArray, places: Sequence[Place], length: float) -> FloatArray:
+    """Return the MAC of shapes with the modes of a uniform free-free beam that the points can show, from label 1 on."""
     n_labels = along(places)[0].size * 2 // 3
-    return _in_order(mac(shapes, mode_shapes(range(1, n_labels + 1), np.array(places)[:, 0], length)))
+    return mac(shapes, mode_shapes(range(1, n_labels + 1), np.array(places)[:, 0], length))
 
 
 def label_torsion(
@@ -249,6 +254,8 @@ def refuse_odd_point(residue: FloatArray, places: Sequence[Place], length: float
     ValueError
         With the point, its factor and the remedy.
     """
+    if len(residue) < FEWEST_MODES:
+        return
     size = np.linalg.norm(residue, axis=(1, 2), keepdims=True)
     measured = residue / np.maximum(size, 1e-300)
     seen = [_without(measured, places, length, point) for point in range(len(places))]

@@ -9,7 +9,7 @@ import numpy as np
 
 from modaltouch.lab.identification.estimates import Identification, IdentifiedMode
 from modaltouch.lab.identification.rest import REMEDIES
-from modaltouch.lab.identification.shapes import BELONGS, mac
+from modaltouch.lab.identification.shapes import BELONGS, bending_likeness, mac
 from modaltouch.lab.identification.time_records import STILL_MOVES
 from modaltouch.protocol import Apparatus
 
@@ -57,7 +57,7 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     missing = [label for label in labels if label not in found]
     faulty = [label for label, mode in found.items() if label in labels and _faults(f"mode {label}", mode)]
     # If the beam drifts, a missing mode is split; if points are exchanged, it has one resonance of a strange shape.
-    split = _split(identification.modes, missing, faulty)
+    split = _split(identification, missing, faulty)
     strange = "" if spoilt or split else _implausible_modes(identification.modes, missing)
     remedy = "" if spoilt or split or strange else REMEDY
     lines = []
@@ -75,23 +75,19 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
         raise ValueError("\n".join(lines))
 
 
-def _split(
-    modes: Sequence[IdentifiedMode],
-    missing: Sequence[int] | None = None,
-    faulty: Sequence[int] = (),
-    least_likeness: float = 0.0,
-) -> str:
-    """Describe two resonances within one half-power bandwidth, not both with a mode's shape; empty if there are none.
+def _split(identification: Identification, missing: Sequence[int] | None = None, faulty: Sequence[int] = ()) -> str:
+    """Describe two resonances within one half-power bandwidth that are a single mode which moved; empty if none are.
 
-    With missing or faulty labels, only two that may stand for one of those; with a least MAC, only two of one shape.
+    Between sets both have its shape; while the points were measured in turn, only their sum has it. Bending and torsion
+    that happen to lie so close have neither. With missing or faulty labels, only two that may stand for one of those.
     """
+    modes = identification.modes
     for one, other in pairwise(modes):
         apart = other.natural_frequency.value - one.natural_frequency.value
         width = 2 * one.natural_frequency.value * one.damping_ratio.value
         named = all(each.label or each.torsion for each in (one, other))
         blamed = missing is None or _lacks(modes, missing, one) or {one.label, other.label} & {*faulty}
-        alike = mac(one.residue.real[None], other.residue.real[None])[0, 0] >= least_likeness
-        if apart < width and not named and blamed and alike:
+        if apart < width and not named and blamed and _is_one(identification, one, other):
             return (
                 f"the resonances at {one.natural_frequency.value:.6g} and {other.natural_frequency.value:.6g} Hz are "
                 "within one width of each other, like a single mode that moved: the most probable cause is drift, also "
@@ -99,6 +95,16 @@ def _split(
                 f"{REMEDIES['drift']}, or {REMEDIES['nonlinearity']}"
             )
     return ""
+
+
+def _is_one(identification: Identification, one: IdentifiedMode, other: IdentifiedMode) -> bool:
+    """Return whether two resonances have one shape, or a mode's shape only in their sum."""
+    places, parts = identification.responses.places, np.stack([one.residue.real, other.residue.real])
+    if mac(parts[:1], parts[1:])[0, 0] >= BELONGS:
+        return True
+    length = identification.length or np.ptp(np.array(places)[:, 0])
+    lacking = 1 - bending_likeness(np.stack([*parts, parts.sum(axis=0)]), places, length).max(axis=1)
+    return bool(lacking[2] < min(1 - BELONGS, lacking[0] / 2, lacking[1] / 2))
 
 
 def _implausible_modes(modes: Sequence[IdentifiedMode], missing: Sequence[int]) -> str:
@@ -322,7 +328,7 @@ def warnings(identification: Identification) -> list[str]:
                 f"{_cause(chosen)}"
             )
     noisy = identification.misfit <= WELL_FITTED
-    split = _split(identification.modes, least_likeness=BELONGS if noisy else 0.0) if identification.length else ""
+    split = _split(identification) if identification.length else ""
     if split or not noisy:
         said.append(
             _hum(identification)
