@@ -96,8 +96,11 @@ def find_more(
     """Add poles wherever the residual has a peak that noise does not explain, and return them with their fit."""
     poles, problem, fit = _keep_sound_poles(responses, poles, problem, fit, SURE / 2)
     passed: list[tuple[float, float]] = []
-    for _ in range(most):
-        peak = _left_over(problem, fit, passed)
+    # The modes beyond the band come first: a pole inside it would follow their flanks.
+    low, high = float(responses.frequency[0]), float(responses.frequency[-1])
+    ends = [(high * FAR_BEYOND, 0.01), (low / FAR_BEYOND, 0.01)]
+    for attempt in range(most):
+        peak = ends.pop() if ends else _left_over(problem, fit, passed)
         if peak is None or poles.natural_frequency.size >= MOST_POLES or len(passed) == MOST_PASSED:
             break
         tried = poles.and_one(*peak)
@@ -107,21 +110,21 @@ def find_more(
         refined, finer, after = _keep_sound_poles(responses, refined, finer, after, SURE / 2)
         apart = np.diff(refined.natural_frequency) > 0.05 * (refined.damping_ratio * refined.natural_frequency)[:-1]
         grown = refined.natural_frequency.size > poles.natural_frequency.size
-        new = grown or refined.near(*peak) > poles.near(*peak)
+        new = grown or refined.near(*peak) > poles.near(*peak) or not low <= peak[0] <= high
         if new and apart.all() and after.cost < before.cost - 0.5 * SIGNIFICANT * problem.response.shape[1] ** 0.5:
             poles, problem, fit = refined, finer, after
-        else:
+        elif attempt > 1:
             passed.append(peak)
     # Only now: while a mode is missing, its residual inflates the deviations of the others.
     return _keep_sound_poles(responses, poles, problem, fit, SURE)
 
 
-def _sound(fit: Evaluation, highest: float, sure: float) -> NDArray[np.bool_]:
+def _sound(fit: Evaluation, frequency: FloatArray, sure: float) -> NDArray[np.bool_]:
     """Return which poles are modes: their damping differs significantly from zero, unlike a chance peak of few bins."""
     low, high = DAMPING_BOUNDS
     possible = (fit.damping_ratio > 2 * low) & (fit.damping_ratio < 0.9 * high)
-    # A pole beyond the band represents the modes there; only its flank is visible.
-    beyond = fit.natural_frequency > highest
+    # A pole beyond either end of the band represents the modes there; only its flank is visible.
+    beyond = (fit.natural_frequency < frequency[0]) | (fit.natural_frequency > frequency[-1])
     return np.asarray(beyond | (possible & (fit.deviation[fit.n_modes : -1] < 1 / sure)))
 
 
@@ -129,7 +132,7 @@ def _keep_sound_poles(
     responses: FrequencyResponses, poles: Poles, problem: LeastSquaresProblem, fit: Evaluation, sure: float
 ) -> tuple[Poles, LeastSquaresProblem, Evaluation]:
     """Return the poles that are modes, with their fit; all poles if none is, since their intervals then show it."""
-    kept = _sound(fit, float(responses.frequency[-1]), sure)
+    kept = _sound(fit, responses.frequency, sure)
     if kept.all() or not kept.any():
         return poles, problem, fit
     fewer = Poles(poles.natural_frequency[kept], poles.damping_ratio[kept], poles.delay)
@@ -185,6 +188,10 @@ FAR_OFF = 100.0
 
 BEYOND = np.array([1.02, 1.06, 1.15, 1.3])
 """Frequencies at which poles beyond the band are tried, relative to its upper end [1]."""
+
+FAR_BEYOND = 3.0
+"""Where a pole for all modes above the band is tried first, relative to its upper end; below, the lower end over it
+[1]."""
 
 NEAR = 0.01
 """Relative distance from a peak that was no resonance within which no pole is tried again [1]."""

@@ -57,9 +57,7 @@ class ModalParameters:
                 variance,
             )
             for k in range(fit.n_modes)
-            # A pole beyond the band represents all modes there and is itself no mode.
-            if fit.n_modes == 1
-            or self.responses.frequency[0] <= fit.natural_frequency[k] <= self.responses.frequency[-1]
+            if fit.n_modes == 1 or self._inside[k]
         )
         return Identification(
             modes=modes,
@@ -126,6 +124,12 @@ class ModalParameters:
         return np.asarray(residue * column[:, None, None] * np.sqrt(self._level)[None, :, None])
 
     @property
+    def _inside(self) -> NDArray[np.bool_]:
+        """Which poles lie within the band; those beyond it represent all modes there and are no modes themselves."""
+        own, frequency = self.fit.natural_frequency, self.responses.frequency
+        return np.asarray((own >= frequency[0]) & (own <= frequency[-1]))
+
+    @property
     def _level(self) -> FloatArray:
         """Noise variance of each set, by which the problem scales its responses, (n_sets,) array."""
         return np.asarray(np.median(self.responses.noise, axis=1))
@@ -135,7 +139,11 @@ class ModalParameters:
         if self.length is None or len(places) < 3:
             return [None] * n_modes, [None] * n_modes, np.full(n_modes, np.nan)
         scaled = residue / np.sqrt(self._level)[None, :, None]
-        refuse_odd_point(scaled, places, self.length, self.responses.sets)
+        # Of two poles within one width only the sum is certain; those beyond the band are no modes.
+        own, width = self.fit.natural_frequency[self._inside], 2 * (self.fit.damping_ratio * self.fit.natural_frequency)
+        first = np.append(True, np.diff(own) > width[self._inside][:-1])
+        together = np.add.reduceat(scaled[self._inside], np.flatnonzero(first), axis=0)
+        refuse_odd_point(together, places, self.length, self.responses.sets)
         common = np.array([np.linalg.svd(each, full_matrices=False)[2][0] for each in scaled])
         labels, likeness = label_shapes(common, places, self.length)
         torsion, twisted = label_torsion(common, labels, places, self.length)
