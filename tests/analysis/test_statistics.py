@@ -132,6 +132,14 @@ def test_repetitions_enter_as_one_participant(build) -> None:
     assert (rows(tests, "a1")["n"] <= 2).all()
 
 
+def test_the_estimate_beside_a_test_against_guessing_is_of_the_answer_that_moves_it(build) -> None:
+    """Everybody says "both": P(both) = 1 stands beside that p, not P(C) = 0."""
+    found = rows(run_tests(build["tidy"](build["constant"](10, "both"))), "a1", "multinomial")
+    assert set(zip(found["quantity"], found["estimate"], strict=True)) == {
+        ("P(C & A)", 1.0), ("P(B & D)", 1.0), ("P(C & E)", 1.0),
+    }  # fmt: skip
+
+
 def test_who_gave_no_answer_is_not_said_to_be_tied(build) -> None:
     """Of three people, one was never in time in the first cell."""
     frame = build["tidy"](build["random"](3, 3, repetitions=2)).assign(response="right")

@@ -73,14 +73,20 @@ def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
     """Return tests of whether cells differ from guessing, with all answers equally likely.
 
     One answer of each participant enters a cell: the one given or, with repetitions, the most frequent; ties are
-    left out and counted in the note. If "felt nowhere" is an answer too, the test is of those who felt something
-    (given their number, guesses are even over the other answers, however likely that one is); the share is of all.
+    left out and counted in the note. The estimate is the share of the cell's most frequent answer. If "felt nowhere" is
+    an answer too, the test is of those who felt something (given their number, guesses are even over the other answers,
+    however likely that one is), and the share is that of a felt answer among all.
     """
     felt = answers.felt
     if len(felt) < 2 or not answers.guesses_evenly:
         return None
-    scopes, quantities, kinds, chosen = _cells_of(answers)
+    cells, kinds = _cells_of(answers)
     n, nothing = kinds.sum(axis=-1), answers.answers.naming()
+    # A batch of experiments has the quantities of the first; only those of a single experiment are shown.
+    shown = kinds.reshape(-1, *kinds.shape[-2:])[0]
+    labels = [[label for label, place in answers.labelled(pair) if place in felt] for pair in answers.pairs]
+    places = [[place for _, place in answers.labelled(pair) if place in felt] for pair in answers.pairs]
+    most = [labels[q][int(own[places[q]].argmax())] for (q, _), own in zip(cells, shown, strict=True)]
 
     def notes(place: int) -> list[str]:
         said = [", ".join(f"{answers.answers[kind].name} {kinds[place, kind]}" for kind in felt)]
@@ -92,28 +98,27 @@ def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
             said.append(f"most frequent answer of each participant, {ties} {why} and left out")
         return said
 
-    share = Interval.point(clopper_pearson(chosen, n).estimate, n)
-    return FamilyResult(scopes, quantities, multinomial_test(kinds[..., felt]), share, n, notes)
+    share = Interval.point(clopper_pearson(kinds[..., felt].max(axis=-1), n).estimate, n)
+    quantities = [f"P({label})" for label in most]
+    return FamilyResult([scope for _, scope in cells], quantities, multinomial_test(kinds[..., felt]), share, n, notes)
 
 
-def _cells_of(answers: AnswerCounts) -> tuple[list[str], list[str], IntArray, IntArray]:
-    """Return scopes, labels of one answer, participants by most frequent answer, and those by that one; by cell."""
-    shown = [answers.effects(pair)[0] for pair in answers.pairs]
-    kinds = answers.n_modal
-    chosen = np.stack([kinds[..., q, :, place] for q, (_, place) in enumerate(shown)], axis=-2)
-    chosen, kinds = chosen.reshape(*chosen.shape[:-3], -1), kinds.reshape(*kinds.shape[:-4], -1, kinds.shape[-1])
-    cells = list(product(answers.pair_cells, answers.levels))
-    scopes = [f"{scope} {answers.scale.say(level)}" for (*_, scope), level in cells]
-    return scopes, [f"P({shown[q][0]})" for (_, q, _), _ in cells], kinds, chosen
+def _cells_of(answers: AnswerCounts) -> tuple[list[tuple[int, str]], IntArray]:
+    """Return the index of the pair and the scope of each cell, and participants by their most frequent answer."""
+    cells = product(answers.pair_cells, answers.levels)
+    kinds = answers.n_modal.reshape(*answers.n_modal.shape[:-4], -1, len(answers.answers))
+    return [(q, f"{scope} {answers.scale.say(level)}") for (_, q, scope), level in cells], kinds
 
 
 def cell_share_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield the share of one answer in each cell, of participants by their most frequent answer."""
-    scopes, quantities, kinds, chosen = _cells_of(answers)
-    shares = clopper_pearson(chosen, kinds.sum(axis=-1))
-    for place, (scope, quantity) in enumerate(zip(scopes, quantities, strict=True)):
-        share = shares[place]
-        yield finding_of("a1", "share in a cell, exact interval", scope, None, quantity, share, int(share.n_effective))
+    cells, kinds = _cells_of(answers)
+    for (q, scope), own in zip(cells, kinds, strict=True):
+        label, place = answers.effects(answers.pairs[q])[0]
+        share = clopper_pearson(own[place], own.sum())
+        yield finding_of(
+            "a1", "share in a cell, exact interval", scope, None, f"P({label})", share, int(share.n_effective)
+        )  # fmt: skip
 
 
 def dominance(answers: AnswerCounts) -> Contrast | None:
