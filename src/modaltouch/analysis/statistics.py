@@ -86,7 +86,10 @@ def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
     shown = kinds.reshape(-1, *kinds.shape[-2:])[0]
     labels = [[label for label, place in answers.labelled(pair) if place in felt] for pair in answers.pairs]
     places = [[place for _, place in answers.labelled(pair) if place in felt] for pair in answers.pairs]
-    most = [labels[q][int(own[places[q]].argmax())] for (q, _), own in zip(cells, shown, strict=True)]
+    most = [
+        labels[q][int(own[places[q]].argmax())] if own.any() else "most frequent answer"
+        for (q, _), own in zip(cells, shown, strict=True)
+    ]
 
     def notes(place: int) -> list[str]:
         said = [", ".join(f"{answers.answers[kind].name} {kinds[place, kind]}" for kind in felt)]

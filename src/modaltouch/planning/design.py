@@ -85,8 +85,8 @@ class Design:
     @cached_property
     def tests(self) -> dict[str, list[tuple[str, str]]]:
         """Scope and quantity of each test of each family, one of `STATISTICS`, worded by the analysis."""
-        everywhere_left = self.count(np.broadcast_to([1, 0, 0], (1, *self.shape, 3)), 1)
-        found = {family: statistic.compute(everywhere_left) for family, statistic in STATISTICS.items()}
+        nothing_yet = self.count(np.zeros((1, *self.shape, 3), dtype=np.int64), 1)
+        found = {family: statistic.compute(nothing_yet) for family, statistic in STATISTICS.items()}
         return {
             family: [] if result is None else list(zip(result.scopes, result.quantities, strict=True))
             for family, result in found.items()
