@@ -44,6 +44,12 @@ def test_a_test_out_of_the_reach_of_its_family_says_so() -> None:
     assert rows[1].note == ""
 
 
+def test_a_significant_test_is_not_said_to_be_out_of_reach() -> None:
+    """Holm steps down: beside a p of 0.001, one of 0.02 is corrected for two tests of three."""
+    rows = correct([finding(0.001, 0.001), finding(0.02, 0.02), finding(0.9)])
+    assert (rows[1].p_holm, rows[1].note) == (pytest.approx(0.04), "")
+
+
 def test_no_information_is_said_where_no_p_could_be_small() -> None:
     """Smallest p above 0.05."""
     assert finding(0.25, 0.25).note.startswith("no information")

@@ -138,6 +138,13 @@ def test_a_design_that_falls_into_one_part_is_not_told_as_several() -> None:
     assert found.as_dict()["notes"] == []
 
 
+def test_each_question_of_a_part_is_answered_in_a_sentence() -> None:
+    """As in the report of a crossed design: what was found, its clearest number, and words instead of file names."""
+    page = render_parts(analyse_parts(responses(rows())))["report.html"]
+    assert page.count("Is one zone of each pair chosen more than the other?") == 2
+    assert "<strong>Not shown: " in page or "<strong>The data cannot tell whether " in page
+
+
 def test_parts_of_ratings_have_no_empty_tables() -> None:
     """Numbers are compared over all parts, so that no part has a test of its own."""
     scale = {"scale": {"kind": "vas", "lowest": 0, "highest": 100}}

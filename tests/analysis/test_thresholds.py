@@ -239,6 +239,7 @@ def test_a_session_ends_in_thresholds_that_the_observer_has(
         assert (tmp_path / "out" / name).stat().st_size > 500
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "SIMULATED DATA" in report
+    assert "<p><strong>The mean threshold is " in report
     assert "http://" not in report.replace("http://www.w3.org", "")
 
 

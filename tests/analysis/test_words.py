@@ -54,6 +54,7 @@ def test_numbers_are_filled_in(paper_frame) -> None:
         ("two_hands A-C - B-D", "two hands, A and C against B and D"),
         ("one_hand A-C, B-D - C-E", "one hand, A and C, B and D against C and E"),
         ("one_hand A-C 1.5 x threshold", "one hand, A and C, 1.5 x threshold"),
+        ("two_hands A-C sharp - A-C blunt", "two hands, A and C, sharp against A and C, blunt"),
         ("all", "all"),
     ],
 )

@@ -122,7 +122,7 @@ def correct(findings: Iterable[Finding]) -> list[Finding]:
         adjusted = holm([rows[i].p for i in members]).tolist()
         for i, p in zip(members, adjusted, strict=True):
             row = rows[i]
-            out_of_reach = row.p_min <= ALPHA < row.p_min * len(members)
+            out_of_reach = p > ALPHA and row.p_min <= ALPHA < row.p_min * len(members)
             reach = f"cannot pass Holm's correction as smallest p of {len(members)}: p is at least {row.p_min:.2g}"
             note = "; ".join(part for part in (reach if out_of_reach else "", row.note) if part)
             rows[i] = replace(row, p_holm=p, note=note)

@@ -18,9 +18,6 @@ if TYPE_CHECKING:
     from modaltouch.analysis.counts import AnswerCounts
     from modaltouch.analysis.responses import Responses
 
-_SHARES = ("", "the share of an answer differs")
-"""Heading and claim of a comparison of shares."""
-
 _UNKNOWN = ("protocol (SHA-256)", "equivalence margin")
 """Terms that a table of answers does not contain."""
 
@@ -76,7 +73,7 @@ def describe_families(analysis: RegisteredAnalysis) -> list[dict[str, Any]]:
         described.append(
             {
                 "name": name,
-                "asks": asks.get(name) or claim_of(name, headings(counts).get(first.question, _SHARES)[1]),
+                "asks": asks.get(name) or claim_of(name, headings(counts)[first.question][1]),
                 "test": "; ".join(dict.fromkeys(row.name for *_, row in rows)),
                 "scopes": [": ".join(filter(None, scope)) for scope in scopes],
                 "significant": any(row.p_holm <= ALPHA for *_, row in rows),

@@ -379,5 +379,5 @@ def questions() -> list[str]:
     return [*_OF_DESIGN, *dict.fromkeys(each.question for each in STATISTICS.values()), *_FURTHER]
 
 
-_OF_DESIGN = ("sensitivity", "function", "rating", "group")
+_OF_DESIGN = ("shares", "sensitivity", "function", "rating", "group")
 _FURTHER = ("e", "f", "catch", "side", "order", "time", "speed")

@@ -13,6 +13,7 @@ from modaltouch.analysis.statistics import STATISTICS, questions
 from modaltouch.report import format_number
 
 HEADINGS = {
+    "shares": ("Do the shares of the answers differ?", "the share of an answer differs"),
     "sensitivity": ("How well can the stimuli be distinguished?", "d' or the criterion differs"),
     "function": ("At which level does the answer change?", "the threshold, the PSE or the JND differs"),
     "rating": ("What do the ratings say?", "ratings differ"),
@@ -78,7 +79,7 @@ def scope_in_words(scope: str, finger_conditions: Sequence[str], pairs: Sequence
             words += " against "
         elif part:
             words += ", " + part.strip(" ,") + (", " if part.strip(" ,") and part.endswith(" ") else "")
-    return words.removeprefix(", ").replace(", , ", ", ")
+    return words.removeprefix(", ").replace(", , ", ", ").replace(" -, ", " against ")
 
 
 def format_p(p: float) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from modaltouch.analysis.certificates import certificates_in_words, certificates_of
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding, correct, plain_row, to_frame
 from modaltouch.analysis.models import model_table, tidy_files, zone_files
@@ -19,9 +18,9 @@ from modaltouch.analysis.registration import ALL_PARTS, Registration, terms_of_t
 from modaltouch.analysis.responses import Responses, cell_of
 from modaltouch.analysis.statistics import uncorrected
 from modaltouch.analysis.tables import tabulate, zone_table
-from modaltouch.analysis.words import format_interval
+from modaltouch.analysis.words import state_families
 from modaltouch.protocol import InputError
-from modaltouch.report import ReportFigure, format_number, page_files
+from modaltouch.report import ReportFigure, page_files
 
 if TYPE_CHECKING:
     from modaltouch.analysis.designs import DesignAnalysis
@@ -240,6 +239,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
     """Return the contents of every file of the analysis, by name, as `write_files` takes them."""
     from modaltouch.analysis.figures import draw_counts
     from modaltouch.analysis.provenance import describe_record
+    from modaltouch.analysis.report import list_questions
 
     pictures = [
         ReportFigure(
@@ -272,7 +272,8 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         n_answers=len(responses.frame),
         counts=analysis.counts.to_dict("records"),
         parts=[
-            (part, [_line(finding) for own, finding in analysis.findings if own is part]) for part in analysis.parts
+            (part, list_questions([finding for own, finding in analysis.findings if own is part], part.counts))
+            for part in analysis.parts
         ],
         n_pictures=len(pictures),
         most_pictures=MOST_FIGURES,
@@ -281,7 +282,8 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         limits=analysis.design.limits if analysis.design else (),
         responses=responses,
         registration=analysis.registration,
-        whole=[_line(finding) for finding in analysis.whole],
+        whole=list_questions(analysis.whole, _everywhere(analysis.parts)),
+        families=state_families([*analysis.whole, *(finding for _, finding in analysis.findings)]),
         alpha=ALPHA,
         record=describe_record(responses.sessions),
     )
@@ -296,11 +298,11 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
     }
 
 
-def _line(finding: Finding) -> dict[str, Any]:
-    numbers = {name: format_number(getattr(finding, name), 2) for name in ("p", "p_holm")}
-    certified = certificates_in_words(certificates_of(finding))
-    said = {"said": format_interval(finding), "certificate": certified}
-    return {**vars(finding), **said, **numbers, "significant": finding.p_holm <= ALPHA}
+def _everywhere(parts: Sequence[CrossedPart]) -> AnswerCounts:
+    """Return the counts of the first part with the finger conditions and pairs of all, to word what is about all."""
+    conditions = dict.fromkeys(name for part in parts for name in part.counts.finger_conditions)
+    pairs = {pair.label: pair for part in parts for pair in part.counts.pairs}
+    return replace(parts[0].counts, finger_conditions=tuple(conditions), pairs=tuple(pairs.values()))
 
 
 def _models(analysis: PartsAnalysis) -> dict[str, Any]:
