@@ -189,13 +189,13 @@ def answer_warnings(protocol: Protocol) -> list[str]:
             "they show what is guessed, not how often; add `none` to answers.keys"
         )
     if not any(answer.fingers or answer.interval for answer in offered) and protocol.answers.scale is None:
-        nothing, own = offered.naming(), {"question": protocol.answers.question, "instructions": protocol.instructions}
+        nothing = offered.naming()
         which = "whatever it feels" if nothing is None else f"but {nothing.name} where it feels nothing"
-        left = " and ".join(f"`{key}`" for key, words in own.items() if words is None)
         warnings.append(
             f"no answer names a finger ({', '.join(offered.names)}): a simulated participant answers at random, {which}"
-            + (f"; {left} in the texts must suit these answers" if left else "")
         )
+    if protocol.task == "other":
+        warnings.append("the question is that of the texts, which must suit these answers; else write answers.question")
     return warnings
 
 

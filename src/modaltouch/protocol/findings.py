@@ -101,9 +101,7 @@ class Findings:
         protocol, apparatus, texts = self.protocol.require(), self.apparatus.require(), self.texts.require()
         files = getattr(self.calibration, "source", None), self.field, getattr(self.fingers, "source", None), self.table
         sources = Sources(self.protocol.source, self.apparatus.source, self.texts.source, *files)
-        if protocol.instructions:
-            texts = texts.model_copy(update={"instructions": texts.named(protocol.instructions)})
-        return Experiment(protocol, apparatus, texts, sources)
+        return Experiment(protocol, apparatus, texts.fitted(protocol), sources)
 
     def problem(self, path: Iterable[str | int], given: str, allowed: str, remedy: str = "") -> Problem:
         """Return a problem at a path of the protocol, which must have been opened.

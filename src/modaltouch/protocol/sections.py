@@ -269,10 +269,34 @@ class Protocol(Section):
     )
     instructions: Text | None = described(
         "What the experiment asks of the participant, written out, or the name of a text under `further` in the texts; "
-        "null for the text `instructions`.",
+        "null for the text `instructions`, which follows the design in the shipped texts.",
         default=None,
         exclude_if=lambda given: given is None,
     )
+
+    @property
+    def task(self) -> str:
+        """Name of the question: the protocol's own or, if it gives none, that of what its answers say."""
+        answers, intervals = self.answers, self.intervals
+        if answers.question is not None:
+            return answers.question
+        if answers.scale is not None:
+            return "magnitude" if answers.scale.kind == "number" else "strength"
+        meanings = {answer.interval for answer in answers.offered}
+        if intervals is None or meanings == {None}:
+            most = max(map(len, self.conditions.contacts))
+            if most > 1 and any(answer.fingers for answer in answers.offered):
+                return "where"
+            return "detection" if answers.has_none_answer else "other"
+        if "different" in meanings:
+            return "same_different"
+        standard = intervals.standard
+        if standard.velocity_mm_s == 0:
+            return "which_vibrated"
+        if intervals.number == 3:
+            return "odd_one"
+        above = standard.stimulus is None and min(self.conditions.peak_velocities_mm_s) > (standard.velocity_mm_s or 0)
+        return "comparison" if intervals.asked == "stronger" or above else "other"
 
     @property
     def closing(self) -> dict[str, AnswersSection]:

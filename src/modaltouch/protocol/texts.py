@@ -38,6 +38,7 @@ _PLACEHOLDERS: dict[str, frozenset[str]] = {
 """Words in braces that a text must contain; every other text must contain none."""
 
 _OPTIONAL: dict[str, frozenset[str]] = {
+    "instructions": frozenset({"vibrates", "n_fingers", "asked"}),
     "how_to_answer": frozenset({"n_answers"}),
     "how_to_answer_or_none": frozenset({"n_answers", "nothing_felt"}),
     "lift_to_answer": frozenset({"hand"}),
@@ -72,7 +73,23 @@ class Texts(Section):
     language_code: Text | None = described("Its code (BCP 47), such as en or fr.", default=None)
     font: FontFile = described("Installed font that is used before Noto's, such as Amiri-Regular.ttf.", default="")
     welcome: Text = described("Greeting on the first screen.")
-    instructions: Text = described("What the experiment asks of the participant.")
+    vibrates: tuple[Text, Text, Text, Text] | None = described(
+        "How the beam vibrates in a trial of one, two or three intervals, and of intervals of which only one is not "
+        "silent; for {vibrates} in the instructions.",
+        default=None,
+    )
+    n_fingers: tuple[Text, Text, Text, Text] | None = described(
+        "One, two, three fingers, and fingers whose number varies; for {n_fingers} in the instructions.", default=None
+    )
+    asked: dict[Word, Annotated[Text, Field(min_length=1), AfterValidator(_check_text)]] = described(
+        "What the participant is to say, for {asked} in the instructions, by the name of the question; `other` for a "
+        "question that is not listed.",
+        default={},
+    )
+    instructions: Text = described(
+        "What the experiment asks of the participant; may contain {vibrates}, {n_fingers} and {asked}, which follow "
+        "the design."
+    )
     how_to_answer: Text = described("How to answer and to pause; contains {pause_key}, may contain {n_answers}.")
     how_to_answer_or_none: Text | None = described(
         "Used instead of how_to_answer if an answer says that nothing was felt; contains {pause_key}, may contain "
@@ -183,8 +200,24 @@ class Texts(Section):
         """Refuse an empty text, and one whose words in braces differ from what the window fills in."""
         name = str(info.field_name)
         if isinstance(text, str):
-            _check_text(text, _PLACEHOLDERS.get(name, frozenset()), _OPTIONAL.get(name, frozenset()))
+            optional = _OPTIONAL.get(name, frozenset())
+            if name == "instructions":
+                optional = frozenset(each for each in optional if info.data.get(each))
+            _check_text(text, _PLACEHOLDERS.get(name, frozenset()), optional)
         return text
+
+    def fitted(self, protocol: Protocol) -> Texts:
+        """Return the texts with the instructions and the question that a protocol's design needs."""
+        task, intervals, counts = protocol.task, protocol.intervals, {*map(len, protocol.conditions.contacts)}
+        n_intervals = 1 if intervals is None else 4 if intervals.standard.velocity_mm_s == 0 else intervals.number
+        words = {
+            "vibrates": self.vibrates and self.vibrates[n_intervals - 1],
+            "n_fingers": self.n_fingers and self.n_fingers[min(counts) - 1 if len(counts) == 1 else 3],
+            "asked": self.asked.get(task) or self.asked.get("other", ""),
+        }
+        own = protocol.instructions
+        instructions = self.named(own) if own else self.instructions.format(**words)
+        return self.model_copy(update={"instructions": instructions, "question": self.further.get(task, self.question)})
 
     def number(self, count: int) -> str:
         """Return a number of answers as the participant reads it."""
