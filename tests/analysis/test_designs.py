@@ -177,6 +177,34 @@ def test_confidence_is_compared_between_correct_and_incorrect_answers(compared) 
     assert over_levels.p == pytest.approx(1e-4) and over_levels.family == "rating over levels"
 
 
+def test_further_answers_of_a_list_are_counted_and_have_no_order(compared) -> None:
+    """Known: smooth below 100 mm/s, rough above, some unanswered; listing them in another order changes no number."""
+    felt = np.where(compared["velocity_mm_s"] > 100, "rough", "smooth")
+    felt[::7], felt[::11] = "neither", "time_out"
+    keys = {"rough": ["a"], "smooth": ["b"], "neither": ["c"]}
+    for order in (keys, dict(reversed(keys.items()))):
+        answers = {**TWO["answers"], "then": {"texture": {"keys": order}}}
+        responses = take(compared.assign(texture=felt), {**TWO, "answers": answers})
+        design = analyse_design(responses)
+        shares = {(each.measure.name, each.participant, each.level): each.interval.estimate for each in design.values}
+        known = responses.frame[responses.frame["texture"].isin(keys)]
+        for (who, level), part in known.groupby(["participant", "velocity_mm_s"], observed=True):
+            own = [shares[f"P(texture: {answer})", who, level] for answer in keys]
+            assert own == [pytest.approx((part["texture"] == answer).mean()) for answer in keys]
+        p = {row.name.split(" over levels")[0]: row.p for row in design.findings if "over levels" in row.name}
+        assert p["P(texture: rough)"] == p["P(texture: smooth)"] == pytest.approx(1e-4)
+        assert p["P(texture: neither)"] > 0.05
+
+
+def test_of_two_further_answers_the_share_of_the_second_tells_both(compared) -> None:
+    """One test instead of two that say the same."""
+    answers = {**TWO["answers"], "then": {"sure": {"keys": {"guessed": ["a"], "certain": ["b"]}}}}
+    frame = compared.assign(sure=np.where(compared["velocity_mm_s"] > 100, "certain", "guessed"))
+    _, values = found(take(frame, {**TWO, "answers": answers}))
+    names = {name for name in values if "sure" in name}
+    assert names == {"P(sure: certain)", "P(sure: certain) when correct less when not"}
+
+
 def test_groups_are_compared_by_participants_and_never_by_trials(compared) -> None:
     """Known: the low ones feel 0.6 dB less; every trial twice leaves p of the shares as it was."""
     few = compared[compared["velocity_mm_s"] > 100]
@@ -383,7 +411,7 @@ def test_magnitudes_have_the_exponent_of_their_power_law(magnitudes, tmp_path: P
         rows = list(csv.DictReader(file))
     assert {row["measure"] for row in rows} == {"magnitude", "exponent of magnitude"}
     page = done.files["report.html"].read_text(encoding="utf-8")
-    assert "What do the ratings say?" in page and "exponent of magnitude is not zero" in page
+    assert "What do ratings and further answers say?" in page and "exponent of magnitude is not zero" in page
     assert not {"fig_10.svg", "fig_10.csv"} & set(done.files)
 
 

@@ -286,7 +286,7 @@ def cells(frame: pd.DataFrame, scale: LevelScale, *, by_level: bool) -> Iterator
 
 _CLAIMS = {
     " compared": "{claim} between conditions",
-    " over levels": "ratings change with the level",
+    " over levels": "ratings or further answers change with the level",
     "groups": "{claim}",
     "PSE": "the PSE is not the standard",
     "": "{family} is not zero",

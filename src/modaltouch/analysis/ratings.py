@@ -1,4 +1,4 @@
-"""Ratings: means of each participant, rank tests over levels, and the power law of magnitude estimates."""
+"""Ratings and further answers: means and shares, rank tests over levels, the power law of magnitude estimates."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SHUFFLES = 9_999
 
 @dataclass(frozen=True)
 class Question:
-    """Something that was rated.
+    """Something that was rated, or an answer of a list, which is counted.
 
     Attributes
     ----------
@@ -36,8 +36,10 @@ class Question:
         Column of the tidy answers.
     is_magnitude : bool
         Whether numbers were typed, to be compared as ratios.
-    places : tuple of str
-        The list of answers, each rated by its place in the list; empty for a scale.
+    answers : tuple of str
+        The list of answers; empty for a scale.
+    counted : str
+        The answer of the list whose share is taken.
     ends : (float, float) or None
         Lowest and highest rating, if the scale has them.
     """
@@ -45,33 +47,44 @@ class Question:
     name: str
     column: str
     is_magnitude: bool = False
-    places: tuple[str, ...] = ()
+    answers: tuple[str, ...] = ()
+    counted: str = ""
     ends: tuple[float, float] | None = None
 
     @classmethod
-    def of(cls, name: str, column: str, asked: Mapping[str, Any]) -> Question:
-        """Return a question of the protocol, with a scale or keys of answers."""
-        places = tuple(asked.get("keys") or ())
-        if places or not asked.get("scale"):
-            return cls(name, column, places=places, ends=(1.0, len(places)) if places else None)
+    def of(cls, name: str, column: str, asked: Mapping[str, Any]) -> tuple[Question, ...]:
+        """Return a question of the protocol with a scale, or the answers of its list, which need have no order."""
+        if answers := tuple(asked.get("keys") or ()):
+            # Of two answers, the share of the second tells both.
+            counted = answers[len(answers) == 2 :]
+            return tuple(cls(f"P({name}: {each})", column, False, answers, each, (0.0, 1.0)) for each in counted)
+        if not asked.get("scale"):
+            return (cls(name, column),)
         scale = ScaleSection.model_validate(asked["scale"])
         ends = None if math.isinf(scale.high) else (scale.low, scale.high)
-        return cls(name, column, scale.kind == "number", ends=ends)
+        return (cls(name, column, scale.kind == "number", ends=ends),)
 
     @property
     def measure(self) -> Measure:
         """The measure that a participant's mean is a value of."""
-        way = " (place in its list)" if self.places else " (geometric mean)" if self.is_magnitude else ""
+        way = " (geometric mean)" if self.is_magnitude else ""
         ends = None if self.is_magnitude else self.ends
         return Measure(self.name, f"{self.name}{way}", "rating", None, self.is_magnitude, is_ranked=True, ends=ends)
 
     def numbers(self, frame: pd.DataFrame) -> pd.Series:
-        """Return the rating of each answer; NaN where there is none, or where a magnitude is not above zero."""
-        if self.places:
-            places = {name: float(place) for place, name in enumerate(self.places, 1)}
-            return frame[self.column].astype(str).map(places)
+        """Return the rating of each answer, or 1 if it is the counted one and 0 if not; NaN where there is none.
+
+        A magnitude that is not above zero is none.
+        """
+        if self.answers:
+            given = frame[self.column].astype(str)
+            return (given == self.counted).astype(float).where(given.isin(self.answers))
         values = pd.to_numeric(frame[self.column], errors="coerce")
         return values.where(values > 0) if self.is_magnitude else values
+
+    def told(self, frame: pd.DataFrame) -> pd.Series:
+        """Return what was answered, as a table for models has it: a word of the list, or the rating."""
+        return frame[self.column].astype(str) if self.answers else self.numbers(frame)
 
 
 def questions_of(design: Mapping[str, Any], frame: pd.DataFrame) -> tuple[Question, ...]:
@@ -85,13 +98,13 @@ def questions_of(design: Mapping[str, Any], frame: pd.DataFrame) -> tuple[Questi
         Tidy answers.
     """
     section = design.get("answers") or {}
-    known = []
+    known: list[Question] = []
     if "value" in frame.columns and pd.to_numeric(frame["value"], errors="coerce").notna().any():
         scale = section.get("scale")
         name = "magnitude" if scale and scale["kind"] == "number" else "rating"
-        known.append(Question.of(name, "value", {"scale": scale}))
+        known += Question.of(name, "value", {"scale": scale})
     for name, asked in (section.get("then") or {}).items():
-        known.append(Question.of(name, name, asked))
+        known += Question.of(name, name, asked)
     return tuple(each for each in known if each.column in frame.columns)
 
 

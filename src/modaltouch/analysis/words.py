@@ -16,7 +16,7 @@ HEADINGS = {
     "shares": ("Do the shares of the answers differ?", "the share of an answer differs"),
     "sensitivity": ("How well can the stimuli be distinguished?", "d' or the criterion differs"),
     "function": ("At which level does the answer change?", "the threshold, the PSE or the JND differs"),
-    "rating": ("What do the ratings say?", "ratings differ"),
+    "rating": ("What do ratings and further answers say?", "ratings or further answers differ"),
     "group": ("Do the groups of participants differ?", "the groups differ"),
     "a1": ("Do the answers of a cell differ from guessing?", "answers differ from guessing"),
     "a2": ("Is one zone of each pair chosen more than the other?", "one zone is chosen more than the other"),
