@@ -55,6 +55,8 @@ def test_numbers_are_filled_in(paper_frame) -> None:
         ("one_hand A-C, B-D - C-E", "one hand, A and C, B and D against C and E"),
         ("one_hand A-C 1.5 x threshold", "one hand, A and C, 1.5 x threshold"),
         ("two_hands A-C sharp - A-C blunt", "two hands, A and C, sharp against A and C, blunt"),
+        ("one_hand A-C slow - A-C usual", "one hand, A and C, slow against A and C, usual"),
+        ("high - low", "high against low"),
         ("all", "all"),
     ],
 )

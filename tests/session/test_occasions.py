@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -129,7 +130,11 @@ def test_the_analysis_leaves_training_out_and_counts_each_group_by_itself(result
         "of the kind training, which is not analysed (schedule.sessions)"
     }
     report = (tmp_path / "analysis" / "report.html").read_text("utf-8")
-    assert "near one_hand and two_hands A-C at 80 mm/s" in report
+    assert "near one hand and two hands A-C at 80 mm/s" in report
+    # In words, as in the report of a crossed design: no bare names, no minus for "against".
+    assert ">one hand against two hands, A and C<" in report
+    tests = report[report.index('<section id="tests">') : report.index('<section id="limits">')]
+    assert not re.search("<t[dh][^>]*>[^<]*(one_hand|two_hands|hands? - )", tests)
     assert "zone ~ group + finger_condition + pair + level" in (tmp_path / "analysis" / "models.R").read_text("utf-8")
 
 

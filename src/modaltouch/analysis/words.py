@@ -64,22 +64,17 @@ def scope_in_words(scope: str, finger_conditions: Sequence[str], pairs: Sequence
     Parameters
     ----------
     scope : str
-        Scope of a finding: ``one_hand A-C 80 mm/s``, ``one_hand - two_hands A-C``, ``one_hand A-C - C-E``.
+        Scope of a finding: ``one_hand A-C 80 mm/s``, ``one_hand - two_hands A-C``, ``one_hand A-C - C-E``; a minus
+        between spaces sets one side against the other.
     finger_conditions, pairs : sequence of str, sequence of Pair
         Names that may occur in it.
     """
     names = {name: condition_in_words(name) for name in finger_conditions}
     names |= {pair.label: pair.said for pair in pairs}
     longest_first = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
-    words = ""
-    for part in re.split(rf"(?<![\w-])({longest_first})(?![\w-])", scope):
-        if part in names:
-            words += names[part]
-        elif part.strip() == "-":
-            words += " against "
-        elif part:
-            words += ", " + part.strip(" ,") + (", " if part.strip(" ,") and part.endswith(" ") else "")
-    return words.removeprefix(", ").replace(", , ", ", ").replace(" -, ", " against ")
+    known = re.compile(rf"(?<![\w-])({longest_first})(?![\w-])")
+    sides = ([names.get(part, part.strip(" ,")) for part in known.split(side)] for side in scope.split(" - "))
+    return " against ".join(", ".join(filter(None, words)) for words in sides)
 
 
 def format_p(p: float) -> str:

@@ -18,7 +18,7 @@ from modaltouch.analysis.registration import ALL_PARTS, Registration, terms_of_t
 from modaltouch.analysis.responses import Responses, cell_of
 from modaltouch.analysis.statistics import uncorrected
 from modaltouch.analysis.tables import tabulate, zone_table
-from modaltouch.analysis.words import state_families
+from modaltouch.analysis.words import condition_in_words, state_families
 from modaltouch.protocol import InputError
 from modaltouch.report import ReportFigure, page_files
 
@@ -250,7 +250,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
                 part.counts.n_participants if part.counts.n_repetitions > 1 else None,
                 " ".join(filter(None, part.factors.values())),
             ),
-            part.name,
+            condition_in_words(part.name),
         )
         for number, part in enumerate(analysis.parts, start=1)
         for condition in part.counts.finger_conditions
