@@ -77,7 +77,7 @@ def test_a_ctrl_c_while_the_program_is_still_being_loaded_is_no_traceback(tmp_pa
         "import sys, runpy; sys.path.insert(0, sys.argv.pop(1)); "
         "runpy.run_module('modaltouch.__main__', run_name='__main__')"
     )
-    for module, said in (("typer", "interrupted; nothing was begun\n"), ("numpy", "interrupted\n")):
+    for module, said in (("typer", "interrupted; nothing was begun\n"), ("numpy", "interrupted; nothing was driven\n")):
         (tmp_path / module).mkdir()
         (tmp_path / module / f"{module}.py").write_text("raise KeyboardInterrupt\n")
         words = [sys.executable, "-c", program, tmp_path / module, "simulate", "demo"]
@@ -198,6 +198,13 @@ def test_check_json_carries_what_the_issue_asks(checked):
         assert set(stimulus["target_mm_s"]) == set(stimulus["achieved_mm_s"]) == labels
         assert set(stimulus["zone_at_focus_mm_s"]) == set(stimulus["zone_peak_mm_s"]) == set("ABCDE")
         assert stimulus["zone_at_focus_mm_s"]["C"] == pytest.approx(stimulus["velocity_mm_s"], rel=1e-3)
+
+
+def test_the_table_has_the_standard_in_its_place_and_by_its_name(monkeypatch):
+    """Levels rise from row to row; the standard is presented in every trial, but is no level of the comparison."""
+    monkeypatch.setenv("COLUMNS", "120")
+    rows = re.findall(r"(?m)^│ +(\d+)( \(standard\))? │", run_in_a_process("check", "comparison_2ifc").stdout)
+    assert rows == [(str(level), " (standard)" * (level == 100)) for level in (70, 80, 90, 100, 110, 125, 140)]
 
 
 def test_the_modal_error_covers_every_difference_between_target_and_achieved(checked):

@@ -160,6 +160,13 @@ def test_the_study_shows_groups_and_kinds_and_who_is_next(results: Path) -> None
     assert study["sessions_each"] == 2
 
 
+def test_sessions_excluded_for_one_reason_share_a_line(results: Path) -> None:
+    """In a study of sixty, a line for each training would bury what is damaged."""
+    said = " ".join(call(f"study {results}").stdout.split())
+    assert said.count("excluded") == 1
+    assert "4 sessions: excluded, of the kind training, which is not analysed (schedule.sessions)" in said
+
+
 def test_a_session_sooner_than_its_kind_allows_is_refused(preflight: Preflight, results: Path, tmp_path: Path) -> None:
     """Where it is begun all the same the record says so."""
     sit(preflight, tmp_path, "p01")

@@ -147,11 +147,11 @@ def show(
         console.print(f"[dim]{_PULL}[/]")
     elif fingers is None and (said := checked.untouched_warning()):
         console.print(f"[yellow]{escape(said)}[/]")
-    if stimuli[-1]["release"] == "free":
+    if (highest := max(stimuli, key=lambda each: each["velocity_mm_s"]))["release"] == "free":
         console.print(
-            f"Released freely, at {stimuli[-1]['velocity_mm_s']:g} mm/s the first burst misses a mode by "
-            f"{stimuli[-1]['worst_modal_error_mm_s']:.1e} mm/s, the later ones, which begin before it has died out, by "
-            f"{stimuli[-1]['worst_modal_error_steady_mm_s']:.1e} mm/s"
+            f"Released freely, at {highest['velocity_mm_s']:g} mm/s the first burst misses a mode by "
+            f"{highest['worst_modal_error_mm_s']:.1e} mm/s, the later ones, which begin before it has died out, by "
+            f"{highest['worst_modal_error_steady_mm_s']:.1e} mm/s"
         )
     for stimulus in values.get("comparison", []):
         console.print(
@@ -281,12 +281,25 @@ def _by_occasion(
     """Return the rows of the tables by the groups and kinds of session that share them; without a name if all do."""
     found: list[tuple[list[str], list[dict[str, Any]]]] = []
     for each in (checked, *checked.others):
-        rows = stimuli if each is checked else each.as_dict(fingers=fingers)["stimuli"]
+        rows = _in_order(each, stimuli if each is checked else each.as_dict(fingers=fingers)["stimuli"])
         alike = next((names for names, known in found if known == rows), None)
         if alike is None:
             found.append((alike := [], rows))
         alike.append(" ".join(filter(None, each.findings.occasion)))
     return {f" ({', '.join(names)})" if len(found) > 1 else "": rows for names, rows in found}
+
+
+def _in_order(checked: preflight.Preflight, stimuli: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rows of each stimulus by level, with the level in words, which tell the standard of intervals."""
+    protocol = checked.experiment.protocol
+    standard = None if protocol.intervals is None else protocol.intervals.standard
+    names = list(protocol.stimuli) or [""]
+    rows = []
+    for each in sorted(stimuli, key=lambda row: (names.index(row.get("stimulus", "")), row["velocity_mm_s"])):
+        level = each["velocity_mm_s"]
+        is_told = standard and standard.velocity_mm_s == level and standard.stimulus in (None, each.get("stimulus"))
+        rows.append({**each, "level": f"{level:g}" + (" (standard)" if is_told else "")})
+    return rows
 
 
 def _show_levels(stimuli: list[dict[str, Any]], whose: str) -> None:
@@ -328,7 +341,7 @@ def _show_speeds(title: str, headings: Sequence[str], rows: Sequence[tuple[Any, 
     print_table(
         title,
         (*named, "level mm/s", *headings),
-        [(*map(stimulus.get, named), f"{stimulus['velocity_mm_s']:g}", *cells) for stimulus, *cells in rows],
+        [(*map(stimulus.get, named), stimulus["level"], *cells) for stimulus, *cells in rows],
         n_words=len(named),
     )
 

@@ -109,7 +109,10 @@ def exit_status(error: BaseException) -> int | None:
 def _say(error: BaseException, status: int) -> str:
     """Return an error in words."""
     if isinstance(error, KeyboardInterrupt):
-        return "interrupted: the outputs are off" if hasattr(error, "__notes__") else "interrupted"
+        if hasattr(error, "__notes__"):
+            return "interrupted: the outputs are off"
+        # What drives a rig is loaded before the first connection to it.
+        return "interrupted" if "modaltouch.rig.connection" in sys.modules else "interrupted; nothing was driven"
     if status == INTERRUPTED:
         return f"ended by {error}: the outputs are off"
     if isinstance(error, PermissionError):

@@ -8,6 +8,7 @@ import shutil
 import sys
 import tempfile
 import time
+from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -240,6 +241,10 @@ def _in_words(dataset: dict[str, Any]) -> dict[str, Any]:
     n_complete = sum(row["state"] == "complete" for row in rows)
     title, mode = dataset["title"] or dataset["protocol"], dataset["mode"]
     kind = "" if mode == "real" else f", {mode} data"
+    left_out: dict[str, list[str]] = defaultdict(list)
+    for row in rows:
+        if why := row["excluded"].replace(f"{row['log']}:", "line "):
+            left_out[why].append(f"{row['participant']} session {row['session']}")
     each = "" if n_each is None else f", {n_each} planned for each participant"
     return {
         "folder": dataset["folder"],
@@ -262,10 +267,8 @@ def _in_words(dataset: dict[str, Any]) -> dict[str, Any]:
         ],
         "remarks": [
             *(
-                f"{row['participant']} session {row['session']} is excluded: "
-                + row["excluded"].replace(f"{row['log']}:", "line ")
-                for row in rows
-                if row["excluded"]
+                f"{', '.join(who) if len(who) < 3 else f'{len(who)} sessions'}: excluded, {why}"
+                for why, who in left_out.items()
             ),
             *dataset["notes"],
         ],
