@@ -99,6 +99,36 @@ def test_one_finger_and_three_lie_on_their_zones_under_their_names(
     assert any(all(experiment.texts.finger(finger) in text for finger in fingers) for text in words)
 
 
+@pytest.mark.parametrize("size", [(800, 600), (1280, 800), (1920, 1080)])
+@pytest.mark.parametrize("language", ["arabic", "chinese", "english", "french", "german"])
+@pytest.mark.parametrize(
+    ("fingers", "zones"),
+    [
+        (("right index", "right middle"), "BC"),
+        (("left index", "right index"), "DE"),
+        (("right index", "right middle", "right ring"), "CDE"),
+        (("left little", "left ring", "left middle"), "ABC"),
+    ],
+)
+def test_names_of_neighbouring_fingers_are_legible(
+    experiment: Experiment, fingers: tuple[str, ...], zones: str, language: str, size: tuple[int, int]
+) -> None:
+    """Apart, in the order of the fingers, within the window; at 800 x 600 three long names lose a seventh at most."""
+    texts = Texts.model_validate(YAML(typ="safe").load(Path(f"protocols/texts/{language}.yaml")))
+    layout = lay_out(*size, experiment.apparatus.zone_spans, AnswerList.of({}))
+    typesetter, names = Typesetter(texts.font), tuple(map(texts.finger, fingers))
+    marks = draw_hands(layout, DARK, tuple(zones), fingers, names, typesetter)
+    words = [mark for mark in marks if isinstance(mark, Words)]
+    assert [word.text for word in words] == list(names)
+    widths = [typesetter.measure(word.text, bold=True) * word.size for word in words]
+    lefts, rights = (
+        [word.box.x + sign * width / 2 for word, width in zip(words, widths, strict=True)] for sign in (-1, 1)
+    )
+    assert all(before < after for before, after in zip(rights, lefts[1:], strict=False))
+    assert -layout.width / 2 < lefts[0] and rights[-1] < layout.width / 2
+    assert words[0].size >= 0.85 * 0.031 * layout.type_scale
+
+
 @pytest.mark.parametrize("condition", FINGERS)
 def test_the_finger_named_above_a_zone_is_the_one_recorded(experiment: Experiment, condition: tuple[str, str]) -> None:
     """Expected names: trial.FINGERS, which the record uses, in the words of the English texts."""

@@ -26,15 +26,8 @@ def draw_beam(layout: Layout, theme: Theme, touched: tuple[str, ...], typesetter
     """Return the beam with its zones; every touched zone looks the same, and all names have one size."""
     unit, beam = layout.unit, layout.beam
     rim = 0.007 * unit
-    marks: list[Mark] = [
-        *framed(
-            Box(beam.x, beam.y, beam.width + 2 * rim, beam.height + 2 * rim),
-            0.012 * unit,
-            theme.beam_edge,
-            theme.beam,
-            0.004 * unit,
-        )
-    ]
+    outline = Box(beam.x, beam.y, beam.width + 2 * rim, beam.height + 2 * rim)
+    marks: list[Mark] = [*framed(outline, 0.012 * unit, theme.beam_edge, theme.beam, 0.004 * unit)]
     edges = {round(edge, 6) for box in layout.zones.values() for edge in (box.left, box.right)}
     within = sorted(edges - {round(beam.left, 6), round(beam.right, 6)})
     marks += [rectangle(Box(x, beam.y, 0.003 * unit, beam.height), theme.beam_edge) for x in within]
@@ -87,16 +80,28 @@ def draw_hands(
             palm, on_beam = _draw_hand(layout, theme, side, own, own_fills)
             palms += palm
             touching += on_beam
-    gap = min((abs(tips[a][0] - tips[b][0]) for a, b in pairwise(fingers)), default=layout.beam.width / 2)
-    room = Box(
-        0, layout.beam.top + 0.094 * layout.unit, max(gap, layout.zones[zones[0]].width) * 0.94, 0.05 * layout.unit
-    )
-    size = 0.031 * layout.type_scale
-    size *= common_share(typesetter, names, room, size)
-    named = zip(zones, names, colours, strict=True)
-    words = (Words(name, replace(room, x=layout.zones[zone].x), size, fill, bold=True) for zone, name, fill in named)
+    places, room, size = _place_names(layout, [layout.zones[zone].x for zone in zones], names, typesetter)
+    named = zip(places, names, colours, strict=True)
+    words = (Words(name, replace(room, x=x), size, fill, bold=True) for x, name, fill in named)
     # Crossed hands on neighbouring zones overlap: no palm may hide the other hand's finger.
     return (*palms, *touching, *words)
+
+
+def _place_names(
+    layout: Layout, tips: list[float], names: tuple[str, ...], typesetter: Typesetter
+) -> tuple[list[float], Box, float]:
+    """Return where the names of fingers stand, the room of each, and their size [window heights].
+
+    Names wider than their fingers are apart move outwards; only what the window cannot hold is drawn smaller.
+    """
+    gap, n = min((b - a for a, b in pairwise(tips)), default=layout.beam.width / 2), len(tips)
+    middle, size = (tips[(n - 1) // 2] + tips[n // 2]) / 2, 0.031 * layout.type_scale
+    room = Box(0, layout.beam.top + 0.094 * layout.unit, 0.94 * gap, 0.05 * layout.unit)
+    share = common_share(typesetter, names, room, size)
+    apart = min(gap / share, (0.49 * layout.width - abs(middle)) / (n / 2))
+    moved_out = (max(abs(x - middle), apart * abs(i - (n - 1) / 2)) for i, x in enumerate(tips))
+    places = [middle + out * (1 if x > middle else -1) for x, out in zip(tips, moved_out, strict=True)]
+    return places, replace(room, width=0.94 * apart), size * min(1.0, share * apart / gap)
 
 
 def spoken(zone: str) -> str:
