@@ -167,6 +167,12 @@ def test_sessions_excluded_for_one_reason_share_a_line(results: Path) -> None:
     assert "4 sessions: excluded, of the kind training, which is not analysed (schedule.sessions)" in said
 
 
+def test_analyse_says_once_why_several_sessions_are_left_out(results: Path, tmp_path: Path) -> None:
+    """With the first of them and the number of the others; the report lists all."""
+    complained = call(f"analyse {results} --out {tmp_path / 'out'}").stderr
+    assert complained.count("left out: ") == 1 and " and 3 more: of the kind training" in complained
+
+
 def test_a_session_sooner_than_its_kind_allows_is_refused(preflight: Preflight, results: Path, tmp_path: Path) -> None:
     """Where it is begun all the same the record says so."""
     sit(preflight, tmp_path, "p01")

@@ -134,8 +134,12 @@ def tell(found: Any) -> None:
         cells = "; ".join(f"{each['participant']} {each['cell']}" for each in values["missing"][:5])
         more = f" and {len(values['missing']) - 5} more cells" if len(values["missing"]) > 5 else ""
         typer.secho(f"missing answers, {values['n_missing']}: {cells}{more}", err=True, fg=typer.colors.YELLOW)
+    sources: dict[str, list[str]] = {}
     for left_out in values["left_out"]:
-        typer.secho(f"left out: {left_out['source']}: {left_out['reason']}", err=True, fg=typer.colors.YELLOW)
+        sources.setdefault(left_out["reason"], []).append(left_out["source"])
+    for reason, those in sources.items():
+        more = f" and {len(those) - 1} more" if len(those) > 1 else ""
+        typer.secho(f"left out: {those[0]}{more}: {reason}", err=True, fg=typer.colors.YELLOW)
     for departure in values.get("departures", ()):
         typer.secho(f"departs from the preregistration: {departure}", err=True, fg=typer.colors.YELLOW)
     width = max(map(len, values["files"]))

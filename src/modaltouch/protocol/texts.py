@@ -161,12 +161,12 @@ class Texts(Section):
     )
     measure_again: Text = described(
         "Asks for the fingers once more if they could not be measured.",
-        default="Once more, please.\n\nYour fingers could not be measured. Lay them down as before, and keep still.",
+        default="Once more, please.\n\nThe measurement did not succeed.\n\nTouch the beam as before, and keep still.",
     )
     how_to_rate: Text = described(
         "Used instead of how_to_answer if the answer is a place or number on a scale; contains {pause_key}.",
-        default="Each time, answer on this scale, and confirm.\n\nThere is no right or wrong here: tell us what you "
-        "feel, and if in doubt trust your first impression. Press {pause_key} whenever you need a pause.",
+        default="Each time, give your answer here, and confirm it.\n\nThere is no right or wrong here: tell us what "
+        "you feel, and if in doubt trust your first impression. Press {pause_key} whenever you need a pause.",
     )
     confirm_rating: Text = described(
         "Label of the button that confirms the mark or number on a scale; contains {key}.", default="Confirm: {key}"
