@@ -170,3 +170,20 @@ def test_a_pilot_is_fitted_and_planned_with(tmp_path: Path) -> None:
     assert "not overwritten" in again.stderr
     planned = run("power", DEMO, "--observer", tmp_path / "fitted.yaml", "-n", 8, "--experiments", 5, "--json")
     assert json.loads(planned.stdout)["observer"]["name"] == "fitted"
+
+
+def test_an_interrupted_preregistration_offers_no_session_to_resume(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Its simulated sessions are in a folder that is gone by then."""
+    from modaltouch import session
+
+    def cut_short(*_: object, **__: object) -> None:
+        error = KeyboardInterrupt()
+        error.add_note("continue with `modaltouch resume /tmp/gone`")
+        raise error
+
+    monkeypatch.setattr(session, "simulate_session", cut_short)
+    done = run("prereg", "magnitude", "-n", 2, "--experiments", 1, "--out", tmp_path / "prereg.md")
+    assert done.exit_code == 130 and "interrupted" in done.stderr
+    assert "resume" not in done.stderr

@@ -260,13 +260,17 @@ def _simulate_study(
 ) -> analysis.Responses:
     """Return the answers of a whole experiment in simulated sessions, whose records are not kept."""
     schedule = checked.experiment.protocol.schedule
+    due = [(who, nth) for who in range(1, n_participants + 1) for nth in range(1, schedule.n_sessions + 1)]
     with TemporaryDirectory() as folder:
-        for number in range(1, n_participants + 1):
-            for number_of_session in range(1, schedule.n_sessions + 1):
+        try:
+            for who, nth in due:
                 session.simulate_session(
-                    checked, f"p{number:04d}", folder, seed=seed, observer=population, session=number_of_session,
+                    checked, f"p{who:04d}", folder, seed=seed, observer=population, session=nth,
                     threshold_mm_s=threshold_mm_s,
                 )  # fmt: skip
+        except BaseException as error:
+            vars(error).pop("__notes__", None)  # its folder is gone, so the session cannot be resumed
+            raise
         return analysis.read_responses(Path(folder))
 
 
