@@ -164,8 +164,10 @@ def write_view(
     RecordError
         If a file cannot be written; the existing files stay valid.
     """
+    read = session.start.get("instructions", "").replace("\n", " ")
     side = {
         "TaskName": place.protocol,
+        **({"Instructions": read} if read else {}),
         **_columns(session),
         "Mode": session.mode,
         "SessionLog": {"File": LOG_NAME, **head},

@@ -37,6 +37,8 @@ def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolde
         "protocol": experiment.protocol.protocol,
         "apparatus": experiment.apparatus.apparatus,
         "language": experiment.texts.language,
+        "instructions": experiment.texts.instructions,
+        "question": experiment.texts.named(experiment.protocol.answers.question or experiment.texts.question),
         "design": experiment.protocol.model_dump(mode="json"),
         "sources": experiment.sources.as_dict(),
         **({"calibration_mark": preflight.calibration_mark} if preflight.calibration_mark else {}),
