@@ -34,7 +34,7 @@ def test_a_number_that_another_demonstration_takes_meanwhile_is_passed_over(
 
     monkeypatch.setattr(sessions, "begin", begin)
     monkeypatch.setattr(analysis, "analyse", analyse)
-    monkeypatch.setattr(WindowOptions, "display", lambda self: nullcontext("the screen"))
+    monkeypatch.setattr("modaltouch.window.environment.some_display", lambda: nullcontext("the screen"))
     outcome = demonstrate(
         tmp_path, seed=1, window_options=WindowOptions(), tell=said.append, on_progress=lambda done, total: None
     )

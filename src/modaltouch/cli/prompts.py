@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import typer
 
 from modaltouch import record, rig, session
 from modaltouch.cli.check import show
 from modaltouch.cli.output import INTERRUPTED, leave
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 def can_ask() -> bool:

@@ -11,10 +11,9 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import typer
 
@@ -110,7 +109,8 @@ def doctor(
             return
         findings = examine_machine(results)
         if json_output:
-            print_json({"findings": [vars(finding) for finding in findings]})
+            named = "subject", "state", "found", "remedy"
+            print_json({"findings": [dict(zip(named, finding, strict=False)) for finding in findings]})
         else:
             for finding in findings:
                 word, colour = STATES[finding.state]
@@ -288,34 +288,12 @@ def _order(row: dict[str, Any]) -> str:
     return (f"{named}: " if named else "") + " then ".join(row["finger_conditions"]) + placed
 
 
-@dataclass(frozen=True)
-class MachineCheck:
-    """One thing that was checked.
-
-    Attributes
-    ----------
-    subject : str
-        What was checked.
-    state : str
-        ``ok``, ``warning`` (something optional is absent) or ``fault`` (a session cannot run).
-    found : str
-        What is there.
-    remedy : str
-        What to do; empty where all is well.
-    """
-
-    subject: str
-    state: Literal["ok", "warning", "fault"]
-    found: str
-    remedy: str = ""
-
-
-def examine_machine(results: Path) -> tuple[MachineCheck, ...]:
+def examine_machine(results: Path) -> tuple[window.MachineCheck, ...]:
     """Check everything a session needs, and draw a letter in the window; no instrument is opened."""
     return (
         _python(),
         _packages(),
-        *(MachineCheck(*check[:4]) for check in window.examine_environment()),
+        *window.examine_environment(),
         _usb(),
         _precedence(),
         _disk(results),
@@ -327,47 +305,49 @@ def missing_packages() -> list[str]:
     return [package for check in window.examine_environment(quick=True) for package in check.packages]
 
 
-def _python() -> MachineCheck:
+def _python() -> window.MachineCheck:
     found = f"Python {system.versions()['python']} on {system.versions()['system']}"
     if (3, 11) <= sys.version_info[:2] <= (3, 12):
-        return MachineCheck("python", "ok", found)
-    return MachineCheck("python", "fault", found, "use Python 3.11 or 3.12: PsychoPy does not support 3.13 or later")
+        return window.MachineCheck("python", "ok", found)
+    return window.MachineCheck(
+        "python", "fault", found, "use Python 3.11 or 3.12: PsychoPy does not support 3.13 or later"
+    )
 
 
-def _packages() -> MachineCheck:
+def _packages() -> window.MachineCheck:
     found = {
         name: version for name, version in system.versions().items() if name not in ("modaltouch", "python", "system")
     }
     if missing := [name for name, version in found.items() if version == "absent"]:
-        return MachineCheck("packages", "fault", f"missing: {', '.join(missing)}", "reinstall modaltouch")
-    return MachineCheck("packages", "ok", ", ".join(f"{name} {version}" for name, version in found.items()))
+        return window.MachineCheck("packages", "fault", f"missing: {', '.join(missing)}", "reinstall modaltouch")
+    return window.MachineCheck("packages", "ok", ", ".join(f"{name} {version}" for name, version in found.items()))
 
 
-def _usb() -> MachineCheck:
+def _usb() -> window.MachineCheck:
     if importlib.util.find_spec("usb") is not None:
         from importlib.metadata import version
 
-        return MachineCheck("USB", "ok", f"pyusb {version('pyusb')}")
-    return MachineCheck(
+        return window.MachineCheck("USB", "ok", f"pyusb {version('pyusb')}")
+    return window.MachineCheck(
         "USB", "warning", "pyusb is absent: a generator on USB is not found", "connect it by LAN, or install pyusb"
     )
 
 
-def _precedence() -> MachineCheck:
+def _precedence() -> window.MachineCheck:
     """Check whether `modaltouch.rig.watchdog_process`, which triggers bursts, may have real-time priority."""
     if sys.platform != "linux":
-        return MachineCheck("real time", "ok", "left to the system's scheduler")
+        return window.MachineCheck("real time", "ok", "left to the system's scheduler")
     import resource
 
     if os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] > 0:
-        return MachineCheck("real time", "ok", "bursts are triggered before all other work")
+        return window.MachineCheck("real time", "ok", "bursts are triggered before all other work")
     user = os.environ.get("USER", "NAME")
     remedy = f"put `{user} - rtprio 10` into /etc/security/limits.d/modaltouch.conf and log in again"
     found = "not allowed: on a busy machine bursts may be late or left out, and their trials are repeated"
-    return MachineCheck("real time", "warning", found, remedy)
+    return window.MachineCheck("real time", "warning", found, remedy)
 
 
-def _disk(results: Path) -> MachineCheck:
+def _disk(results: Path) -> window.MachineCheck:
     folder = next(path for path in (results, *results.resolve().parents) if path.is_dir())
     try:
         with tempfile.NamedTemporaryFile(dir=folder) as file:
@@ -378,9 +358,9 @@ def _disk(results: Path) -> MachineCheck:
             elapsed = time.perf_counter() - start
     except OSError as error:
         remedy = "give a folder you may write to with --results"
-        return MachineCheck("disk", "fault", f"{folder}: {error.strerror}", remedy)
+        return window.MachineCheck("disk", "fault", f"{folder}: {error.strerror}", remedy)
     free = shutil.disk_usage(folder).free / 1e9
     found = f"{folder}: {free:.1f} GB free, a durable write takes {elapsed * 1e3:.1f} ms"
     if free < 0.1:
-        return MachineCheck("disk", "fault", found, "free some space: a session needs a few megabytes")
-    return MachineCheck("disk", "ok", found)
+        return window.MachineCheck("disk", "fault", found, "free some space: a session needs a few megabytes")
+    return window.MachineCheck("disk", "ok", found)

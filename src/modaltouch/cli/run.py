@@ -265,7 +265,7 @@ def demonstrate(
     """Run the demonstration, a new session in the simulated tree of the results, and return where its files are."""
     checked = preflight.examine(protocol.Source.shipped("protocol")["demo"]).require()
     name = checked.experiment.protocol.protocol
-    with window_options.display() as display:
+    with window.some_display() as display:
         for number in itertools.count(1):
             place = record.SessionFolder(results, "simulated", name, DEMO_PARTICIPANT, number)
             if place.log.exists():

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Any, ClassVar, Self
 
 from modaltouch.record.chain import GENESIS, Chain, RecordError, describe_torn, encode_line, read_chain
@@ -21,7 +21,7 @@ _MOMENT = 0.1
 """How long to wait for a lock that a process may hold only to test whether the log is locked [s]."""
 
 
-class SessionLog:
+class SessionLog(AbstractContextManager["SessionLog"]):
     """An open session log; `append` returns once the event is on the disk.
 
     Use `create` for a new session and `reopen` for one that was interrupted.
@@ -201,12 +201,7 @@ class SessionLog:
             os.close(self._descriptor)
             self._descriptor = -1
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *exc: object) -> None:
         self.close()
 
     def _publish(self, draft: Path) -> None:

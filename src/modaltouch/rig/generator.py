@@ -13,7 +13,7 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any, Self
+from typing import Any
 
 from modaltouch.protocol import Apparatus
 from modaltouch.rig.catalogue import instrument_of
@@ -42,7 +42,7 @@ MOST_DROPPED = 0.1
 this fraction, were dropped [1]; a single dropped burst is only recorded."""
 
 
-class Generator:
+class Generator(contextlib.AbstractContextManager["Generator"]):
     """A generator with two outputs, as a `modaltouch.rig.interface.Rig`.
 
     Parameters
@@ -404,9 +404,6 @@ class Generator:
                 self._log("close_failed", reason=str(error))
         finally:
             self._connection.guard.release(clean=off)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *exc: object) -> None:
         self.close()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import typing
 from dataclasses import asdict, dataclass, replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from modaltouch.stimulus import Burst
@@ -200,7 +200,3 @@ class Rig(typing.Protocol):
 
     def close(self) -> None:
         """Switch the outputs off and release the instrument; never raises."""
-
-    def __enter__(self) -> Self: ...
-
-    def __exit__(self, *exc: object) -> None: ...

@@ -11,7 +11,7 @@ import operator
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from modaltouch.rig.interface import RigError
 from modaltouch.system import SYSTEM_CLOCK
 
 
-class Scope(abc.ABC):
+class Scope(contextlib.AbstractContextManager["Scope"]):
     """A vibrometer and the scope that records it, simulated or real.
 
     Attributes
@@ -107,9 +107,6 @@ class Scope(abc.ABC):
     @abc.abstractmethod
     def close(self) -> None:
         """Release the scope; never raises."""
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *exc: object) -> None:
         self.close()

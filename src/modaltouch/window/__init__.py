@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from modaltouch.system import lazily
 
 if TYPE_CHECKING:
+    from modaltouch.window.environment import some_display
     from modaltouch.window.fonts import Fonts, find_font
     from modaltouch.window.interface import (
         AnswerWindow,
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
         WindowError,
     )
     from modaltouch.window.legibility import smallest_type
-    from modaltouch.window.machine import examine_environment, measure_timing
+    from modaltouch.window.machine import MachineCheck, examine_environment, measure_timing
     from modaltouch.window.masking import highest_level, open_masking
     from modaltouch.window.opening import AnswersBy, WindowOptions, open_window
     from modaltouch.window.simulated import Answerer
@@ -32,12 +33,13 @@ else:
     __getattr__ = lazily(
         __name__,
         {
+            "environment": "some_display",
             "fonts": "Fonts find_font",
             "interface": (
                 "AnswerWindow Event Intervention Masking Presentation SessionStopped Tick TrialInterrupted WindowError"
             ),
             "legibility": "smallest_type",
-            "machine": "examine_environment measure_timing",
+            "machine": "MachineCheck examine_environment measure_timing",
             "masking": "highest_level open_masking",
             "opening": "AnswersBy WindowOptions open_window",
             "simulated": "Answerer",
@@ -51,6 +53,7 @@ __all__ = [
     "Event",
     "Fonts",
     "Intervention",
+    "MachineCheck",
     "Masking",
     "Presentation",
     "SessionStopped",
@@ -65,4 +68,5 @@ __all__ = [
     "open_masking",
     "open_window",
     "smallest_type",
+    "some_display",
 ]

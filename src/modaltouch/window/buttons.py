@@ -56,8 +56,8 @@ class Buttons:
         theme, unit = self.theme, self.layout.unit
         fill, ink = (theme.pressed, theme.pressed_text) if pressed else (theme.button, theme.text)
         middle = Box(box.x, box.y, box.width * 0.5, box.height * 0.9)
-        labels = [self.texts.label(each.name) for each in self.answers.offered if each.is_below]
-        size = self._common_size(labels, middle, min(self._answer_size, 0.5 * box.height))
+        labels = tuple(self.texts.label(each.name) for each in self.answers.offered if each.is_below)
+        size = common_size(typesetter_of(self.texts), labels, middle, min(self._answer_size, 0.5 * box.height))
         words = Words(self.texts.label(answer), middle, size, ink, bold=True)
         beside = Box(box.x + 0.36 * box.width, box.y, box.width * 0.2, 0.6 * box.height)
         return (
@@ -95,14 +95,9 @@ class Buttons:
     @cached_property
     def _answer_size(self) -> float:
         """Size of type at which every answer of the row fits its button, on several lines if that makes it larger."""
-        labels = [self.texts.label(each.name) for each in self.answers.offered if not each.is_below] or ["-"]
-        width = self.layout.answer_width * self._share
-        height = 0.52 * next(iter(self.layout.buttons.values())).height
-        return self._common_size(labels, Box(0, 0, width, height), 0.062 * self.layout.type_scale)
-
-    def _common_size(self, labels: list[str], box: Box, size: float) -> float:
-        """Return the size of type, up to an intended one, at which every label fits a box."""
-        return size * common_share(typesetter_of(self.texts), tuple(labels), box, size)
+        labels = tuple(self.texts.label(each.name) for each in self.answers.offered if not each.is_below)
+        box = Box(0, 0, self.layout.answer_width * self._share, 0.52 * next(iter(self.layout.buttons.values())).height)
+        return common_size(typesetter_of(self.texts), labels or ("-",), box, 0.062 * self.layout.type_scale)
 
 
 def key_caps(texts: Texts, theme: Theme, keys: Sequence[str], box: Box) -> tuple[Mark, ...]:
@@ -126,10 +121,10 @@ def key_caps(texts: Texts, theme: Theme, keys: Sequence[str], box: Box) -> tuple
 
 
 @cache
-def common_share(typesetter: Typesetter, labels: tuple[str, ...], box: Box, size: float) -> float:
-    """Return the share of the intended size at which every label fits a box [1]; cached, as every question needs it."""
+def common_size(typesetter: Typesetter, labels: tuple[str, ...], box: Box, size: float) -> float:
+    """Return the size of type, up to an intended one, at which every label fits a box; cached for every question."""
     words = (Words(label, box, size, "", bold=True) for label in labels)
-    return min(typesetter.set_type(each, _REFERENCE).share for each in words)
+    return size * min(typesetter.set_type(each, _REFERENCE).share for each in words)
 
 
 def typesetter_of(texts: Texts) -> Typesetter:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import typing
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 from modaltouch.protocol import AnswersSection, Response, Trial
 
@@ -123,7 +124,7 @@ class Progress(typing.NamedTuple):
     total: int
 
 
-class AnswerWindow:
+class AnswerWindow(AbstractContextManager["AnswerWindow"]):
     """Shows the session to the participant and collects the answers; `progress` is a trial's number and their total.
 
     Every method that waits calls the `tick` given at opening about every millisecond. `tick` may raise, and what it
@@ -254,9 +255,6 @@ class AnswerWindow:
     def close(self) -> None:
         """Close the window; never raises."""
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, *exc: object) -> None:
         self.close()
 
@@ -267,7 +265,7 @@ class MaskingError(WindowError):
     ending = "masking lost"
 
 
-class Masking:
+class Masking(AbstractContextManager["Masking"]):
     """The masking noise as the session uses it; this one plays nothing.
 
     Parameters
@@ -307,9 +305,6 @@ class Masking:
 
         The number of times that the device got no samples in time, each heard as a click, goes into the record.
         """
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *exc: object) -> None:
         """Release the device, whatever happened."""

@@ -36,8 +36,8 @@ _NO_RETRACE_MS = 4.0
 """Frames shorter than this do not wait for a monitor: none refreshes so fast [ms]."""
 
 
-class WindowCheck(NamedTuple):
-    """One thing that a window or the noise needs.
+class MachineCheck(NamedTuple):
+    """One thing that a session needs of a machine.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class WindowCheck(NamedTuple):
     packages: Sequence[str] = ()
 
 
-def examine_environment(*, quick: bool = False) -> tuple[WindowCheck, ...]:
+def examine_environment(*, quick: bool = False) -> tuple[MachineCheck, ...]:
     """Return whether this machine has what window and noise need.
 
     Parameters
@@ -72,41 +72,41 @@ def examine_environment(*, quick: bool = False) -> tuple[WindowCheck, ...]:
     return (_display(), _libraries(), _virtual_display(), _fonts(), *window, _sound(quick=quick))
 
 
-def _display() -> WindowCheck:
+def _display() -> MachineCheck:
     own, display = sys.platform in ("win32", "darwin"), os.environ.get("DISPLAY", "")
     if own or display:
-        return WindowCheck("display", "ok", "the system's own" if own else f"DISPLAY={display}")
+        return MachineCheck("display", "ok", "the system's own" if own else f"DISPLAY={display}")
     remedy = "log in at the screen; the demo brings its own virtual display"
-    return WindowCheck("display", "warning", "DISPLAY is not set", remedy)
+    return MachineCheck("display", "warning", "DISPLAY is not set", remedy)
 
 
-def _libraries() -> WindowCheck:
+def _libraries() -> MachineCheck:
     packages = list((missing := missing_libraries()).values())
     if missing:
         names = ", ".join(f"{name} ({package})" for name, package in missing.items())
-        return WindowCheck("libraries", "fault", f"missing: {names}", f"apt install {' '.join(packages)}", packages)
-    return WindowCheck("libraries", "ok", ", ".join(LIBRARIES) if sys.platform == "linux" else "the system's own")
+        return MachineCheck("libraries", "fault", f"missing: {names}", f"apt install {' '.join(packages)}", packages)
+    return MachineCheck("libraries", "ok", ", ".join(LIBRARIES) if sys.platform == "linux" else "the system's own")
 
 
-def _virtual_display() -> WindowCheck:
+def _virtual_display() -> MachineCheck:
     if sys.platform != "linux":
-        return WindowCheck("virtual display", "ok", "not needed")
+        return MachineCheck("virtual display", "ok", "not needed")
     if path := shutil.which("Xvfb"):
-        return WindowCheck("virtual display", "ok", path)
+        return MachineCheck("virtual display", "ok", path)
     remedy = "install xvfb to run the demo without a screen"
-    return WindowCheck("virtual display", "warning", "Xvfb is absent", remedy, ["xvfb"])
+    return MachineCheck("virtual display", "warning", "Xvfb is absent", remedy, ["xvfb"])
 
 
-def _fonts() -> WindowCheck:
+def _fonts() -> MachineCheck:
     """Look for fonts beyond the bundled ones, which have Latin, Greek and Cyrillic, Arabic and Hebrew."""
     packages = [package for letter, package in _LETTERS.items() if Fonts().lacking(letter)]
     if not packages:
-        return WindowCheck("fonts", "ok", "Latin, Greek, Cyrillic, Arabic, Hebrew, Devanagari, Chinese, Japanese")
+        return MachineCheck("fonts", "ok", "Latin, Greek, Cyrillic, Arabic, Hebrew, Devanagari, Chinese, Japanese")
     remedy = f"where texts are in other scripts, apt install {' '.join(packages)}, or name a font in the texts"
-    return WindowCheck("fonts", "warning", "no letters for some scripts", remedy, packages)
+    return MachineCheck("fonts", "warning", "no letters for some scripts", remedy, packages)
 
 
-def _window() -> WindowCheck:
+def _window() -> MachineCheck:
     """Open the window and draw a letter, which needs a display, OpenGL, fonts and PsychoPy together."""
     try:
         with some_display() as where, tempfile.TemporaryDirectory() as folder:
@@ -119,11 +119,11 @@ def _window() -> WindowCheck:
             finally:
                 screen.close()
     except WindowError as error:
-        return WindowCheck("window", "fault", *str(error).split("; ", 1))
+        return MachineCheck("window", "fault", *str(error).split("; ", 1))
     if not lit:
         remedy = "install fonts and a driver for OpenGL"
-        return WindowCheck("window", "fault", f"no letter can be seen on {where}", remedy)
-    return WindowCheck("window", "ok", f"a letter is drawn on {where} ({renderer})")
+        return MachineCheck("window", "fault", f"no letter can be seen on {where}", remedy)
+    return MachineCheck("window", "ok", f"a letter is drawn on {where} ({renderer})")
 
 
 def _share_lit(picture: Path) -> float:
@@ -133,17 +133,17 @@ def _share_lit(picture: Path) -> float:
     return float((imread(picture)[..., :3] > 0.5).any(axis=2).mean())
 
 
-def _sound(*, quick: bool) -> WindowCheck:
+def _sound(*, quick: bool) -> MachineCheck:
     lacks = sys.platform == "linux" and not is_loadable("libportaudio.so.2")
     if quick:
-        return WindowCheck("sound", "warning" if lacks else "ok", "PortAudio", packages=["libportaudio2"] * lacks)
+        return MachineCheck("sound", "warning" if lacks else "ok", "PortAudio", packages=["libportaudio2"] * lacks)
     try:
         device = default_device()
     except DeviceError as error:
         remedy = "connect one, or install libportaudio2, where a protocol wants masking noise"
-        return WindowCheck("sound", "warning", str(error).partition(";")[0], remedy)
+        return MachineCheck("sound", "warning", str(error).partition(";")[0], remedy)
     found = f"{device['name']}, {device['default_samplerate']:g} Hz, {device['max_output_channels']} channels"
-    return WindowCheck("sound", "ok", found)
+    return MachineCheck("sound", "ok", found)
 
 
 def measure_timing() -> tuple[dict[str, Any], str]:

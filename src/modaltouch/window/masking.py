@@ -14,15 +14,13 @@ import math
 import time
 from collections.abc import Callable
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from modaltouch.protocol import Apparatus, MaskingSection
 from modaltouch.window.interface import Log, Masking, MaskingError
-
-if TYPE_CHECKING:
-    from modaltouch.protocol import Apparatus, MaskingSection
 
 Kind = Literal["pink", "white"]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -44,19 +43,6 @@ class WindowOptions:
     theme: str = "dark"
     screen: int = 0
     screenshots: Path | None = None
-
-    @staticmethod
-    def display() -> AbstractContextManager[str]:
-        """Use the existing display, or a virtual one until the end of the context; yield which, in words.
-
-        Raises
-        ------
-        WindowError
-            If there is neither a display nor Xvfb.
-        """
-        from modaltouch.window.environment import some_display
-
-        return some_display()
 
     @classmethod
     def recorded(cls, window: Mapping[str, Any]) -> Self:

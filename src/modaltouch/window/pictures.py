@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
 
 from modaltouch.protocol import AnswersSection, Texts, Trial
-from modaltouch.window.buttons import Buttons, common_share, key_name, typesetter_of
+from modaltouch.window.buttons import Buttons, common_size, key_name, typesetter_of
 from modaltouch.window.interface import Progress
 from modaltouch.window.layout import Layout
 from modaltouch.window.rating import draw_scale
@@ -32,8 +32,7 @@ def draw_beam(layout: Layout, theme: Theme, touched: tuple[str, ...], typesetter
     within = sorted(edges - {round(beam.left, 6), round(beam.right, 6)})
     marks += [rectangle(Box(x, beam.y, 0.003 * unit, beam.height), theme.beam_edge) for x in within]
     room = 0.94 * min((right.x - left.x for left, right in pairwise(layout.zones.values())), default=beam.width)
-    names, size = tuple(map(spoken, layout.zones)), 0.05 * unit
-    size *= common_share(typesetter, names, Box(0, 0, room, 0.07 * unit), size)
+    size = common_size(typesetter, tuple(map(spoken, layout.zones)), Box(0, 0, room, 0.07 * unit), 0.05 * unit)
     for name, box in layout.zones.items():
         is_touched = name in touched
         if is_touched:
@@ -97,7 +96,7 @@ def _place_names(
     gap, n = min((b - a for a, b in pairwise(tips)), default=layout.beam.width / 2), len(tips)
     middle, size = (tips[(n - 1) // 2] + tips[n // 2]) / 2, 0.031 * layout.type_scale
     room = Box(0, layout.beam.top + 0.094 * layout.unit, 0.94 * gap, 0.05 * layout.unit)
-    share = common_share(typesetter, names, room, size)
+    share = common_size(typesetter, names, room, size) / size
     apart = min(gap / share, (0.49 * layout.width - abs(middle)) / (n / 2))
     moved_out = (max(abs(x - middle), apart * abs(i - (n - 1) / 2)) for i, x in enumerate(tips))
     places = [middle + out * (1 if x > middle else -1) for x, out in zip(tips, moved_out, strict=True)]

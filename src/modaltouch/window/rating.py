@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from modaltouch.protocol import AnswersSection, ScaleSection, Texts
-from modaltouch.window.buttons import common_share, key_caps, key_name, typesetter_of
+from modaltouch.window.buttons import common_size, key_caps, key_name, typesetter_of
 from modaltouch.window.interface import Event
 from modaltouch.window.layout import Layout
 from modaltouch.window.shapes import Box, Mark, Words, capsule, framed, rectangle, triangle
@@ -210,7 +210,7 @@ def _draw_words(layout: Layout, theme: Theme, words: tuple[str, ...], typesetter
     under, size = min(box.bottom for box in boxes), 0.03 * layout.type_scale
     if len(words) == len(boxes):
         places = [Box(box.x, under - 0.043, box.width * 1.12, 0.07) for box in boxes]
-        size *= common_share(typesetter, words, places[0], size)
+        size = common_size(typesetter, words, places[0], size)
     else:
         y, height, measure = under - 0.028, 0.05, typesetter.measure
         left, right = min(box.left for box in boxes), max(box.right for box in boxes)

@@ -117,11 +117,10 @@ def test_the_doctor_says_whether_there_is_a_sound_device(
         null_device.write_text(no_card)
     script = """
 import json
-from dataclasses import asdict
 from pathlib import Path
 from modaltouch.cli.records import examine_machine
 (sound,) = [finding for finding in examine_machine(Path(".")) if finding.subject == "sound"]
-print(json.dumps(asdict(sound)))
+print(json.dumps(sound._asdict()))
 """
     run = in_a_process(script, null_device)
     assert run.returncode == 0, run.stderr

@@ -10,9 +10,10 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ def twin_of(model: str) -> Callable[..., tuple[Any, CommandTable]]:
     return {"33522B": keysight_twin, "33512B": keysight_twin}.get(model, afg_twin)
 
 
-class Simulator:
+class Simulator(AbstractContextManager["Simulator"]):
     """The twin of a rig, reached like a real one through its VISA address.
 
     Parameters
@@ -258,9 +259,6 @@ class Simulator:
             sys.stdout.flush()
             while not ended.wait(0.5):  # Windows notices Ctrl-C only between two waits
                 pass
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *exc: object) -> None:
         self.close()

@@ -6,13 +6,12 @@ import contextlib
 import json
 import threading
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from modaltouch.protocol import Apparatus, Schedule
 from modaltouch.stimulus import Finger
-
-if TYPE_CHECKING:
-    import numpy as np
 
 KINDS = (b'"event":"start"', b'"event":"placement"', b'"event":"hands_off"', b'"event":"trial"')
 """Lines that state the participant and the placements of fingers; after each trial the fingers are drawn anew."""

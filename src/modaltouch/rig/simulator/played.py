@@ -11,16 +11,14 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from modaltouch.protocol import InputError, Problem
 from modaltouch.rig.simulator.timeline import Playback, PlayedBurst
 from modaltouch.rig.simulator.twin import MOST_SAMPLES, Twin
-
-if TYPE_CHECKING:
-    from modaltouch.stimulus import Finger
+from modaltouch.stimulus import Finger
 
 TICK = 2e-3
 """Time between two checks for bursts that have ended [s]."""

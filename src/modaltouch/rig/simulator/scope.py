@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,13 +13,10 @@ from modaltouch.rig.acquisition import Acquisition, Inputs, Recording
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.scope import Scope
 from modaltouch.rig.simulator.held import FloatArray
-from modaltouch.rig.simulator.motion import AT_ONCE, Motion
+from modaltouch.rig.simulator.motion import AT_ONCE, Motion, SampledDrive
 from modaltouch.rig.simulator.timeline import Playback, Timeline
 from modaltouch.rig.simulator.twin import Twin
-
-if TYPE_CHECKING:
-    from modaltouch.rig.simulator.motion import SampledDrive
-    from modaltouch.stimulus import Finger
+from modaltouch.stimulus import Finger
 
 ASKED_EVERY = 0.5e-3
 """Time between two polls of a scope over USB for a full record [s]."""

@@ -15,8 +15,9 @@ the other one restores the terminal.
 from __future__ import annotations
 
 import typing
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 Command = typing.Literal["pause", "go_on", "answer", "repeat", "note", "end_after_block", "stop", "emergency_stop"]
 COMMANDS: tuple[Command, ...] = typing.get_args(Command)
@@ -60,7 +61,7 @@ class Request:
     at: float = 0.0
 
 
-class Console:
+class Console(AbstractContextManager["Console"]):
     """Shows the state of a session and takes requests; nothing here may raise or wait. This one shows nothing."""
 
     def show(self, facts: SessionState) -> None:
@@ -72,9 +73,6 @@ class Console:
 
     def close(self) -> None:
         """Show nothing more, and restore the terminal."""
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *exc: object) -> None:
         self.close()
