@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from modaltouch import preflight, record
 from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, WITH_MARKED
-from modaltouch.cli.output import BAD_INPUT, print_json, print_table, reporting
+from modaltouch.cli.output import BAD_INPUT, print_json, print_table, reporting, say
 
-if TYPE_CHECKING:
-    from rich.console import Console
 _MOST_ROWS = 12
 """Rows of the table of sensitivities that are shown, the worst first."""
 
@@ -111,30 +109,29 @@ def show(
     asked: dict[str, Any] | None = None,
 ) -> None:
     """Print a summary of the sessions of this protocol, and what was asked for besides."""
-    from rich.console import Console
     from rich.markup import escape
 
-    console, values = Console(highlight=False), checked.as_dict(compare=compare, fingers=fingers)
+    values = checked.as_dict(compare=compare, fingers=fingers)
     catches = f" ({values['n_catch_trials']} of them catch trials)" if values["n_catch_trials"] else ""
-    console.print(
+    say(
         f"[bold]{escape(values['title'] or values['protocol'])}[/]: {values['n_trials']} trials{catches} and "
         f"{values['n_practice_trials']} for practice, about {values['estimated_duration_min']:.0f} min"
     )
     stimuli = values["stimuli"]
-    console.print(*_stimulus_lines(checked, stimuli), sep="\n")
+    say(*_stimulus_lines(checked, stimuli))
     for each in values.get("occasions", ()):
         levels = ", ".join(format(level, "g") for level in each["peak_velocities_mm_s"])
-        console.print(
+        say(
             f"{escape(' '.join(filter(None, (each['group'], each['session_kind']))))}: {each['n_trials']} trials and "
             f"{each['n_practice_trials']} for practice, about {each['estimated_duration_min']:.0f} min; {levels} mm/s"
         )
     if calibration := values["calibration"]:
-        console.print(
+        say(
             f"Calibrated {calibration['made']} on {escape(calibration['generator'])}: worst modal error then "
             f"{calibration['worst_modal_error_mm_s']:.2g} mm/s at {calibration['reference_mm_s']:g} mm/s"
         )
     if own := values["sensation_levels"]:
-        console.print(
+        say(
             f"Levels calibrated by participant: {', '.join(f'{each:g}' for each in own['multiples'])} times the "
             f"threshold that a session of the protocol {own['thresholds_from']} found, for thresholds of "
             f"{own['thresholds_mm_s'][0]:g} to {own['thresholds_mm_s'][1]:.4g} mm/s; below, the bounds of all levels"
@@ -144,25 +141,25 @@ def show(
         if any("touched" in each for each in rows):
             _show_touched(rows, whose)
     if any("touched" in each for each in stimuli):
-        console.print(f"[dim]{_PULL}[/]")
+        say(f"[dim]{_PULL}[/]")
     elif fingers is None and (said := checked.untouched_warning()):
-        console.print(f"[yellow]{escape(said)}[/]")
+        say(f"[yellow]{escape(said)}[/]")
     if (highest := max(stimuli, key=lambda each: each["velocity_mm_s"]))["release"] == "free":
-        console.print(
+        say(
             f"Released freely, at {highest['velocity_mm_s']:g} mm/s the first burst misses a mode by "
             f"{highest['worst_modal_error_mm_s']:.1e} mm/s, the later ones, which begin before it has died out, by "
             f"{highest['worst_modal_error_steady_mm_s']:.1e} mm/s"
         )
     for stimulus in values.get("comparison", []):
-        console.print(
+        say(
             f"[dim]Law {stimulus['law']} at {stimulus['velocity_mm_s']:g} mm/s on the same rig: worst modal error "
             f"{stimulus['worst_modal_error_mm_s']:.3g} mm/s[/]"
         )
     if fallback := values.get("continuous_fallback"):
-        console.print(f"[dim]{escape(fallback['warning'])}[/]")
+        say(f"[dim]{escape(fallback['warning'])}[/]")
     for warning in values["warnings"]:
-        console.print(f"[yellow]{escape(warning)}[/]")
-    _show_explored(console, asked or {})
+        say(f"[yellow]{escape(warning)}[/]")
+    _show_explored(asked or {})
 
 
 def _stimulus_lines(checked: preflight.Preflight, stimuli: list[dict[str, Any]]) -> Iterator[str]:
@@ -203,7 +200,7 @@ def _explore(
     return asked
 
 
-def _show_explored(console: Console, asked: dict[str, Any]) -> None:
+def _show_explored(asked: dict[str, Any]) -> None:
     if found := asked.get("sensitivity"):
         print_table(
             f"What an error of a parameter does at {found['velocity_mm_s']:g} mm/s",
@@ -220,7 +217,7 @@ def _show_explored(console: Console, asked: dict[str, Any]) -> None:
             ],
         )
         drawn, spread = found["drawn"], found["drawn"]["deviations"]
-        console.print(
+        say(
             f"{drawn['n_draws']} beams drawn with deviations of {spread['natural_frequency']:.1%} in frequency, "
             f"{spread['damping_ratio']:.0%} in damping and {spread['modal_gain']:.0%} in gain: worst modal error "
             f"{drawn['median_modal_error_mm_s']:.1f} mm/s in the middle one, {drawn['p95_modal_error_mm_s']:.1f} mm/s "
@@ -247,14 +244,14 @@ def _show_explored(console: Console, asked: dict[str, Any]) -> None:
                 for row in rows
             ],
         )
-        console.print("[dim]The last column is the speed of a supposed mode that the table of the beam lacks.[/]")
+        say("[dim]The last column is the speed of a supposed mode that the table of the beam lacks.[/]")
     if rows := asked.get("contrast"):
-        _show_contrast(console, rows)
+        _show_contrast(rows)
     if found := asked.get("samples"):
-        console.print(found["said"])
+        say(found["said"])
 
 
-def _show_contrast(console: Console, rows: list[dict[str, Any]]) -> None:
+def _show_contrast(rows: list[dict[str, Any]]) -> None:
     print_table(
         "Highest speed of the focus over that under the other finger",
         ("pair", "design", "contrast", "below 1 kHz", "focus below 1 kHz mm/s", "peak V"),
@@ -269,7 +266,7 @@ def _show_contrast(console: Console, rows: list[dict[str, Any]]) -> None:
         ],
         n_words=2,
     )
-    console.print(
+    say(
         "[dim]contrast: the drive that moves the other zone least, regardless of the field and of modes that are not "
         "in the table; only motion below 1 kHz is felt.[/]"
     )

@@ -11,7 +11,7 @@ import typer
 from modaltouch import lab
 from modaltouch.cli.lab import MEASURED_RIG, bars
 from modaltouch.cli.options import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS
-from modaltouch.cli.output import print_json, reporting
+from modaltouch.cli.output import print_json, reporting, say
 
 FILES = Annotated[
     list[Path] | None,
@@ -122,43 +122,39 @@ def identify(
 
 def _show(result: dict[str, Any]) -> None:
     """Print what was identified: Table I, where half-power fails, what else was seen, and where it was written."""
-    from rich.console import Console
     from rich.table import Table
 
-    console = Console()
     wanted = result.get("table_modes")
     listed = [mode for mode in result["modes"] if wanted is None or mode["label"] in wanted]
     gains = [name for name in result["sets"] if any(name in mode["gain_mm_s2_per_V"] for mode in result["modes"])]
-    console.print(_table(Table, listed, gains))
+    say(_table(Table, listed, gains))
     if gains:
-        console.print("[dim]Gains in mm/s^2 per V at the beam[/]")
+        say("[dim]Gains in mm/s^2 per V at the beam[/]")
     for reason, names in _unresolved(listed).items():
-        console.print(f"[yellow]No half-power damping of {', '.join(names)}: {reason}[/]")
+        say(f"[yellow]No half-power damping of {', '.join(names)}: {reason}[/]")
     others = [
         f"{mode['natural_frequency_Hz']['value']:.0f}" + (f" (torsion {mode['torsion']})" if mode["torsion"] else "")
         for mode in result["modes"]
         if mode not in listed
     ]
     if others:
-        console.print(f"[dim]Also seen, and kept out of the table: {', '.join(others)} Hz[/]")
-    console.print(f"[dim]M{result['misfit_verdict'][1:]}[/]")
-    console.print(f"[dim]{result['repeatability'][:1].upper()}{result['repeatability'][1:]}[/]")
+        say(f"[dim]Also seen, and kept out of the table: {', '.join(others)} Hz[/]")
+    say(f"[dim]M{result['misfit_verdict'][1:]}[/]")
+    say(f"[dim]{result['repeatability'][:1].upper()}{result['repeatability'][1:]}[/]")
     for warning in result["warnings"]:
-        console.print(f"[yellow]{warning[:1].upper()}{warning[1:]}[/]")
+        say(f"[yellow]{warning[:1].upper()}{warning[1:]}[/]")
     beam = result["free_free"]
     if beam is not None:
         verdict = "are" if beam["recognised"] else "are not"
         modes = ", ".join(str(mode) if mode else "-" for mode in beam["bending_modes"])
-        console.print(
+        say(
             f"The natural frequencies {verdict} those of a free-free beam: bending modes {modes}, within "
             f"{beam['deviation']:.2%}"
         )
     if result["apparatus_file"]:
-        console.print(f"Written: {result['apparatus_file']}, with a table and figures next to it", markup=False)
+        say(f"Written: {result['apparatus_file']}, with a table and figures next to it", markup=False)
     else:
-        console.print(
-            "[dim]No apparatus file: without positions along the beam there are no shapes, without them no gains[/]"
-        )
+        say("[dim]No apparatus file: without positions along the beam there are no shapes, without them no gains[/]")
 
 
 def _table(table_kind: Any, modes: list[dict[str, Any]], gains: list[str]) -> Any:

@@ -12,7 +12,7 @@ import typer
 
 from modaltouch import lab
 from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, SEED_OF_TWIN
-from modaltouch.cli.output import BAD_INPUT, leave, make_bars, print_json, print_table, reporting
+from modaltouch.cli.output import BAD_INPUT, leave, make_bars, print_json, print_table, reporting, say
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
@@ -121,24 +121,22 @@ def calibrate(
 
 def _show_calibration(calibration: Calibration, out: Path, protocol: Path) -> None:
     """Print the errors and levels that were reached."""
-    from rich.console import Console
     from rich.markup import escape
 
-    console = Console()
     for name, own in calibration.by_stimulus.items():
         _show_stimulus(name, own)
     noise = max(mode.uncertainty_mm_s for own in calibration.by_stimulus.values() for mode in own.modes)
     amplifier = calibration.amplifier
     corner = "not known" if amplifier.bandwidth_kHz is None else f"{amplifier.bandwidth_kHz:.0f} kHz"
-    console.print(
+    say(
         f"Amplifier: delay {amplifier.delay_us:.2f} us, corner {corner}; errors are known to {noise:.2f} mm/s (95 %), "
         "the vibrometer's sensitivity counted"
     )
     if calibration.mark:
-        console.print(f"[yellow]Marked: {escape(calibration.mark)}[/]")
-    console.print(f"Written: {out}", markup=False)
+        say(f"[yellow]Marked: {escape(calibration.mark)}[/]")
+    say(f"Written: {out}", markup=False)
     marked = " --with-marked-calibration" if calibration.mark else ""
-    console.print(f"Next: modaltouch run {protocol} --calibration {out}{marked}", markup=False)
+    say(f"Next: modaltouch run {protocol} --calibration {out}{marked}", markup=False)
 
 
 def _show_stimulus(name: str, own: Any) -> None:

@@ -41,6 +41,13 @@ def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str
     console.print(table, width=max(console.width, least), crop=False, soft_wrap=False)
 
 
+def say(*lines: str, markup: bool = True) -> None:
+    """Print lines, which may have Rich's markup."""
+    from rich.console import Console
+
+    Console(highlight=False).print(*lines, sep="\n", markup=markup)
+
+
 def make_bars() -> Progress:
     """Return bars on standard error that show how much is done and how long the rest will take."""
     from rich.console import Console

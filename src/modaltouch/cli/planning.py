@@ -14,7 +14,7 @@ import typer
 from modaltouch import analysis, planning, preflight, record, report, session, system
 from modaltouch.cli.analyse import participants
 from modaltouch.cli.options import JSON, MODE, OBSERVER, PROTOCOL, USUAL_OBSERVER
-from modaltouch.cli.output import INTERRUPTED, print_json, print_table, progress, reporting
+from modaltouch.cli.output import INTERRUPTED, print_json, print_table, progress, reporting, say
 
 _FAMILIES_PER_TABLE = 4
 """Most families of tests in a table, so that it fits into a terminal of 80 columns."""
@@ -206,14 +206,12 @@ def tell(found: planning.Power, target: float) -> None:
     target : float
         Power that is wanted [1].
     """
-    from rich.console import Console
     from rich.markup import escape
 
-    console = Console()
     study = found.study
     what = "False alarms, with no effect simulated, of" if study.null else "Power of"
     observer = escape(study.observer.name)
-    console.print(
+    say(
         f"[bold]{what}[/] {study.design.title} with observer {observer}: share of {_done(found)} in "
         f"which at least one test of a family is significant at {study.alpha:g} after Holm's correction, in per cent "
         "with a 95 % interval"
@@ -243,7 +241,7 @@ def tell(found: planning.Power, target: float) -> None:
         least = floor.least_participants
         reach = "no number of participants" if least is None else f"fewer than {least} participants"
         where = f"{floor.family} ({floor.n_tests} test{'s' * (floor.n_tests != 1)}, {floor.n_repetitions} a cell)"
-        console.print(f"[dim]{where}: {reach} can {'' if least is None else 'never '}be significant[/]")
+        say(f"[dim]{where}: {reach} can {'' if least is None else 'never '}be significant[/]")
 
 
 def _cell(row: dict[str, Any]) -> str:

@@ -19,7 +19,7 @@ import typer
 
 from modaltouch import protocol, record, report, rig, session, system, window
 from modaltouch.cli.options import APPARATUS, JSON, SHIPPED_APPARATUS
-from modaltouch.cli.output import RECORD_AT_RISK, RIG_FAILED, print_json, print_table, reporting
+from modaltouch.cli.output import RECORD_AT_RISK, RIG_FAILED, print_json, print_table, reporting, say
 
 RECORDS = "A session's folder or its session.jsonl, or a folder of sessions"
 STATES = {"ok": ("ok", "green"), "warning": ("warning", "yellow"), "fault": ("FAULT", "red")}
@@ -219,16 +219,14 @@ def _write_page(file: Path, results: Path, shown: list[dict[str, Any]]) -> None:
 
 def _show(shown: dict[str, Any]) -> None:
     """Print one dataset within 80 columns."""
-    from rich.console import Console
     from rich.markup import escape
 
-    console = Console()
-    console.print(f"[bold]{escape(shown['heading'])}[/]\n[dim]{escape(shown['folder'])}[/]")
+    say(f"[bold]{escape(shown['heading'])}[/]\n[dim]{escape(shown['folder'])}[/]")
     print_table("", _SESSION_HEADINGS, [list(map(escape, row)) for row in shown["sessions"]], n_words=3)
     if shown["orders"]:
         print_table("", _ORDER_HEADINGS, [list(map(escape, row)) for row in shown["orders"]])
     remarks = (f"[yellow]{escape(line)}[/]" for line in shown["remarks"])
-    console.print(*remarks, *(f"next: {escape(line)}" for line in shown["next"]), sep="\n")
+    say(*remarks, *(f"next: {escape(line)}" for line in shown["next"]))
 
 
 _SESSION_HEADINGS = ("participant", "session", "state", "begun (UTC)", "min", "answers")
