@@ -41,10 +41,6 @@ class EditMemory:
             used.append(self._store(controls, codes, str(channel), used))
         return used
 
-    def locks(self, memories: Sequence[str]) -> list[Setting]:
-        """Return the settings that keep memories from being overwritten at the front panel."""
-        return [LOCKED.filled(memory=memory) for memory in dict.fromkeys(memories)]
-
     def _store(self, controls: Controls, codes: NDArray[np.uint16], wanted: str, in_use: Sequence[str]) -> str:
         """Return the memory of a record, stored if need be: in the memory wanted, or another if that is in use."""
         digest = hashlib.sha256(codes.astype(">u2").tobytes()).hexdigest()
@@ -161,6 +157,7 @@ AFG3022B = Instrument(
         # The instrument may keep as few as four digits of the period.
         timer=Setting("TRIG:TIM", "period", "S", tolerance=5e-4),
         armed=Setting("TRIG:SOUR", "TIM", replies=("TIM", "TIMER")),
+        locks=(LOCKED,),
     ),
     records=EditMemory(n_memories=4),
     questions=(0, 1, 2, 3, 6, 7, 8, 10, 12, 13),

@@ -114,9 +114,6 @@ class Records(typing.Protocol):
             If a record cannot be verified after two uploads.
         """
 
-    def locks(self, memories: Sequence[str]) -> list[Setting]:
-        """Return the settings that protect memories from the front panel; none if the instrument has no such lock."""
-
 
 @dataclass(frozen=True)
 class Commands:
@@ -140,6 +137,8 @@ class Commands:
         Command that restarts repeating records at their first sample, on all channels.
     timer, armed : Setting or None
         Time between triggers (``period``), and this timer as the trigger source; None if the channels share no timer.
+    locks : tuple of Setting
+        Settings that protect a ``{memory}`` from the front panel; none if the instrument has no such lock.
     """
 
     output: Setting
@@ -153,6 +152,7 @@ class Commands:
     align: str
     timer: Setting | None = None
     armed: Setting | None = None
+    locks: tuple[Setting, ...] = ()
 
 
 @dataclass(frozen=True)

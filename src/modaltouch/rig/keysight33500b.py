@@ -42,6 +42,8 @@ FIGURES = ("POIN", "AVER", "PTP", "CFAC")
 class ChannelMemories:
     """Records in one memory per channel, under names derived from their content.
 
+    They cannot be locked; one that is selected at the front panel is revealed by its name.
+
     A name is never reused for other codes: overwriting a record is an error, and single records cannot be deleted.
 
     Attributes
@@ -69,10 +71,6 @@ class ChannelMemories:
                 controls.stored[f"{channel}:{name}"] = digest
                 controls.log(event, memory=f"{channel}:{name}", sha256=digest, n_points=codes.size)
         return names
-
-    def locks(self, memories: Sequence[str]) -> list[Setting]:
-        """Return no settings: records cannot be locked; one selected at the front panel is revealed by its name."""
-        return []
 
     def _holds(self, controls: Controls, channel: int, wanted: dict[str, NDArray[np.uint16]]) -> bool:
         """Return whether a channel's memory already holds all records."""

@@ -134,7 +134,7 @@ class Player:
             for channel, memory in zip(channels, memories[place * len(channels) :], strict=False):
                 settings += self._instrument.burst_settings(channel, memory, burst, continuous=self._continuous)
             settings += self._instrument.timer(burst) if self.repetition == "timer" else ()
-        locks = self._instrument.records.locks(memories)
+        locks = [lock.filled(memory=memory) for lock in self._table.locks for memory in dict.fromkeys(memories)]
         self._controls.apply_each([*by_burst[self._chosen], *locks])
         if self.repetition == "single" and not self._trigger_command:
             self._trigger_command = self._controls.trigger_command()

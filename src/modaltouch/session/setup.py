@@ -125,22 +125,19 @@ class EventBuffer:
     """
 
     def __init__(self) -> None:
-        self._log: SessionLog | None = None
+        self.log: SessionLog | None = None
+        """Where events are written from now on."""
         self._early: list[tuple[str, dict[str, Any]]] = []
         self._exchanges: list[dict[str, Any]] = []
         self.listener: Callable[[dict[str, Any]], None] = lambda exchange: None
         """Called with each exchange with the instrument as it happens."""
 
-    def open(self, log: SessionLog) -> None:
-        """Write to this log from now on."""
-        self._log = log
-
     def event(self, event: str, **facts: Any) -> None:
         """Write an event of the window."""
-        if self._log is None:
+        if self.log is None:
             self._early.append((event, facts))
         else:
-            self._log.append(event, **facts)
+            self.log.append(event, **facts)
 
     def exchange(self, event: str, **facts: Any) -> None:
         """Keep an exchange with the instrument until `flush`."""
@@ -149,14 +146,14 @@ class EventBuffer:
 
     def flush(self) -> None:
         """Write everything that was kept."""
-        if self._log is None:
+        if self.log is None:
             return
         early, self._early = self._early, []
         for event, facts in early:
-            self._log.append(event, **facts)
+            self.log.append(event, **facts)
         if self._exchanges:
             exchanges, self._exchanges = self._exchanges, []
-            self._log.append("rig", exchanges=exchanges)
+            self.log.append("rig", exchanges=exchanges)
 
 
 def begin(setup: Setup) -> Session:
@@ -215,7 +212,7 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
         with setup.place.hold_dataset():
             setup = _with_assigned_turn(setup)
             log = stack.enter_context(open_log(setup.place, _describe(setup, rig, window, masking, first)))
-        buffer.open(log)
+        buffer.log = log
         _follow(log, experimenter, markers, first)
         ending = {"reason": "finished"}
         try:
