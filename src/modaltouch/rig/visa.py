@@ -41,34 +41,6 @@ def abandon(resource: Any) -> None:
     connection.close()
 
 
-class _Received(bytes):
-    """Bytes whose ``repr`` is only their number."""
-
-    __slots__ = ()
-
-    def __repr__(self) -> str:
-        return f"<{len(self)} bytes>"
-
-
-class _UnloggedSocket(socket.socket):
-    __slots__ = ()
-
-    def recv(self, size: int, flags: int = 0, /) -> bytes:
-        return _Received(super().recv(size, flags))
-
-
-def skip_byte_log(resource: Any) -> None:
-    """Keep pyvisa-py from formatting every byte that it receives over a socket.
-
-    It does so for a log that is not kept, which for a record takes longer than the transfer. Sessions of other backends
-    and interfaces are left as they are.
-    """
-    with contextlib.suppress(AttributeError, KeyError, TypeError):
-        received_by = resource.visalib.sessions[resource.session].interface.sock
-        if type(received_by) is socket.socket:
-            received_by.__class__ = _UnloggedSocket
-
-
 def close_leftovers(error: BaseException) -> None:
     """Close the socket of a session that could not be opened: it would use up one of an instrument's few sessions."""
     for frame, _ in traceback.walk_tb(error.__traceback__):
@@ -148,7 +120,6 @@ class VisaSession:
                 time.sleep(0.02)
         message_based = cast("pyvisa.resources.MessageBasedResource", resource)
         message_based.chunk_size = CHUNK
-        skip_byte_log(message_based)
         if self._is_socket:
             message_based.read_termination = "\n"
         self._resource, self._timeout = message_based, 0.0

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import threading
 import time
-import typing
 from dataclasses import asdict
 from typing import Any
 
@@ -51,9 +50,6 @@ OPEN_LIMIT = 20.0
 
 OVERHEAD = 3.0
 """Time that a backend may take beyond its timeouts before its process counts as stuck [s]."""
-
-PIPE_SIZE = 1 << 20
-"""Pipe size that Linux grants to every user [bytes]."""
 
 
 class WatchdogClient:
@@ -194,7 +190,7 @@ class WatchdogClient:
 
     def _start(self) -> subprocess.Popen[bytes]:
         self._came = bytearray()
-        process = subprocess.Popen(
+        return subprocess.Popen(
             self._command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -206,9 +202,6 @@ class WatchdogClient:
             env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
             **_out_of_reach(),
         )
-        for pipe in (process.stdin, process.stdout):
-            _widen(pipe)
-        return process
 
     def _request(self, letter: bytes, content: bytes, limit: float) -> bytes:
         """Send a request and return its answer."""
@@ -302,15 +295,6 @@ def _close_pipes(process: subprocess.Popen[bytes]) -> None:
         if pipe is not None:
             with contextlib.suppress(OSError):
                 pipe.close()
-
-
-def _widen(pipe: typing.IO[bytes] | None) -> None:
-    """Let a pipe hold a whole record, if the system can: two wake-ups instead of ten."""
-    if sys.platform == "linux" and pipe is not None:
-        import fcntl
-
-        with contextlib.suppress(OSError):
-            fcntl.fcntl(pipe.fileno(), fcntl.F_SETPIPE_SZ, PIPE_SIZE)
 
 
 def _out_of_reach() -> dict[str, Any]:
