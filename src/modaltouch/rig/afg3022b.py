@@ -62,7 +62,7 @@ class EditMemory:
         if f"USER{memory}" not in controls.ask("DATA:CAT?"):
             return False
         try:
-            return bool(np.array_equal(self._read_back(controls, memory), codes))
+            return self._read_back(controls, memory) == codes.astype(">u2").tobytes()
         except Unconfirmed:
             return False
         except LinkError:
@@ -87,14 +87,14 @@ class EditMemory:
         """Return whether a memory reads back as stored, checked by a sample of points if blocks cannot be read."""
         for _ in range(2):
             try:
-                return bool(np.array_equal(self._read_back(controls, memory), codes))
+                return self._read_back(controls, memory) == codes.astype(">u2").tobytes()
             except LinkError:
                 controls.revive()
         return self._spots_agree(controls, codes)
 
-    def _read_back(self, controls: Controls, memory: str) -> NDArray[np.uint16]:
+    def _read_back(self, controls: Controls, memory: str) -> bytes:
         _complete(controls, f"DATA:COPY EMEM,USER{memory}")
-        return controls.read_codes("DATA:DATA? EMEM")
+        return controls.ask_block("DATA:DATA? EMEM")
 
     def _spots_agree(self, controls: Controls, codes: NDArray[np.uint16]) -> bool:
         """Return whether the edit memory agrees with a record in length, strongest points and evenly spread ones."""

@@ -23,7 +23,6 @@ from numpy.typing import NDArray
 
 from modaltouch.rig.instrument import Commands, Instrument, Setting
 from modaltouch.rig.interface import LinkError, Unconfirmed
-from modaltouch.rig.link import block_bounds
 from modaltouch.stimulus import Converter
 
 if TYPE_CHECKING:
@@ -140,11 +139,10 @@ def _read_back(controls: Controls, channel: int, name: str) -> NDArray[np.uint16
         controls.complete(store, f":{store};*OPC?")
     except Unconfirmed:
         return None
-    content = controls.ask_raw(f"MMEM:UPL? {FILE}")
+    content = controls.ask_block(f"MMEM:UPL? {FILE}")
     controls.complete("MMEM:DEL", f":MMEM:DEL {FILE};*OPC?")
     try:
-        start, end = block_bounds(content)
-        head, _, body = content[start:end].decode("ascii").partition("Data:")
+        head, _, body = content.decode("ascii").partition("Data:")
         # A file of any other data type than codes is of no use here.
         points = np.array(body.split(), dtype=int) if '"short"' in head.lower() else None
     except ValueError as error:

@@ -10,10 +10,6 @@ from collections.abc import Callable
 
 from modaltouch.rig.interface import LinkError
 
-if typing.TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
 
 class InUse(LinkError):  # noqa: N818
     """The instrument is in use by another program."""
@@ -145,26 +141,15 @@ class Link:
         message = f"{command},#{len(length)}{length}".encode("ascii") + block
         self._exchange(f"{command},{describe_block(block)}", message, self._copy_timeout, None)
 
-    def ask_raw(self, query: str) -> bytes:
-        """Send a query and return the reply as received, including its terminator; it may take as long as a copy."""
+    def ask_block(self, query: str) -> bytes:
+        """Query a definite-length block, and return its content; the reply may take as long as a copy."""
 
         def read(reply: bytes, facts: dict[str, str]) -> bytes:
-            facts["reply"] = describe_block(reply)
-            return reply
-
-        return self._exchange(query, query.encode("ascii"), self._copy_timeout, read)
-
-    def read_codes(self, query: str) -> NDArray[np.uint16]:
-        """Query a block of codes, two bytes each, big-endian, and return them."""
-        import numpy as np  # the watchdog process does without it
-
-        def read(reply: bytes, facts: dict[str, str]) -> NDArray[np.uint16]:
             start, end = block_bounds(reply)
             if len(reply) < end:
                 raise ValueError(f"the block announces {end - start} bytes, but {len(reply) - start} came")
-            codes = np.frombuffer(reply[start:end], ">u2").astype(np.uint16)
             facts["reply"] = describe_block(reply[start:end])
-            return codes
+            return reply[start:end]
 
         return self._exchange(query, query.encode("ascii"), self._copy_timeout, read)
 
