@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import ctypes.util
 import os
 import shutil
 import sys
@@ -264,8 +262,7 @@ def _measure_key(screen: Screen, press: Callable[[], float], number: int) -> flo
 @contextmanager
 def _injector(screen: Screen) -> Iterator[tuple[Callable[[], float], str]]:
     """Yield a function that presses and releases F12 and returns when, and the path that the key takes."""
-    names = [ctypes.util.find_library(name) for name in ("X11", "Xtst")] if sys.platform.startswith("linux") else []
-    if not names or None in names:
+    if not sys.platform.startswith("linux"):
 
         def type_key() -> float:
             now = time.perf_counter()
@@ -275,23 +272,22 @@ def _injector(screen: Screen) -> Iterator[tuple[Callable[[], float], str]]:
 
         yield type_key, "event queue"
         return
-    x11, xtst = (ctypes.CDLL(name) for name in names)
-    x11.XOpenDisplay.restype = ctypes.c_void_p
-    x11.XKeysymToKeycode.argtypes = [ctypes.c_void_p, ctypes.c_ulong]
-    x11.XSync.argtypes = [ctypes.c_void_p, ctypes.c_int]
-    x11.XCloseDisplay.argtypes = [ctypes.c_void_p]
-    xtst.XTestFakeKeyEvent.argtypes = [ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_ulong]
-    display = x11.XOpenDisplay(None)
-    code = x11.XKeysymToKeycode(display, _F12)
+    # PsychoPy brings it along.
+    from Xlib import X, display
+    from Xlib.ext import xtest
+
+    server = display.Display()
+    code = server.keysym_to_keycode(_F12)
 
     def press() -> float:
+        xtest.fake_input(server, X.KeyPress, code)
         now = time.perf_counter()
-        for is_down in (1, 0):
-            xtst.XTestFakeKeyEvent(display, code, is_down, 0)
-            x11.XSync(display, 0)
+        server.sync()
+        xtest.fake_input(server, X.KeyRelease, code)
+        server.sync()
         return now
 
     try:
         yield press, "display server"
     finally:
-        x11.XCloseDisplay(display)
+        server.close()
