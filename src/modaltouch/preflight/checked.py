@@ -240,10 +240,8 @@ class Preflight:
         """What each level does to the beam, in the protocol's order; empty if anything is wrong."""
         if self.problems:
             return []
-        if self.variants:
-            return [{"stimulus": name, **each} for name, part in self.parts.items() for each in part.stimuli]
-        if self.placed:
-            return [{**each, "placement": name} for name, part in self.placed.items() for each in part.stimuli]
+        if self.variants or self.placed:
+            return [{**named, **row} for named, each in self._named_designs() for row in each.stimuli]
         inputs, stimulus = self.sound
         return [stimulus_figures(inputs, stimulus, level) for level in inputs.levels.values()]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import typing
+from abc import abstractmethod
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -139,9 +140,9 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
 
     on_question: Callable[[Trial, float], None] = staticmethod(lambda trial, instant: None)
 
+    @abstractmethod
     def describe(self) -> dict[str, Any]:
         """Return size, backend and versions for the start record."""
-        raise NotImplementedError
 
     def welcome(self, trial: Trial) -> None:
         """Show the instructions until the participant goes on, with the fingers where the first trial wants them."""
@@ -149,6 +150,7 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
     def place_fingers(self, trial: Trial) -> None:
         """Show which finger goes on which zone until it is confirmed."""
 
+    @abstractmethod
     def settle(self, trial: Trial, progress: tuple[int, int], lead: float = 0.0) -> float:
         """Let hands and fingers come to rest before a stimulus: the pause since the last answer or key to go on.
 
@@ -166,7 +168,6 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
         float
             When the pause ends, by the session's clock [s].
         """
-        raise NotImplementedError
 
     def show_stall(self) -> None:
         """Show briefly that the computer was held up, and that the last stimulus comes again."""
@@ -177,6 +178,7 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
     def announce(self, text: str) -> None:
         """Show one text of the protocol, such as ``practice``, ``start`` or ``hands_off``, until somebody goes on."""
 
+    @abstractmethod
     def feel(self, trial: Trial, progress: tuple[int, int], presentation: Presentation, until: float) -> None:
         """Show which interval before the last is on, call `presentation.stop` when it is over, and wait.
 
@@ -194,8 +196,8 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
         TrialInterrupted, SessionStopped
             As `ask` does.
         """
-        raise NotImplementedError
 
+    @abstractmethod
     def ask(self, trial: Trial, progress: tuple[int, int], presentation: Presentation) -> Response:
         """Show the trial and return the answer, as soon as it is known and without confirming it on screen.
 
@@ -213,11 +215,11 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
         SessionStopped
             If the session was ended.
         """
-        raise NotImplementedError
 
     def confirm(self, response: Response) -> None:
         """Show which answer was taken; it is on the disk."""
 
+    @abstractmethod
     def ask_further(self, name: str, asked: AnswersSection, trial: Trial | None = None) -> Response:
         """Ask a further question, and return its answer; after a pause it is asked once more.
 
@@ -235,7 +237,6 @@ class AnswerWindow(AbstractContextManager["AnswerWindow"]):
         SessionStopped
             If the session was ended.
         """
-        raise NotImplementedError
 
     def give_feedback(self, response: Response, expected: str) -> None:
         """Show for a moment where the vibration was stronger, after a practice trial."""

@@ -219,10 +219,6 @@ class GeneratorState(ABC, Generic[C]):
                 raise ScpiError(-211, "no channel is in burst")
             self.timeline.trigger(self.clock.now(), self.link)
 
-    def abort(self) -> None:
-        """Reset the trigger system; a triggered burst ends now."""
-        self.timeline.abort(self.clock.now())
-
     def align(self) -> None:
         """Restart the records that repeat without a trigger."""
         self.timeline.align(self.clock.now())
@@ -312,7 +308,7 @@ def common_commands(state: State) -> dict[str, Command]:
         "*SRE": _register(state, "service_enable"),
         "*STB": Command(get=bare(lambda _: str(state.status_byte))),
         "*TRG": Command(set=bare(lambda _: state.trigger())),
-        "ABORt": Command(set=bare(lambda _: state.abort())),
+        "ABORt": Command(set=bare(lambda _: state.timeline.abort(state.clock.now()))),
         "SYSTem:BEEPer[:IMMediate]": Command(set=bare(lambda _: None)),
         "SYSTem:ERRor[:NEXT]": Command(get=bare(lambda _: state.next_error())),
         "SYSTem:VERSion": Command(get=bare(lambda _: "1999.0")),

@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TextIO
+from typing import IO, TextIO, cast
 
 from modaltouch.session.console import COMMANDS, Console, Request, SessionState
 from modaltouch.session.console.drawing import describe_last, describe_time
@@ -256,9 +256,7 @@ class TerminalConsole(Console):
 
     def _send(self) -> None:
         """Write facts to the process until the end."""
-        pipe = self._process.stdin
-        if pipe is None:
-            return
+        pipe = cast("IO[bytes]", self._process.stdin)
         with contextlib.suppress(OSError, ValueError):
             while self._wake.get():
                 if self._facts:
@@ -269,9 +267,7 @@ class TerminalConsole(Console):
 
     def _hear(self) -> None:
         """Keep the requests that the process sends."""
-        pipe = self._process.stdout
-        if pipe is None:
-            return
+        pipe = cast("IO[bytes]", self._process.stdout)
         with contextlib.suppress(OSError, ValueError):
             for line in pipe:
                 asked = json.loads(line)
