@@ -348,10 +348,9 @@ def _precedence() -> window.MachineCheck:
 def _disk(results: Path) -> window.MachineCheck:
     folder = next(path for path in (results, *results.resolve().parents) if path.is_dir())
     try:
-        with tempfile.NamedTemporaryFile(dir=folder) as file:
+        with tempfile.NamedTemporaryFile(dir=folder, buffering=0) as file:
             start = time.perf_counter()
             file.write(b"x" * 512)
-            file.flush()
             system.sync_file(file.fileno())
             elapsed = time.perf_counter() - start
     except OSError as error:

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import itertools
 import math
-import time
 from collections.abc import Callable, Mapping
 from functools import partial
+from timeit import timeit
 from typing import Any, Literal
 
 import numpy as np
@@ -73,16 +73,14 @@ def _timer(connection: Connection) -> Finding:
 
 
 def _copy_time(connection: Connection) -> Finding:
-    filled = connection.controls.ask("DATA:CAT?")
-    kept = "USER4" in filled
+    kept = "USER4" in connection.controls.ask("DATA:CAT?")
     if kept:
         connection.controls.ask("DATA:COPY EMEM,USER4;*OPC?", timeout=connection.patience.copy)
     else:
         connection.controls.ask(f"DATA:DEF EMEM,{N_POINTS};*OPC?", timeout=connection.patience.copy)
     n_points = connection.controls.ask("DATA:POIN? EMEM")
-    started = time.perf_counter()
-    connection.controls.ask("DATA:COPY USER4,EMEM;*OPC?", timeout=connection.patience.copy)
-    took = time.perf_counter() - started
+    copy = partial(connection.controls.ask, "DATA:COPY USER4,EMEM;*OPC?", timeout=connection.patience.copy)
+    took = timeit(copy, number=1)
     if not kept:
         connection.controls.ask("DATA:DEL USER4;*OPC?", timeout=connection.patience.copy)
     errors = connection.controls.pending_errors()
@@ -118,9 +116,7 @@ def _ranges(connection: Connection) -> Finding:
 def _time_of_change(connection: Connection, amplitude: float) -> float:
     """Return how long a change from the lowest amplitude to another takes [s]."""
     connection.controls.apply([connection.instrument.level(1, STEPS[0])])
-    started = time.perf_counter()
-    connection.controls.apply([connection.instrument.level(1, amplitude)])
-    return time.perf_counter() - started
+    return timeit(lambda: connection.controls.apply([connection.instrument.level(1, amplitude)]), number=1)
 
 
 def _limits(connection: Connection) -> Finding:
@@ -348,9 +344,7 @@ def measure_latency(
     for name, command in commands.items():
         taken = np.empty(n)
         for k in range(n):
-            started = time.perf_counter()
-            command()
-            taken[k] = (time.perf_counter() - started) * 1e3
+            taken[k] = timeit(command, number=1) * 1e3
             rig.heartbeat()
         median, p95, longest = np.quantile(taken, (0.5, 0.95, 1.0)).round(3).tolist()
         figures |= {f"{name}_median_ms": median, f"{name}_p95_ms": p95, f"{name}_max_ms": longest}

@@ -8,7 +8,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -107,15 +107,15 @@ def _fonts() -> MachineCheck:
 def _window() -> MachineCheck:
     """Open the window and draw a letter, which needs a display, OpenGL, fonts and PsychoPy together."""
     try:
-        with some_display() as where, tempfile.TemporaryDirectory() as folder:
-            screen = Screen(size=(320, 200), title="modaltouch doctor")
-            try:
-                screen.draw(Picture("letter", (Words("A", Box(0.0, 0.0, 0.8, 0.8), 0.5, "#ffffff"),)))
-                screen.flip(Path(folder) / "letter.png")
-                lit = _share_lit(Path(folder) / "letter.png")
-                renderer = screen.describe()["renderer"]
-            finally:
-                screen.close()
+        with (
+            some_display() as where,
+            tempfile.TemporaryDirectory() as folder,
+            closing(Screen(size=(320, 200), title="modaltouch doctor")) as screen,
+        ):
+            screen.draw(Picture("letter", (Words("A", Box(0.0, 0.0, 0.8, 0.8), 0.5, "#ffffff"),)))
+            screen.flip(Path(folder) / "letter.png")
+            lit = _share_lit(Path(folder) / "letter.png")
+            renderer = screen.describe()["renderer"]
     except WindowError as error:
         return MachineCheck("window", "fault", *str(error).split("; ", 1))
     if not lit:
@@ -152,12 +152,8 @@ def measure_timing() -> tuple[dict[str, Any], str]:
     WindowError
         If no window can be opened.
     """
-    with some_display() as display:
-        screen = Screen(title="modaltouch doctor")
-        try:
-            return time_window(screen, display=display)
-        finally:
-            screen.close()
+    with some_display() as display, closing(Screen(title="modaltouch doctor")) as screen:
+        return time_window(screen, display=display)
 
 
 def time_window(
@@ -276,18 +272,15 @@ def _injector(screen: Screen) -> Iterator[tuple[Callable[[], float], str]]:
     from Xlib import X, display
     from Xlib.ext import xtest
 
-    server = display.Display()
-    code = server.keysym_to_keycode(_F12)
+    with closing(display.Display()) as server:
+        code = server.keysym_to_keycode(_F12)
 
-    def press() -> float:
-        xtest.fake_input(server, X.KeyPress, code)
-        now = time.perf_counter()
-        server.sync()
-        xtest.fake_input(server, X.KeyRelease, code)
-        server.sync()
-        return now
+        def press() -> float:
+            xtest.fake_input(server, X.KeyPress, code)
+            now = time.perf_counter()
+            server.sync()
+            xtest.fake_input(server, X.KeyRelease, code)
+            server.sync()
+            return now
 
-    try:
         yield press, "display server"
-    finally:
-        server.close()

@@ -225,10 +225,7 @@ class TerminalConsole(Console):
 
     def requests(self) -> list[Request]:
         """Return what was typed since the last call."""
-        requests = []
-        while self._asked:
-            requests.append(self._asked.popleft())
-        return requests
+        return [self._asked.popleft() for _ in range(len(self._asked))]
 
     def close(self) -> None:
         """End the process, and restore the terminal if the process could not."""
