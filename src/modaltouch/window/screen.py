@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
-from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -129,7 +129,7 @@ class Screen:
         self._visual = visual
         self._place: dict[str, Any] = {"fullscreen": fullscreen, "monitor": monitor}
         self._typesetter = typesetter or Typesetter()
-        self._ready: OrderedDict[Mark, Any] = OrderedDict()
+        self._stimulus = lru_cache(_KEPT_MARKS)(self._image)
         within = fit(size, monitor)
         try:
             self._window = visual.Window(
@@ -248,17 +248,6 @@ class Screen:
         # Whatever the display does, the session must go on to its end.
         except Exception as error:
             sys.stderr.write(f"the answer window did not close cleanly: {error}\n")
-
-    def _stimulus(self, mark: Mark) -> Any:
-        """Return what draws a mark, made once and kept."""
-        ready = self._ready.get(mark)
-        if ready is None:
-            self._ready[mark] = ready = self._image(mark)
-            if len(self._ready) > _KEPT_MARKS:
-                self._ready.popitem(last=False)
-        else:
-            self._ready.move_to_end(mark)
-        return ready
 
     def _image(self, mark: Mark) -> Any:
         """Return the mark as an image whose pixels are the window's own."""

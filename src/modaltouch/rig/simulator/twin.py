@@ -27,7 +27,7 @@ PLAYS = (0.2, 0.4, 0.6, 0.8)
 """Half widths of the play operators of an actuator, as fractions of the amplifier's limit [1]."""
 
 SETTINGS_KEPT = 64
-"""Number of settings whose peaks are cached."""
+"""Number of settings whose peaks are cached, and of beams under fingers."""
 
 Setting = tuple[Playback | None, ...]
 """What each channel sends."""
@@ -67,9 +67,6 @@ class Twin:
         Seed of the differences between true and identified beam.
     tripped : bool
         Whether the amplifier's protection has cut its output.
-    n_computed : int
-        Number of computations of peaks so far; as long as beam and amplifier are linear, another level of the same
-        records needs none.
     n_measured : int
         Number of measurements so far; the beam drifts with each.
     """
@@ -77,11 +74,7 @@ class Twin:
     apparatus: Apparatus
     seed: int
     tripped: bool = False
-    n_computed: int = field(default=0, init=False)
     n_measured: int = field(default=0, init=False)
-    _felt: dict[tuple[float, Setting], dict[tuple[float | Finger, ...], float]] = field(
-        default_factory=dict, init=False, repr=False
-    )
     _histories: tuple[object, list[StateHistory]] | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -90,7 +83,9 @@ class Twin:
         self._gains = generator_gains(self.apparatus, self.seed) * (
             self.amplifier.gain * self.apparatus.generator.load_factor
         )
-        # A limited cache, since a drifting beam has other equations with each measurement.
+        # Limited caches, since a drifting beam has other equations with each measurement.
+        self.peaks = functools.lru_cache(SETTINGS_KEPT)(self._peaks)
+        """Peak speeds of a setting; another level of its records needs none while beam and amplifier are linear."""
         self._system = functools.lru_cache(SETTINGS_KEPT)(
             lambda stretch, fingers: self.beam.equations(self.amplifier, fingers, stretch)
         )
@@ -155,18 +150,10 @@ class Twin:
                 each and replace(each, amplitude=round(each.amplitude / level, 12), offset=0.0) for each in playbacks
             )
             setting, scale = tuple(unit), level
-        felt = self._felt.setdefault((stretch, _once(setting)), {})
-        for oldest in list(self._felt)[:-SETTINGS_KEPT]:
-            self._felt.pop(oldest, None)
         # Fingers that load the beam change its motion for all; the others only feel it.
         on_beam = self.fingers(*positions) if touched is None else touched
         fingers = tuple(sorted((finger for finger in on_beam if finger.loads_beam), key=lambda finger: finger.position))
-        missing = [x for x in dict.fromkeys(positions) if (x, *fingers) not in felt]
-        if missing:
-            self.n_computed += 1
-            peaks = self._peaks(_once(setting), missing, fingers, stretch)
-            felt.update({(x, *fingers): speed for x, speed in zip(missing, peaks, strict=True)})
-        return scale * np.array([felt[(x, *fingers)] for x in positions])
+        return scale * self.peaks(_once(setting), tuple(positions), fingers, stretch)
 
     def motions(
         self,
@@ -304,22 +291,20 @@ class Twin:
         ]
 
     def _peaks(
-        self, setting: Setting, positions: Sequence[float], fingers: Sequence[Finger], stretch: float
-    ) -> list[float]:
+        self, setting: Setting, positions: tuple[float, ...], fingers: tuple[Finger, ...], stretch: float
+    ) -> FloatArray:
         system, shapes, parts = self.system(fingers, stretch), self.beam.shapes(positions), self.forces_of(setting)
         press = self.apparatus.twin.finger_press_N
         if press is not None and fingers and len(parts) == 1:
             from modaltouch.rig.simulator.lift_off import PressedBeam
 
             pressed = PressedBeam.of(self.beam, self.amplifier, fingers, press, stretch)
-            speed = np.abs(shapes.T @ pressed.velocities(*refined(system, parts[0])))
-            return [float(each.max()) for each in speed]
+            return np.asarray(np.abs(shapes.T @ pressed.velocities(*refined(system, parts[0]))).max(axis=1))
         output = shapes.T @ system.velocity
         if len(parts) > 1 and len({part.period for part in parts}) == 1:
-            return [_common_peak(system, row, parts) for row in output]
+            return np.array([_common_peak(system, row, parts) for row in output])
         # Bursts with different periods drift past each other, so that sooner or later their peaks coincide.
-        total = sum((peak(system, output, held) for held in parts), np.zeros(len(positions)))
-        return [float(speed) for speed in total]
+        return sum((peak(system, output, held) for held in parts), np.zeros(len(positions)))
 
 
 def _once(setting: Setting) -> Setting:
