@@ -261,8 +261,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         from modaltouch.analysis.measure_figures import draw_design
 
         shown += draw_design(analysis.design)
-    responses = analysis.responses
-    design = responses.start.get("design", {})
+    responses, design = analysis.responses, analysis.responses.start.get("design", {})
     page = page_files(
         "modaltouch.analysis.parts",
         "report",
