@@ -105,8 +105,9 @@ def test_everything_that_was_answered_is_recorded_and_verified(recorded: Session
     described = json.loads(side.read_text(encoding="utf-8"))
     assert described["TaskName"] == "demo form" and set(described["dizzy"]["Levels"]) == {"no", "yes", "time_out"}
     (side,) = session.path.parent.glob("*demo_beh.json")
-    told = json.loads(side.read_text(encoding="utf-8"))["Instructions"]
-    assert told.endswith("You rest two fingers on it and tell us, each time, how strong it felt.")
+    told = json.loads(side.read_text(encoding="utf-8"))
+    assert told["TaskDescription"] == session.start["design"]["title"] != ""
+    assert told["Instructions"].endswith("You rest two fingers on it and tell us, each time, how strong it felt.")
     assert (session.start["question"], session.start["language"]) == ("How strong was the vibration?", "English")
     known = set(session.row(session.trials[0])) - {"sure", "sure_time", "pleasant", "pleasant_time"}
     assert known <= RESERVED_COLUMNS

@@ -164,10 +164,13 @@ def write_view(
     RecordError
         If a file cannot be written; the existing files stay valid.
     """
-    read = session.start.get("instructions", "").replace("\n", " ")
+    told = {
+        "TaskDescription": session.start.get("design", {}).get("title", ""),
+        "Instructions": session.start.get("instructions", "").replace("\n", " "),
+    }
     side = {
         "TaskName": place.protocol,
-        **({"Instructions": read} if read else {}),
+        **{key: words for key, words in told.items() if words},
         **_columns(session),
         "Mode": session.mode,
         "SessionLog": {"File": LOG_NAME, **head},
