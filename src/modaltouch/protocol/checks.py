@@ -10,11 +10,10 @@ from typing import Any
 from modaltouch.protocol.adaptive import check_adaptive, check_sensation_levels, contacts, is_adaptive, offered_answers
 from modaltouch.protocol.answers import SHIPPED
 from modaltouch.protocol.apparatus import Apparatus
-from modaltouch.protocol.contacts import check_contacts, check_way
+from modaltouch.protocol.contacts import check_contacts
 from modaltouch.protocol.intervals import presented_levels
 from modaltouch.protocol.masking import check_masking
 from modaltouch.protocol.order_limits import LIMITS
-from modaltouch.protocol.people import check_people
 from modaltouch.protocol.problems import Problem, suggest
 from modaltouch.protocol.questions import MOST_ANSWERS, check_key, check_questions
 from modaltouch.protocol.reading import Reading, repeats
@@ -110,7 +109,7 @@ def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
         *_check_intervals(reading),
         *_check_keys(reading),
         *check_questions(reading),
-        *check_people(reading),
+        *_check_people(reading),
     ]
 
 
@@ -122,23 +121,11 @@ def _check_intervals(reading: Reading[Protocol]) -> Iterator[Problem]:
     yield from check_intervals(reading)
 
 
-def check_settling(reading: Reading[Protocol]) -> Iterator[Problem]:
-    """Yield a free hand in two_hands, and a pause too short for a hand that answers to come back to the beam.
+def _check_people(reading: Reading[Protocol]) -> Iterator[Problem]:
+    if reading.keys("people"):
+        from modaltouch.protocol.people_answers import check_people
 
-    Only for new files: a record that was begun with either continues, with `AnswersSection.settling_s`.
-    """
-    answers = reading.sound("answers")
-    if reading.sound("answers", "ways", "two_hands") == "free_hand":
-        yield from check_way(reading, "two_hands")
-        return
-    if not isinstance(answers, AnswersSection) or reading.find(("answers", "pause_s")) is None:
-        return
-    settling = [fingers for _, fingers in reading.items("conditions", "finger_conditions") if answers.settles(fingers)]
-    if settling and answers.pause_s < answers.settling_s:
-        given = f"{answers.pause_s:g} s, but in {settling[0]} a hand or finger that rests on the beam answers"
-        allowed = f"at least {answers.settling_s:g} s (answers.settling_s), for it to come back and rest"
-        remedy = "leave it out, or let a foot_switch or the experimenter give the answer (answers.ways)"
-        yield reading.problem(("answers", "pause_s"), given, allowed, remedy)
+        yield from check_people(reading)
 
 
 def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:

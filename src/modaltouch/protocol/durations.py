@@ -1,14 +1,18 @@
-"""Faults of a protocol's durations: not a whole number of bursts, or bursts that cannot be played one by one."""
+"""Faults of a new protocol's durations: no whole number of bursts, bursts too close, a pause too short for a hand.
+
+None is a fault of a record: what was begun with it continues.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from modaltouch.protocol.apparatus import Apparatus
+from modaltouch.protocol.contacts import check_way
 from modaltouch.protocol.intervals import STANDARD_LEVEL
 from modaltouch.protocol.problems import Problem
 from modaltouch.protocol.reading import Reading
-from modaltouch.protocol.sections import Protocol, whole_bursts
+from modaltouch.protocol.sections import AnswersSection, Protocol, whole_bursts
 from modaltouch.protocol.stimulus_sections import is_elsewhere
 
 WHOLE = 5e-3
@@ -19,11 +23,30 @@ MOST_OF_PERIOD = 0.95
 
 
 def check_timing(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None) -> list[Problem]:
-    """Return the durations that are not a whole number of bursts, and the bursts that cannot be played one by one."""
-    found = [*_check_durations(protocol), *_check_written_once(protocol)]
+    """Return the durations with which no new session may begin."""
+    found = [*_check_settling(protocol), *_check_durations(protocol), *_check_written_once(protocol)]
     if apparatus is not None:
         found += [*_check_period(protocol, apparatus), *_check_catch_trials(protocol, apparatus)]
     return found
+
+
+def _check_settling(reading: Reading[Protocol]) -> Iterator[Problem]:
+    """Yield a free hand in two_hands, and a pause too short for a hand that answers to come back to the beam.
+
+    Only for new files: a record that was begun with either continues, with `AnswersSection.settling_s`.
+    """
+    answers = reading.sound("answers")
+    if reading.sound("answers", "ways", "two_hands") == "free_hand":
+        yield from check_way(reading, "two_hands")
+        return
+    if not isinstance(answers, AnswersSection) or reading.find(("answers", "pause_s")) is None:
+        return
+    settling = [fingers for _, fingers in reading.items("conditions", "finger_conditions") if answers.settles(fingers)]
+    if settling and answers.pause_s < answers.settling_s:
+        given = f"{answers.pause_s:g} s, but in {settling[0]} a hand or finger that rests on the beam answers"
+        allowed = f"at least {answers.settling_s:g} s (answers.settling_s), for it to come back and rest"
+        remedy = "leave it out, or let a foot_switch or the experimenter give the answer (answers.ways)"
+        yield reading.problem(("answers", "pause_s"), given, allowed, remedy)
 
 
 def _stimuli(protocol: Reading[Protocol], key: str) -> Iterator[tuple[tuple[str, ...], float]]:

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.protocol.apparatus import Apparatus, examine_apparatus
-from modaltouch.protocol.checks import check_fit, check_protocol, check_settling
-from modaltouch.protocol.durations import check_timing
+from modaltouch.protocol.checks import check_fit, check_protocol
 from modaltouch.protocol.intervals import presented_levels
 from modaltouch.protocol.occasions import Occasion, at_occasion, check_groups, occasions_of
 from modaltouch.protocol.order_limits import LIMITS
@@ -336,11 +335,14 @@ class Findings:
         cls, source: Source, occasion: Occasion, calibration: Path | None, *, uncalibrated: bool, marked: bool
     ) -> Findings:
         """Return the findings of one occasion."""
+        # Only here: no duration is a fault of a record.
+        from modaltouch.protocol.durations import check_timing
+
         problems: list[Problem] = []
         protocol = _read_protocol(source, occasion)
         table = _load_named(protocol, ("conditions", "table"), problems)
         protocol = protocol if table is None else _read_protocol(source, occasion, table)
-        problems += [*protocol.problems, *check_protocol(protocol), *check_settling(protocol)]
+        problems += [*protocol.problems, *check_protocol(protocol)]
         apparatus, texts = None, None
         if (named := _load_named(protocol, ("apparatus",), problems)) is not None:
             apparatus, found = examine_apparatus(named)

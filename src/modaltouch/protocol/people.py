@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import Field, TypeAdapter, ValidationError, create_model, model_validator
 
-from modaltouch.protocol.problems import Problem, fault
-from modaltouch.protocol.reading import Reading, read
+from modaltouch.protocol.problems import fault
 from modaltouch.protocol.section import Number, Section, Text, describe, described
-from modaltouch.protocol.source import Source
 
 if TYPE_CHECKING:
     import numpy as np
-
-IDENTIFYING = re.compile(
-    "(first|last|sur|fore|full|nick)?names?|initials|born|birth.*|dob|e?mail|(tele)?phone|mobile|address|street|postcode|"
-    "zip|passport|ssn|matriculation"
-)
-"""Words in the name of a field that identifies a person."""
 
 
 class PersonField(Section):
@@ -74,7 +64,7 @@ class PersonField(Section):
     @property
     def allowed(self) -> str:
         """What may be answered, in words."""
-        return describe(_model({"answer": self}), ("answer",)).replace("null", "nothing")
+        return describe(model_of({"answer": self}), ("answer",)).replace("null", "nothing")
 
     def read(self, words: str) -> float | str | None:
         """Return the answer that was typed; None if the question was left out.
@@ -114,39 +104,7 @@ class PersonField(Section):
         return str(rng.choice({"choice": self.choices, "text": ("simulated",), "consent": ("yes",)}[self.kind]))
 
 
-def check_people(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield fields that would identify a person, and one with the name of a fixed column of participants.tsv."""
-    for name, asked in reading.items("people"):
-        if not asked.identifies and any(map(IDENTIFYING.fullmatch, re.split(r"[_-]", name.casefold()))):
-            given, allowed = (
-                f"{name}, which identifies a person",
-                "fields that identify nobody, since data are stored only under a code",
-            )
-            remedy = "leave it out, ask for the age instead of a birthday, or write `identifies: true`"
-            yield reading.problem(("people", name), given, allowed, remedy, at_key=True)
-        if name == "participant_id":
-            yield reading.problem(("people", name), f"{name}, which is already a column", "any other name", at_key=True)
-
-
-def read_people(fields: Mapping[str, PersonField], path: Path) -> dict[str, float | str | None]:
-    """Return the answers in a YAML file, one line per field.
-
-    Parameters
-    ----------
-    fields : mapping of str to PersonField
-        The questions.
-    path : Path
-        The file.
-
-    Raises
-    ------
-    InputError
-        With every fault of the file and its place.
-    """
-    return read(Source.load(path), _model(fields)).require().model_dump()
-
-
-def _model(fields: Mapping[str, PersonField]) -> type[Section]:
+def model_of(fields: Mapping[str, PersonField]) -> type[Section]:
     """Return the model of a file of answers."""
     answers: dict[str, Any] = {name: (each.answer, ... if each.required else None) for name, each in fields.items()}
     return create_model("People", __base__=Section, **answers)

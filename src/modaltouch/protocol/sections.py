@@ -15,7 +15,7 @@ from modaltouch.protocol.conditions import Cell, CellsSection, ConditionsSection
 from modaltouch.protocol.intervals import IntervalsSection, Meaning
 from modaltouch.protocol.masking import MaskingSection
 from modaltouch.protocol.occasions import Overrides
-from modaltouch.protocol.people import PersonField, read_people
+from modaltouch.protocol.people import PersonField
 from modaltouch.protocol.questions import AskedSection, KeyName, QuestionSection
 from modaltouch.protocol.schedule_section import ScheduleSection
 from modaltouch.protocol.section import Count, FileName, NotNegative, Positive, Section, Text, Word, described
@@ -305,6 +305,8 @@ class Protocol(Section):
 
     def read_people(self, path: Path) -> dict[str, float | str | None]:
         """Return a participant's answers from a YAML file; raise InputError with every fault of it."""
+        from modaltouch.protocol.people_answers import read_people
+
         return read_people(self.people, path)
 
     @property
