@@ -134,12 +134,10 @@ def tell(found: Any) -> None:
         cells = "; ".join(f"{each['participant']} {each['cell']}" for each in values["missing"][:5])
         more = f" and {len(values['missing']) - 5} more cells" if len(values["missing"]) > 5 else ""
         typer.secho(f"missing answers, {values['n_missing']}: {cells}{more}", err=True, fg=typer.colors.YELLOW)
-    sources: dict[str, list[str]] = {}
-    for left_out in values["left_out"]:
-        sources.setdefault(left_out["reason"], []).append(left_out["source"])
-    for reason, those in sources.items():
-        more = f" and {len(those) - 1} more" if len(those) > 1 else ""
-        typer.secho(f"left out: {those[0]}{more}: {reason}", err=True, fg=typer.colors.YELLOW)
+    for reason in dict.fromkeys(each["reason"] for each in values["left_out"]):
+        first, *others = (each["source"] for each in values["left_out"] if each["reason"] == reason)
+        more = f" and {len(others)} more" if others else ""
+        typer.secho(f"left out: {first}{more}: {reason}", err=True, fg=typer.colors.YELLOW)
     for departure in values.get("departures", ()):
         typer.secho(f"departs from the preregistration: {departure}", err=True, fg=typer.colors.YELLOW)
     width = max(map(len, values["files"]))

@@ -202,34 +202,19 @@ class AskedSection(Section):
     END_KEY: ClassVar[str] = "q"
     """Key that ends the session from the pause screen; elsewhere it may be an answer."""
     KEY_ALIASES: ClassVar[dict[str, str]] = {
-        "return": "enter",
-        "esc": "escape",
-        "spacebar": "space",
-        "num_insert": "num_0",
-        "num_end": "num_1",
-        "num_down": "num_2",
-        "num_page_down": "num_3",
-        "num_left": "num_4",
-        "num_begin": "num_5",
-        "num_right": "num_6",
-        "num_home": "num_7",
-        "num_up": "num_8",
-        "num_page_up": "num_9",
-        "num_delete": "num_decimal",
-        "é": "2",
-        "è": "7",
-        "ç": "9",
-        "à": "0",
-    }
-    """Other names of keys.
-
-    Keys of the number pad have the same names with and without NumLock. The digit row of a French keyboard, which types
-    digits only with Shift, is named by its digits.
-    """
+        "return": "enter", "esc": "escape", "spacebar": "space",
+        "num_home": "num_7", "num_up": "num_8", "num_page_up": "num_9",
+        "num_left": "num_4", "num_begin": "num_5", "num_right": "num_6",
+        "num_end": "num_1", "num_down": "num_2", "num_page_down": "num_3",
+        "num_insert": "num_0", "num_delete": "num_decimal",
+        "é": "2", "è": "7", "ç": "9", "à": "0",
+    }  # fmt: skip
+    """Other names of keys: the number pad without NumLock; the French digit row, which types digits with Shift."""
 
     question: Text | None = described(
-        "The question, written out, or the name of a text under `further` in the texts. Null for the text `question`; "
-        "for a further question, or one of the form, null for the text under `further` that has its name.",
+        "The question, written out, or the name of a text under `further` in the texts. Null for the one that follows "
+        "from the answers, if the texts have it, or else the text `question`; for a further question, or one of the "
+        "form, null for the text under `further` that has its name.",
         default=None,
         exclude_if=lambda given: given is None,
     )

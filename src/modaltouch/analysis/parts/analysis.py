@@ -266,7 +266,7 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         "modaltouch.analysis.parts",
         "report",
         shown,
-        title=f"Analysis: {design.get('title') or responses.start.get('protocol', '') or 'answers'}",
+        title=f"Analysis: {design.get('title') or responses.start.get('protocol') or 'answers'}",
         n_participants=responses.frame["participant"].nunique(),
         n_answers=len(responses.frame),
         counts=analysis.counts.to_dict("records"),
