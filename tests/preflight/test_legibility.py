@@ -67,7 +67,7 @@ def test_the_smallest_type_is_20_arcmin_at_the_stated_distance(edit: Edit) -> No
 
 
 def test_the_names_of_three_fingers_side_by_side_are_measured() -> None:
-    """Expected: on neighbouring zones one of them, all set smaller than on zones apart."""
+    """Expected: one of them, on neighbouring zones as large as on zones apart, since they move outwards."""
     experiment = Findings.read(Path(__file__).parents[2] / "docs/examples/protocol_three_fingers.yaml").experiment()
     trials = {trial.condition.zones: trial for trial in Schedule.draw(experiment.protocol, "p01", 1).trials}
     zones = experiment.apparatus.zone_spans
@@ -76,7 +76,7 @@ def test_the_names_of_three_fingers_side_by_side_are_measured() -> None:
         for own in ("BCD", "ACE")
     )
     assert near[1].endswith("index finger")
-    assert near[0] < far[0]
+    assert near[0] == far[0]
 
 
 def test_every_question_of_a_session_is_looked_at(edit: Edit) -> None:

@@ -33,7 +33,6 @@ from modaltouch.report import ReportFigure, format_number, page_files
 MOST_ROWS = 8
 """Most rows of a table that is shown open; longer ones are folded, and not printed."""
 
-
 CATCHES = "Beside d', criteria and detection thresholds, catch trials are in no other table, figure or test."
 
 

@@ -64,8 +64,7 @@ def scope_in_words(scope: str, finger_conditions: Sequence[str], pairs: Sequence
     Parameters
     ----------
     scope : str
-        Scope of a finding: ``one_hand A-C 80 mm/s``, ``one_hand - two_hands A-C``, ``one_hand A-C - C-E``; a minus
-        between spaces sets one side against the other.
+        Scope of a finding: ``one_hand A-C 80 mm/s``, ``one_hand - two_hands A-C``, ``one_hand A-C - C-E``.
     finger_conditions, pairs : sequence of str, sequence of Pair
         Names that may occur in it.
     """

@@ -116,10 +116,9 @@ def exit_status(error: BaseException) -> int | None:
 def _say(error: BaseException, status: int) -> str:
     """Return an error in words."""
     if isinstance(error, KeyboardInterrupt):
-        if hasattr(error, "__notes__"):
-            return "interrupted: the outputs are off"
         # What drives a rig is loaded before the first connection to it.
-        return "interrupted" if "modaltouch.rig.connection" in sys.modules else "interrupted; nothing was driven"
+        nothing = "" if "modaltouch.rig.connection" in sys.modules else "; nothing was driven"
+        return "interrupted" + (": the outputs are off" if hasattr(error, "__notes__") else nothing)
     if status == INTERRUPTED:
         return f"ended by {error}: the outputs are off"
     if isinstance(error, PermissionError):

@@ -19,7 +19,6 @@ SHIPPED: dict[str, Fingers] = {"left": ("left",), "both": ("left", "right"), "ri
 
 _RANKS = {1: 0, 2: 1, 3: 1, 0: 2}
 
-
 CLEAR_RATIO = 1.25
 """Ratio of speeds that is easily felt: twice the difference threshold of vibration (Craig 1972) [1]."""
 EQUAL_RATIO = 1.1

@@ -18,7 +18,6 @@ OWNER_ALONE = 0o600
 PATIENCE = 1.0
 """How long to retry renaming, on Windows, a file that another program, such as a virus scanner, has open [s]."""
 
-
 LOCK_NAME = ".lock"
 """Empty file by which a folder is locked; it is never deleted."""
 

@@ -16,7 +16,6 @@ from modaltouch.record.folders import find_log
 _TAIL = 4096
 """Bytes at the end of a log that contain its last line, if that is a stop."""
 
-
 SCHEMA = 2
 """Version of the session log's format, stated in its first line. Since version 2 bursts are counted, and an answer has
 a line of its own before its trial is confirmed."""
