@@ -281,6 +281,19 @@ def test_answers_are_drawn_alike_whatever_the_names_of_participants() -> None:
     )
     assert found.test.statistic.tolist() == turned.test.statistic.tolist()
     assert found.test.p < 0.001
-    assert found.notes(0) == [
-        "320 answers left out of the test, drawn at random so that both have as many at each level"
-    ]
+    (said,) = found.notes(0)
+    told = re.fullmatch(
+        "320 answers left out of the test, drawn at random so that both have as many at each level; "
+        "nine in ten other draws give p from ([^ ]+) to ([^ ]+)",
+        said,
+    )
+    assert told is not None
+    assert 0 < float(told[1]) < float(told[2]) < 0.001
+
+
+def test_how_much_p_hangs_on_the_draw_is_that_of_draws_of_its_own() -> None:
+    """Two participants, one answer of two drawn from the first condition: p is 0.5 or 1, as the draws fall."""
+    first = Shares(np.array([[[1], [1]]]), np.array([[[2], [2]]]), 2)
+    second = Shares(np.array([[[0], [0]]]), np.array([[[1], [1]]]), 2)
+    (said,) = signs_of(Contrast(["all"], ["P"], first, second)).notes(0)
+    assert said.endswith("p from 0.5 to 1")
