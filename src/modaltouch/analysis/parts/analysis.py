@@ -261,12 +261,12 @@ def render_parts(analysis: PartsAnalysis) -> dict[str, Any]:
         from modaltouch.analysis.measure_figures import draw_design
 
         shown += draw_design(analysis.design)
-    responses, design = analysis.responses, analysis.responses.start.get("design", {})
+    responses = analysis.responses
     page = page_files(
         "modaltouch.analysis.parts",
         "report",
         shown,
-        title=f"Analysis: {design.get('title') or responses.start.get('protocol') or 'answers'}",
+        title=f"Analysis: {responses.design.get('title') or responses.start.get('protocol') or 'answers'}",
         n_participants=responses.frame["participant"].nunique(),
         n_answers=len(responses.frame),
         counts=analysis.counts.to_dict("records"),
