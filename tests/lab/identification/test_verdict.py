@@ -249,3 +249,34 @@ def test_measurement_that_repeats_nothing_is_refused(clean: FrequencyResponses, 
     other = replace(clean, response=clean.response * factor)
     with pytest.raises(ValueError, match=rf"measurement 2 is no repeat of the first: .* {said}; check positions"):
         FrequencyResponses.of_repeats([clean, other])
+
+
+def test_positions_of_another_scale_or_origin_are_told(clean: FrequencyResponses) -> None:
+    """Nodes show where the points lie: 5 % too close to mid-beam, or all 1 mm off; the gains would be 5 % off."""
+    assert clean.positions is not None
+    inner = replace(clean, response=clean.response[:, 1:-1], positions=clean.positions[1:-1], coherence=None)
+    inner = inner.between(100, 20e3)
+    for positions, said in (
+        (inner.positions / 1.05, r"lie 1\.0[45]\d times as far from mid-beam, so the gains are wrong"),
+        (inner.positions - 2e-3, r"lie \+2 mm away, so the gains are wrong"),
+    ):
+        (told,) = warnings(identify(replace(inner, positions=positions), 0.1))
+        assert re.search(said, told)
+
+
+def test_points_in_other_units_are_named(clean: FrequencyResponses) -> None:
+    """A third of the points in mm/s: no noise, which averaging would remove."""
+    factor = np.where(np.arange(21) % 3 == 0, 1e3, 1.0)
+    found = identify(replace(clean, response=clean.response * factor[:, None], coherence=None), 0.1)
+    with pytest.raises(ValueError, match=r"at -50 mm, -35 mm, -20 mm.* are about .* times as large.* same units"):
+        check_modes(found, spoilt.LABELS)
+
+
+def test_wrong_digit_is_named_by_its_value(clean: FrequencyResponses) -> None:
+    """Ten times at one bin of one point: neither noise nor a missing mode."""
+    response = clean.response.copy()
+    response[0, 4, int(np.abs(clean.frequency - 2554).argmin())] *= 10
+    (told,) = warnings(identify(replace(clean, response=response), 0.1))
+    assert re.search(
+        r"one value, that of the response to centre at -30 mm at 255\d\.\d+ Hz: look for a wrong digit", told
+    )

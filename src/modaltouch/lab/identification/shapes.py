@@ -299,6 +299,44 @@ def _without(
     return factor, before.sum(axis=0), after.sum(axis=0)
 
 
+STRETCH, SHIFT = 0.02, 0.01
+"""Least error of all positions that is told: of their scale, and of their origin relative to the length [1]."""
+
+
+def misplaced(shapes: FloatArray, labels: Sequence[int], places: Sequence[Place], length: float) -> tuple[float, float]:
+    """Return the factor and the shift [m] of all positions that make shapes those of a free-free beam; else 1 and 0.
+
+    The shapes of several modes determine both, since nodes lie closer together the higher a mode is. An error is
+    returned only if it explains most of the difference between the shapes and theory.
+
+    Parameters
+    ----------
+    shapes : (n_modes, n_points) array
+        Shapes of bending modes.
+    labels : sequence of int
+        Their labels.
+    places : sequence of Place
+        Places of the points as given.
+    length : float
+        Length of the beam [m].
+    """
+    from scipy.optimize import minimize
+
+    positions = np.array(places)[:, 0]
+
+    def lacking(error: FloatArray) -> float:
+        moved = np.clip(positions * (1 + error[0]) + length * error[1], -length / 2, length / 2)
+        return float(np.sum(1 - np.diag(mac(shapes, mode_shapes(labels, moved, length)))))
+
+    steps = [[0.0, 0.0], [STRETCH, 0.0], [0.0, SHIFT]]
+    found = minimize(lacking, steps[0], method="Nelder-Mead", options={"initial_simplex": steps, "xatol": 1e-4})
+    explained = len(labels) >= FEWEST_MODES and found.fun < EXPLAINED * lacking(np.zeros(2))
+    stretch, shift = found.x
+    if explained and (abs(stretch) > STRETCH or abs(shift) > SHIFT):
+        return 1 + float(stretch), float(shift) * length
+    return 1.0, 0.0
+
+
 WITHIN = 0.005
 """Largest relative deviation of a natural frequency from that of a free-free beam [1]."""
 

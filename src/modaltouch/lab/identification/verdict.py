@@ -9,7 +9,7 @@ import numpy as np
 
 from modaltouch.lab.identification.estimates import Identification, IdentifiedMode
 from modaltouch.lab.identification.rest import REMEDIES
-from modaltouch.lab.identification.shapes import BELONGS, bending_likeness, mac
+from modaltouch.lab.identification.shapes import BELONGS, SHIFT, STRETCH, bending_likeness, mac, misplaced
 from modaltouch.lab.identification.time_records import STILL_MOVES
 from modaltouch.protocol import Apparatus
 
@@ -58,19 +58,21 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     faulty = [label for label, mode in found.items() if label in labels and _faults(f"mode {label}", mode)]
     # If the beam drifts, a missing mode is split; if points are exchanged, it has one resonance of a strange shape.
     split = _split(identification, missing, faulty)
-    strange = "" if spoilt or split else _implausible_modes(identification.modes, missing)
-    remedy = "" if spoilt or split or strange else REMEDY
+    strange = _mixed(identification) or split or _misplaced(identification) if missing else split
+    if not (strange or spoilt):
+        strange = _implausible_modes(identification.modes, missing)
+    remedy = "" if spoilt or strange else REMEDY
     lines = []
     for label in labels:
         if label not in found:
             lines.append(f"mode {label} was not found: no resonance has its mode shape{remedy}")
         else:
             lines += _faults(f"mode {label}", found[label])
-    if lines and (split or strange):
-        lines.append(split or strange)
+    if lines and strange:
+        lines.append(strange)
     elif lines and spoilt:
         cut = [mark for mark in identification.responses.marks if mark.endswith(STILL_MOVES)]
-        lines += cut or [_hum(identification) or _cause(identification.modes)]
+        lines += cut or [_digit(identification) or _hum(identification) or _cause(identification.modes)]
     if lines:
         raise ValueError("\n".join(lines))
 
@@ -81,13 +83,12 @@ def _split(identification: Identification, missing: Sequence[int] | None = None,
     Between sets both have its shape; while the points were measured in turn, only their sum has it. Bending and torsion
     that happen to lie so close have neither. With missing or faulty labels, only two that may stand for one of those.
     """
-    modes = identification.modes
-    for one, other in pairwise(modes):
+    for one, other in pairwise(identification.modes):
         apart = other.natural_frequency.value - one.natural_frequency.value
         width = 2 * one.natural_frequency.value * one.damping_ratio.value
         named = all(each.label or each.torsion for each in (one, other))
-        blamed = missing is None or _lacks(modes, missing, one) or {one.label, other.label} & {*faulty}
-        if apart < width and not named and blamed and _is_one(identification, one, other):
+        label = _is_one(identification, one, other) if apart < width and not named else None
+        if label is not None and (missing is None or label in {*missing, *faulty}):
             return (
                 f"the resonances at {one.natural_frequency.value:.6g} and {other.natural_frequency.value:.6g} Hz are "
                 "within one width of each other, like a single mode that moved: the most probable cause is drift, also "
@@ -97,14 +98,56 @@ def _split(identification: Identification, missing: Sequence[int] | None = None,
     return ""
 
 
-def _is_one(identification: Identification, one: IdentifiedMode, other: IdentifiedMode) -> bool:
-    """Return whether two resonances have one shape, or a mode's shape only in their sum."""
+def _is_one(identification: Identification, one: IdentifiedMode, other: IdentifiedMode) -> int | None:
+    """Return the mode whose shape two resonances have both, or only in their sum; None if they are two modes."""
     places, parts = identification.responses.places, np.stack([one.residue.real, other.residue.real])
-    if mac(parts[:1], parts[1:])[0, 0] >= BELONGS:
-        return True
     length = identification.length or np.ptp(np.array(places)[:, 0])
-    lacking = 1 - bending_likeness(np.stack([*parts, parts.sum(axis=0)]), places, length).max(axis=1)
-    return bool(lacking[2] < min(1 - BELONGS, lacking[0] / 2, lacking[1] / 2))
+    likeness = bending_likeness(np.stack([*parts, parts.sum(axis=0)]), places, length)
+    lacking = 1 - likeness.max(axis=1)
+    alike = mac(parts[:1], parts[1:])[0, 0] >= BELONGS
+    return int(likeness[2].argmax()) + 1 if alike or lacking[2] < min(1 - BELONGS, *(lacking[:2] / 2)) else None
+
+
+APART = 5.0
+"""Least factor between the sizes of two groups of points, with none between them, for their units to differ [1]."""
+
+
+def _mixed(identification: Identification) -> str:
+    """Describe points whose responses are all far larger than those of the others; empty if there are none."""
+    responses = identification.responses
+    size = np.sqrt((np.abs(responses.response) ** 2).mean(axis=(0, 2)))
+    order = np.argsort(size)
+    steps = size[order][1:] / np.maximum(size[order][:-1], 1e-300)
+    if not responses.places or steps.max() < APART:
+        return ""
+    low, high = np.split(order, [int(steps.argmax()) + 1])
+    factor = float(np.median(size[high]) / np.median(size[low]))
+    if factor < 1 / SPREAD**2 and abs(factor / GRAVITY - 1) > 3 * SPREAD:
+        return ""
+    named = ", ".join(str(responses.places[point]) for point in np.sort(high))
+    return (
+        f"the responses at {named} are about {factor:.3g} times as large as those at the other points: check whether "
+        "all points have the same units, range and gain"
+    )
+
+
+def _misplaced(identification: Identification) -> str:
+    """Describe the error of all positions, or of the length, that the shapes show; empty if they show none."""
+    known = [(mode.label, shape) for mode, shape in identification.shaped if mode.label]
+    if not known or identification.length is None:
+        return ""
+    labels, shapes = zip(*known, strict=True)
+    factor, shift = misplaced(np.array(shapes), labels, identification.responses.places, identification.length)
+    off = [
+        *([f"{factor:.3f} times as far from mid-beam"] if abs(factor - 1) > STRETCH / 2 else []),
+        *([f"{shift * 1e3:+.2g} mm away"] if abs(shift) > SHIFT / 2 * identification.length else []),
+    ]
+    if not off:
+        return ""
+    return (
+        f"the shapes are those of a free beam whose points lie {' and '.join(off)}, so the gains are wrong: check the "
+        "scale and the origin of the positions, and the length of the beam in the apparatus file"
+    )
 
 
 def _implausible_modes(modes: Sequence[IdentifiedMode], missing: Sequence[int]) -> str:
@@ -143,8 +186,11 @@ def check_all(identification: Identification) -> None:
         raise ValueError("\n".join([*(line for each in faults for line in each), *cause]))
 
 
+GRAVITY = 9.80665
+"""Standard acceleration of free fall [m/s^2]."""
+
 FACTORS = {
-    9.80665: "an acceleration in g was taken for m/s^2, or the other way round, or a 10 : 1 probe for 1 : 1",
+    GRAVITY: "an acceleration in g was taken for m/s^2, or the other way round, or a 10 : 1 probe for 1 : 1",
     1e3: "a thousandth was taken for a whole unit",
 }
 """Factors between units that are often confused, and what they mean."""
@@ -286,7 +332,7 @@ MAINS, FEW = (50.0, 60.0), 0.4
 def _hum(identification: Identification) -> str:
     """Say that most of the residual lies at multiples of a frequency of the mains; empty if it does not."""
     responses = identification.responses
-    left = (np.abs(responses.response - identification.fitted) ** 2 / responses.noise[:, None]).sum(axis=(0, 1))
+    left = (np.abs(responses.response - identification.fitted) ** 2 / responses.noise[:, None] - 1).sum(axis=(0, 1))
     for mains in MAINS:
         off = np.abs(responses.frequency - mains * np.round(responses.frequency / mains))
         on = off <= 0.51 * responses.spacing
@@ -296,6 +342,25 @@ def _hum(identification: Identification) -> str:
                 "connect all instruments to one earth, keep cables away from transformers, and measure again"
             )
     return ""
+
+
+OF_ALL, STRAY = 0.5, 100.0
+"""Least fraction of the residual beyond the noise that a single value must be to explain it, and its least square in
+units of the noise [1]."""
+
+
+def _digit(identification: Identification) -> str:
+    """Name the single value that is most of the residual; empty if none is."""
+    responses = identification.responses
+    left = np.abs(responses.response - identification.fitted) ** 2 / responses.noise[:, None]
+    most = np.unravel_index(int(left.argmax()), left.shape)
+    if not left[most] > max(STRAY, OF_ALL * (left.sum() - left.size)):
+        return ""
+    where = f" at {responses.places[most[1]]}" if responses.places else ""
+    return (
+        f"most of what is left is one value, that of the response to {responses.sets[most[0]]}{where} at "
+        f"{responses.frequency[most[2]]:.6g} Hz: look for a wrong digit in the file, or measure that point again"
+    )
 
 
 def _cause(modes: Sequence[IdentifiedMode]) -> str:
@@ -317,6 +382,8 @@ def warnings(identification: Identification) -> list[str]:
         )
     if responses.coherence is not None and (median := float(np.median(responses.coherence))) < LEAST_COHERENCE:
         said.append(f"the median coherence over the band is {median:.2f}, below {LEAST_COHERENCE:g}: average more")
+    noisy = identification.misfit <= WELL_FITTED
+    known = "" if noisy else _digit(identification) or _hum(identification)
     marked = [mode for mode in identification.modes if mode.rest.smooth > MARKED.get(mode.rest.cause, MARKED_ELSE)]
     badly = [mode for mode in identification.modes if mode.rest.share > MOST_LEFT and mode not in marked]
     for chosen in (marked, badly):
@@ -325,13 +392,14 @@ def warnings(identification: Identification) -> list[str]:
             left = max(max(each.rest.smooth, each.rest.share) for each in chosen)
             said.append(
                 f"up to {left:.1%} of the response around {names} is left, and the intervals may not cover it: "
-                f"{_cause(chosen)}"
+                f"{known or _cause(chosen)}"
             )
-    noisy = identification.misfit <= WELL_FITTED
+    if elsewhere := _misplaced(identification):
+        said.append(elsewhere)
     split = _split(identification) if identification.length else ""
-    if split or not noisy:
+    if split or not (noisy or (known and (marked or badly))):
         said.append(
-            _hum(identification)
+            known
             or split
             or f"{misfit_verdict(identification)}: the intervals are widened accordingly, but may not cover it"
         )
