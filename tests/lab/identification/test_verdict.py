@@ -280,3 +280,12 @@ def test_wrong_digit_is_named_by_its_value(clean: FrequencyResponses) -> None:
     assert re.search(
         r"one value, that of the response to centre at -30 mm at 255\d\.\d+ Hz: look for a wrong digit", told
     )
+
+
+def test_points_read_too_high_in_all_modes_are_told(clean: FrequencyResponses) -> None:
+    """One half of the scan 5 % higher, after a change of range: no shape of a mode is like that in every mode."""
+    factor = np.where(np.arange(21) < 10, 1.0, 1.05)
+    found = identify(replace(clean, response=clean.response * factor[:, None]), 0.1)
+    check_modes(found, spoilt.LABELS)
+    (told,) = warnings(found)
+    assert re.search(r"the points differ by 2\.\d% \(rms\) in all modes alike", told)

@@ -299,6 +299,21 @@ def _without(
     return factor, before.sum(axis=0), after.sum(axis=0)
 
 
+def unevenness(shapes: FloatArray, labels: Sequence[int], positions: FloatArray, length: float) -> float:
+    """Return the rms deviation of the points' factors from each other that two halves of the modes have in common [1].
+
+    Noise, and what distinguishes a beam's shapes from theory, differ from mode to mode; a sensor's angle does not.
+    """
+    theory = mode_shapes(labels, positions, length)
+    gain = (shapes * theory).sum(axis=1, keepdims=True) / (theory**2).sum(axis=1, keepdims=True)
+    # Two modes in each half in turn, so that symmetric and antisymmetric ones are in both.
+    second = np.arange(len(labels)) // 2 % 2 == 1
+    weight = np.array([(theory[half] ** 2).sum(axis=0) for half in (~second, second)])
+    off = np.array([(theory * (shapes / gain - theory))[half].sum(axis=0) for half in (~second, second)])
+    common = (off / np.maximum(weight, 1e-12)).prod(axis=0)
+    return float(np.sqrt(max(0.0, np.average(common, weights=weight.min(axis=0)))))
+
+
 STRETCH, SHIFT = 0.02, 0.01
 """Least error of all positions that is told: of their scale, and of their origin relative to the length [1]."""
 

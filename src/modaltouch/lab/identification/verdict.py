@@ -9,7 +9,7 @@ import numpy as np
 
 from modaltouch.lab.identification.estimates import Identification, IdentifiedMode
 from modaltouch.lab.identification.rest import REMEDIES
-from modaltouch.lab.identification.shapes import BELONGS, SHIFT, STRETCH, bending_likeness, mac, misplaced
+from modaltouch.lab.identification.shapes import BELONGS, SHIFT, STRETCH, bending_likeness, mac, misplaced, unevenness
 from modaltouch.lab.identification.time_records import STILL_MOVES
 from modaltouch.protocol import Apparatus
 
@@ -131,13 +131,35 @@ def _mixed(identification: Identification) -> str:
     )
 
 
+UNEVEN, LIKE_THEORY = 0.01, 0.97
+"""Deviation of the points' factors from each other above which a warning is given, and the least MAC of a mode by which
+they are judged [1]."""
+
+
+def _uneven(identification: Identification) -> str:
+    """Say how much the points differ in all modes alike; empty if they hardly do."""
+    known = [(mode.label, shape) for mode, shape in identification.shaped if mode.label and mode.mac > LIKE_THEORY]
+    if len(known) < 4 or identification.length is None:
+        return ""
+    labels, shapes = zip(*known, strict=True)
+    positions = np.array(identification.responses.places)[:, 0]
+    uneven = unevenness(np.array(shapes), labels, positions, identification.length)
+    if uneven <= UNEVEN:
+        return ""
+    return (
+        f"the points differ by {uneven:.1%} (rms) in all modes alike, and the gains may be off by as much: check that "
+        "range, angle and focus of the sensor, and the voltage, were the same at all of them"
+    )
+
+
 def _misplaced(identification: Identification) -> str:
     """Describe the error of all positions, or of the length, that the shapes show; empty if they show none."""
     known = [(mode.label, shape) for mode, shape in identification.shaped if mode.label]
     if not known or identification.length is None:
         return ""
     labels, shapes = zip(*known, strict=True)
-    factor, shift = misplaced(np.array(shapes), labels, identification.responses.places, identification.length)
+    places, length = identification.responses.places, identification.length
+    factor, shift = misplaced(np.array(shapes), labels, places, length)
     off = [
         *([f"{factor:.3f} times as far from mid-beam"] if abs(factor - 1) > STRETCH / 2 else []),
         *([f"{shift * 1e3:+.2g} mm away"] if abs(shift) > SHIFT / 2 * identification.length else []),
@@ -394,8 +416,8 @@ def warnings(identification: Identification) -> list[str]:
                 f"up to {left:.1%} of the response around {names} is left, and the intervals may not cover it: "
                 f"{known or _cause(chosen)}"
             )
-    if elsewhere := _misplaced(identification):
-        said.append(elsewhere)
+    if of_points := _misplaced(identification) or _uneven(identification):
+        said.append(of_points)
     split = _split(identification) if identification.length else ""
     if split or not (noisy or (known and (marked or badly))):
         said.append(
