@@ -233,7 +233,7 @@ def test_timer_level_and_lock(burst: Burst) -> None:
     (timer,) = AFG3022B.timer(burst)
     assert timer.confirmed_by("0.1429")
     assert not timer.confirmed_by("0.14298")
-    (lock,) = AFG3022B.records.locks(["3", "3"])
+    (lock,) = (entry.filled(memory="3") for entry in TABLE.locks)
     assert (lock.command, lock.query) == ("DATA:LOCK:STAT USER3,ON", "DATA:LOCK:STAT? USER3")
     assert lock.off.command == "DATA:LOCK:STAT USER3,OFF"
 
