@@ -99,13 +99,14 @@ def test_what_is_not_there_is_told_before_anything_heavy_is_loaded(words):
 
 
 def test_an_analysis_of_a_table_designs_nothing(tmp_path):
-    """A CSV has no drive: no physics, no instrument, no protocol file."""
+    """A CSV has no drive and no session: no physics, no instrument, no protocol file, no log."""
     rows = ["participant,finger_condition,zone_left,zone_right,velocity_mm_s,response"]
     rows += [f"p{n},one_hand,A,C,80,right" for n in range(3)]
     (tmp_path / "answers.csv").write_text("\n".join(rows) + "\n")
     loaded, lines = load("analyse", tmp_path / "answers.csv", "--out", tmp_path / "out", "--json")
     assert not rooms(loaded) & {"lab", "planning", "preflight", "rig", "session", "stimulus", "window"}
-    assert lines <= 10_800
+    assert not loaded & {"record.folders", "record.session"}
+    assert lines <= 10_200
 
 
 @pytest.mark.parametrize("command", ["analyse", "verify", "rig", "new"])

@@ -7,9 +7,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from statistics import fmean
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from modaltouch.record import Session
+if TYPE_CHECKING:
+    from modaltouch.record import Session
 
 Presented = tuple[str, float, tuple[float, ...], tuple[float, ...], bool]
 
