@@ -1,7 +1,8 @@
 """Certificates of what is told of each participant: d', thresholds, exponents and ratings, and of their means.
 
 People are drawn from a population and answer by the very model that is fitted; what is told of one is a row by itself.
-A mean is certified by experiments that draw participants from 2,000 such people, whose own mean is the truth.
+A mean is certified by experiments that draw participants from 2,000 such people: against their true mean, and "as
+estimated" against the mean of what as many trials tell of all of them, however biased that is.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ REASONS = {
     "threshold of one": MANY, "PSE of one": MANY, "JND of one": MANY,
     "run of one, forced choice": RUNS, "run of one, felt": RUNS,
     "mean threshold": BIASED, "mean PSE": BIASED, "mean of runs, forced choice": BIASED, "mean of runs, felt": BIASED,
+    "mean of runs, forced choice, as estimated": "Student's interval ignores how skewed thresholds of short runs are",
     "mean JND": "spreads fitted to few trials are too small, which biases every JND downwards",
     "mean d'": "the correction that keeps every d' finite biases it towards zero, the more so the fewer the trials",
     "exponent of one": "participants round their numbers, so the residuals are not normal",
@@ -127,7 +129,7 @@ def _of_sensitivity(task: Task, rng: np.random.Generator, shape: tuple[int, int]
     criteria = Interval(*(np.array([getattr(each.criterion, name) for each in found]) for name in _BOUNDS), shape[0])
     yield "d' of one", _missed(d_primes, own)
     yield "criterion of one", _missed(criteria, criterion)
-    yield "mean d'", _flipped(rng, d_primes.estimate, own, shape, 0.05)
+    yield from _of_mean("d'", rng, d_primes.estimate, own, shape, 0.05)
     apart = rng.uniform(1.0, 2.0, shape[0])
     chances = ndtr((own - apart) / math.sqrt(2)) + ndtr((-own - apart) / math.sqrt(2)), 2 * ndtr(-apart / math.sqrt(2))
     differing = [each.d_prime for each in _each(same_different, rng, task, chances)]
@@ -154,14 +156,14 @@ def _of_fixed_levels(task: Task, rng: np.random.Generator, shape: tuple[int, int
     hits = rng.binomial(task.tries, guess + (1 - guess - task.lapse) * rising).astype(float)
     found = fit_counts(levels, hits, tries, guess_rate=guess, most_lapse=MOST_LAPSE)
     yield "threshold of one", _missed(found.threshold, own)[found.is_told]
-    yield "mean threshold", _flipped(rng, _known(found, found.threshold), own, shape, LEAST_DB)
+    yield from _of_mean("threshold", rng, _known(found, found.threshold), own, shape, LEAST_DB)
     hits = rng.binomial(task.tries, task.lapse + (1 - 2 * task.lapse) * rising).astype(float)
     found = fit_counts(levels, hits, tries, guess_rate=np.linspace(0, MOST_LAPSE, 3), most_lapse=MOST_LAPSE)
     yield "PSE of one", _missed(found.threshold, own)[found.is_told]
-    yield "mean PSE", _flipped(rng, _known(found, found.threshold), own, shape, LEAST_DB)
+    yield from _of_mean("PSE", rng, _known(found, found.threshold), own, shape, LEAST_DB)
     yield "JND of one", _missed(found.spread, spread)[found.is_told]
     just = JND_OF_SPREAD * _known(found, found.spread)
-    yield "mean JND", _flipped(rng, just, JND_OF_SPREAD * spread, shape, LEAST_DB / 5)
+    yield from _of_mean("JND", rng, just, JND_OF_SPREAD * spread, shape, LEAST_DB / 5)
 
 
 def _of_runs(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
@@ -176,9 +178,10 @@ def _of_runs(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Er
         flat = guess if guess else None
         found = fit_counts(LEVELS_DB, hits, tries, guess_rate=guess, most_lapse=0.06, flat_rate=flat)
         yield f"run of one, {name}", _missed(found.threshold, own)[found.is_told]
-        known, truth = _known(found, found.threshold)[rng.integers(shape[0], size=shape)], own.mean()
-        means = [student_interval(row[np.isfinite(row)]) for row in known]
-        yield f"mean of runs, {name}", np.array([not each.low <= truth <= each.high for each in means])
+        known = _known(found, found.threshold)
+        means = [student_interval(row[np.isfinite(row)]) for row in known[rng.integers(shape[0], size=shape)]]
+        for kind, truth in ((name, own.mean()), (f"{name}, as estimated", np.nanmean(known))):
+            yield f"mean of runs, {kind}", np.array([not each.low <= truth <= each.high for each in means])
 
 
 def staircases(rule, rng, n_trials, chances):
@@ -223,7 +226,7 @@ def _of_exponents(rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
     found = [power_law(levels, row) for row in np.maximum(np.rint(given / digit) * digit, digit)]
     exponents = Interval(*(np.array([getattr(each, name) for each in found]) for name in _BOUNDS), shape[0])
     yield "exponent of one", _missed(exponents, own)
-    yield "mean exponent", _flipped(rng, exponents.estimate, own, shape, 0.02)
+    yield from _of_mean("exponent", rng, exponents.estimate, own, shape, 0.02)
 
 
 def _people(task: Task, rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -235,10 +238,15 @@ def _known(found: Fits, estimate: Interval) -> np.ndarray:
     return np.where(found.is_told, estimate.estimate, np.nan)
 
 
-def _flipped(rng, known, own, shape, least):
-    """Return where the mean of people's numbers, rounded, errs by sign flips; those who have none are left out."""
-    gaps = np.rint((known - own.mean()) / least)
-    return flip_test(np.nan_to_num(gaps)[rng.integers(shape[0], size=shape)]).quick_p <= ALPHA * TIES
+def _of_mean(name: str, rng, known, own, shape, least) -> Errors:
+    """Yield where sign flips of people's numbers, rounded, reject the true mean, and that of all such numbers.
+
+    Those who have none are left out.
+    """
+    drawn = rng.integers(shape[0], size=shape)
+    for kind, mean in ((name, own.mean()), (f"{name}, as estimated", np.nanmean(known))):
+        gaps = np.nan_to_num(np.rint((known - mean) / least))
+        yield f"mean {kind}", flip_test(gaps[drawn]).quick_p <= ALPHA * TIES
 
 
 def _missed(interval: Interval, truth: np.ndarray | float) -> np.ndarray:

@@ -45,6 +45,7 @@ LIMITS = {
     "d'": "is of the difference of two rates; that its sign is as likely either way is shown here alone",
     "group, friedman": "hold where groups, or a participant's ratings, could have been exchanged",
     "of one, of runs, mean d' to mean exponent": "people answer by the very model that is fitted",
+    "as estimated": "the truth is the mean of what as many trials tell of everybody, biased as that may be",
     "all": "an interval that inverts a test errs as often; answers are missing by chance; mixed models have none",
 }
 BATCH = 500
@@ -368,7 +369,7 @@ def draw(told, place):
     axes.set_yticks(range(len(told)), list(told))
     axes.invert_yaxis()
     axes.set_xlim(left=-0.001)
-    axes.set_xlabel("rate of errors: a true null rejected, or the truth outside the 95 % interval")
+    axes.set_xlabel("rate of errors: a true null rejected,\nor the truth outside the 95 % interval")
     axes.set_title("Each dot a population; red: above 0.05 beyond doubt", fontsize=9)
     figure.savefig(place, dpi=110)
 

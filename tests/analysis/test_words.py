@@ -170,7 +170,7 @@ def test_every_test_and_interval_has_its_certificate(paper_frame) -> None:
         ("agreement over participants, sign flips", ()),
         ("share in a cell, exact interval", ("a1 share",)),
         ("misses compared, signed ranks", ("rank", "rank interval")),
-        ("d' over participants, sign flips, p by those of the rates", ("d'", "mean d'")),
+        ("d' over participants, sign flips, p by those of the rates", ("d'", "mean d', as estimated", "mean d'")),
         ("false alarms, interval of a bounded mean over participants", ("share",)),
         ("exact sign-flip test of median reaction times", ("time",)),
     ],

@@ -17,9 +17,9 @@ _OF_NAMES = {
     "prevalence of": ("prevalence",), "share of answers": ("share",), "paired difference": ("paired difference",),
     "odds ratio": ("odds ratio",), "reaction times": ("time",), "false alarms,": ("share",), "misses,": ("share",),
     "share in a cell": ("a1 share",), "bounded mean": ("c mean",),
-    "d' over": ("d'", "mean d'"), "detection threshold": (),
-    "threshold over": ("mean threshold",),
-    "PSE over": ("mean PSE",), "JND over": ("mean JND",), "exponent of": ("mean exponent",),
+    "d' over": ("d'", "mean d', as estimated", "mean d'"), "detection threshold": (),
+    "threshold over": ("mean threshold, as estimated", "mean threshold"),
+    "PSE over": ("mean PSE",), "JND over": ("mean JND, as estimated", "mean JND"), "exponent of": ("mean exponent",),
 }  # fmt: skip
 """Certificates of findings outside all families, by a part of their name; the first match counts.
 

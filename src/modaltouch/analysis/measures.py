@@ -160,7 +160,7 @@ def mean_findings(values: Sequence[IndividualValue], scale: LevelScale, groups: 
             f"{left_out} participants without a value left out" if left_out else "",
             f"participants whose own interval is open on one side: {n_open}" if n_open else "",
             "" if tested else "described, not tested",
-            f"not a 95 % interval of the true mean: {why_not}" if why_not else "",
+            f"95 % interval of the mean that as many trials give, not of the true mean: {why_not}" if why_not else "",
         ]
         yield finding_of(
             measure.question, f"{measure.name} over participants, {'bounded mean' if measure.ends else way}", scope,

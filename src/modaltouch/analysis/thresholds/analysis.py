@@ -152,6 +152,7 @@ def _report_files(
     responses = analysis.responses
     design = responses.start["design"]
     both, nothing = responses.answers.naming("left", "right"), responses.answers.naming()
+    task = "forced choice" if is_forced(responses) else "felt"
     return page_files(
         "modaltouch.analysis.thresholds",
         "report",
@@ -171,8 +172,8 @@ def _report_files(
         named=() if nothing and design["adaptive"]["success"] == "felt" else responses.answers.names,
         task=responses.task,
         is_forced=is_forced(responses),
-        certified=[certificates_in_words([f"{of}, {'forced choice' if is_forced(responses) else 'felt'}"])
-                   for of in ("mean of runs", "run of one")],
+        certified=[certificates_in_words([f"{of}, {task}{kind}" for kind in kinds])
+                   for of, kinds in (("mean of runs", (", as estimated", "")), ("run of one", ("",)))],
         rule=responses.start.get("adaptive", {}),
         scale=scale_of(responses.frame.columns),
         focus=" or ".join(sorted(set(responses.foci.values()) or {responses.focus})),
