@@ -34,11 +34,6 @@ def certificates() -> dict[str, tuple[float, float, str]]:
     return {name: (mean, worst, why) for name, (mean, worst, why) in held.items()}
 
 
-def coverage_caveat(name: str) -> str:
-    """Return why an interval is not a 95 % interval, as its counted errors show; empty if they do not show that."""
-    return certificates().get(name, (0.0, 0.0, ""))[2]
-
-
 def certificates_of(finding: Finding) -> tuple[str, ...]:
     """Return the names of the certificates of a test and its interval; empty if there are none."""
     known = (names for part, names in _OF_NAMES.items() if part in finding.name)

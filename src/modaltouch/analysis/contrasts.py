@@ -143,35 +143,28 @@ def signs_of(contrast: Contrast) -> FamilyResult:
     n_kept = np.minimum(first.answered, second.answered)
     n_left_out = (first.answered + second.answered - 2 * n_kept).sum(axis=(-2, -1))
     score = first.given - second.given
-
-    def drawn(at: tuple[int, ...], n_draws: int) -> IntArray:
-        return _drawn_differences([(each.given[at], each.answered[at]) for each in (first, second)], n_draws)
-
     for at in map(tuple, np.argwhere(n_left_out)):
-        score[at] = drawn(at, 1)[0]
+        score[at] = _drawn_differences(contrast, at, 1)[0]
     mean = contrast.scores.mean
 
     def notes(place: int) -> list[str]:
         if not (n := int(n_left_out[place])):
             return [*contrast.notes(place)]
-        p = sign_flip_test(drawn((place,), _DRAWS).sum(axis=-1)).quick_p
+        p = sign_flip_test(_drawn_differences(contrast, place, 200).sum(axis=-1)).quick_p
         low, high = np.quantile(p, [0.05, 0.95])
-        said = f"{n} answers left out of the test, drawn at random so that both have as many at each level"
-        return [*contrast.notes(place), f"{said}; nine in ten other draws give p from {low:.2g} to {high:.2g}"]
+        said = f"{n} answers left out of the test, drawn at random so that both have as many at each level; nine in ten"
+        return [*contrast.notes(place), f"{said} other draws give p from {low:.2g} to {high:.2g}"]
 
     test, interval = sign_flip_test(score.sum(axis=-1)), Interval.point(mean.estimate, mean.n)
     return FamilyResult(contrast.scopes, contrast.quantities, test, interval, notes=notes)
 
 
-_DRAWS = 200
-"""Draws of answers that show how much p hangs on the draw."""
-
-
-def _drawn_differences(counts: Sequence[tuple[IntArray, IntArray]], n_draws: int) -> IntArray:
+def _drawn_differences(contrast: Contrast, at: int | tuple[int, ...], n_draws: int) -> IntArray:
     """Return differences of two counts of answers, out of equally many drawn at each level, draw by draw; for one test.
 
     The draws follow from the counts, not from the order of the participants, so that the same answers have the same p.
     """
+    counts = ((each.given[at], each.answered[at]) for each in (contrast.first, contrast.second))
     table = np.stack([np.stack([given, answered - given], axis=-1) for given, answered in counts], axis=1)
     table = table[np.lexsort(table.reshape(len(table), -1).T)]
     good, bad = np.moveaxis(table, -1, 0)

@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from modaltouch.analysis.certificates import coverage_caveat
+from modaltouch.analysis.certificates import certificates
 from modaltouch.analysis.findings import ALPHA, Finding, finding_of
 from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.location import Located, by_flips, by_ranks, flip_test, group_test
@@ -152,7 +152,8 @@ def mean_findings(values: Sequence[IndividualValue], scale: LevelScale, groups: 
         tested = measure.null is not None and n > 0
         way = _FLIPS if own[0].tested is None else f"{_FLIPS}, p by those of the rates"
         met = {groups.get(each.participant) for each in own}
-        why_not = coverage_caveat(f"mean {measure.name}") if math.isfinite(interval.low + interval.high) else ""
+        is_closed = math.isfinite(interval.low + interval.high)
+        *_, why_not = certificates().get(f"mean {measure.name}", ("",)) if is_closed else ("",)
         notes = [
             f"met by {', '.join(name for name in names if name in met)} only" if len(met) < len(names) else "",
             "geometric mean" if measure.is_ratio else "",

@@ -73,9 +73,8 @@ def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
     """Return tests of whether cells differ from guessing, with all answers equally likely.
 
     One answer of each participant enters a cell: the one given or, with repetitions, the most frequent; ties are
-    left out and counted in the note. The estimate is the share of the cell's most frequent answer. If "felt nowhere" is
-    an answer too, the test is of those who felt something (given their number, guesses are even over the other answers,
-    however likely that one is), and the share is that of a felt answer among all.
+    left out and counted in the note. The estimate is the share of the most frequent answer. If "felt nowhere" is one
+    too, the test is of those who felt something: given their number, guesses are even; the share is of all.
     """
     felt = answers.felt
     if len(felt) < 2 or not answers.guesses_evenly:
@@ -84,12 +83,11 @@ def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
     n, nothing = kinds.sum(axis=-1), answers.answers.naming()
     # A batch of experiments has the quantities of the first; only those of a single experiment are shown.
     shown = kinds.reshape(-1, *kinds.shape[-2:])[0]
-    labels = [[label for label, place in answers.labelled(pair) if place in felt] for pair in answers.pairs]
-    places = [[place for _, place in answers.labelled(pair) if place in felt] for pair in answers.pairs]
-    most = [
-        labels[q][int(own[places[q]].argmax())] if own.any() else "most frequent answer"
-        for (q, _), own in zip(cells, shown, strict=True)
-    ]
+    labels = [{place: label for label, place in answers.labelled(pair) if place in felt} for pair in answers.pairs]
+    most = [max(labels[q], key=own.__getitem__) for (q, _), own in zip(cells, shown, strict=True)]
+    named = (
+        labels[q][k] if own[k] else "most frequent answer" for (q, _), k, own in zip(cells, most, shown, strict=True)
+    )
 
     def notes(place: int) -> list[str]:
         said = [", ".join(f"{answers.answers[kind].name} {kinds[place, kind]}" for kind in felt)]
@@ -102,7 +100,7 @@ def chance_tests(answers: AnswerCounts) -> FamilyResult | None:
         return said
 
     share = Interval.point(clopper_pearson(kinds[..., felt].max(axis=-1), n).estimate, n)
-    quantities = [f"P({label})" for label in most]
+    quantities = [f"P({label})" for label in named]
     return FamilyResult([scope for _, scope in cells], quantities, multinomial_test(kinds[..., felt]), share, n, notes)
 
 
@@ -119,9 +117,8 @@ def cell_share_findings(answers: AnswerCounts) -> Iterator[Finding]:
     for (q, scope), own in zip(cells, kinds, strict=True):
         label, place = answers.effects(answers.pairs[q])[0]
         share = clopper_pearson(own[place], own.sum())
-        yield finding_of(
-            "a1", "share in a cell, exact interval", scope, None, f"P({label})", share, int(share.n_effective)
-        )  # fmt: skip
+        name, n = "share in a cell, exact interval", int(own.sum())
+        yield finding_of("a1", name, scope, None, f"P({label})", share, n)
 
 
 def dominance(answers: AnswerCounts) -> Contrast | None:
