@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 
 from modaltouch import lab
-from modaltouch.cli.lab import MEASURED_RIG, bars
+from modaltouch.cli.lab import MEASURED_RIG, carry_out
 from modaltouch.cli.options import APPARATUS, JSON, SEED_OF_TWIN, SHIPPED_APPARATUS
-from modaltouch.cli.output import print_json, reporting, say
+from modaltouch.cli.output import say
 
 FILES = Annotated[
     list[Path] | None,
@@ -106,18 +107,14 @@ def identify(
     Each point is on disk as soon as it is measured. To continue an interrupted scan, run the same command again. The
     result is an apparatus file that `modaltouch check` reads, with a table and figures next to it.
     """
-    with reporting(json_output=json_output):
-        options = lab.IdentifyOptions(
-            apparatus, tuple(files or ()), rig, out, points=points, averages=averages, rows=rows, voltage=drive_V,
-            excitation=excitation, lowest=lowest_Hz, highest=None if highest_kHz is None else highest_kHz * 1e3,
-            margin=margin_mm * 1e-3, sets=tuple(sets or ()), modes=modes, quantity=quantity, conjugated=conjugated,
-            spacing=spacing_Hz, seed=seed, export=export, leave_out=tuple(place * 1e-3 for place in leave_out or ()),
-            use_clipped=use_clipped, estimator=estimator,
-        )  # fmt: skip
-        with bars(json_output=json_output) as progress:
-            report = lab.identify(options, progress)
-        values = report.write()
-        print_json(values) if json_output else _show(values)
+    options = lab.IdentifyOptions(
+        apparatus, tuple(files or ()), rig, out, points=points, averages=averages, rows=rows, voltage=drive_V,
+        excitation=excitation, lowest=lowest_Hz, highest=None if highest_kHz is None else highest_kHz * 1e3,
+        margin=margin_mm * 1e-3, sets=tuple(sets or ()), modes=modes, quantity=quantity, conjugated=conjugated,
+        spacing=spacing_Hz, seed=seed, export=export, leave_out=tuple(place * 1e-3 for place in leave_out or ()),
+        use_clipped=use_clipped, estimator=estimator,
+    )  # fmt: skip
+    carry_out(partial(lab.identify, options), lambda _, values: _show(values), json_output=json_output)
 
 
 def _show(result: dict[str, Any]) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -87,6 +88,15 @@ def ask_for(words: str) -> None:
         ) from None
 
 
+def carry_out(measure: Callable[..., Any], show: Callable[[Any, dict[str, Any]], None], *, json_output: bool) -> None:
+    """Measure with progress bars, write the report, and print its plain values or show it with them."""
+    with reporting(json_output=json_output):
+        with bars(json_output=json_output) as progress:
+            report = measure(progress=progress)
+        values = report.write()
+        print_json(values) if json_output else show(report, values)
+
+
 def calibrate(
     protocol: PROTOCOL,
     out: Annotated[Path, typer.Option(help="File for the calibration; never overwritten.", show_default=False)],
@@ -110,13 +120,11 @@ def calibrate(
     end. A calibration that misses the protocol's `calibration.limits` needs --accept to be written, and `run` needs
     --with-marked-calibration to use it.
     """
-    with reporting(json_output=json_output):
-        with bars(json_output=json_output) as progress:
-            report = lab.calibrate(
-                protocol, out, rig=rig, person=person, accept=accept, record=record, progress=progress
-            )
-        values = report.write()
-        print_json(values) if json_output else _show_calibration(report.calibration, out, protocol)
+    carry_out(
+        partial(lab.calibrate, protocol, out, rig=rig, person=person, accept=accept, record=record),
+        lambda report, _: _show_calibration(report.calibration, out, protocol),
+        json_output=json_output,
+    )
 
 
 def _show_calibration(calibration: Calibration, out: Path, protocol: Path) -> None:
@@ -212,20 +220,20 @@ def compare(
 
     Everything runs on the twin, whose true beam is the reference. All methods learn from the same recordings.
     """
-    with reporting(json_output=json_output):
-        with bars(json_output=json_output) as progress:
-            report = lab.compare(
-                protocol,
-                out=out,
-                scan=scan,
-                points=points,
-                averages=averages,
-                beams=beams,
-                seed=seed,
-                progress=progress,
-            )
-        values = report.write()
-        print_json(values) if json_output else _show_comparison(report.table, values)
+    carry_out(
+        partial(
+            lab.compare,
+            protocol,
+            out=out,
+            scan=scan,
+            points=points,
+            averages=averages,
+            beams=beams,
+            seed=seed,
+        ),
+        lambda report, values: _show_comparison(report.table, values),
+        json_output=json_output,
+    )
 
 
 def _show_comparison(lines: list[dict[str, Any]], values: dict[str, Any]) -> None:
@@ -275,22 +283,22 @@ def validate(
 
     The highest level of the protocol is played. The measured field is compared with the target; errors are in mm/s.
     """
-    with reporting(json_output=json_output):
-        with bars(json_output=json_output) as progress:
-            report = lab.validate(
-                protocol,
-                calibration=calibration,
-                rig=rig,
-                out=out,
-                scan=scan,
-                points=points,
-                averages=averages,
-                rows=rows,
-                record=record,
-                progress=progress,
-            )
-        values = report.write()
-        print_json(values) if json_output else _show_validation(report.table, values)
+    carry_out(
+        partial(
+            lab.validate,
+            protocol,
+            calibration=calibration,
+            rig=rig,
+            out=out,
+            scan=scan,
+            points=points,
+            averages=averages,
+            rows=rows,
+            record=record,
+        ),
+        lambda report, values: _show_validation(report.table, values),
+        json_output=json_output,
+    )
 
 
 def _show_validation(lines: list[dict[str, Any]], values: dict[str, Any]) -> None:
@@ -349,22 +357,22 @@ def probe(
     under them, with its 95 % interval. The table must contain all modes of the beam, including even ones; `modaltouch
     identify --modes all` finds them.
     """
-    with reporting(json_output=json_output):
-        with bars(json_output=json_output) as progress:
-            report = lab.probe_fingers(
-                protocol,
-                out,
-                rig=rig,
-                pair=pair,
-                hand=hand,
-                laser=None if laser_mm is None else laser_mm * 1e-3,
-                speed=speed_mm_s * 1e-3,
-                seed=seed,
-                progress=progress,
-                lay=ask_for,
-            )
-        values = report.write()
-        print_json(values) if json_output else _show_fingers(values)
+    carry_out(
+        partial(
+            lab.probe_fingers,
+            protocol,
+            out,
+            rig=rig,
+            pair=pair,
+            hand=hand,
+            laser=None if laser_mm is None else laser_mm * 1e-3,
+            speed=speed_mm_s * 1e-3,
+            seed=seed,
+            lay=ask_for,
+        ),
+        lambda _, values: _show_fingers(values),
+        json_output=json_output,
+    )
 
 
 def _show_fingers(result: dict[str, Any]) -> None:
