@@ -107,7 +107,8 @@ class MissedLimit(Section):
     limit: Word = described(
         "velocity_mm_s, displacement_mm_s, level_percent: as in the protocol's limits; frequencies_mm_s: effect of "
         "changed natural frequencies on the focus; focus_percent: excess of the speed measured there over that "
-        "predicted from the points along the beam; drive_percent: shortfall of the amplifier's peaks."
+        "predicted from the points along the beam; drive_percent: shortfall of the amplifier's peaks; "
+        "reading_percent: change of all speeds alike since the modes were identified."
     )
     level_mm_s: Positive = described("Level at which it was missed [mm/s].")
     reached: NotNegative = described("The value reached, with its uncertainty, in the unit of the limit.")

@@ -75,6 +75,19 @@ def test_what_is_no_number_is_missed(preflight: Preflight, outcome: CalibrationR
     assert (first["limit"], first["reached"]) == ("velocity_mm_s", 1e9)
 
 
+def test_sensor_that_reads_otherwise_after_the_identification_is_named(
+    preflight: Preflight, outcome: CalibrationResult
+) -> None:
+    """3 % from its second half on: the loop would scale the targets to it, and every level would be 3 % off."""
+    first, second, *others = outcome.turns
+    assert abs(outcome.reading_change) < 0.002
+    read = replace(second, state=replace(second.state, velocity=1.03 * second.state.velocity))
+    mark = mark_of(replace(outcome, turns=(first, read, *others)), preflight.experiment.protocol)
+    assert [each["limit"] for each in mark["missed"]] == ["reading_percent"]
+    assert "all speeds are 1.03" in mark["causes"][0]
+    assert "range, angle or focus changed" in mark["causes"][0]
+
+
 @pytest.mark.parametrize(
     ("departures", "missed", "cause"),
     [

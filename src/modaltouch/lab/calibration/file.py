@@ -150,6 +150,11 @@ class CalibrationResult:
     drive_peak: FloatArray
     drive_shortfall: FloatArray
 
+    @property
+    def reading_change(self) -> float:
+        """Change of all speeds alike from the identification, for which the first iteration was designed [1]."""
+        return float(self.turns[1].state.velocity @ self.target / (self.target @ self.target)) - 1
+
 
 CERTAIN = 3.0
 """Standard errors below which a deviation may be noise and is not corrected [1]."""

@@ -68,11 +68,8 @@ LARGEST_PHASE = 0.2
 LEAST_COHERENCE = 0.3
 """Least fraction of a velocity's power that repeats with every burst [1]."""
 
-FAR_OFF = 6.0
-"""Standard deviations above which a sample is not noise but a gap or a shock [1]."""
-
-MOST_FAR_OFF = 5e-5
-"""Largest plausible fraction of such samples [1]."""
+FAR_OFF, MOST_FAR_OFF = 6.0, 5e-5
+"""Standard deviations above which a sample is a gap or a shock, and largest plausible fraction of such samples [1]."""
 
 
 def refuse_implausible_drive(drive: DriveDelay) -> None:
@@ -302,10 +299,9 @@ def peak_shortfall(predicted: FloatArray, measured: FloatArray) -> FloatArray:
     return lacking
 
 
-LARGEST_SHORTFALL = 0.01
-"""Largest shortfall of the measured drive's peaks for the calibrated stimulus [1]."""
-
-Missed = dict[str, Any]
+LARGEST_SHORTFALL, LARGEST_CHANGE = 0.01, 0.01
+"""Largest shortfall of the measured drive's peaks for the calibrated stimulus, and largest change of all speeds since
+the identification [1]."""
 
 
 def mark_of(outcome: CalibrationResult, protocol: Protocol) -> dict[str, Any]:
@@ -327,7 +323,7 @@ def mark_of(outcome: CalibrationResult, protocol: Protocol) -> dict[str, Any]:
     return {"missed": missed, "causes": list(_causes(outcome, protocol, missed)) if missed else []}
 
 
-def _missed(outcome: CalibrationResult, protocol: Protocol) -> Iterator[Missed]:
+def _missed(outcome: CalibrationResult, protocol: Protocol) -> Iterator[dict[str, Any]]:
     reference, limits = outcome.inputs.reference, protocol.calibration.limits
     highest = max(outcome.levels, key=lambda level: level.velocity)
     for turn, level in ((outcome.best, reference), (outcome.halfway, outcome.halfway_level * 1e3)):
@@ -346,11 +342,12 @@ def _missed(outcome: CalibrationResult, protocol: Protocol) -> Iterator[Missed]:
         reached_percent = _level_error(asked, limits.level_percent, highest.velocity)
         yield from _beyond("level_percent", asked.velocity * 1e3, reached_percent, limits.level_percent)
     yield from _beyond("focus_percent", highest.velocity * 1e3, 100 * abs(highest.excess), 100 * LARGEST_EXCESS)
-    shortfall = float(outcome.drive_shortfall.max()) * 100
-    yield from _beyond("drive_percent", highest.velocity * 1e3, shortfall, LARGEST_SHORTFALL * 100)
+    shortfall = float(outcome.drive_shortfall.max())
+    yield from _beyond("drive_percent", highest.velocity * 1e3, 100 * shortfall, 100 * LARGEST_SHORTFALL)
+    yield from _beyond("reading_percent", reference, 100 * abs(outcome.reading_change), 100 * LARGEST_CHANGE)
 
 
-def _beyond(limit: str, level: float, reached: float, allowed: float) -> Iterator[Missed]:
+def _beyond(limit: str, level: float, reached: float, allowed: float) -> Iterator[dict[str, Any]]:
     # NaN counts as missed.
     if not reached <= allowed:
         reached = float(np.nan_to_num(reached, nan=1e9, posinf=1e9))
@@ -370,7 +367,7 @@ def _level_error(level: Level, allowed: float, highest: float) -> float:
     return uncertainty if uncertainty > allowed else 0.0
 
 
-def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]) -> Iterator[str]:
+def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[dict[str, Any]]) -> Iterator[str]:
     """Yield the cause that the records show, with its remedy."""
     limits, last = protocol.calibration.limits, outcome.turns[-1].state
     allowed = min(limits.velocity_mm_s, limits.displacement_mm_s) * 1e-3
@@ -409,6 +406,11 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[Missed]
             f"at the focus the records leave {level_noise * 1e3:.2g} mm/s of a level uncertain, though the other "
             "points agree: the spot reflects badly there, or the records are late; aim the vibrometer again, check the "
             "trigger, and calibrate again"
+        )
+    elif any(each["limit"] == "reading_percent" for each in missed):
+        yield (
+            f"all speeds are {1 + outcome.reading_change:.3f} times those expected from the probes: the sensor's "
+            "range, angle or focus changed, or the actuators have hysteresis; fasten it, and calibrate again"
         )
     elif all(each["level_mm_s"] != outcome.inputs.reference for each in missed):
         yield HYSTERESIS
