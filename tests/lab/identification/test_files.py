@@ -296,6 +296,22 @@ def test_coherence_that_is_none_is_refused(tmp_path: Path, frequency: np.ndarray
         read_responses([tmp_path / "a.npz"], ResponseFormat(n_averages=4))
 
 
+def test_an_axis_one_bin_too_high_is_refused(tmp_path: Path, frequency: np.ndarray) -> None:
+    """A discrete Fourier transform of real records is real at 0 Hz, and nowhere else in the band."""
+    even = np.arange(frequency.size) * (step := frequency[1] - frequency[0])
+    response = accelerance(even, RESIDUES[0]) + 1e-3  # the offset of a sensor, which any record has
+    assert response[0].imag == 0 < response[0].real
+    for first in (0.0, step):
+        np.savez(
+            tmp_path / "a.npz", frequency=even + first, response=response[None, None], sets=["v"], quantity="velocity"
+        )
+        if not first:
+            assert read_responses([tmp_path / "a.npz"]).frequency[0] == step
+            continue
+        with pytest.raises(ValueError, match=f"first frequency, {step:.6g} Hz, are all real.* that much too high"):
+            read_responses([tmp_path / "a.npz"])
+
+
 @pytest.mark.parametrize(
     ("made", "said"),
     [

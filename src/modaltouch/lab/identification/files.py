@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.identification.responses import (
     QUANTITIES,
     FrequencyResponses,
@@ -23,6 +23,7 @@ from modaltouch.lab.identification.responses import (
     Quantity,
     ResponseFormat,
     as_velocity,
+    turns,
 )
 from modaltouch.lab.identification.time_records import TimeRecord, part_of, read_lvm
 
@@ -236,23 +237,17 @@ def _refuse_amplitudes(path: Path, part: Part) -> None:
         "the real part is zero throughout": not values.real.any(),
         "the real part of no response is ever negative: amplitudes were taken for it": bool((values.real >= 0).all()),
         "the numbers are as large and as alike as decibels": typical > LEAST_DECIBELS and size.max() < ALIKE * typical,
-        "the phase turns several times within each peak: degrees were taken for radians": _turns(values, size) > MOST,
+        "the phase turns several times within each peak: degrees were taken for radians": turns(values, size) > MOST,
     }
     fault = next((fault for fault, found in faults.items() if found), None)
     if fault and len(places) >= FEWEST_SIGNED:
         raise ValueError(f"{path}: {fault}; export real and imaginary part, in SI units")
-
-
-def _turns(values: ComplexArray, size: FloatArray) -> float:
-    """Return the median phase that responses turn by across their highest peaks, apart from a delay [rad]."""
-    turned = []
-    for row, amplitude in zip(values, size, strict=True):
-        turn = np.angle(row[1:] * row[:-1].conj())
-        turn = np.angle(np.exp(1j * (turn - np.median(turn))))
-        top, low = int(amplitude.argmax()), np.flatnonzero(amplitude < amplitude.max() / 2**0.5)
-        first, last = low[low < top].max(initial=0), low[low > top].min(initial=turn.size)
-        turned.append(np.abs(turn[first:last]).sum())
-    return float(np.median(turned))
+    first, start = values[:, 0], part.frequency[0]
+    if start > 0 and first.all() and values.imag.any() and not first.imag.any():
+        raise ValueError(
+            f"{path}: the responses at its first frequency, {start:.6g} Hz, are all real, as they can only be at 0 Hz: "
+            "its frequencies are that much too high; export them from 0 Hz on"
+        )
 
 
 def _assemble(
