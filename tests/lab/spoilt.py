@@ -40,7 +40,9 @@ LABELS = (1, 3, 5, 7, 9, 11)
 GRAVITY = 9.80665
 
 
-def response_of(beam: TrueBeam, *, softening: float = 0.0, drift: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def response_of(
+    beam: TrueBeam, *, softening: float = 0.0, drift: float = 0.0, stretch: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
     """Return frequencies, and velocity responses of both sets at all points, (2, n_points, n_bins).
 
     Parameters
@@ -52,12 +54,14 @@ def response_of(beam: TrueBeam, *, softening: float = 0.0, drift: float = 0.0) -
         square of the velocity (Duffing).
     drift : float
         By which part the natural frequencies rise from the first point to the last.
+    stretch : float
+        How many times as far from mid-beam the points lie as their positions say.
     """
     frequency = np.arange(int(50 * PERIOD) + 1, int(HIGHEST * PERIOD)) / PERIOD
     places = np.linspace(-LENGTH / 2, LENGTH / 2, N_POINTS)
     omega, own, ratio = 2 * np.pi * frequency, 2 * np.pi * beam.natural_frequency[:, None], beam.damping_ratio[:, None]
     late = np.exp(-1j * omega * DELAY) / (1 + 1j * frequency / BANDWIDTH)
-    shapes = beam.shapes(places, 0.2e-3)
+    shapes = beam.shapes(stretch * places, 0.2e-3)
     response = np.empty((2, N_POINTS, frequency.size), dtype=complex)
     for each, gain in zip(response, beam.modal_gain.T[:, :, None], strict=True):
         resistance = 2j * ratio * own * omega - omega**2
@@ -126,6 +130,30 @@ def _units(beam: TrueBeam, rng: np.random.Generator) -> tuple[np.ndarray, np.nda
     return frequency, response * rng.choice([GRAVITY, 1 / GRAVITY, 1e3, 1e-3]), 1.0
 
 
+def _misplaced(beam: TrueBeam, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
+    return (*response_of(beam, stretch=float(rng.uniform(0.92, 0.98))), 1.0)
+
+
+def _stepped(beam: TrueBeam, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
+    frequency, response = response_of(beam)
+    response[:, rng.integers(5, N_POINTS - 5) :] *= rng.choice([0.9, 1.05, 1.1])
+    return frequency, response, 1.0
+
+
+def _mixed_units(beam: TrueBeam, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
+    frequency, response = response_of(beam)
+    some = rng.permutation(N_POINTS)[: rng.integers(2, N_POINTS - 1)]
+    response[:, some] *= rng.choice([GRAVITY, 1 / GRAVITY, 1e3, 1e-3])
+    return frequency, response, 1.0
+
+
+def _wrong_digit(beam: TrueBeam, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, float]:
+    frequency, response = response_of(beam)
+    row = response[rng.integers(2), rng.integers(N_POINTS)]
+    row[np.abs(row).argmax()] *= rng.choice([0.1, 5.0, 10.0])
+    return frequency, response, 1.0
+
+
 FAULTS: dict[str, Fault] = {
     "clean": _clean,
     "offset": _offset,
@@ -135,6 +163,10 @@ FAULTS: dict[str, Fault] = {
     "scaled point": _point(lambda rng: float(rng.choice([0.1, 0.5, 2.0, GRAVITY]))),
     "low coherence": _incoherent,
     "wrong units": _units,
+    "misplaced points": _misplaced,
+    "a step in the scan": _stepped,
+    "mixed units": _mixed_units,
+    "wrong digit": _wrong_digit,
 }
 
 
@@ -235,6 +267,10 @@ CAUSES = {
     "scaled point": "times too",
     "low coherence": "average more",
     "wrong units": "times those of",
+    "misplaced points": "as far from mid-beam",
+    "a step in the scan": "alike in all modes",
+    "mixed units": "as large as those at the other points",
+    "wrong digit": "one value",
 }
 """What a right refusal says, by the fault."""
 

@@ -14,12 +14,12 @@ from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.identification.estimates import NORMAL_95, Estimate, Identification, IdentifiedMode
 from modaltouch.lab.identification.kernel import N_REST, Evaluation, LeastSquaresProblem, complex_residue, fitted
 from modaltouch.lab.identification.peaks import HalfPower, Poles, half_power
+from modaltouch.lab.identification.points import refuse_odd_point
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.lab.identification.rest import rest_about
 from modaltouch.lab.identification.shapes import (
     label_shapes,
     label_torsion,
-    refuse_odd_point,
     shape_scatter,
     torsion_shapes,
     unit_shape,

@@ -8,8 +8,9 @@ from itertools import pairwise
 import numpy as np
 
 from modaltouch.lab.identification.estimates import Identification, IdentifiedMode
+from modaltouch.lab.identification.points import GRAVITY, SPREAD, in_two_units, misplaced, unevenness
 from modaltouch.lab.identification.rest import REMEDIES
-from modaltouch.lab.identification.shapes import BELONGS, SHIFT, STRETCH, bending_likeness, mac, misplaced, unevenness
+from modaltouch.lab.identification.shapes import BELONGS, bending_likeness, mac
 from modaltouch.lab.identification.time_records import STILL_MOVES
 from modaltouch.protocol import Apparatus
 
@@ -58,7 +59,9 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     faulty = [label for label, mode in found.items() if label in labels and _faults(f"mode {label}", mode)]
     # If the beam drifts, a missing mode is split; if points are exchanged, it has one resonance of a strange shape.
     split = _split(identification, missing, faulty)
-    strange = _mixed(identification) or split or _misplaced(identification) if missing else split
+    strange = split
+    if missing:
+        strange = _in_two_units(identification) or split or _misplaced(identification)
     if not (strange or spoilt):
         strange = _implausible_modes(identification.modes, missing)
     remedy = "" if spoilt or strange else REMEDY
@@ -108,27 +111,10 @@ def _is_one(identification: Identification, one: IdentifiedMode, other: Identifi
     return int(likeness[2].argmax()) + 1 if alike or lacking[2] < min(1 - BELONGS, *(lacking[:2] / 2)) else None
 
 
-APART = 5.0
-"""Least factor between the sizes of two groups of points, with none between them, for their units to differ [1]."""
-
-
-def _mixed(identification: Identification) -> str:
-    """Describe points whose responses are all far larger than those of the others; empty if there are none."""
-    responses = identification.responses
-    size = np.sqrt((np.abs(responses.response) ** 2).mean(axis=(0, 2)))
-    order = np.argsort(size)
-    steps = size[order][1:] / np.maximum(size[order][:-1], 1e-300)
-    if not responses.places or steps.max() < APART:
-        return ""
-    low, high = np.split(order, [int(steps.argmax()) + 1])
-    factor = float(np.median(size[high]) / np.median(size[low]))
-    if factor < 1 / SPREAD**2 and abs(factor / GRAVITY - 1) > 3 * SPREAD:
-        return ""
-    named = ", ".join(str(responses.places[point]) for point in np.sort(high))
-    return (
-        f"the responses at {named} are about {factor:.3g} times as large as those at the other points: check whether "
-        "all points have the same units, range and gain"
-    )
+def _in_two_units(identification: Identification) -> str:
+    """Describe points that are all far larger than the others; empty if there are none."""
+    places, residue = identification.responses.places, np.array([mode.residue.real for mode in identification.modes])
+    return in_two_units(residue, places, identification.length) if places and identification.length else ""
 
 
 UNEVEN, LIKE_THEORY = 0.01, 0.97
@@ -158,18 +144,7 @@ def _misplaced(identification: Identification) -> str:
     if not known or identification.length is None:
         return ""
     labels, shapes = zip(*known, strict=True)
-    places, length = identification.responses.places, identification.length
-    factor, shift = misplaced(np.array(shapes), labels, places, length)
-    off = [
-        *([f"{factor:.3f} times as far from mid-beam"] if abs(factor - 1) > STRETCH / 2 else []),
-        *([f"{shift * 1e3:+.2g} mm away"] if abs(shift) > SHIFT / 2 * identification.length else []),
-    ]
-    if not off:
-        return ""
-    return (
-        f"the shapes are those of a free beam whose points lie {' and '.join(off)}, so the gains are wrong: check the "
-        "scale and the origin of the positions, and the length of the beam in the apparatus file"
-    )
+    return misplaced(np.array(shapes), labels, identification.responses.places, identification.length)
 
 
 def _implausible_modes(modes: Sequence[IdentifiedMode], missing: Sequence[int]) -> str:
@@ -208,17 +183,14 @@ def check_all(identification: Identification) -> None:
         raise ValueError("\n".join([*(line for each in faults for line in each), *cause]))
 
 
-GRAVITY = 9.80665
-"""Standard acceleration of free fall [m/s^2]."""
-
 FACTORS = {
     GRAVITY: "an acceleration in g was taken for m/s^2, or the other way round, or a 10 : 1 probe for 1 : 1",
     1e3: "a thousandth was taken for a whole unit",
 }
 """Factors between units that are often confused, and what they mean."""
 
-SPREAD, ROUGHLY = 0.1, 1.0
-"""Relative tolerance of gains about such a factor, and about a thousand [1]."""
+ROUGHLY = 1.0
+"""Relative tolerance of gains about a thousand [1]."""
 
 MOST_GAINS = 0.75
 """Fraction of the gains that must lie within it: at the end of the band a label may be that of another mode [1]."""
