@@ -134,7 +134,7 @@ def test_a_design_that_falls_into_one_part_is_not_told_as_several() -> None:
     """One pair twice at one level is crossed, whatever key of the protocol listed its cell."""
     found = analyse_parts(responses([row for row in rows() if row["zone_left"] == "B"]))
     page = render_parts(found)["report.html"]
-    assert "The design falls into 1\ncrossed part;" in page
+    assert "Every pair has every level equally often." in page
     assert found.as_dict()["notes"] == []
 
 
