@@ -72,15 +72,17 @@ class BlockRecursion:
                 row[:] = state
                 state = ratio * state + push
             return begin.T, state
-        power = self.power[:, level]
         groups = pushed[:, : n_groups * SHORT].reshape(n_states, n_groups, SHORT)
-        total = np.matmul(groups, power[:, SHORT - 1 :: -1, None])[:, :, 0]
-        starts, state = self.follow(total, state, level + 1)
+        starts, state = self.follow(self.total(groups, level), state, level + 1)
         begin = np.empty((n_states, n_blocks), dtype=complex)
         self.within(groups, starts, begin[:, : n_groups * SHORT].reshape(n_states, n_groups, SHORT), level)
         if rest:
             begin[:, n_groups * SHORT :], state = self.follow(pushed[:, n_groups * SHORT :], state, level)
         return begin, state
+
+    def total(self, groups: ComplexArray, level: int = 0) -> ComplexArray:
+        """Return what groups of blocks, (n_states, n_groups, SHORT) array, add to the states at their ends."""
+        return np.asarray(np.matmul(groups, self.power[:, level, SHORT - 1 :: -1, None])[:, :, 0])
 
     def within(self, pushed: ComplexArray, starts: ComplexArray, out: ComplexArray, level: int = 0) -> None:
         """Write the states before each block, (n_states, n_groups, SHORT) array, from those before each group."""
@@ -225,13 +227,15 @@ class BlockKernel:
             begin, state = self.states(blocks, state)
             self.respond(blocks, begin, out[:, start:stop])
 
-    def peaks(self, blocks: FloatArray, starts: ComplexArray) -> FloatArray:
+    def peaks(self, blocks: FloatArray, pushed: ComplexArray, starts: ComplexArray) -> FloatArray:
         """Return the largest magnitude of each output, (n_outputs,) array.
 
         Parameters
         ----------
         blocks : (n_inputs, n_groups, SHORT**2) array
             Inputs of groups of SHORT blocks.
+        pushed : (n_states, n_groups, SHORT) complex array
+            What each block adds to the states at its end.
         starts : (n_states, n_groups) complex array
             States at the start of each group.
         """
@@ -239,9 +243,8 @@ class BlockKernel:
         for start in range(0, starts.shape[1], _CHUNK // SHORT**2):
             groups = slice(start, start + _CHUNK // SHORT**2)
             part, first = blocks[:, groups].reshape(len(blocks), -1, SHORT), starts[:, groups]
-            pushed = self.pushed(part).reshape(*first.shape, SHORT)
-            begin = np.empty_like(pushed)
-            self.scan.within(pushed, first, begin)
+            begin = np.empty((*first.shape, SHORT), dtype=complex)
+            self.scan.within(pushed[:, groups], first, begin)
             course = some[:, : part.shape[1] * SHORT]
             self.respond(part, begin.reshape(len(first), -1), course)
             peak = np.maximum(peak, np.maximum(course.max(axis=1), -course.min(axis=1)))

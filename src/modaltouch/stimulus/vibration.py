@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.stimulus.blocks import SHORT, BlockKernel, BlockRecursion, PeakBound
+from modaltouch.stimulus.blocks import SHORT, BlockKernel, PeakBound
 from modaltouch.stimulus.burst import Timing
 from modaltouch.stimulus.dynamics import DiagonalSystem, clock_inputs
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
@@ -29,7 +29,7 @@ _DENSE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class BlockStates:
-    """The states during a burst from rest, in long blocks; short ones are computed only where a peak is possible.
+    """The states during a burst from rest, at the starts of long blocks; those of short ones only where a peak may be.
 
     Attributes
     ----------
@@ -39,6 +39,8 @@ class BlockStates:
         Clock of the samples.
     blocks : (n_inputs, n_blocks, BLOCK) array
         Voltages, and the steps times powers of their delay on the clock; the last block is padded with zeros.
+    pushed : (n_states, n_blocks, SHORT) complex array
+        What each of the SHORT short blocks in a block adds to the states at its end.
     begin : (n_states, n_blocks + 1) complex array
         States at the starts of the blocks, and after the last.
     """
@@ -46,6 +48,7 @@ class BlockStates:
     system: DiagonalSystem
     timing: Timing
     blocks: FloatArray
+    pushed: ComplexArray
     begin: ComplexArray
 
     @classmethod
@@ -53,18 +56,14 @@ class BlockStates:
         """Return the states under held samples at the beam, (n_channels, n_samples) array [V]."""
         push = system.clock_gain(timing)
         inputs = clock_inputs(voltage, timing, 0, voltage.shape[1], push.shape[1])
-        filled = np.pad(inputs, ((0, 0), (0, -inputs.shape[1] % BLOCK)))
+        beyond = -inputs.shape[1] % BLOCK
+        filled = np.pad(inputs, ((0, 0), (0, beyond))) if beyond else inputs
         blocks = filled.reshape(len(inputs), -1, BLOCK)
-        fine, _ = exponential_tables(system.exponent, timing.hold, 1)
-        pushed = np.zeros((system.exponent.size, blocks.shape[1]), dtype=complex)
-        for rows, column in zip(blocks, push.T, strict=True):
-            driven = np.flatnonzero(column)
-            table = column[driven, None] * fine[driven]
-            parts = rows @ np.concatenate([table.real, table.imag]).T
-            pushed[driven] += (parts[:, : driven.size] + 1j * parts[:, driven.size :]).T
+        kernel = BlockKernel(system.exponent, push, np.empty((0, system.exponent.size), complex), timing.hold)
+        pushed = kernel.pushed(blocks.reshape(len(inputs), -1, SHORT)).reshape(-1, blocks.shape[1], SHORT)
         rest = np.zeros(system.exponent.size, dtype=complex)
-        begin, left = BlockRecursion.of(system.exponent, timing.hold, BLOCK).follow(pushed, rest)
-        return cls(system, timing, blocks, np.concatenate([begin, left[:, None]], axis=1))
+        begin, left = kernel.scan.follow(kernel.scan.total(pushed), rest, 1)
+        return cls(system, timing, blocks, pushed, np.concatenate([begin, left[:, None]], axis=1))
 
     @cached_property
     def _peak_bound(self) -> PeakBound:
@@ -87,7 +86,7 @@ class BlockStates:
         bound = self._peak_bound.of_outputs(some, self._push, fine[:, ::-1])
         which = np.flatnonzero((bound > peak[:, None]).any(axis=0))
         if which.size > _DENSE * bound.shape[1]:
-            peak = np.maximum(peak, kernel.peaks(self.blocks, self.begin[:, :-1]))
+            peak = np.maximum(peak, kernel.peaks(self.blocks, self.pushed, self.begin[:, :-1]))
         else:
             self._evaluate_blocks(which, kernel, peak)
         period = int(self.timing.sampling_rate / self.timing.repetition_rate)
@@ -104,14 +103,10 @@ class BlockStates:
         if which.size == 0:
             return
         blocks = self.blocks[:, which].reshape(len(self.blocks), -1, SHORT)
-        # All long blocks step through their short ones together.
-        n_states, ratio = len(self.begin), decay(self.system.exponent, self.timing.hold, np.array([SHORT]))
-        pushed = kernel.pushed(blocks).reshape(n_states, which.size, -1)
+        pushed = self.pushed[:, which]
         begin = np.empty_like(pushed)
-        begin[:, :, 0] = self.begin[:, which]
-        for step in range(1, pushed.shape[2]):
-            begin[:, :, step] = ratio * begin[:, :, step - 1] + pushed[:, :, step - 1]
-        short = begin.reshape(n_states, -1)
+        kernel.scan.within(pushed, self.begin[:, which], begin)
+        short = begin.reshape(len(begin), -1)
         bounds = PeakBound.of(blocks, short).of_outputs(kernel.output, self._push, kernel.powers)
         for place, bound in enumerate(bounds):
             peak[place] = kernel.peak(place, blocks, short, bound, float(peak[place]))
