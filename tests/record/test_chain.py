@@ -5,7 +5,15 @@ import json
 
 import pytest
 
-from modaltouch.record.chain import GENESIS, RecordError, describe_torn, encode_line, parse_chain, read_chain
+from modaltouch.record.chain import (
+    GENESIS,
+    RecordError,
+    describe_torn,
+    encode_line,
+    line_check,
+    parse_chain,
+    read_chain,
+)
 
 
 def chain_of(*events: dict) -> bytes:
@@ -137,3 +145,15 @@ def test_remains_of_two_cuts_stay_apart():
     chain = parse_chain(data, "log")
     assert chain.problems == ()
     assert len(chain.events) == 3
+
+
+def test_a_line_that_cannot_be_read_costs_no_other_answer():
+    """Its check is right, so that of the next line can be computed: every other answer is read, and read once."""
+    first, check = encode_line(EVENTS[0], GENESIS)
+    body = b'{"n":2,"answer":left'
+    check = line_check(check, body)
+    last, _ = encode_line(EVENTS[2], check)
+    chain = parse_chain(first + body + b',"check":"' + check.encode() + b'"}\n' + last, "log")
+    assert chain.events == (EVENTS[0], EVENTS[2])
+    said = "log:2: cannot be read: it is not JSON from its character 17 on, although its check is correct"
+    assert chain.damage == (said,)

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from modaltouch.record.chain import RecordError
-from modaltouch.record.files import OWNER_ALONE, prepare_file, replace_file
+from modaltouch.record.files import OWNER_ALONE, is_locked, prepare_file, replace_file
 from modaltouch.system import sync_file
 
 SOURCE = Path(__file__).parents[2] / "src" / "modaltouch"
@@ -106,3 +106,8 @@ def test_there_is_one_way_to_sync():
     """No module calls fsync by itself."""
     calls = [path.name for path in SOURCE.rglob("*.py") if "fsync(" in path.read_text(encoding="utf-8")]
     assert calls == ["operating_system.py"]
+
+
+def test_a_log_that_is_gone_is_not_being_recorded(tmp_path):
+    """Whoever asks about it is told so, and not to wait for its end."""
+    assert is_locked(tmp_path / "session.jsonl") is False

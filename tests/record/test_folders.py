@@ -74,6 +74,15 @@ def test_two_sessions_under_one_folder_are_not_guessed_between(tmp_path):
         find_log(tmp_path)
 
 
+def test_sessions_are_in_the_order_in_which_they_were_recorded(tmp_path):
+    """By number and not by name: the tenth comes after the ninth, and a folder without a number before all."""
+    folders = [tmp_path / f"ses-{number}" / "beh" for number in ("10", "9", "old")]
+    for folder in folders:
+        make_folder(folder)
+        (folder / "session.jsonl").touch()
+    assert [log.parent for log in SessionFolder.logs_of(tmp_path)] == folders[::-1]
+
+
 @pytest.mark.parametrize("mode", ["real", "pilot", "simulated"])
 def test_a_place_is_known_from_its_log(tmp_path, mode):
     """`locate` undoes `SessionFolder.log`."""

@@ -230,8 +230,10 @@ def test_a_superseded_trial_does_not_count(tmp_path):
         log.append(
             "trial", trial=TRIAL, response={"answer": "both"}, confirmed={"confirmed": True}, supersedes=old["n"]
         )
+        counting = log.session.trials
     session = read_session(log.path)
     assert [event["response"]["answer"] for event in session.trials] == ["both"]
+    assert counting == session.trials, "while it is written as when it is read"
     assert session.complete
     assert json.loads(log.path.read_bytes().splitlines()[1])["response"] == {"answer": "left"}
 
@@ -345,6 +347,18 @@ def test_a_session_begun_anew_says_as_which():
     assert Session(Path("session.jsonl"), (start,)).started_over_as is None
     assert Session(Path("session.jsonl"), (start, closed[0])).started_over_as == 3
     assert Session(Path("session.jsonl"), (start, *closed)).started_over_as == 4
+
+
+def test_why_a_session_is_not_analysed_is_said():
+    """One that was begun anew cannot be continued; one that lacks answers can; one that lacks none is used."""
+    start = {"n": 1, "event": "start", "schedule": {"n_trials": 1}}
+    closed = {"n": 2, "event": "closed", "begun_anew_as": 2}
+    trial = {"n": 2, "event": "trial", "trial": TRIAL, "confirmed": {"confirmed": True}}
+    path = Path("session.jsonl")
+    assert Session(path, (start, closed)).unfit == "closed: started over as session 2"
+    said = "incomplete: 0 of 1 trials answered (continue with `modaltouch resume`)"
+    assert Session(path, (start,)).unfit == said
+    assert Session(path, (start, trial)).unfit == ""
 
 
 def test_only_confirmed_answers_to_scheduled_trials_complete_a_session():

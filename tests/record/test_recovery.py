@@ -244,6 +244,34 @@ def test_a_replaced_answer_stays_replaced_under_its_new_number(tmp_path, damaged
     assert log.with_name("left_out.txt").stat().st_mode & 0o777 == 0o600
 
 
+def test_a_withdrawn_answer_stays_withdrawn_under_its_new_number(tmp_path):
+    """Line numbers move up when a line is lost; what was withdrawn is still that answer and no other."""
+    path = tmp_path / "session.jsonl"
+    start = {"mode": "simulated", "protocol": "demo", "participant": "p07", "session": 1}
+    condition = {"finger_condition": "one_hand", "zone_left": "A", "zone_right": "B", "velocity_mm_s": 150}
+    response = {"answer": "left", "reaction_time": 0.5}
+    with SessionLog.create(path, "start", **start) as log:
+        log.append("note", text="lost")
+        log.append("note", text="unproved")
+        for index in (1, 2):
+            trial = {"index": index, "block": 1, "practice": False, "repetition": 1, "condition": condition}
+            log.append("trial", trial=trial, response=response, confirmed={"confirmed": True})
+        log.append("withdrawn", lines=[3, 4])
+        kept = [event["trial"]["index"] for event in log.session.trials]
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join([lines[0], *lines[2:]]))
+    session = read_session(survey(path).write(tmp_path / "recovered"))
+    assert [event["trial"]["index"] for event in session.trials] == kept == [2]
+    assert [event["lines"] for event in session.events if event["event"] == "withdrawn"] == [[2]]
+
+
+def test_a_cut_line_that_the_view_shows_is_for_resume_to_mend(damaged, sound, tmp_path):
+    """The view of all lines, and the last of them cut: nothing need be recovered into a new log."""
+    log = survey(damaged(lambda lines: lines)).write(tmp_path / "whole")
+    log.write_bytes(log.read_bytes()[:-9])
+    assert survey(log).is_cut
+
+
 def test_an_empty_file_proves_nothing(tmp_path):
     """No line is proved and none can be called missing."""
     (tmp_path / "session.jsonl").touch()

@@ -155,6 +155,29 @@ def test_the_side_file_says_what_the_table_is_of(place, session):
         assert column["Description"].strip(), name
 
 
+def test_every_further_column_that_a_session_has_is_described(session, place):
+    """A log of format 2 counts bursts, and a question asked after the first has its answer and its time."""
+    start, trial = session.events
+    further = {"answer": "yes", "reaction_time": 1.25}
+    answered = {
+        **trial,
+        "bursts": {"first_s": 12.5, "uncertainty_s": 0.001, "whole": 20, "dropped": 0},
+        "response": {**trial["response"], "further": {"sure": further}},
+    }
+    design = {"answers": {"keys": {"left": []}, "then": {"sure": {"question": "Sure?", "keys": {"yes": [], "no": []}}}}}
+    of_today = Session(session.path, ({**start, "schema": 2, "design": design}, answered))
+    header, row = (line.split("\t") for line in table_text(of_today).splitlines())
+    values = dict(zip(header, row, strict=True))
+    assert [values[name] for name in ("onset", "n_bursts", "sure", "sure_time")] == ["12.5000", "20", "yes", "1.2500"]
+    write_view(place, of_today, {"lines": 2, "check": "0" * 64})
+    side = json.loads(place.table.with_suffix(".json").read_text())
+    assert set(FURTHER["counted"]) <= set(header) <= set(side)
+    for columns in FURTHER.values():
+        for name, column in columns.items():
+            assert set(column) <= {"Description", "Levels", "Units"}, name
+            assert column["Description"].strip(), name
+
+
 LEVELS = {
     "practice": {"0", "1"},
     "finger_condition": {"one_hand", "two_hands"},
