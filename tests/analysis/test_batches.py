@@ -32,6 +32,12 @@ def test_quick_sign_flips_equal_enumeration() -> None:
     assert sign_flip_test(scores).quick_p == pytest.approx(np.mean(np.abs(sums) >= abs(scores.sum())), abs=0)
 
 
+def test_forty_participants_have_the_very_p_of_convolution() -> None:
+    """Expected: multiples of 2^-40, which transforms alone miss by their rounding."""
+    test = sign_flip_test(np.random.default_rng(40).choice([-3, -2, -1, 1, 2, 3], (20, 40)))
+    assert test.quick_p.tolist() == test.p.tolist()
+
+
 @pytest.mark.parametrize(("n_participants", "largest"), [(41, 4), (60, 16), (200, 4)])
 def test_many_participants_keep_their_quick_p(n_participants: int, largest: int) -> None:
     """Expected: `p` within 1e-13, where it no longer lies on a grid that rounding can tell."""
@@ -55,6 +61,13 @@ def test_quick_trends_equal_convolution(data: st.DataObject) -> None:
     assert test.p_min.tolist() == [each.p_min for each in alone]
     assert test.statistic.tolist() == [each.statistic for each in alone]
     assert test.n_informative.tolist() == [each.n_informative for each in alone]
+
+
+def test_a_batch_of_many_participants_is_tested_as_each_alone() -> None:
+    """Expected: exactly, as no participant has many answers, however many all have together."""
+    chosen = np.random.default_rng(4).integers(0, 3, (2, 210, 2))
+    test, alone = trend_test(chosen, [80, 200], 2), [trend_test(rows, [80, 200], 2) for rows in chosen]
+    assert test.p.tolist() == [each.p for each in alone]
 
 
 @settings(max_examples=30, deadline=None)

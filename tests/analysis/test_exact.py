@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
+from modaltouch.analysis import convolution
 from modaltouch.analysis.exact import (
     _heads,
     multinomial_test,
@@ -85,6 +86,12 @@ class TestMultinomial:
         assert parts.p == pytest.approx(kept.p, rel=1e-12)
         assert parts.p_min == pytest.approx(kept.p_min, rel=1e-12)
 
+    def test_no_probability_exceeds_one(self) -> None:
+        """The probabilities of all outcomes add up to 1, and to a little more in floats."""
+        for n in range(1, 15):
+            even = multinomial_test([n // 2, n - n // 2])
+            assert even.p <= 1
+
     def test_no_answers_give_p_one(self) -> None:
         """Nothing observed is nothing learnt."""
         assert multinomial_test([0, 0, 0]).p == 1
@@ -151,6 +158,13 @@ class TestSignFlip:
     def test_a_thousand_participants_need_no_enumeration(self) -> None:
         """All lean one way: p is 2^(1-1000), as far as a float reaches."""
         assert sign_flip_test([3] * 1000).p == pytest.approx(2.0**-999, rel=1e-9)
+
+    @pytest.mark.parametrize(("against", "n_alike"), [(0, 1), (1, 1 + 60)])
+    def test_transforms_keep_the_smallest_p(self, against, n_alike, monkeypatch) -> None:
+        """Closed form for 60 participants: each of the most extreme patterns has 2^-60, on either side."""
+        monkeypatch.setattr(convolution, "DIRECT_COST", 0)
+        test = sign_flip_test([-3] * against + [3] * (60 - against))
+        assert test.p == pytest.approx(2 * n_alike * 2.0**-60, rel=1e-8)
 
     def test_more_participants_than_a_float_can_express_give_a_positive_p(self) -> None:
         """No outcome is impossible, so p is never zero."""

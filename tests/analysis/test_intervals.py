@@ -3,9 +3,11 @@ from __future__ import annotations
 import math
 
 import mpmath
+import numpy as np
 import pytest
+from scipy.stats import t
 
-from modaltouch.analysis.intervals import clopper_pearson, matched_odds_ratio, wilson
+from modaltouch.analysis.intervals import clopper_pearson, matched_odds_ratio, student_interval, wilson
 
 Z = 1.959963984540054
 
@@ -24,6 +26,18 @@ class TestClopperPearson:
             assert tail(k, n, interval.low) == pytest.approx(0.025, abs=1e-9)
         if k < n:
             assert tail(0, k, interval.high) == pytest.approx(0.025, abs=1e-9)
+
+    @pytest.mark.parametrize(("k", "n"), [(0.5, 7.25), (6.75, 7.25)])
+    def test_counts_that_a_design_effect_has_scaled_need_not_be_whole(self, k, n) -> None:
+        """The binomial tails as the regularised beta function, by mpmath."""
+        interval = clopper_pearson(k, n)
+        assert mpmath.betainc(k, n - k + 1, 0, interval.low, regularized=True) == pytest.approx(0.025, abs=1e-9)
+        assert mpmath.betainc(k + 1, n - k, interval.high, 1, regularized=True) == pytest.approx(0.025, abs=1e-9)
+
+    def test_one_answer_has_its_share(self) -> None:
+        """Closed form: one of one is 1, and at least 0.025."""
+        interval = clopper_pearson(1, 1)
+        assert (interval.estimate, interval.low) == (1, pytest.approx(0.025))
 
     def test_ten_of_ten_is_at_least_two_thirds(self) -> None:
         """Closed form 0.025^(1/10) = 0.6915."""
@@ -64,3 +78,20 @@ def test_the_matched_odds_ratio_is_the_transformed_binomial_interval(b, c, low, 
     """Closed form for one discordant pair: bounds 0.025 and 0.975 of the binomial share."""
     interval = matched_odds_ratio(b, c)
     assert (interval.low, interval.high) == pytest.approx((low, high))
+
+
+def test_a_mean_has_the_bounds_of_student() -> None:
+    """Reference: scipy.stats.t."""
+    values = np.array([0.31, 0.42, 0.35, 0.58])
+    interval = student_interval(values)
+    expected = t.interval(0.95, 3, loc=values.mean(), scale=values.std(ddof=1) / 2)
+    assert (interval.low, interval.high) == pytest.approx(expected)
+    assert interval.estimate == pytest.approx(values.mean())
+
+
+@pytest.mark.parametrize("values", [[0.5, 0.5, 0.5], [0.5]])
+def test_values_that_do_not_vary_give_a_mean_without_bounds(values) -> None:
+    """A width of zero would claim to know what one value, or one value again and again, cannot tell."""
+    interval = student_interval(np.array(values))
+    assert interval.estimate == 0.5
+    assert math.isnan(interval.low) and math.isnan(interval.high)

@@ -12,7 +12,8 @@ from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import holm, to_frame
 from modaltouch.analysis.shares import Shares
-from modaltouch.analysis.statistics import find, level_tests
+from modaltouch.analysis.statistics import STATISTICS, chance_tests, find, level_tests, slopes
+from modaltouch.protocol import AnswerList
 
 
 def run_tests(frame):
@@ -57,6 +58,12 @@ class TestPaperLikeAnswers:
         assert row["p_holm"] == pytest.approx(6 * 2 / 1024)
         assert row["estimate"] == pytest.approx(39 / 40)
 
+    def test_those_who_lean_are_counted_by_whom_they_lean_to(self, tests) -> None:
+        """Ten of ten lean to C, by the exact sign test; two of two to B."""
+        for scope, n in (("one_hand A-C", 10), ("two_hands B-D", 2)):
+            row = rows(tests, "a2", "sign test of leaning participants", scope).iloc[0]
+            assert (row["estimate"], row["n"], row["p"]) == (1, n, 2 / 2**n)
+
     def test_few_who_lean_are_called_no_information(self, tests) -> None:
         """(B, D), two hands: two participants lean, so p cannot fall below 0.5."""
         row = rows(tests, "a2", "sign-flip", "two_hands B-D").iloc[0]
@@ -87,6 +94,7 @@ class TestPaperLikeAnswers:
         row = rows(tests, "a1", "multinomial", "one_hand A-C 150 mm/s").iloc[0]
         assert row["estimate"] == 0.9 and math.isnan(row["low"])
         assert "left 0, both 1, right 9" in row["note"]
+        assert "most frequent answer" not in row["note"], "each participant answered once"
         share = rows(tests, "a1", "share in a cell", "one_hand A-C 150 mm/s").iloc[0]
         assert (share["estimate"], share["role"]) == (0.9, "estimate")
         assert (share["low"], share["high"]) == pytest.approx((0.555, 0.9975), abs=5e-5)  # R: binom.test(9, 10)
@@ -123,6 +131,39 @@ def test_a_design_of_one_of_anything_can_be_analysed(build, keep) -> None:
     tests = run_tests(frame[frame[keep] == frame[keep].iloc[0]])
     assert {"a1", "a2", "e", "f"} <= set(tests["question"])
     assert ("b" in set(tests["question"])) is (keep != "velocity_mm_s")  # a trend takes two levels
+
+
+def test_two_levels_are_enough_for_a_change_with_the_level(build) -> None:
+    """Each participant who changes the answer from one level to the other counts as half of two shuffles."""
+    frame = build["tidy"](build["paper"]())
+    frame = frame[frame["velocity_mm_s"].isin([80, 200])]
+    frame = frame.assign(response=np.where(frame["velocity_mm_s"] == 200, "right", "left"))
+    found = rows(run_tests(frame), "b", "trend test")
+    assert found["p"].tolist() == pytest.approx([2 / 2**10] * 6)
+
+
+def test_the_steepest_slope_is_that_of_who_always_changes_the_answer(build) -> None:
+    """Never the dominant zone below the mean level and always above it: the mean of a bounded score is at its bound."""
+    frame = build["tidy"](build["paper"]())
+    answers = count_answers(frame.assign(response=np.where(frame["velocity_mm_s"] > 132.5, "right", "left")))
+    found = slopes(answers)
+    at_c = [place for place, scope in enumerate(found.scopes) if "A-C" in scope]
+    assert found.scores[at_c] == pytest.approx(found.scale)
+    assert found.lowest == pytest.approx(found.scores)
+    assert found.highest == pytest.approx(found.scores)
+
+
+def test_two_answers_are_tested_against_guessing(build) -> None:
+    """Ten of ten gave one of two: 2/2^10; where a third was that nothing was felt, those who felt something count."""
+    frame = build["tidy"](build["constant"](10, "right"))
+    for keys in (["left", "right"], ["left", "right", "none"]):
+        answers = count_answers(frame, offered=AnswerList.of({"keys": keys}))
+        assert chance_tests(answers).test.p == pytest.approx(np.full(24, 2 / 2**10))
+
+
+def test_the_smallest_p_against_guessing_is_that_of_one_answer_alone() -> None:
+    """Ten who all give one of three answers: 3 / 3^10."""
+    assert STATISTICS["a1"].smallest_p([150.0], 10, 1, None) == pytest.approx(3.0**-9)
 
 
 def test_repetitions_enter_as_one_participant(build) -> None:

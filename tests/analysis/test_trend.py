@@ -82,11 +82,11 @@ class TestTrend:
     def test_transforms_agree_with_shifted_copies_down_to_the_smallest_p(self, rates, monkeypatch) -> None:
         """Two independent ways to the same number; the last p lies far below 1e-16."""
         rows = np.random.default_rng(5).binomial(1, rates, (60, 4))
-        direct = trend_test(rows, [80, 100, 150, 200])
+        direct, transformed = (trend_test(rows, [80, 100, 150, 200]) for _ in range(2))
+        p, p_min = direct.p, direct.p_min  # computed here, at first use
         monkeypatch.setattr(convolution, "DIRECT_COST", 0)
-        transformed = trend_test(rows, [80, 100, 150, 200])
-        assert transformed.p == pytest.approx(direct.p, rel=1e-8)
-        assert transformed.p_min == pytest.approx(direct.p_min, rel=1e-8)
+        assert transformed.p == pytest.approx(p, rel=1e-8)
+        assert transformed.p_min == pytest.approx(p_min, rel=1e-8)
 
     def test_the_level_is_kept_under_the_null(self) -> None:
         """Type I error on guesses of 10 participants within its Monte Carlo interval (2000 experiments, 3 sd)."""
@@ -111,7 +111,8 @@ class TestTrend:
     def test_who_did_not_answer_counts_for_nothing_among_many_answers(self) -> None:
         """And the smallest p is that of the farther end, which with uneven levels may be the lower one."""
         alone = trend_test([[120, 140]], [80, 200], [[210, 210]])
-        assert trend_test([[120, 140], [0, 0]], [80, 200], [[210, 210], [0, 0]]).p == pytest.approx(alone.p)
+        both = trend_test([[120, 140], [0, 0]], [80, 200], [[210, 210], [0, 0]])
+        assert (both.p, both.n_informative) == (pytest.approx(alone.p), 1)
         extreme = trend_test([[170, 170, 0]], [0, 1, 10], 170)
         assert extreme.p == extreme.p_min
 
@@ -122,6 +123,13 @@ class TestTrend:
         assert trend_test(rows + [[0, 0, 0, 90]], [80, 100, 150, 200], 1000).p < 1e-6
         assert smallest_trend_p([80, 100, 150, 200], 42, 1000) < 1e-300
         assert smallest_trend_p([80], 42, 1000) == 1.0
+
+    def test_the_smallest_p_is_exact_up_to_the_most_answers_that_are_counted(self, monkeypatch) -> None:
+        """Closed form: of eight answers four are chosen in 70 ways, by each of two, and either end is as extreme."""
+        monkeypatch.setattr(trend, "MOST_EXACT", 8)
+        levels = [80, 100, 150, 200]
+        assert smallest_trend_p(levels, 2, 2) == pytest.approx(2 / 70**2, rel=1e-12)
+        assert smallest_trend_p(levels, 2, 3) < 1e-300
 
     def test_counts_beyond_the_repetitions_are_refused(self) -> None:
         """House rule: what was given, what is allowed."""

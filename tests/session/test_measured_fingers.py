@@ -101,6 +101,7 @@ def test_the_record_says_what_each_burst_delivered(session: Session) -> None:
         for side in ("left", "right"):
             speed, (low, high) = delivered[f"speed_{side}_mm_s"], delivered[f"interval_{side}_mm_s"]
             assert abs(felt[condition[f"zone_{side}"]] - speed) < high - low < 0.06 * speed
+            assert (low + high) / 2 == pytest.approx(speed, abs=1.5e-3)
         assert not delivered["drifted"]
         assert 0.5 < delivered["misfit"] < 2
 

@@ -175,15 +175,16 @@ def test_of_a_complete_session_whose_log_is_cut_the_way_on_is_told(
     assert [(each["participant"], each["do"]) for each in found["next"]] == [("p01", "doctor"), ("p02", "run")]
 
 
+@pytest.mark.parametrize("n_lost", [1, 3])
 def test_a_log_that_lost_lines_that_its_view_has_is_damaged(
-    tmp_path: Path, demo: Preflight, scribe: Callable[..., Path]
+    tmp_path: Path, demo: Preflight, scribe: Callable[..., Path], n_lost: int
 ) -> None:
     """Its lines are sound, but `resume` refuses it: `doctor` is named as the way on."""
     log = scribe(demo, tmp_path, "p01", n_answered=5)
     n_lines = len(log.read_bytes().splitlines())
-    log.with_name("sub-p01_beh.json").write_text(f'{{"SessionLog": {{"lines": {n_lines + 3}}}}}')
+    log.with_name("sub-p01_beh.json").write_text(f'{{"SessionLog": {{"lines": {n_lines + n_lost}}}}}')
     (found,) = survey_results(tmp_path)
-    told = f"{log}:{n_lines}: 3 lines after it are missing"
+    told = f"{log}:{n_lines}: {n_lost} lines after it are missing"
     assert [(row["state"], row["why"]) for row in found["sessions"]] == [("damaged", told)]
     assert [(each["participant"], each["do"]) for each in found["next"]] == [("p01", "doctor"), ("p02", "run")]
 

@@ -59,7 +59,7 @@ class Limit(Generic[Item]):
                 given = f"{self.distance}, but {most} of the {len(items)} trials of a block belong to one cell"
                 allowed = f"at most {farthest}, or null for no limit" if farthest > 1 else "null"
                 raise NoOrderError(self.key, given, allowed, "lower or remove it")
-        elif self.distance == 1 and most:
+        elif most:
             refuse_runs([*counts.values()], self.running, self.key, n_free)
 
     @property

@@ -3,6 +3,7 @@
 import pytest
 
 from modaltouch.protocol.catches import place_catches
+from modaltouch.protocol.order_limits import NoOrderError
 from modaltouch.protocol.streams import Stream
 
 ORDER = [("A", "C"), ("B", "D"), ("A", "C"), ("A", "C"), ("C", "E"), ("B", "D")] * 4
@@ -22,3 +23,17 @@ def test_every_limit_that_cannot_bind_places_alike(seed):
 def test_a_limit_beyond_all_reason_takes_no_longer():
     """Found by spoilt protocols: a limit of 608,616 took minutes."""
     place_catches(ORDER, 5, 608_616, Stream(1, "p01", 1, "catch trials within one_hand"))
+
+
+def test_a_catch_trial_may_follow_every_trial():
+    """As many as there are trials are placed, where the pairs alternate and a run may be of two."""
+    order = [("A", "C"), ("B", "D")] * 3
+    placed = place_catches(order, 6, 2, Stream(1, "p01", 1, "catch trials within one_hand"), own_pair=True)
+    assert placed == list(enumerate(order))
+
+
+def test_a_limit_that_catch_trials_cannot_keep_is_refused_by_its_name():
+    """A trial and a catch trial of its own pair make a run of two."""
+    said = "schedule.max_same_pair_running: given 1, but 2 catch trials cannot be spread over 24 trials"
+    with pytest.raises(NoOrderError, match=said):
+        place_catches(ORDER, 2, 1, Stream(1, "p01", 1, "catch trials within one_hand"), own_pair=True)

@@ -216,8 +216,12 @@ def test_twenty_four_participants_meet_every_row_in_both_orders_of_finger_condit
 
 @pytest.mark.parametrize("n_cells", range(1, 9))
 def test_a_latin_square_is_balanced(n_cells: int) -> None:
-    """Williams 1949: places for any number; successions once for even numbers, twice for odd ones."""
+    """Williams 1949: places for any number; successions once for even numbers, twice for odd ones.
+
+    The first rows begin with the cells in turn: which participant has which row is the same for ever.
+    """
     rows = latin_square(n_cells)
+    assert [row[0] for row in rows[:n_cells]] == list(range(n_cells))
     each = 1 if n_cells % 2 == 0 else 2
     places = Counter((place, cell) for row in rows for place, cell in enumerate(row))
     assert set(places.values()) == {each}

@@ -139,6 +139,15 @@ def test_limits_that_cannot_be_kept_are_refused_with_the_reason(edit: Any, limit
     assert problems[0].path in ("schedule.min_same_cell_distance", "schedule.max_same_stimulus_running")
 
 
+def test_a_limit_on_runs_that_cannot_be_kept_is_refused_before_the_search() -> None:
+    """Nine of ten trials of one pair: the other stands between two runs at best."""
+    told = "max_same_pair_running: given 2, but 9 of the 10 trials of a block have the same pair; at least 5"
+    with pytest.raises(NoOrderError, match=told):
+        LIMITS["pair"](2).refuse_impossible(["A1"] * 9 + ["C1"])
+    LIMITS["pair"](5).refuse_impossible(["A1"] * 9 + ["C1"])
+    LIMITS["distance"](3).refuse_impossible(["A1", "A2", "C1"])
+
+
 def test_a_participant_without_an_order_is_told_and_is_rare(
     edit: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
