@@ -61,7 +61,7 @@ class TestMultinomial:
 
     def test_forty_answers_of_seven_kinds_are_few_enough_to_list(self) -> None:
         """Closed form: seven outcomes of probability 7^-40 are the most extreme; 1.2 million heads are 11,000 alike."""
-        assert multinomial_test([40, 0, 0, 0, 0, 0, 0]).p == pytest.approx(7.0**-39, rel=1e-12)
+        assert multinomial_test([40, 0, 0, 0, 0, 0, 0]).p == pytest.approx(7.0**-39, rel=1e-12, abs=0)
         assert sum(1 for _ in _heads(40, 5, 40)) < 20_000
 
     def test_ten_equal_answers_have_the_smallest_p_there_is(self) -> None:
@@ -73,10 +73,10 @@ class TestMultinomial:
     def test_hundreds_of_answers_are_weighed_part_by_part(self) -> None:
         """Closed forms for 150 of three kinds: p 3^-149 at one end, 1 in the middle; a batch has those of each."""
         alike, even = multinomial_test([150, 0, 0]), multinomial_test([50, 50, 50])
-        assert (alike.p, even.p) == (pytest.approx(3.0**-149, rel=1e-9), pytest.approx(1.0, rel=1e-9))
+        assert (alike.p, even.p) == (pytest.approx(3.0**-149, rel=1e-9, abs=0), pytest.approx(1.0, rel=1e-9))
         assert alike.p_min == even.p_min == alike.p
         batch = multinomial_test([[150, 0, 0], [60, 50, 40]])
-        assert batch.p == pytest.approx([alike.p, multinomial_test([60, 50, 40]).p], rel=1e-12)
+        assert batch.p == pytest.approx([alike.p, multinomial_test([60, 50, 40]).p], rel=1e-12, abs=0)
 
     def test_what_is_weighed_part_by_part_is_what_is_kept(self, monkeypatch) -> None:
         """Two ways to one number."""
@@ -157,14 +157,14 @@ class TestSignFlip:
 
     def test_a_thousand_participants_need_no_enumeration(self) -> None:
         """All lean one way: p is 2^(1-1000), as far as a float reaches."""
-        assert sign_flip_test([3] * 1000).p == pytest.approx(2.0**-999, rel=1e-9)
+        assert sign_flip_test([3] * 1000).p == pytest.approx(2.0**-999, rel=1e-9, abs=0)
 
     @pytest.mark.parametrize(("against", "n_alike"), [(0, 1), (1, 1 + 60)])
     def test_transforms_keep_the_smallest_p(self, against, n_alike, monkeypatch) -> None:
         """Closed form for 60 participants: each of the most extreme patterns has 2^-60, on either side."""
         monkeypatch.setattr(convolution, "DIRECT_COST", 0)
         test = sign_flip_test([-3] * against + [3] * (60 - against))
-        assert test.p == pytest.approx(2 * n_alike * 2.0**-60, rel=1e-8)
+        assert test.p == pytest.approx(2 * n_alike * 2.0**-60, rel=1e-8, abs=0)
 
     def test_more_participants_than_a_float_can_express_give_a_positive_p(self) -> None:
         """No outcome is impossible, so p is never zero."""

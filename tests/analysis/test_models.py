@@ -57,6 +57,7 @@ def test_coefficients_are_those_of_lme4(frame) -> None:
     for scope, (estimate, error) in GLMER.items():
         row = rows[scope]
         assert row.estimate == pytest.approx(estimate, abs=error / 3), scope
+        assert "priors normal, 5 and 0.5 logit wide" in row.note
         assert (row.high - row.low) / (2 * 1.959964) == pytest.approx(error, rel=0.1), scope
 
 

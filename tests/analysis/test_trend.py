@@ -85,8 +85,8 @@ class TestTrend:
         direct, transformed = (trend_test(rows, [80, 100, 150, 200]) for _ in range(2))
         p, p_min = direct.p, direct.p_min  # computed here, at first use
         monkeypatch.setattr(convolution, "DIRECT_COST", 0)
-        assert transformed.p == pytest.approx(p, rel=1e-8)
-        assert transformed.p_min == pytest.approx(p_min, rel=1e-8)
+        assert transformed.p == pytest.approx(p, rel=1e-8, abs=0)
+        assert transformed.p_min == pytest.approx(p_min, rel=1e-8, abs=0)
 
     def test_the_level_is_kept_under_the_null(self) -> None:
         """Type I error on guesses of 10 participants within its Monte Carlo interval (2000 experiments, 3 sd)."""

@@ -101,6 +101,7 @@ def test_the_record_says_what_each_burst_delivered(session: Session) -> None:
         for side in ("left", "right"):
             speed, (low, high) = delivered[f"speed_{side}_mm_s"], delivered[f"interval_{side}_mm_s"]
             assert abs(felt[condition[f"zone_{side}"]] - speed) < high - low < 0.06 * speed
+            assert speed == round(speed, 3), "to a thousandth of a mm/s"
             assert (low + high) / 2 == pytest.approx(speed, abs=1.5e-3)
         assert not delivered["drifted"]
         assert 0.5 < delivered["misfit"] < 2
@@ -131,7 +132,7 @@ def test_levels_may_be_told_by_what_was_delivered(session: Session, tmp_path: Pa
     assert "speeds delivered under the faster finger" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-def test_the_level_asked_is_met_where_it_is_attainable(session: Session) -> None:
+def test_the_level_asked_is_met_where_it_is_attainable(session: Session, preflight: Preflight) -> None:
     """At C, 60 mm/s where the design for these fingers attains them, else what it attains."""
     played = {}
     for measured, event in zip(placements(session), session.trials, strict=True):
@@ -142,6 +143,9 @@ def test_the_level_asked_is_met_where_it_is_attainable(session: Session) -> None
         zones, planned = event["trial"]["condition"], event["planned"]
         sides = {zones[f"zone_{side}"]: planned[f"speed_{side}_mm_s"] for side in ("left", "right")}
         played[level["design"]] = min(LEVEL, level["attainable_mm_s"])
+        trial = Trial.from_dict(event["trial"])
+        drive = with_measured(preflight, trial, measured).played(trial.condition, LEVEL)
+        assert drive == pytest.approx(played[level["design"]], rel=1e-3)
         # The highest speed of all may come at another time than the focus.
         assert sides.get("C", math.inf) > played[level["design"]] * 0.999
     assert played["A-C"] < LEVEL == played["B-D"]

@@ -429,7 +429,7 @@ def test_fingers_taken_away_at_the_worst_instant(design, beam, stays):
     loaded, lighter, unit = stimulus.touched(fingers), stimulus.touched(left), stimulus.volts_per_code(LEVEL)
     voltage, (decay, push) = stimulus.voltage_played(LEVEL), Coupled(beam, left).held(LONG(timing.hold))
     decay, push = decay.astype(float), push.astype(float)
-    zones = [0.0, 0.05]
+    zones = [0.0, 0.05, 0.02]
     taken, shapes = np.arange(14_100, 15_700, 8), beam.shapes(zones)
     states = Coupled(beam, fingers).history(voltage, timing)[:, taken]
     highest = np.zeros((len(zones), taken.size))
