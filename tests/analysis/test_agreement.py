@@ -44,12 +44,23 @@ def test_full_agreement_is_one() -> None:
     assert alike(np.tile([1, 0, 0], (10, 4, 1))) == (1, 1)
 
 
+def test_an_item_that_nobody_answered_changes_nothing() -> None:
+    """Neither the agreement nor how popular each answer is."""
+    nobody = (NA,) * 4
+    assert alike(by_rater([*RAW4RATERS, nobody], 5)) == pytest.approx(alike(by_rater(RAW4RATERS, 5)), rel=1e-12)
+
+
 def test_an_item_with_one_answer_says_nothing() -> None:
     """Agreement needs two."""
     assert math.isnan(alike(np.array([[[1, 0, 0]]]))[0])
 
 
 class TestInterval:
+    @pytest.mark.parametrize(("n", "is_bounded"), [(2, False), (3, True)])
+    def test_it_takes_three_participants(self, n, is_bounded) -> None:
+        """Two are one pair, whose agreement tells nothing of other pairs: -1 to 1."""
+        assert (ac1_interval(np.tile([1, 0, 0], (n, 4, 1))).low > -1) == is_bounded
+
     def test_full_agreement_keeps_a_width(self) -> None:
         """Ten alike: the weight of one who disagrees is above 1 - 0.025^(1/10) = 0.31 in 2.5 % of draws."""
         interval = ac1_interval(np.tile([1, 0, 0], (10, 4, 1)))

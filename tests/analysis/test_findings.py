@@ -3,13 +3,14 @@ from __future__ import annotations
 import gc
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from statsmodels.stats.multitest import multipletests
 
 from modaltouch.analysis.exact import ExactTest
-from modaltouch.analysis.findings import COLUMNS, Finding, correct, finding_of, holm, to_frame
+from modaltouch.analysis.findings import COLUMNS, Finding, correct, finding_of, holm, plain_row, to_frame
 from modaltouch.analysis.intervals import Interval
 
 
@@ -81,3 +82,23 @@ def test_the_table_holds_every_column_and_row() -> None:
     frame = to_frame([finding(0.01), finding(0.02)])
     assert tuple(frame.columns) == COLUMNS
     assert frame["p"].tolist() == [0.01, 0.02]
+
+
+def test_what_a_row_may_be_used_for_is_said() -> None:
+    """A test of a family may support a claim; another test is exploratory, and a row without any an estimate."""
+    estimate = finding_of("f", "share", "all", None, "P(C)", Interval(0.9, 0.5, 1.0, 10), 10)
+    assert [finding(0.01).role, finding(0.01, family="").role] == ["confirmatory", "exploratory"]
+    assert (estimate.role, estimate.estimate, estimate.low, estimate.high) == ("estimate", 0.9, 0.5, 1.0)
+    assert math.isnan(estimate.p)
+
+
+def test_numbers_that_json_lacks_become_words() -> None:
+    """RFC 8259 has no infinity and no NaN; an estimate that does not exist is told from one that was not asked for."""
+    row = {"quantity": "odds ratio", "estimate": math.nan, "low": -math.inf, "high": math.inf, "p": math.nan}
+    plain = {"quantity": "odds ratio", "estimate": "undefined", "low": "-infinity", "high": "infinity", "p": None}
+    assert plain_row(row | {"n": np.int64(3)}) == plain | {"n": 3}
+    assert plain_row({"quantity": "", "estimate": math.nan, "low": 0.5}) == {
+        "quantity": "",
+        "estimate": None,
+        "low": 0.5,
+    }

@@ -11,7 +11,7 @@ from modaltouch.analysis.contrasts import Contrast, signs_of
 from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.exact import sign_flip_test
 from modaltouch.analysis.findings import holm, to_frame
-from modaltouch.analysis.shares import Shares
+from modaltouch.analysis.shares import Shares, mean_of_known
 from modaltouch.analysis.statistics import STATISTICS, chance_tests, find, level_tests, slopes
 from modaltouch.protocol import AnswerList
 
@@ -159,6 +159,30 @@ def test_two_answers_are_tested_against_guessing(build) -> None:
     for keys in (["left", "right"], ["left", "right", "none"]):
         answers = count_answers(frame, offered=AnswerList.of({"keys": keys}))
         assert chance_tests(answers).test.p == pytest.approx(np.full(24, 2 / 2**10))
+
+
+def test_a_side_that_could_not_be_named_is_refused(build) -> None:
+    """With the answers that there were; whether nothing felt was one of them is known."""
+    frame = build["tidy"](build["constant"](3, "right"))
+    offered = [AnswerList.of({"keys": keys}) for keys in (["left", "both", "right"], ["right", "none"])]
+    whole, one = (count_answers(frame, offered=each) for each in offered)
+    assert whole.sided().sum(axis=(0, 1, 2, 3)).tolist() == [0, len(frame)]
+    with pytest.raises(ValueError, match="no answer names the left finger alone: the answers are right, none"):
+        one.sided()
+    assert (whole.has_none_answer, one.has_none_answer) == (False, True)
+
+
+def test_the_design_of_the_paper_is_known_by_its_pairs_and_levels(build) -> None:
+    """Three pairs at 80, 100, 150 and 200 mm/s; with a level or a pair less it is another."""
+    frame = build["tidy"](build["paper"]())
+    parts = frame, frame[frame["velocity_mm_s"] < 200], frame[frame["zone_left"] != "B"]
+    assert [count_answers(part).is_paper_design for part in parts] == [True, False, False]
+
+
+def test_a_mean_is_of_the_values_that_there_are() -> None:
+    """One of two is missing, one of none."""
+    assert mean_of_known(np.array([[0.5, np.nan], [0.2, 0.4]])) == pytest.approx([0.5, 0.3])
+    assert np.isnan(mean_of_known(np.array([[np.nan, np.nan]]))).all()
 
 
 def test_the_smallest_p_against_guessing_is_that_of_one_answer_alone() -> None:

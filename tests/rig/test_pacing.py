@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import threading
 from dataclasses import asdict, replace
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from modaltouch.rig.pacing import LATEST, LEASE, PATIENCE, Order, Pacer, Report
+from modaltouch.rig.pacing import LATEST, LEASE, PATIENCE, LocalClient, Order, Pacer, Report
 from modaltouch.system.clock import SYSTEM_CLOCK, VirtualClock
 
 PERIOD = 1 / 7
@@ -274,3 +276,26 @@ def test_end_lets_no_further_burst_go() -> None:
     thread.join(10)
     assert pacer.report.ended == "asked"
     assert pacer.report.played == len(triggered) >= 1 or pacer.report.dropped
+
+
+def test_bursts_of_a_twin_come_in_virtual_time() -> None:
+    """`play` returns with the first one, the others come as time passes, and none after the last or the end."""
+    clock, sent = VirtualClock(9.5), []
+
+    def exchange(message: bytes, *, timeout: float, reply: bool) -> None:
+        sent.append((message, clock.now()))
+
+    transport: Any = SimpleNamespace(open=None, close=None, exchange=exchange)
+    client = LocalClient(transport, clock)
+    assert (client.report(wait=True), client.held_up()) == (Report(), 0.0)
+    report = client.play(replace(ORDER, n_bursts=3))
+    assert (report.played, clock.now()) == (1, pytest.approx(10.0, abs=1e-6))
+    clock.sleep(1.0)
+    assert (client.look().played, client.look().ended) == (3, "count")
+    assert [message for message, _ in sent] == [b"TRIG:SEQ:IMM\n"] * 3
+    assert [instant for _, instant in sent] == pytest.approx([10 + k * PERIOD for k in range(3)], abs=1e-6)
+    client.play(replace(ORDER, first=clock.now() + 1))
+    report = client.report(wait=True)
+    assert (report.played, report.ended) == (1, "asked")
+    clock.sleep(1.0)
+    assert len(sent) == 4

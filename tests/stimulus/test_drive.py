@@ -106,6 +106,8 @@ def test_samples_are_counted_against_conditions_and_channels(crossed_model):
         words = f"{count} samples are fewer than 18 conditions on 2 channels need; at least 11 must lie before"
         with pytest.raises(ValueError, match=words):
             driven(crossed_model, timing, np.full(9, 0.01), "free")
+    enough = Timing(AFG3022B.converter, focusing_instant=11 * 4e-7)
+    assert driven(crossed_model, enough, np.full(9, 0.01), "free").n_before == 11
 
 
 def test_free_release_is_silent_after_the_focus(design):
@@ -275,6 +277,8 @@ def test_unknown_law_and_release_are_refused(model):
         design_stimulus(*arguments, law="best")
     with pytest.raises(ValueError, match=r"release 'slow' is unknown; allowed: braked, free"):
         design_stimulus(*arguments, release="slow")
+    with pytest.raises(ValueError, match=r"the paper's law has no design of 'norm_4'; allowed: least_energy"):
+        design_stimulus(*arguments, law="paper", design="norm_4")
 
 
 @pytest.mark.parametrize("duration", [0.05, 12.0])
@@ -307,3 +311,17 @@ def test_delay_longer_than_the_focus_leaves_no_sample(design):
     """A delay of 30 ms puts every sample behind a focus at 25 ms."""
     with pytest.raises(ValueError, match=r"delay of the amplifier is 0\.03 s, past the focusing instant of 0\.025 s"):
         _ = design(amplifier=Amplifier(gain=25.0, limit=250.0, delay=0.03)).voltage
+
+
+def test_the_steady_state_is_what_all_earlier_bursts_have_left(design, model):
+    """Reference: one burst followed for forty periods, at a rate at which the slowest mode does not come to rest."""
+    timing = Timing(AFG3022B.converter, n_samples=12_500, repetition_rate=19.0)
+    stimulus = design(model, timing=timing, release="free")
+    voltage, system = stimulus.voltage_played(0.2), stimulus.system
+    instants = timing.focusing_instant + np.arange(40) / timing.repetition_rate
+    states = sum(system.state_at(voltage, timing, instant) for instant in instants)
+    velocity, displacement = stimulus.achieved(0.2, steady=True)
+    first, _ = stimulus.achieved(0.2)
+    assert [velocity, displacement] == pytest.approx(np.array(system.read(states)), abs=1e-9)
+    assert abs(velocity - first).max() > 1e-6
+    assert stimulus.peak_drive(0.2) == pytest.approx(abs(voltage).max(axis=1))

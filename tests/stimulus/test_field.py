@@ -1,9 +1,12 @@
 """Wishes of every kind, their projection, and what stays out of reach."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.integrate import quad
 
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.stimulus.burst import Timing
@@ -104,6 +107,18 @@ def test_symmetric_wiring_mirrors_the_field_and_says_so(model):
     assert projection.residual([-0.02])[0] == pytest.approx(-0.2, rel=1e-6)
     assert "because of the missing modes" in projection.unreached()
     assert "at -20 mm" in projection.unreached()
+
+
+def test_two_shapes_that_overlap_meet_midway(model):
+    """The decomposition is the integral of each side by itself: the field has an edge where they cross."""
+    field = TargetField(centre=-0.01, further_centres=(0.015,))
+
+    def shapes(place: float) -> float:
+        return float(model.shapes([place])[0, 0] * field.profile([place])[0])
+
+    edges = [-0.05, -0.038, -0.01, 0.0025, 0.015, 0.043, 0.05]
+    whole = sum(quad(shapes, a, b, epsabs=1e-14)[0] for a, b in itertools.pairwise(edges))
+    assert Projection(model, field).coefficient[0] == pytest.approx(whole / 0.1, rel=1e-10)
 
 
 def test_two_zones_at_once_are_reached_by_symmetric_wiring(model):

@@ -1,5 +1,7 @@
 """Full scales on the generator's amplitude grid, and codes."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import example, given
@@ -7,6 +9,7 @@ from hypothesis import strategies as st
 
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.keysight33500b import KEYSIGHT_33500B
+from modaltouch.stimulus.burst import Timing
 
 AFG = AFG3022B.converter
 SHIPPED_SHARES = (0.4, 0.5, 0.75, 1.0)
@@ -67,3 +70,20 @@ def test_every_channel_needs_its_unit():
     """Nothing is left unrounded."""
     with pytest.raises(ValueError, match="shorter"):
         AFG.round_to_codes(np.zeros((2, 5)), np.array([1 / 8191]))
+
+
+def test_a_clock_that_does_not_fit_begins_samples_late():
+    """Seven samples on 20 clocks: sample n at the first edge at or after 20 n / 7; of 21 clocks at the very edge."""
+    rate = AFG.clock_rate
+    timing = Timing(AFG, n_samples=7, duration=20 / rate, focusing_instant=10 / rate)
+    expected = [np.ceil(20 * n / 7) - 20 * n / 7 for n in range(8)]
+    assert timing.clock_error * rate == pytest.approx(expected, abs=1e-9)
+    assert replace(timing, duration=21 / rate).clock_error is None
+
+
+def test_the_ends_of_a_record_are_known(shipped):
+    """Between bursts the generator holds one of them, so the larger counts, relative to half of full scale."""
+    codes = shipped.burst.codes.copy()
+    assert shipped.burst.ends == (0.0, 0.0)
+    codes[0, 0], codes[1, -1] = AFG.mid_code + 1000, AFG.mid_code - 2000
+    assert replace(shipped.burst, codes=codes).ends == pytest.approx((1000 / 8191, 2000 / 8191))
