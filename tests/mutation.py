@@ -31,6 +31,7 @@ from importlib.machinery import ModuleSpec, SourceFileLoader
 from importlib.util import spec_from_file_location
 from inspect import CO_OPTIMIZED
 from pathlib import Path
+from threading import Timer
 from types import CodeType, FunctionType
 from typing import Any
 
@@ -41,6 +42,7 @@ PHASES = (hypothesis.Phase.explicit, hypothesis.Phase.generate)  # the least exa
 ROOT = Path(__file__).parents[1]
 SEED = "modaltouch"
 LIMIT = 5.0  # CPU seconds a mutant may take beyond twice what the unspoilt tests take
+LONGEST = 900.0  # seconds, as a mutant may also wait for ever, where no limit of a test reaches it
 OPTIONS = """-x -q -p no:cacheprovider -p no:xdist --hypothesis-profile=mutation --timeout=90
  -W ignore::pytest.PytestAssertRewriteWarning --basetemp"""
 SWAPS: dict[type[ast.AST], type[ast.AST]] = {
@@ -232,9 +234,12 @@ def wait(child: int) -> tuple[str, float]:
 
 
 def limited(seconds: float) -> None:
-    """End this process once it has computed that long; a mutant may never return."""
+    """End this process once it has computed that long, or waited for `LONGEST`; a mutant may never return."""
     from resource import RLIMIT_CPU, setrlimit  # not on Windows, where pytest still looks into this file for examples
 
+    waited = Timer(LONGEST, os._exit, (3,))
+    waited.daemon = True
+    waited.start()
     setrlimit(RLIMIT_CPU, (math.ceil(seconds), math.ceil(seconds)))
 
 
