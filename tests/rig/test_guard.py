@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -165,13 +166,63 @@ def test_heartbeat_writes_four_times_a_lease_however_often_it_is_called(
 
 @pytest.mark.parametrize("clean", [True, False])
 def test_watchdog_that_is_let_go_ends_and_takes_nothing_more(single_link: Simulator, clean: bool) -> None:
-    """No process stays behind; what is asked of it afterwards is told, not swallowed."""
+    """No process and no thread stays behind; what is asked of it afterwards is told, not swallowed."""
+    before = set(threading.enumerate())
     dog = WatchdogClient(single_link.address, AFG3022B.off)
+    own = {each for each in set(threading.enumerate()) - before if each.name.startswith("watchdog_")}
     dog.open()
     dog.release(clean=clean)
     assert dog._process.wait(10) == 0
+    for thread in own:
+        thread.join(10)
+    assert len(own) == 2
+    assert not any(thread.is_alive() for thread in own)
     with pytest.raises(LinkError, match=r"is gone \(exit status 0\)"):
         dog.arm(free_running=False)
+
+
+def test_lost_bursts_are_told_while_outputs_may_be_on(single_link: Simulator) -> None:
+    """Once they are off, nothing is left to be told."""
+    dog = WatchdogClient(single_link.address, AFG3022B.off)
+    try:
+        dog.open()
+        dog.arm(free_running=False)
+        assert dog.beat() == ""
+        dog._lost = "stalled: no heartbeat"
+        assert dog.beat() == "stalled: no heartbeat"
+        dog.disarm()
+        assert dog.beat() == ""
+    finally:
+        dog.release(clean=True)
+
+
+@pytest.mark.parametrize(("is_armed", "silence", "n_sent"), [(True, 0.0, 3), (True, LIMIT, 0), (False, 0.0, 0)])
+def test_heartbeats_are_those_of_the_session(is_armed: bool, silence: float, n_sent: int) -> None:
+    """A session that stands still sends none, so that the watchdog switches off; nor is one needed with outputs off."""
+    dog: Any = object.__new__(WatchdogClient)
+    rounds, sent = [True, False, False, False], []
+    dog._released = SimpleNamespace(wait=lambda period: rounds.pop())
+    dog._armed = SimpleNamespace(wait=lambda period: is_armed, is_set=lambda: is_armed)
+    dog._lost, dog._broken, dog._came_round = "", None, time.monotonic() - silence
+    dog._request = lambda letter, content, limit: sent.append(letter) or b""
+    dog._keep_beating()
+    assert len(sent) == n_sent
+    assert (rounds, dog.beat(), dog._broken) == ([], "", None)
+
+
+def test_watchdog_imports_from_where_this_process_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It runs the same version of the program, installed or not."""
+    asked: list[dict[str, Any]] = []
+
+    def refuse(*parts: object, **options: Any) -> None:
+        asked.append(options["env"])
+        raise OSError("enough is known")
+
+    monkeypatch.setattr("modaltouch.rig.watchdog_client.subprocess.Popen", refuse)
+    monkeypatch.setattr(sys, "path", ["", "/lab/modaltouch/src", *sys.path])
+    with pytest.raises(RigError, match="enough is known"):
+        WatchdogClient("TCPIP::192.0.2.1::INSTR", AFG3022B.off)
+    assert asked[0]["PYTHONPATH"].split(os.pathsep)[0] == "/lab/modaltouch/src"
 
 
 def test_how_a_watchdog_ended_is_said(single_link: Simulator) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from datetime import datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,7 +18,8 @@ from modaltouch.protocol.schedule import Schedule, Turn
 from modaltouch.record.chain import RecordError
 from modaltouch.record.folders import SessionFolder
 from modaltouch.record.log import SessionLog
-from modaltouch.session.assignment import assign_turn, next_session
+from modaltouch.record.session import read_session
+from modaltouch.session.assignment import assign_turn, is_early, next_session
 
 PAPER = Findings.read(Path(__file__).parents[2] / "protocols" / "differentiated_stimulation.yaml").experiment().protocol
 
@@ -68,6 +71,33 @@ def test_a_gap_left_by_a_dropout_is_filled_next(tmp_path: Path) -> None:
         log.close()
         turns.append(turn)
     assert turns == [0, 1, 2, 3, 1, 0]
+
+
+def test_turns_are_balanced_within_a_group(tmp_path: Path) -> None:
+    """Whoever is of the other group fills none of its turns."""
+    for number in (1, 2):
+        place = place_of(tmp_path, f"p{number}")
+        turn, _ = assign_turn(place, FOUR, 1, "near")
+        assert turn.number == number - 1
+        drawn = Schedule.draw(FOUR, place.participant, 1, given=turn).as_dict() | {"group": "near", "n_trials": 0}
+        facts = {"mode": place.mode, "protocol": place.protocol, "participant": place.participant, "session": 1}
+        SessionLog.create(place.log, "start", **facts, seed=1, schedule=drawn).close()
+    turns = [assign_turn(place_of(tmp_path, "p3"), FOUR, 1, group)[0].number for group in ("near", "far")]
+    assert turns == [2, 0]
+
+
+def test_the_gap_counts_from_the_last_line_of_the_session_before(tmp_path: Path) -> None:
+    """Even if that is its first: a session that was killed as it began."""
+    _, log = sit(place_of(tmp_path, "p1"), FOUR, complete=True)
+    log.close()
+    ended = datetime.fromisoformat(read_session(log.path).events[-1]["time"])
+    kind = SimpleNamespace(name="test", min_gap_days=1.0)
+    protocol: Any = SimpleNamespace(schedule=SimpleNamespace(kind_of=lambda session: kind))
+    place, day = place_of(tmp_path, "p1", 2), timedelta(days=1)
+    assert not is_early(place, protocol, 2, ended + day)
+    assert "min_gap_days: 1 (schedule.sessions), so it may begin from" in is_early(
+        place, protocol, 2, ended + day - timedelta(milliseconds=1)
+    )
 
 
 def test_a_session_that_runs_now_fills_its_turn(tmp_path: Path) -> None:
