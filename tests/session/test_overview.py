@@ -197,7 +197,7 @@ def test_a_log_that_lost_lines_that_its_view_has_is_damaged(
     n_lines = len(log.read_bytes().splitlines())
     log.with_name("sub-p01_beh.json").write_text(f'{{"SessionLog": {{"lines": {n_lines + n_lost}}}}}')
     (found,) = survey_results(tmp_path)
-    told = f"{log}:{n_lines}: {n_lost} lines after it are missing"
+    told = f"{log}:{n_lines}: {n_lost} line{'s' * (n_lost > 1)} missing after it"
     assert [(row["state"], row["why"]) for row in found["sessions"]] == [("damaged", told)]
     assert [(each["participant"], each["do"]) for each in found["next"]] == [("p01", "doctor"), ("p02", "run")]
 
