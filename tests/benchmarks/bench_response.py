@@ -98,7 +98,7 @@ def main() -> int:
         at_most(
             f"{what}: peaks of five zones, of their histories",
             row["peaks_of_five_zones_ms"] / row["five_zones_ms"],
-            1.2,
+            1.0,
         ),
         at_most(f"{what}, Table I: error of each mode over its own peak", wrong["table_i"]["engine"], 1e-12, ""),
         at_most(f"{what}, damping 1e-6: error of each over its own peak", wrong["damping_1e-6"]["engine"], 1e-11, ""),

@@ -132,8 +132,8 @@ def test_the_sessions_of_another_user_are_not_for_this_one(monkeypatch, tmp_path
     assert "not for this user (Permission denied); only its owner may read what a session wrote" in done.output
 
 
-@pytest.mark.parametrize("title", ["Grip [/x] test", "Grip [red] and [b]", "[/]"])
-def test_brackets_in_a_title_are_words_and_no_markup(tmp_path, title):
+@pytest.mark.parametrize("title", ["Grip [/x] test", "Grip [red] and [b]", "[/]", "Grip :a: and :b:"])
+def test_brackets_and_colons_in_a_title_are_words_and_no_markup(tmp_path, title):
     """A title may hold anything: none of it is left out, and none of it ends the program."""
     shutil.copytree("protocols", tmp_path / "protocols")
     protocol = tmp_path / "protocols" / "demo.yaml"

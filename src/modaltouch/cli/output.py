@@ -24,7 +24,7 @@ def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str
     from rich.table import Table
     from rich.text import Text
 
-    lines, console = [[Text.from_markup(cell) for cell in row] for row in rows], Console()
+    lines, console = [[Text.from_markup(cell, emoji=False) for cell in row] for row in rows], Console(emoji=False)
     columns = [[line[place].plain for line in lines] for place in range(len(headings))]
     widest = [max(map(len, [heading, *cells])) for heading, cells in zip(headings, columns, strict=True)]
     rules = 3 * len(headings) + 1
@@ -45,7 +45,7 @@ def say(*lines: str, markup: bool = True) -> None:
     """Print lines, which may have Rich's markup."""
     from rich.console import Console
 
-    Console(highlight=False).print(*lines, sep="\n", markup=markup)
+    Console(highlight=False, emoji=False).print(*lines, sep="\n", markup=markup)
 
 
 def make_bars() -> Progress:

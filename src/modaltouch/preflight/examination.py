@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from modaltouch.preflight.checked import Preflight
 from modaltouch.preflight.design_inputs import DesignInputs, design, find_design_inputs
-from modaltouch.protocol import Apparatus, Findings, InputError, Problem, Schedule
+from modaltouch.protocol import Apparatus, Findings, Problem, Schedule
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Burst, Release, Stimulus
 
@@ -315,7 +315,7 @@ def _examine_one(findings: Findings, inputs: DesignInputs | None) -> Preflight:
         except (ValueError, ArithmeticError) as error:
             problems.append(_locate(error, findings))
     if not findings.problems:
-        problems += [*_check_schedule(findings), *_check_masking_level(findings)]
+        problems += [*Schedule.check(findings), *_check_masking_level(findings)]
     return Preflight(findings, tuple(sorted(set(problems))), inputs, stimulus)
 
 
@@ -364,7 +364,7 @@ def _check_generator_itself(inputs: DesignInputs, findings: Findings) -> Iterato
 def _examine_several(findings: Findings) -> Preflight:
     """Return the check of a protocol with several stimuli: of each alone, and of all together."""
     variants = {name: examine_findings(alone) for name, alone in findings.each_stimulus()}
-    shared = {*_check_schedule(findings), *_check_masking_level(findings)}
+    shared = {*Schedule.check(findings), *_check_masking_level(findings)}
     problems = {
         problem
         for name, part in variants.items()
@@ -413,16 +413,6 @@ def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> St
     if within and max(stimulus.burst.full_scale_for(stimulus.target_field.velocity)) > _highest_amplitude(inputs):
         return design(inputs, release=release, on_grid=False)
     return stimulus
-
-
-def _check_schedule(findings: Findings) -> tuple[Problem, ...]:
-    """Return why no order can be drawn, if none can."""
-    try:
-        # With a quarter of the effort, so that on the day an order is found for nearly every participant.
-        Schedule.draw_from(findings, "p01", 0, effort=0.25)
-    except InputError as error:
-        return error.problems
-    return ()
 
 
 def _check_masking_level(findings: Findings) -> Iterator[Problem]:

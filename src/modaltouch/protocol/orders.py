@@ -6,12 +6,13 @@ and such orders can be counted or found by rejection; otherwise by a random walk
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from operator import itemgetter
 from typing import TYPE_CHECKING
 
 from modaltouch.protocol.conditions import Cell
-from modaltouch.protocol.order_limits import LIMITS, refuse_runs
+from modaltouch.protocol.order_limits import LIMITS, least_limit, refuse_runs
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import Stream
 
@@ -50,6 +51,23 @@ def order_cells(
     from modaltouch.protocol.latin_orders import order_by_square
 
     return order_by_square(protocol, cells, turn, stream)
+
+
+def are_certain(protocol: Protocol) -> bool:
+    """Return whether every draw finds an order, as far as can be said without a search: for a limit on pairs alone."""
+    schedule, limit = protocol.schedule, protocol.schedule.max_same_pair_running
+    others = schedule.catch_trials or protocol.intervals or any(getattr(schedule, key) for key in LIMITS[1:])
+    if schedule.order != "shuffled" or others:
+        return False
+    for name in protocol.conditions.finger_conditions:
+        counts = [*Counter(cell[0] for cell in protocol.cells(name) * protocol.scheduled_repetitions).values()]
+        if limit is None or limit >= max(counts):
+            continue
+        from modaltouch.protocol.limited_orders import STATE_LIMIT, n_states_at_most
+
+        if limit < least_limit(counts) or (limit > 1 and n_states_at_most(counts) > STATE_LIMIT):
+            return False
+    return True
 
 
 def insert_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> list[Cell]:

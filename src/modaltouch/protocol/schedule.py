@@ -17,8 +17,8 @@ import numpy as np
 
 from modaltouch.protocol.conditions import Cell, Placement
 from modaltouch.protocol.order_limits import NoOrderError
-from modaltouch.protocol.orders import insert_catches, order_cells
-from modaltouch.protocol.problems import InputError
+from modaltouch.protocol.orders import are_certain, insert_catches, order_cells
+from modaltouch.protocol.problems import InputError, Problem
 from modaltouch.protocol.sections import Protocol
 from modaltouch.protocol.streams import ALGORITHM, Stream, key_of, seed_sequence
 from modaltouch.protocol.trial import SIDES, Condition, Trial
@@ -304,6 +304,17 @@ class Schedule:
             return cls.draw(findings.experiment().protocol, participant, seed, session, given=given, **how)
         except NoOrderError as error:
             raise InputError([findings.problem(("schedule", error.key), *error.said)]) from error
+
+    @classmethod
+    def check(cls, findings: Findings) -> tuple[Problem, ...]:
+        """Return why no order can be drawn, if none can; nothing is drawn where that is certain beforehand."""
+        try:
+            if not are_certain(findings.experiment().protocol):
+                # With a quarter of the effort, so that on the day an order is found for nearly every participant.
+                cls.draw_from(findings, "p01", 0, effort=0.25)
+        except InputError as error:
+            return error.problems
+        return ()
 
     @staticmethod
     def random_generator(seed: int, participant: str, session: int, purpose: str) -> np.random.Generator:

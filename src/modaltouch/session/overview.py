@@ -138,7 +138,10 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
         problems = (*problems, f"{log}:1: the event `start` does not say its design")
     n_removed = n_in_view - len(session.chain.checks) - bool(session.chain.problems)
     if n_removed > 0 and not session.chain.damage:
-        problems = (f"{log}:{len(session.chain.checks)}: {n_removed} line{'s' * (n_removed > 1)} missing after it", *problems)
+        problems = (
+            f"{log}:{len(session.chain.checks)}: {n_removed} line{'s' * (n_removed > 1)} missing after it",
+            *problems,
+        )
     # A truncated last line is the only fault with which a session can still be resumed.
     is_readable = problems == session.chain.problems and not session.chain.damage
     state, why = _state(session) if is_readable else ("damaged", problems[0])

@@ -16,7 +16,7 @@ from modaltouch.protocol import Findings, InputError, Protocol, Schedule, order_
 from modaltouch.protocol.limited_orders import longest_run
 from modaltouch.protocol.order_limits import NoOrderError
 from modaltouch.protocol.order_walk import Limit, draw_by_walk
-from modaltouch.protocol.orders import limits_of
+from modaltouch.protocol.orders import are_certain, limits_of
 from modaltouch.protocol.streams import Stream
 from modaltouch.session import wire_run
 
@@ -204,3 +204,27 @@ def test_a_single_limit_that_is_hard_to_keep_is_told_with_its_value() -> None:
     told = "schedule.min_same_cell_distance: given 7, but orders that keep it are too rare to find; lower it"
     with pytest.raises(NoOrderError, match=told):
         draw_by_walk(cells, [LIMITS["distance"](7)], Stream(1, "p", 1, "x"), effort=0.02)
+
+
+@pytest.mark.parametrize("repetitions", [1, 2, 9, 30])
+@pytest.mark.parametrize("limit", [None, 1, 2, 3])
+def test_what_is_certain_is_drawn_for_everybody(limit: int | None, repetitions: int) -> None:
+    """A check draws nothing then; two pairs equally often always have an order, and its number is counted."""
+    protocol = limited(max_same_pair_running=limit, repetitions=repetitions)
+    assert are_certain(protocol)
+    for participant in ("p01", "p02", "p03"):
+        for block in Schedule.draw(protocol, participant, 1).blocks:
+            assert longest_run([each.condition.zones for each in block.trials]) <= (limit or len(block.trials))
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [{"max_same_level_running": 2}, {"min_same_cell_distance": 2}, {"catch_trials": 2}, {"order": "blocked"}],
+    ids=lambda given: next(iter(given)),
+)
+def test_what_a_search_must_find_is_not_certain(limits: dict[str, Any]) -> None:
+    """Nor is a limit on pairs that no order keeps, or one whose orders are too many to count."""
+    assert not are_certain(limited(**limits))
+    uneven = TWO.conditions.model_copy(update={"zone_pairs": (("A", "C"),)})
+    assert not are_certain(limited(max_same_pair_running=1).model_copy(update={"conditions": uneven}))
+    assert not are_certain(limited(max_same_pair_running=2, repetitions=10_000))
