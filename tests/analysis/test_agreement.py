@@ -91,6 +91,14 @@ class TestInterval:
         interval = ac1_interval(answers.astype(int))
         assert (interval.low, interval.high) == pytest.approx(expected, abs=0.004)
 
+    def test_weights_drawn_in_parts_are_the_same(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """As many as memory allows at once: the bounds of thirty agree to rounding."""
+        given = np.random.default_rng(7).multinomial(1, [0.7, 0.2, 0.1], (2, 30, 4))
+        whole = ac1_interval(given)
+        monkeypatch.setattr(agreement, "_AT_ONCE", 2000)
+        parts = ac1_interval(given)
+        np.testing.assert_allclose([parts.low, parts.high], [whole.low, whole.high], rtol=1e-12)
+
     def test_two_participants_have_no_interval(self) -> None:
         """Two say nothing of the others."""
         interval = ac1_interval(np.tile([1, 0, 0], (2, 4, 1)))

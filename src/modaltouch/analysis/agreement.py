@@ -24,6 +24,9 @@ FloatArray = NDArray[np.float64]
 
 _SEED, _DRAWS, _TAIL = 20080501, 1999, (1 - CONFIDENCE) / 2
 
+_AT_ONCE = 1_000_000
+"""Random weights held at once: limits the memory used [1]."""
+
 
 def ac1_interval(answers: ArrayLike) -> Interval:
     """Return AC1 between participants with its interval, which is -1 to 1 for fewer than three participants.
@@ -51,9 +54,12 @@ def ac1_interval(answers: ArrayLike) -> Interval:
     total, rng = table.sum(axis=-3, keepdims=True), np.random.default_rng(_SEED)
     extremes = total.min(axis=-1, keepdims=True), total.max(axis=-1, keepdims=True)
     tables = [np.concatenate([table, (total == chosen).astype(float)], axis=-3) for chosen in extremes]
-    weights = rng.dirichlet(np.ones(n + 1), _DRAWS)
-    drawn = zip(tables, (_TAIL, 1 - _TAIL), strict=True)
-    bounds = [np.quantile(agreement_between(each, weights)[1], tail, axis=-1) for each, tail in drawn]
+    n_at_once, drawn = max(1, _AT_ONCE // (n + 1)), list[list[FloatArray]]()
+    for start in range(0, _DRAWS, n_at_once):
+        weights = rng.dirichlet(np.ones(n + 1), min(n_at_once, _DRAWS - start))
+        drawn.append([agreement_between(each, weights)[1] for each in tables])
+    each_bound = zip(zip(*drawn, strict=True), (_TAIL, 1 - _TAIL), strict=True)
+    bounds = [np.quantile(np.concatenate(parts, axis=-1), tail, axis=-1) for parts, tail in each_bound]
     low, high = np.minimum(bounds[0], estimate[..., 0]), np.maximum(bounds[1], estimate[..., 0])
     return Interval(estimate[..., 0], low, high, n)
 
