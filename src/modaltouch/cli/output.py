@@ -41,8 +41,8 @@ def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str
     console.print(table, width=max(console.width, least), crop=False, soft_wrap=False)
 
 
-def say(*lines: str, markup: bool = True) -> None:
-    """Print lines, which may have Rich's markup."""
+def say(*lines: Any, markup: bool = True) -> None:
+    """Print lines, which may have Rich's markup, or tables of Rich's."""
     from rich.console import Console
 
     Console(highlight=False, emoji=False).print(*lines, sep="\n", markup=markup)

@@ -13,7 +13,8 @@ from scipy.signal import fftconvolve
 
 from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.joint_fit import identify
-from modaltouch.lab.identification.responses import FrequencyResponses
+from modaltouch.lab.identification.points import in_two_units
+from modaltouch.lab.identification.responses import FrequencyResponses, Place
 from modaltouch.lab.identification.verdict import check_gains, check_modes, misfit_verdict, warnings
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator.true_beam import TrueBeam
@@ -54,6 +55,28 @@ def test_odd_point_is_named_and_may_be_left_out(clean: FrequencyResponses, facto
     assert mended.marks == ("the responses at -35 mm were left out",)
     with pytest.raises(ValueError, match="--leave-out 1 is not a measured position; allowed: -50, -45"):
         odd.without([0.001])
+
+
+@pytest.mark.parametrize("factor", [9.80665, 1e-3])
+def test_several_points_in_another_unit_are_named_together(clean: FrequencyResponses, factor: float) -> None:
+    """Not the worst of them alone, which would leave the others wrong."""
+    response, some = clean.response.copy(), [2, 3, 9, 20]
+    response[:, some] *= factor
+    larger = some if factor > 1 else sorted({*range(21)} - {*some})
+    named = ", ".join(f"{5 * point - 50} mm" for point in larger)
+    with pytest.raises(
+        ValueError, match=rf"the responses at {named} are about .* check whether all points have the sam"
+    ):
+        check_modes(identify(replace(clean, response=response), 0.1, most=0), spoilt.LABELS)
+
+
+@pytest.mark.parametrize("n_points", [1, 2, 3, 4])
+def test_few_points_are_not_said_to_have_two_units(n_points: int) -> None:
+    """Of three points one is alone: it may just as well be odd."""
+    places = [Place(x) for x in np.linspace(-0.05, 0.05, n_points)]
+    shapes = np.ones((3, n_points))
+    shapes[:, : n_points // 2] = 100.0
+    assert bool(in_two_units(shapes, places, 0.1)) == (n_points == 4)
 
 
 @pytest.mark.parametrize("fault", ["elsewhere", "exchanged", "too small"])

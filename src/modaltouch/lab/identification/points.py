@@ -185,6 +185,8 @@ def in_two_units(shapes: FloatArray, places: Sequence[Place], length: float) -> 
     length : float
         Length of the beam [m].
     """
+    if len(places) < 4:
+        return ""
     usual = np.linalg.norm(mode_shapes(USUAL, np.array(places)[:, 0], length), axis=0)
     norm = np.linalg.norm(shapes, axis=1, keepdims=True)
     size = np.median(np.abs(shapes) / np.maximum(norm, 1e-300), axis=0) / usual
