@@ -39,6 +39,12 @@ def test_refinement_converges_at_the_order_of_the_hold(shipped):
     assert 0.8 < order < 2.5
 
 
+@pytest.mark.parametrize("tolerance", [1e-1, 5e-3, 1e-9])
+def test_every_count_tried_is_one_that_a_protocol_takes(shipped, tolerance):
+    """15,625 divides 125,000 and holds each sample for 800 clocks, but `stimulus.n_samples` must be even."""
+    assert all(count % 2 == 0 for count, _ in cheapest_samples(shipped, tolerance, PLACES).tried)
+
+
 def test_no_count_undercuts_the_highest_mode(shipped):
     """Never below 2.5 samples per cycle of the highest mode: 87,855 Hz over 50 ms need 10,982."""
     economy = cheapest_samples(shipped, 10.0, PLACES)

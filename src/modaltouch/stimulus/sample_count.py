@@ -98,11 +98,14 @@ def cheapest_samples(finest: Stimulus, tolerance: float, positions: ArrayLike) -
 
 
 def _counts(finest: Stimulus) -> Iterator[int]:
-    """Yield, in increasing order, the divisors of the finest number with samples of whole clock cycles."""
+    """Yield, in increasing order, the even divisors of the finest number with samples of whole clock cycles.
+
+    A protocol takes even numbers only.
+    """
     timing = finest.timing
     highest = float(finest.model.natural_frequency.max())
     least = max(2, math.ceil(LEAST_SAMPLES_PER_CYCLE * highest * timing.duration))
-    for count in range(least, timing.n_samples):
+    for count in range(least + least % 2, timing.n_samples, 2):
         if timing.n_samples % count == 0 and replace(timing, n_samples=count).clock_error is None:
             yield count
 
