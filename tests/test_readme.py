@@ -120,22 +120,6 @@ def test_every_command_of_the_readme_works_in_its_order(lab):
             assert "Traceback" not in said
 
 
-def test_its_numbers_are_those_of_the_results():
-    """Minutes of the first demonstration, seconds to rest, and what remains of a level under two fingertips."""
-    doorstep, stops, fingers = (
-        json.loads((ROOT / f"results/benchmarks/{name}.json").read_text("utf-8"))
-        for name in ("doorstep", "stops", "fingers")
-    )
-    bare = [each["seconds"] for each in doorstep["trials"] if each["way"] == "clone"]
-    assert re.findall(r"takes about (\d+) minutes", TEXT) == [f"{max(bare) / 60:.0f}"]
-    latest = max(kind["latest_end_s"] for kind in stops["kinds"].values())
-    (promised,) = map(float, re.findall(r"comes to rest within ([\d.]+) s", TEXT.replace("\n", " ")))
-    assert stops["n_safe"] == stops["n"] and promised - 0.05 < latest <= promised
-    levels = [fingers["designs"]["A-C"][name] for name in ("free", "typical")]
-    told = [(f"{each['level_mean_percent']:.0f}", f"{each['level_sd_percent']:.0f}") for each in levels]
-    assert re.findall(r"(\d+) % ± (\d+) %", TEXT) == told
-
-
 def test_the_targets_of_make_are_there():
     """`make demo` and `make test` would run."""
     targets = [line.split()[1] for line in console_lines() if line.startswith("make ")]
@@ -156,6 +140,36 @@ def test_what_the_readme_links_to_exists():
             headings = re.findall(r"^#+ (.*)$", file.read_text(encoding="utf-8"), flags=re.MULTILINE)
             slugs = {re.sub(r"[^\w -]", "", each.lower()).replace(" ", "-") for each in headings}
             assert heading in slugs, target
+
+
+def test_its_speed_and_accuracy_are_those_of_the_results():
+    """How much faster than peers, how near to the target, and what fewer samples would save and cost."""
+    told = TEXT.replace("\n", " ")
+    points = json.loads((ROOT / "results" / "benchmarks" / "tradeoff.json").read_text())["points"]
+
+    def taken(figure, n_samples, **like):
+        (value,) = (
+            each[figure] for each in points if {"n_samples": n_samples, "n_modes": 9, **like}.items() <= each.items()
+        )
+        return value
+
+    ours = {"task": "predicting", "who": "engine, state at t_F"}
+    assert taken("error", 125_000, **ours) < 1e-15
+    (faster,) = re.findall(r"more than (\d+) times faster than with plain NumPy", told)
+    assert taken("time_ms", 125_000, task="predicting", who="plain NumPy") > int(faster) * taken(
+        "time_ms", 125_000, **ours
+    )
+    assert taken("time_ms", 125_000, task="predicting", who="lsim, one call") > 1000 * taken("time_ms", 125_000, **ours)
+    made = {"task": "making", "bits": "14 bits, settled", "law": "exact"}
+    papers = taken("error", 125_000, task="making", bits="14 bits", law="paper")
+    assert "by a factor of more than a million" in told and papers > 1e6 * taken("error", 125_000, **made)
+    few, all_of_them = (
+        {each["who"]: each for each in points if each["task"] == "command" and each["n_samples"] == n}
+        for n in (12_500, 125_000)
+    )
+    for who in ("check", "simulate", "verify"):
+        assert few[who]["time_ms"] > 0.9 * all_of_them[who]["time_ms"]
+        assert few[who]["error"] / all_of_them[who]["error"] == pytest.approx(30, rel=0.15)
 
 
 def test_its_figures_are_those_of_the_results():

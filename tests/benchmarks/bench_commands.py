@@ -60,15 +60,19 @@ def run(arguments: list[str], status: int = 0) -> tuple[float, subprocess.Comple
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, done
 
 
-def with_repetitions(folder: Path, n_repetitions: int) -> str:
-    """Write the paper's protocol with more repetitions, and return its path."""
+def written_with(folder: Path, line: str, other: str) -> str:
+    """Write the paper's protocol with one line other than it is, and return its path."""
     text = (PROTOCOLS / PAPER).read_text(encoding="utf-8").replace(": apparatus/", f": {PROTOCOLS}/apparatus/")
-    text = text.replace(": texts/", f": {PROTOCOLS}/texts/").replace(
-        "repetitions: 1\n", f"repetitions: {n_repetitions}\n"
-    )
-    path = folder / f"repeated_{n_repetitions}.yaml"
+    assert line in text
+    text = text.replace(": texts/", f": {PROTOCOLS}/texts/").replace(line, other)
+    path = folder / f"{other.replace(': ', '_').strip()}.yaml"
     path.write_text(text, encoding="utf-8")
     return str(path)
+
+
+def with_repetitions(folder: Path, n_repetitions: int) -> str:
+    """Write the paper's protocol with more repetitions, and return its path."""
+    return written_with(folder, "repetitions: 1\n", f"repetitions: {n_repetitions}\n")
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""The picture of run time against error: making a stimulus of 3, 6 or 9 modes, and predicting what one does."""
+"""The picture of run time against error: making a stimulus, predicting what one does, and whole commands."""
 
 from typing import Any
 
@@ -11,109 +11,105 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from modaltouch.report.style import INK, house_style
 
 SIZES = {12_500: 18, 25_000: 36, 62_500: 64, 125_000: 110}
-BITS = {
-    "10 bits": "#d3e3f3",
-    "12 bits": "#8fbbe0",
-    "14 bits": "#3f83c4",
-    "14 bits, settled": "#0b3c8c",
-    "before rounding": "#f4c518",
+"""Area of the mark of each number of samples [pt^2]."""
+
+MAKING = {
+    ("paper", "14 bits"): ("the paper's law", "#c2541b", "X"),
+    ("exact", "14 bits"): ("exact law", "#5bb8e8", "o"),
+    ("exact", "14 bits, settled"): ("exact law,\nrounding\nerror\nsteered", "#0b3c8c", "o"),
 }
-MEANS = {
-    "engine, state at t_F": ("#0b3c8c", "o"),
-    "engine, whole history": ("#5bb8e8", "o"),
-    "plain NumPy": ("#f4c518", "s"),
-    "lfilter, nine calls": ("#2f9e77", "^"),
-    "lsim, one call": ("#c2541b", "D"),
-    "forced_response, one call": ("#9a5b9f", "v"),
+PREDICTING = {
+    "engine, state at t_F": ("modaltouch,\nonly $t_F$", "#0b3c8c", "o"),
+    "engine, whole history": ("modaltouch, whole history", "#5bb8e8", "o"),
+    "plain NumPy": ("plain NumPy", "#f4c518", "s"),
+    "lfilter, nine calls": ("SciPy lfilter", "#2f9e77", "^"),
+    "lsim, one call": ("SciPy lsim", "#c2541b", "D"),
+    "forced_response, one call": ("control\nforced_response", "#9a5b9f", "v"),
 }
-LAWS = {"exact": "o", "paper": "X"}
-ROUNDED = {bits: "s" if bits == "before rounding" else "o" for bits in BITS}
-"""What no generator plays has a form of its own."""
+COMMANDS = {
+    "check": ("check", "#0b3c8c", "o"),
+    "verify": ("verify", "#2f9e77", "^"),
+    "simulate": ("simulate,\n24 trials", "#c2541b", "D"),
+}
+"""Label, colour and marker of each series."""
 
 LEAST = 1e-17
 """Errors of nothing at all are shown here."""
 
-
-def _mark(axis: Axes, points: list[dict[str, Any]], colour: str, marker: str) -> None:
-    for point in points:
-        axis.scatter(
-            point["time_ms"],
-            max(point["error"], LEAST),
-            s=SIZES[point["n_samples"]] * (1.2 if marker == "X" else 1.0),
-            c=colour,
-            marker=marker,
-            edgecolors=INK,
-            linewidths=0.5,
-            zorder=3,
-        )
+Points = list[dict[str, Any]]
 
 
-def _front(axis: Axes, points: list[dict[str, Any]]) -> None:
-    front = sorted((each for each in points if each["front"]), key=lambda each: each["time_ms"])
-    times = [each["time_ms"] for each in front]
-    errors = [max(each["error"], LEAST) for each in front]
-    axis.step([times[0], *times, axis.get_xlim()[1]], [1.0, *errors, errors[-1]], "-", where="post", c=INK, lw=1.0)
-
-
-def _dress(axis: Axes, title: str) -> None:
-    axis.set(xscale="log", yscale="log", ylim=(3e-18, 1.0), title=title)
-    axis.title.set_fontsize(9)
+def _dress(axis: Axes, title: str, errors: tuple[float, float], times: tuple[float, float]) -> None:
+    axis.set(xscale="log", yscale="log", ylim=errors, xlim=times)
+    axis.set_title(title, fontsize=10, loc="left")
     axis.grid(which="major", alpha=0.25, lw=0.6)
     axis.yaxis.set_minor_locator(NullLocator())
-    axis.set_yticks([10.0**power for power in range(-16, 1, 2)])
+    axis.xaxis.set_minor_locator(NullLocator())
+    axis.yaxis.set_major_locator(LogLocator(numticks=9))
     axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.xaxis.set_minor_formatter(FuncFormatter(lambda value, _: ""))
 
 
-def _keys(figure: Figure) -> None:
-    def key(label: str, colour: str, marker: str, size: float = 7.0) -> Line2D:
-        return Line2D([], [], ls="", marker=marker, mfc=colour, mec=INK, mew=0.5, ms=size, label=label)
-
-    rounding = [key(label, colour, ROUNDED[label]) for label, colour in BITS.items()]
-    laws = [key("exact law", "white", "o"), key("law of the paper", "white", "X", 8.0)]
-    samples = [key(f"{n:,} samples", "white", "o", size**0.5) for n, size in SIZES.items()]
-    front = [Line2D([], [], c=INK, lw=1.0, label="front: nothing is\nfaster and nearer")]
-    means = [key(who, *style) for who, style in MEANS.items()]
-    for place, title, handles in (
-        ((0.69, 0.47), "making", [*rounding, *laws]),
-        ((0.69, 0.235), "predicting", means),
-        ((0.85, 0.47), "both", [*samples, *front]),
-    ):
-        legend = figure.legend(
-            handles=handles, title=title, loc="upper left", bbox_to_anchor=place, frameon=False, alignment="left"
-        )
-        legend.get_title().set_fontweight("bold")
+def _draw_series(axis: Axes, points: Points, style: tuple[str, str, str], label_at: tuple[float, float, str]) -> None:
+    """Draw one series, its marks growing with the number of samples, its label beside them."""
+    label, colour, marker = style
+    points = sorted(points, key=lambda each: each["n_samples"])
+    axis.scatter(
+        [each["time_ms"] for each in points],
+        [max(each["error"], LEAST) for each in points],
+        s=[SIZES[each["n_samples"]] for each in points],
+        c=colour,
+        marker=marker,
+        edgecolors=INK,
+        linewidths=0.5,
+        zorder=3,
+    )
+    x, y, side = label_at
+    axis.text(x, y, label, fontsize=8, ha=side, va="center", zorder=4)
 
 
-def draw(points: list[dict[str, Any]]) -> None:
-    """Write ``stimulus.svg`` and ``stimulus.png``: upper row making, by modes; below predicting, and the keys."""
+def draw(points: Points) -> None:
+    """Write ``time_against_error.png``: making a stimulus of nine modes, predicting them, and whole commands."""
     with house_style():
-        figure = Figure(figsize=(10, 7.2))
-        grid = figure.add_gridspec(2, 3, left=0.075, right=0.985, top=0.95, bottom=0.075, hspace=0.3, wspace=0.08)
-        making = [each for each in points if each["task"] == "making"]
-        first: Axes | None = None
-        for column, n_modes in enumerate(sorted({each["n_modes"] for each in making})):
-            axis = figure.add_subplot(grid[0, column], sharex=first, sharey=first)
-            first = first or axis
-            some = [each for each in making if each["n_modes"] == n_modes]
-            _dress(axis, f"Making a stimulus of {n_modes} modes")
-            for bits, colour in BITS.items():
-                for law, marker in {**LAWS, "exact": ROUNDED[bits]}.items():
-                    _mark(axis, [p for p in some if (p["bits"], p["law"]) == (bits, law)], colour, marker)
-            axis.tick_params(labelleft=column == 0)
-            _front(axis, some)
-            axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        axis = figure.add_subplot(grid[1, :2])
-        _dress(axis, "Predicting nine modes at $t_F$")
-        predicting = [each for each in points if each["task"] == "predicting"]
-        for who, (colour, marker) in MEANS.items():
-            _mark(axis, [p for p in predicting if p["who"] == who], colour, marker)
-        _front(axis, predicting)
-        for each in figure.axes:
-            each.set_xlabel("run time on one core [ms]")
-        for each in (figure.axes[0], axis):
-            each.set_ylabel("worst modal error at $t_F$, over the peak")
-        _keys(figure)
+        figure = Figure(figsize=(11, 3.9), layout="none")
+        axes = figure.subplots(1, 3, gridspec_kw={"wspace": 0.3, "width_ratios": (1, 1.25, 1)})
+        figure.subplots_adjust(left=0.065, right=0.99, top=0.92, bottom=0.24)
+        _dress(axes[0], "Make nine modes' codes", (1e-9, 1.0), (0.7, 14.0))
+        _dress(axes[1], "Predict nine modes at $t_F$", (1e-18, 1.0), (0.04, 900.0))
+        _dress(axes[2], "Whole commands", (1e-5, 1e-1), (100.0, 1500.0))
+        axes[0].set_xticks([1, 2, 5, 10])
+        axes[1].set_xticks([0.1, 1, 10, 100])
+        axes[2].set_xticks([100, 200, 500, 1000])
+        for key, style, at in zip(MAKING, MAKING.values(), _MAKING_LABELS, strict=True):
+            some = [each for each in points if each["task"] == "making" and each["n_modes"] == 9]
+            _draw_series(axes[0], [each for each in some if (each["law"], each["bits"]) == key], style, at)
+        for axis, task, series, labels in (
+            (axes[1], "predicting", PREDICTING, _PREDICTING_LABELS),
+            (axes[2], "command", COMMANDS, _COMMAND_LABELS),
+        ):
+            some = [each for each in points if each["task"] == task]
+            for who, at in zip(series, labels, strict=True):
+                _draw_series(axis, [each for each in some if each["who"] == who], series[who], at)
+        axes[0].set_ylabel("largest modal error at $t_F$ / peak")
+        axes[2].set_ylabel("error of the field, $t_F$ ± 1 ms / peak")
+        for axis, what in zip(axes, ("run time", "run time", "processor time"), strict=True):
+            axis.set_xlabel(f"{what} on one core [ms]")
+        handles = [
+            Line2D([], [], ls="", marker="o", mfc="white", mec=INK, ms=area**0.5, label=f"{n:,} samples")
+            for n, area in SIZES.items()
+        ]
+        figure.legend(handles=handles, loc="lower center", ncols=4, frameon=False, fontsize=8)
         RESULTS.mkdir(parents=True, exist_ok=True)
-        figure.savefig(RESULTS / "stimulus.svg", metadata={"Date": None})
-        figure.savefig(RESULTS / "stimulus.png", dpi=110, metadata={"Software": None})
+        figure.savefig(RESULTS / "time_against_error.png", dpi=130, metadata={"Software": None})
+
+
+_MAKING_LABELS = ((1.4, 0.3, "center"), (2.5, 1e-5, "left"), (5.2, 3e-8, "left"))
+_PREDICTING_LABELS = (
+    (0.045, 3e-15, "left"),
+    (0.4, 1e-17, "left"),
+    (28.0, 1e-16, "left"),
+    (1.4, 4e-11, "center"),
+    (60.0, 4e-11, "center"),
+    (60.0, 8e-2, "center"),
+)
+_COMMAND_LABELS = ((300.0, 1.3e-2, "left"), (270.0, 1.3e-2, "right"), (680.0, 1.6e-2, "center"))
+"""Place and alignment of the label of each series."""
