@@ -278,6 +278,22 @@ def program() -> dict[str, str]:
     return {"source": source, "numpy": np.__version__, "scipy": scipy.__version__}
 
 
+def unlike(expected: dict[str, str]) -> list[str]:
+    """Return what is another here than where the work was given out: its source, or the version of a library."""
+    here = program()
+    return [name for name in here if here[name] != expected[name]]
+
+
+def certify_alike(expected: dict[str, str], number: int, n_experiments: int) -> dict:
+    """Return the rows of one population, by the program that gave out the work and no other.
+
+    A worker may have joined after all were asked.
+    """
+    if others := unlike(expected):
+        raise RuntimeError(f"a worker has another {' and '.join(others)}: install this very program there")
+    return certify(number, n_experiments)
+
+
 def certify_on(address: str, n_populations: int, n_experiments: int, kept: Path) -> list[dict]:
     """Certify populations on a Dask cluster; what is done stands in `kept`, and is not done again.
 
@@ -301,7 +317,7 @@ def certify_on(address: str, n_populations: int, n_experiments: int, kept: Path)
         check_workers(client, address)
         left = [number for number in range(n_populations) if number not in done]
         print(f"{len(done)} of {n_populations} populations are done already", flush=True)
-        futures = {client.submit(certify, number, n_experiments): number for number in left}
+        futures = {client.submit(certify_alike, program(), number, n_experiments): number for number in left}
         seen = time.monotonic()
         while futures:
             ready = [future for future in futures if future.done()]
@@ -326,13 +342,15 @@ def certify_on(address: str, n_populations: int, n_experiments: int, kept: Path)
 
 
 def check_workers(client, address: str) -> None:
-    """Refuse a cluster without workers, and workers whose program is another one."""
-    others = client.run(program)
+    """Refuse a cluster without workers, and workers whose program is another one or not to be found."""
+    others = client.run(unlike, program(), on_error="return")
     if not others:
         raise SystemExit(f"no worker at {address}; start some with `dask worker {address}`")
     for worker, other in others.items():
-        if unlike := [name for name, value in program().items() if other[name] != value]:
-            raise SystemExit(f"worker {worker} has another {' and '.join(unlike)}: install this very program there")
+        if isinstance(other, Exception):
+            raise SystemExit(f"worker {worker} cannot run this program: {other}; install it there, at the same place")
+        if other:
+            raise SystemExit(f"worker {worker} has another {' and '.join(other)}: install this very program there")
 
 
 def judge(parts):

@@ -83,3 +83,12 @@ def test_runs_follow_the_rule_of_a_session(certify, down_after) -> None:
     (places,), (successes,) = measures.staircases(rule, np.random.default_rng(3), 40, chances)
     bounds, start = (levels[0], levels[-1]), levels[measures.START]
     assert levels[places].tolist() == [follow(rule, start, bounds, successes[:trial].tolist()) for trial in range(40)]
+
+
+@pytest.mark.usefixtures("small_crowd")
+def test_a_worker_with_another_program_certifies_nothing(certify) -> None:
+    """Asked before the work begins, and again with each part of it: a worker may join later."""
+    mine = certify.program()
+    assert certify.certify_alike(mine, 3, 2) == certify.certify(3, 2)
+    with pytest.raises(RuntimeError, match="a worker has another source and numpy: install this very program there"):
+        certify.certify_alike(mine | {"source": "0", "numpy": "1.0"}, 3, 2)
