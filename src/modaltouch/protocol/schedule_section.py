@@ -52,7 +52,7 @@ class ScheduleSection(Section):
     )
     min_same_cell_distance: Annotated[Count, Field(ge=2)] | None = described(
         "Least number of trials from one trial of a cell (pair, peak velocity and stimulus) to the next of the same "
-        "cell, in shuffled orders: 2 for never twice in a row, 3 for at least one other cell in between. Null for no "
+        "cell, in shuffled orders: 2 for never twice in a row, 3 for at least two other cells in between. Null for no "
         "limit.",
         **_ABSENT,
     )
