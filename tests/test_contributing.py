@@ -133,7 +133,7 @@ def test_a_decision_says_what_why_and_what_follows_on_a_page(page):
 
 def test_the_tour_passes_files_that_are_there():
     """At most 25 files from a level to its volts, and 16 from a key to the figure."""
-    tour = TEXT.partition("## A tour of the house")[2].partition("\n## ")[0]
+    tour = TEXT.partition("## A tour of the code")[2].partition("\n## ")[0]
     walks = [re.findall(r"`(\w+/\w+\.py)`", walk) for walk in tour.split("**An answer")]
     assert all((ROOT / "src" / "modaltouch" / file).is_file() for walk in walks for file in walk)
     for name, file in re.findall(r"`([A-Z]\w+)`\s+\(`(\w+/\w+\.py)`\)", tour):
