@@ -71,7 +71,7 @@ def check(
 ) -> None:
     """Validate a protocol, synthesise its stimuli and predict the speeds at the zones.
 
-    No instrument is opened, and only --export writes a file. All faults are reported at once, each with file, line and
+    No instrument is opened, and only --export writes a file. All errors are reported at once, each with file, line and
     column.
     """
     with reporting(json_output=json_output):

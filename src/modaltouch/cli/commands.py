@@ -155,9 +155,9 @@ app = typer.Typer(
     cls=CommandGroup,
     help=(
         "Run a psychophysics experiment on a vibrating beam, from a YAML protocol to the statistics of the paper.\n\n"
-        "First time: `modaltouch demo`. Then `modaltouch new study`, whose README.md lists the commands in order: "
+        "To try it: `modaltouch demo`. Then `modaltouch new study`, whose README.md lists the commands in order: "
         "`modaltouch check PROTOCOL`, `modaltouch run PROTOCOL -p p01`, `modaltouch analyse results`.\n\n"
-        "Exit status: 0 done; 2 bad input, with its place; 3 rig or window failed, outputs are off; "
+        "Exit status: 0 done; 2 invalid input, with its location; 3 rig or window failed, outputs are off; "
         "4 a record is damaged or would be overwritten; 130 interrupted, outputs are off, data kept."
     ),
     no_args_is_help=True,

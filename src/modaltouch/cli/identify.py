@@ -41,7 +41,7 @@ ROWS = Annotated[
     int,
     typer.Option(
         min=1,
-        help="Rows of points over the width to measure, an odd number; with 3 or more, shapes are maps with torsion.",
+        help="Rows of points across the width, an odd number; with 3 or more, shapes are maps with torsion.",
     ),
 ]
 SETS = Annotated[list[str] | None, typer.Option("--set", help="Actuator set, repeatable.", show_default="all sets")]

@@ -102,7 +102,7 @@ def calibrate(
     out: Annotated[Path, typer.Option(help="File for the calibration; never overwritten.", show_default=False)],
     rig: MEASURED_RIG = "simulated",
     person: Annotated[
-        str, typer.Option(help="Who calibrates, to be named in the file.", show_default="nobody named")
+        str, typer.Option(help="Name of the person who calibrates, for the file.", show_default="none")
     ] = "",
     accept: Annotated[
         bool, typer.Option("--accept", help="Write the calibration even if it misses its limits, and mark it.")
@@ -110,14 +110,14 @@ def calibrate(
     record: RECORD = None,
     json_output: JSON = False,
 ) -> None:
-    """Measure what each stimulus actually does at the focusing instant, and correct its targets until both agree.
+    """Measure each stimulus at the focusing instant, and correct its targets until the beam moves as intended.
 
     Amplifier, clock, modes and vibrometer are identified first. Then velocity and displacement of every modelled mode
-    are measured in the free decay after the focus, and the targets of the exact law are corrected until only errors
-    that noise explains remain. Last, every velocity level is verified at the focus; where adaptive runs or participants
-    have levels of their own, the bounds and three levels between them at equal ratios are verified (2, 6.325, 20, 63.25
-    and 200 for 2 to 200 mm/s). All stimuli of a protocol are calibrated, into one file. Nothing is written before the
-    end. A calibration that misses the protocol's `calibration.limits` needs --accept to be written, and `run` needs
+    are measured in the free decay after the focus, and the targets of the exact law are corrected until the remaining
+    errors are within the noise. Last, every velocity level is verified at the focus. If levels depend on adaptive runs
+    or participants, the bounds and three levels between them at equal ratios are verified instead (2, 6.325, 20, 63.25
+    and 200 for 2 to 200 mm/s). One file covers all stimuli of a protocol. Nothing is written before the end.
+    A calibration that misses the protocol's `calibration.limits` needs --accept to be written, and `run` needs
     --with-marked-calibration to use it.
     """
     carry_out(
@@ -272,9 +272,7 @@ def validate(
     averages: Annotated[int, typer.Option(min=1, max=1000, help="Records at each point.")] = 10,
     rows: Annotated[
         int,
-        typer.Option(
-            min=1, help="Rows of points over the width to measure, an odd number; with 3 or more, Fig. 7 is a map."
-        ),
+        typer.Option(min=1, help="Rows of points across the width, an odd number; with 3 or more, Fig. 7 is a map."),
     ] = 1,
     record: RECORD = None,
     json_output: JSON = False,
@@ -315,7 +313,7 @@ fingers = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
-    help="Measure the fingers that lie on the beam.",
+    help="Measure the fingers on the beam.",
 )
 
 

@@ -20,7 +20,7 @@ def new(
     template: Annotated[str, typer.Option("--from", help="A shipped protocol.")] = "differentiated_stimulation",
     json_output: JSON = False,
 ) -> None:
-    """Write a study: a shipped protocol with the shipped apparatus, texts and schemas, ready to be changed.
+    """Make a study folder: a shipped protocol with the shipped apparatus, texts and schemas, ready to edit.
 
     Its README.md lists the commands in order. Nothing is ever overwritten.
     """

@@ -37,7 +37,7 @@ WITH_MARKED = Annotated[
     bool, typer.Option("--with-marked-calibration", help="Accept a calibration marked as missing its limits.")
 ]
 APPARATUS = Annotated[Path, typer.Option("--apparatus", help="Apparatus: a YAML file, or a shipped one.")]
-_OBSERVER = "Who is simulated: a YAML file, or a shipped observer such as `paper` or `near_miss`."
+_OBSERVER = "Observer, a model of how participants answer: a YAML file, or a shipped one such as `paper`."
 OBSERVER = Annotated[str, typer.Option(help=_OBSERVER)]
 USUAL_OBSERVER = Annotated[
     str | None, typer.Option("--observer", help=_OBSERVER, show_default="paper; fingertip where thresholds matter")

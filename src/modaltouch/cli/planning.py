@@ -57,7 +57,7 @@ def power(
     ] = None,
     json_output: JSON = False,
 ) -> None:
-    """Estimate how likely an experiment of each size is to answer its questions, by simulating the protocol itself.
+    """Estimate the power of each test for each number of participants, by simulating the protocol.
 
     Simulated participants answer every condition of the protocol, and the exact tests of the analysis, with Holm's
     correction, are run on their answers. If the protocol has several stimuli, each is planned separately, as in
@@ -301,8 +301,8 @@ def prereg(
 ) -> None:
     """Write design, hypotheses, tests, margins, exclusion rules and sample size as one page of Markdown.
 
-    The power is found by simulating the protocol itself: by counts of answers where two fingers are compared, otherwise
-    by whole sessions and their analysis. An existing page is never overwritten. `modaltouch analyse` lists departures
+    The power is estimated by simulating the protocol: numbers of answers if two fingers are compared, otherwise whole
+    sessions and their analysis. An existing page is never overwritten. `modaltouch analyse` lists departures
     from it.
     """
     with reporting(json_output=json_output):
@@ -336,7 +336,7 @@ def fit(
     mode: MODE = None,
     json_output: JSON = False,
 ) -> None:
-    """Fit a simulated observer to recorded answers, such as a pilot's, to plan the next study with.
+    """Fit an observer, a model of how participants answer, to recorded answers such as those of a pilot.
 
     The given observer is the centre of the priors, and its front end is kept. If the protocol has several stimuli, one
     observer is fitted to the answers to all of them.

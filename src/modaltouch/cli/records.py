@@ -183,7 +183,7 @@ def study(
     ] = None,
     json_output: JSON = False,
 ) -> None:
-    """Show who has done which session, what is open, and who is next with which order.
+    """Show completed and open sessions, and the next participant with their order.
 
     This reads only the logs and changes nothing; `modaltouch verify` recomputes them.
     """

@@ -44,9 +44,9 @@ def check(
     ] = False,
     json_output: JSON = False,
 ) -> None:
-    """Find out what a generator actually does where its manual is silent, and whether it is fit for a session.
+    """Test what a generator does where its manual is silent, and whether it is fit for a session.
 
-    Nothing is played: the outputs stay off, except where a question says otherwise.
+    Nothing is played: the outputs stay off, unless a question says otherwise.
     """
     from contextlib import ExitStack
 
@@ -87,12 +87,11 @@ def simulate(
 ) -> None:
     """Run a simulated rig for other programs on this machine, until it is interrupted.
 
-    The first line on standard output is its VISA address, the second that of its raw socket. `--played` records what it
-    actually played: `start_s` and `end_s` on this machine's monotonic clock, whether the burst is `whole`,
-    `amplitude_Vpp` of both outputs, the peak speed `zone_peak_mm_s` at each zone's centre, and the `link` that
-    triggered it: 0 for the front panel, null for a burst that nobody triggered. With `--follow FOLDER/session.jsonl`,
-    which may begin later, fingers rest where that session places them, and `finger_peak_mm_s` is the peak speed under
-    each.
+    The first line on standard output is its VISA address, the second that of its raw socket. `--played` records each
+    burst: `start_s` and `end_s` on this machine's monotonic clock, whether the burst is `whole`, `amplitude_Vpp` of
+    both outputs, the peak speed `zone_peak_mm_s` at each zone's centre, and the `link` that triggered it: 0 for the
+    front panel, null for a burst without a trigger. With `--follow FOLDER/session.jsonl`, which may begin later,
+    fingers are placed as in that session, and `finger_peak_mm_s` is the peak speed under each.
     """
     from modaltouch.protocol import Apparatus
     from modaltouch.rig import Simulator

@@ -230,7 +230,7 @@ def demo(
     seed: SEED = 1,
     json_output: JSON = False,
 ) -> None:
-    """Run a whole short session on the simulated rig, in the real window, and report it.
+    """Run a short session on the simulated rig, in the real window, and write its report.
 
     A simulated participant answers by typing into the window. Without a screen, a virtual one is started.
     """
