@@ -40,7 +40,7 @@ class SessionKind(Overrides):
         "Number of sessions of this kind, one after the other.", default=1
     )
     min_gap_days: NotNegative = described(
-        "Least time since the participant's previous session of any kind [days]; `run` refuses to begin earlier.",
+        "Minimum time since the participant's previous session of any kind [days]; `run` refuses to begin earlier.",
         default=0.0,
     )
     analysed: bool = Field(

@@ -36,22 +36,22 @@ class ScheduleSection(Section):
         default="shuffled",
     )
     max_same_pair_running: Count | None = described(
-        "Most trials in a row with the same pair of zones, in shuffled orders; null for no limit.", default=None
+        "Most consecutive trials with the same pair of zones, in shuffled orders; null for no limit.", default=None
     )
     max_same_level_running: Count | None = described(
-        "Most trials in a row with the same peak velocity, in shuffled orders; null for no limit.", **_ABSENT
+        "Most consecutive trials with the same peak velocity, in shuffled orders; null for no limit.", **_ABSENT
     )
     max_same_stimulus_running: Count | None = described(
-        "Most trials in a row with the same stimulus, if there are several, in shuffled orders; null for no limit.",
+        "Most consecutive trials with the same stimulus, if there are several, in shuffled orders; null for no limit.",
         **_ABSENT,
     )
     max_same_side_running: Count | None = described(
-        "Most trials in a row with the focus under the finger of the same side, in shuffled orders, so that the same "
-        "answer is not expected too often in a row; pairs without the focus interrupt the row. Null for no limit.",
+        "Most consecutive trials with the focus under the finger of the same side, in shuffled orders, so that the "
+        "same answer is not expected too often in a row; pairs without the focus restart the count. Null for no limit.",
         **_ABSENT,
     )
     min_same_cell_distance: Annotated[Count, Field(ge=2)] | None = described(
-        "Least number of trials from one trial of a cell (pair, peak velocity and stimulus) to the next of the same "
+        "Minimum number of trials from one trial of a cell (pair, peak velocity and stimulus) to the next of the same "
         "cell, in shuffled orders: 2 for never twice in a row, 3 for at least two other cells in between. Null for no "
         "limit.",
         **_ABSENT,
