@@ -57,7 +57,6 @@ def test_file_becomes_table_and_figures(tmp_path: Path) -> None:
         (["--modes", "some"], "--modes is 'some': give `listed`, `all`, or labels"),
         (["--drive-V", "400"], "an excitation of 400 V was requested: allowed above 0 and up to 250 V"),
         (["--highest-kHz", "500"], "an excitation up to 500 kHz was requested"),
-        (["--averages", "1", "--estimator", "H2"], "--estimator is H2, which needs a coherence"),
         (["nothing.csv"], "nothing.csv: there is no such file"),
     ],
 )

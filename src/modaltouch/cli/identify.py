@@ -66,9 +66,6 @@ LEAVE_OUT = Annotated[
 USE_CLIPPED = Annotated[
     bool, typer.Option("--use-clipped", help="Use the free decay after the last saturated sample of a record.")
 ]
-ESTIMATOR = Annotated[
-    Literal["H1", "H2", "Hv"], typer.Option(help="H1; H2 if the measured drive is noisy; Hv lies between.")
-]
 EXPORT = Annotated[
     Path | None,
     typer.Option(
@@ -99,7 +96,6 @@ def identify(
     export: EXPORT = None,
     leave_out: LEAVE_OUT = None,
     use_clipped: USE_CLIPPED = False,
-    estimator: ESTIMATOR = "H1",
     json_output: JSON = False,
 ) -> None:
     """Identify natural frequencies, damping ratios, gains and shapes of a beam, each with its 95 % interval.
@@ -112,7 +108,7 @@ def identify(
         excitation=excitation, lowest=lowest_Hz, highest=None if highest_kHz is None else highest_kHz * 1e3,
         margin=margin_mm * 1e-3, sets=tuple(sets or ()), modes=modes, quantity=quantity, conjugated=conjugated,
         spacing=spacing_Hz, seed=seed, export=export, leave_out=tuple(place * 1e-3 for place in leave_out or ()),
-        use_clipped=use_clipped, estimator=estimator,
+        use_clipped=use_clipped,
     )  # fmt: skip
     carry_out(partial(lab.identify, options), lambda _, values: _show(values), json_output=json_output)
 

@@ -31,8 +31,6 @@ from modaltouch.lab.identification.report import (
     write_identification,
 )
 from modaltouch.lab.identification.responses import (
-    NO_COHERENCE,
-    Estimator,
     FrequencyResponses,
     Place,
     Quantity,
@@ -99,8 +97,6 @@ class IdentifyOptions:
     rows : int
         Rows of points across the width to measure, an odd number; three or more reveal torsion. Of earlier scans, every
         row is read.
-    estimator : str
-        ``H1``; ``H2`` where the measured drive is noisy; ``Hv`` between the two.
     """
 
     apparatus: Path
@@ -124,7 +120,6 @@ class IdentifyOptions:
     leave_out: tuple[float, ...] = ()
     use_clipped: bool = False
     rows: int = 1
-    estimator: Estimator = "H1"
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,8 +227,7 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress = SILENT_PR
         "source": ", ".join(folder.as_posix() for folder in folders or (options.out,)),
         "generator": first["settings"]["generator"],
         "scope": first["settings"]["scope"],
-        "method": f"{first['settings']['about']['stimulus']}, {options.estimator} by the measured drive, "
-        "joint fit of all responses",
+        "method": f"{first['settings']['about']['stimulus']}, H1 by the measured drive, joint fit of all responses",
     }
     responses = FrequencyResponses.of_repeats([beam.responses_of(rows) for rows in measured])
     return beam.fit(responses.between(1.5 * LOWEST, float(responses.frequency[-1])), facts, progress)
@@ -242,7 +236,7 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress = SILENT_PR
 def _read(options: IdentifyOptions) -> FrequencyResponses:
     """Return the responses in the files, within the requested band."""
     how = ResponseFormat(options.quantity, options.conjugated, options.spacing, options.averages, options.use_clipped)
-    responses = read_responses(options.files, how).by(options.estimator)
+    responses = read_responses(options.files, how)
     if options.lowest is None and options.highest is None:
         return responses
     end = float(responses.frequency[-1]) if options.highest is None else options.highest
@@ -292,8 +286,6 @@ class _Beam:
         """Return the scans of each row, measured now or resumed."""
         options, out = self.options, self.options.out
         refuse_other(out, COMMAND)
-        if options.averages < 2 and options.estimator != "H1":
-            raise ValueError(NO_COHERENCE.format(options.estimator))
         positions = evenly(self.length, options.points, options.margin)
         check_points([Place(each) for each in positions], self.labels, self.length)
         highest = highest_needed(self.apparatus) if options.highest is None else options.highest
@@ -318,9 +310,7 @@ class _Beam:
 
     def responses_of(self, rows: list[dict[str, Scan]]) -> FrequencyResponses:
         """Return the responses of all rows of a scan."""
-        return FrequencyResponses.of_rows([responses_of(scans, self.bandwidth) for scans in rows]).by(
-            self.options.estimator
-        )
+        return FrequencyResponses.of_rows([responses_of(scans, self.bandwidth) for scans in rows])
 
     def read(self, folder: Path) -> list[dict[str, Scan]]:
         """Return the scans of each row in a folder."""

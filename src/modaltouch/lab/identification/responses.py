@@ -18,17 +18,6 @@ Quantity = Literal["velocity", "displacement", "acceleration"]
 QUANTITIES: tuple[Quantity, ...] = ("velocity", "displacement", "acceleration")
 
 
-Estimator = Literal["H1", "H2", "Hv"]
-ESTIMATORS: dict[Estimator, float] = {"H1": 0.0, "Hv": 0.5, "H2": 1.0}
-"""Exponent p of each estimator H1 / coherence^p: 0 if only the motion is noisy, 1 if only the drive, 1/2 if both."""
-
-
-NO_COHERENCE = (
-    "--estimator is {}, which needs a coherence, and single records and impacts have none: average several records, "
-    "or leave --estimator out"
-)
-
-
 class Place(NamedTuple):
     """A point of a beam: distance along it from mid-beam and across it from the mid-line [m]."""
 
@@ -291,21 +280,6 @@ class FrequencyResponses:
             marks=(*self.marks, f"the responses at {named} mm were left out"),
             repeats=tuple(each.without(places) for each in self.repeats),
         )
-
-    def by(self, estimator: Estimator) -> FrequencyResponses:
-        r"""Convert H1 responses to another estimator: :math:`H_2 = H_1 / \gamma^2`, :math:`H_v = H_1 / \gamma`.
-
-        Raises
-        ------
-        ValueError
-            If there is no coherence.
-        """
-        if estimator == "H1":
-            return self
-        if self.coherence is None:
-            raise ValueError(NO_COHERENCE.format(estimator))
-        response = self.response / np.maximum(self.coherence, 1e-9) ** ESTIMATORS[estimator]
-        return replace(self, response=response, repeats=tuple(each.by(estimator) for each in self.repeats))
 
     def between(self, lowest: float, highest: float) -> FrequencyResponses:
         """Return the responses within a band [Hz]."""
