@@ -66,8 +66,6 @@ def bars(*, json_output: bool = False) -> Iterator[lab.MeasurementProgress]:
 
     try:
         yield lab.MeasurementProgress(show=show, say=shown.print, aim=aim)
-    except lab.TooFewPointsError as error:
-        raise typer.BadParameter(str(error)) from None
     except ValueError as error:
         leave(BAD_INPUT, str(error), json_output=json_output)
     finally:

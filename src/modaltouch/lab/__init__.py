@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from modaltouch.lab.calibration.command import calibrate
     from modaltouch.lab.comparison.command import compare
     from modaltouch.lab.identification.command import IdentifyOptions, identify
-    from modaltouch.lab.laboratory import Laboratory, MeasurementProgress, TooFewPointsError
+    from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
     from modaltouch.lab.probe.command import probe_fingers
     from modaltouch.lab.probe.prober import Prober
     from modaltouch.lab.validation.command import validate
@@ -26,7 +26,7 @@ else:
             "calibration.command": "calibrate",
             "comparison.command": "compare",
             "identification.command": "IdentifyOptions identify",
-            "laboratory": "Laboratory MeasurementProgress TooFewPointsError",
+            "laboratory": "Laboratory MeasurementProgress",
             "probe.command": "probe_fingers",
             "probe.prober": "Prober",
             "validation.command": "validate",
@@ -38,7 +38,6 @@ __all__ = [
     "Laboratory",
     "MeasurementProgress",
     "Prober",
-    "TooFewPointsError",
     "calibrate",
     "compare",
     "identify",

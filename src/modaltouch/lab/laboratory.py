@@ -47,21 +47,6 @@ def quiet(*_: object, **__: object) -> None:
     """Accept any arguments and do nothing."""
 
 
-class TooFewPointsError(ValueError):
-    """Too few points along the beam to distinguish the modelled modes, or rows across it without the mid-line."""
-
-    @classmethod
-    def check(cls, points: int, labels: tuple[int, ...]) -> None:
-        """Refuse fewer points from end to end than one and a half times the highest label."""
-        # Mode k has k - 1 nodes: at least as many points as modes up to it, and half as many again against noise.
-        least = -(-3 * max(labels) // 2)
-        if points < least:
-            raise cls(
-                f"given --points {points}; allowed: at least {least}, since fewer cannot separate mode {max(labels)} "
-                "from the others; 41 suit the shipped beam"
-            )
-
-
 @dataclass(frozen=True)
 class MeasurementProgress:
     """Callbacks of a running measurement; those not given do nothing.

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.laboratory import TooFewPointsError
 from modaltouch.protocol import Apparatus
 from modaltouch.rig import Acquisition
 from modaltouch.stimulus import Burst
@@ -70,11 +69,11 @@ def rows_over(apparatus: Apparatus, n_rows: int) -> tuple[float, ...]:
 
     Raises
     ------
-    TooFewPointsError
+    ValueError
         If their number is not odd and positive, so that none would lie on the mid-line.
     """
     if n_rows < 1 or n_rows % 2 == 0:
-        raise TooFewPointsError(
+        raise ValueError(
             f"given --rows {n_rows}; allowed: odd numbers; 1 scans only the mid-line, 3 or more show torsion"
         )
     half = apparatus.beam.width_mm * 0.5e-3 - EDGE

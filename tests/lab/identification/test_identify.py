@@ -215,10 +215,10 @@ def test_noise_alone_has_no_resonance(make) -> None:
 def test_too_few_points_are_refused() -> None:
     """Fifteen points show modes 14 and 16 alike; twenty tell all apart but draw no shape of label 17."""
     with pytest.raises(ValueError, match=r"15 points are too few to distinguish modes 14 and 16.*at least 26"):
-        check_points(at(np.linspace(-0.05, 0.05, 15)), [1, 17], LENGTH)
+        check_points(np.linspace(-0.05, 0.05, 15), [1, 17], LENGTH)
     with pytest.raises(ValueError, match="20 points are too few to draw the shape of mode 17: give at least 26"):
-        check_points(at(np.linspace(-0.05, 0.05, 20)), [1, 17], LENGTH)
-    check_points(at(np.linspace(-0.0495, 0.0495, 41)), [1, 17], LENGTH)
+        check_points(np.linspace(-0.05, 0.05, 20), [1, 17], LENGTH)
+    check_points(np.linspace(-0.0495, 0.0495, 41), [1, 17], LENGTH)
 
 
 def test_labels_increase_with_frequency() -> None:

@@ -13,7 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from modaltouch.lab.comparison.contest import Contest, DriveAssessment, contest, learn
-from modaltouch.lab.laboratory import SILENT_PROGRESS, MeasurementProgress, TooFewPointsError
+from modaltouch.lab.identification.shapes import check_points
+from modaltouch.lab.laboratory import SILENT_PROGRESS, MeasurementProgress
 from modaltouch.lab.output import DARK, MIDDLE, rounded, title_of
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
@@ -382,14 +383,13 @@ def compare(
     ------
     InputError
         If the protocol has faults, or no pairs of zones.
-    TooFewPointsError
-        If the points are too few to distinguish the modelled modes.
     RecordError
         If a folder holds something else, or cannot be written.
     RigError
         If the twin's generator does not confirm a drive.
     ValueError
-        If a mode of the table was not found, or is not fitted well.
+        If the points are too few to distinguish the modelled modes, or a mode of the table was not found, or is not
+        fitted well.
     """
     preflight = examine(protocol).of_untouched_beam()
     experiment = preflight.experiment
@@ -398,7 +398,8 @@ def compare(
         raise InputError([preflight.findings.problem(("conditions", "zones"), given, "pairs of zones", remedy)])
     folder = out or Path("comparison") / experiment.protocol.protocol
     refuse_other(folder, COMMAND)
-    TooFewPointsError.check(points, preflight.stimulus.model.label)
+    model = preflight.stimulus.model
+    check_points(np.linspace(-model.length / 2, model.length / 2, points), model.label, model.length)
     with progress.interruptible() as heard:
         responses = learn(preflight, n_points=points, n_records=averages, folder=scan, progress=heard)
         found = contest(preflight, responses, n_beams=beams, seed=seed, progress=heard)

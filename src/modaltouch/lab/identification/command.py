@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.excitation import (
     CLOCK_TOLERANCE,
@@ -32,9 +34,9 @@ from modaltouch.lab.identification.report import (
 )
 from modaltouch.lab.identification.responses import (
     FrequencyResponses,
-    Place,
     Quantity,
     ResponseFormat,
+    along,
     responses_of,
 )
 from modaltouch.lab.identification.shapes import check_points
@@ -287,7 +289,7 @@ class _Beam:
         options, out = self.options, self.options.out
         refuse_other(out, COMMAND)
         positions = evenly(self.length, options.points, options.margin)
-        check_points([Place(each) for each in positions], self.labels, self.length)
+        check_points(np.array(positions), self.labels, self.length)
         highest = highest_needed(self.apparatus) if options.highest is None else options.highest
         campaign = IdentificationPlan(
             positions, options.averages, options.voltage, highest, self.sets, options.excitation
@@ -350,7 +352,7 @@ class _Beam:
         if self.options.leave_out:
             responses = responses.without(self.options.leave_out)
         if responses.places:
-            check_points(responses.places, self.labels, self.length)
+            check_points(along(responses.places)[0], self.labels, self.length)
         with _fitting(progress):
             found = over_repeats(fit_jointly(responses, self.length, clock_tolerance=CLOCK_TOLERANCE))
         check_modes(found, self.labels)

@@ -50,13 +50,13 @@ def phase_deviation(residue: ComplexArray) -> float:
     return float((size * np.arctan2(np.abs(straight.imag), np.abs(straight.real))).sum() / size.sum())
 
 
-def check_points(places: Sequence[Place], labels: Sequence[int], length: float) -> None:
+def check_points(positions: FloatArray, labels: Sequence[int], length: float) -> None:
     """Refuse points on which two modes look alike, or too few points to draw the highest mode.
 
     Parameters
     ----------
-    places : sequence of Place
-        Where the shapes are to be measured.
+    positions : (n_points,) array
+        Where along the beam the shapes are to be measured [m].
     labels : sequence of int
         Modes to be distinguished.
     length : float
@@ -67,7 +67,7 @@ def check_points(places: Sequence[Place], labels: Sequence[int], length: float) 
     ValueError
         With the pair that looks alike, and the number of points that suffices.
     """
-    highest, positions = max(labels), along(places)[0]
+    highest = max(labels)
     needed = int(np.ceil(1.5 * highest))
     shapes = mode_shapes(range(1, highest + 1), positions, length)
     likeness = mac(shapes, shapes) - np.eye(highest)

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, MeasurementProgress, TooFewPointsError
+from modaltouch.lab.identification.shapes import check_points
+from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, MeasurementProgress
 from modaltouch.lab.output import rounded, title_of
 from modaltouch.lab.recorded_files import open_measurement
 from modaltouch.lab.scan import Scan
@@ -158,7 +159,7 @@ def validate(
     ------
     InputError
         If the protocol or its calibration has faults.
-    TooFewPointsError
+    ValueError
         If the points are too few to distinguish the modelled modes.
     RecordError
         If a folder holds something else or cannot be written.
@@ -168,7 +169,8 @@ def validate(
     preflight = examine(protocol, calibration, marked=True).of_untouched_beam().of_one_stimulus()
     folder = out or Path("validation") / preflight.experiment.protocol.protocol
     refuse_other(folder, COMMAND)
-    TooFewPointsError.check(points, preflight.stimulus.model.label)
+    model = preflight.stimulus.model
+    check_points(np.linspace(-model.length / 2, model.length / 2, points), model.label, model.length)
     beside = [across for across in rows_over(preflight.experiment.apparatus, rows) if across]
     observed = _observe(preflight, rig, scan, points, averages, beside, record, progress)
     context = _context(preflight, protocol, observed[0].field)
