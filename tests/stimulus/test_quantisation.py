@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from modaltouch.rig.afg3022b import AFG3022B
 from modaltouch.rig.keysight33500b import KEYSIGHT_33500B
-from modaltouch.stimulus.burst import Timing
+from modaltouch.stimulus.burst import Burst, Timing
 
 AFG = AFG3022B.converter
 SHIPPED_SHARES = (0.4, 0.5, 0.75, 1.0)
@@ -58,6 +58,15 @@ def test_amplitude_of_a_record_is_a_part_of_the_full_scale():
     assert record.shares(codes) == pytest.approx([0.625, 1.0], rel=1e-4)
     assert AFG.shares(codes).tolist() == [1.0, 1.0]
     assert record.amplitudes_at((16.0, 3.0), 0.1, 0.2, np.array([0.625, 1.0])) == (5.0, 1.5)
+
+
+def test_a_burst_commands_the_voltages_that_it_was_made_of():
+    """To half a code of a full scale that is their peak, at the level and, in proportion, at half of it."""
+    voltage = np.array([[0.0, 33.3, -12.5, 0.0], [0.0] * 4])
+    burst = Burst.holding(voltage, 25.0, 0.2, AFG, 4e-6, 20.0)
+    assert burst.amplitude == (2.664, 0.0)
+    assert burst.commanded(25.0) == pytest.approx(voltage, abs=33.3 / 8191 / 2)
+    assert burst.commanded(25.0, 0.1) == pytest.approx(voltage / 2, abs=33.3 / 8191 / 4)
 
 
 def test_voltage_beyond_the_full_scale_is_refused():

@@ -264,6 +264,11 @@ class Apparatus(Section):
             mass=beam.mass,
         )
 
+    @property
+    def to_beam(self) -> float:
+        """Voltage at the beam per open-circuit voltage of the generator [V/V]."""
+        return self.amplifier.gain_V_per_V * self.generator.load_factor
+
     def amplifier_values(self) -> AmplifierValues:
         """Return the amplifier: gain [V/V], limit [V at the beam], bandwidth [Hz] or None, delay [s]."""
         from modaltouch.stimulus import Amplifier as AmplifierValues

@@ -205,13 +205,13 @@ class Instrument:
 
     def limits(self, apparatus: Apparatus) -> Limits:
         """Return the limits of its outputs in an apparatus."""
-        gain, velocity = _gain(apparatus), apparatus.safety.velocity_limit_mm_s * 1e-3
+        gain, velocity = apparatus.to_beam, apparatus.safety.velocity_limit_mm_s * 1e-3
         return Limits(self, self.highest_level(apparatus), apparatus.amplifier.limit_V, gain, velocity)
 
     def highest_level(self, apparatus: Apparatus) -> float:
         """Return the highest output, either sign, that amplifier and generator allow, into an open circuit [V]."""
         # Rounded down to 10 mV, so that the instrument's own rounding cannot lift it.
-        return min(math.floor(apparatus.amplifier.limit_V / _gain(apparatus) * 100 + 1e-6) / 100, self.highest_output)
+        return min(math.floor(apparatus.amplifier.limit_V / apparatus.to_beam * 100 + 1e-6) / 100, self.highest_output)
 
     def level(self, channel: int, amplitude: float) -> Setting:
         """Return the setting of an amplitude, into an open circuit [V peak to peak]."""
@@ -338,7 +338,3 @@ class Limits:
         if not lowest <= amplitude <= highest:
             raise RigError(f"{where}: allowed {lowest:g} to {highest:g} V; {remedy}")
         return amplitude
-
-
-def _gain(apparatus: Apparatus) -> float:
-    return apparatus.amplifier.gain_V_per_V * apparatus.generator.load_factor

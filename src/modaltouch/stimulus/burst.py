@@ -333,6 +333,49 @@ class Burst:
     converter: Converter
     corrections: LevelCorrections = ()
 
+    @classmethod
+    def holding(
+        cls,
+        voltage: FloatArray,
+        to_beam: float,
+        velocity: float,
+        converter: Converter,
+        duration: float,
+        repetition_rate: float,
+    ) -> Burst:
+        """Return the burst of given voltages, each channel's full scale as small as holds its peak.
+
+        Parameters
+        ----------
+        voltage : (n_channels, n_samples) array
+            Voltages at the beam [V].
+        to_beam : float
+            Voltage at the beam per open-circuit voltage of the generator [V/V].
+        velocity : float
+            Level at which they are played [m/s].
+        converter : Converter
+            The generator's.
+        duration, repetition_rate : float
+            Length of the burst [s], and bursts per second [Hz].
+        """
+        amplitude = tuple(converter.full_scale(2 * float(np.abs(row).max()) / to_beam, (1.0,)) for row in voltage)
+        codes = converter.round_to_codes(voltage, np.array(amplitude) * (to_beam / 2 / converter.mid_code))
+        return cls(converter.unsigned(codes), duration, repetition_rate, velocity, amplitude, converter)
+
+    def commanded(self, to_beam: float, velocity: float | None = None) -> FloatArray:
+        """Return the voltages that the codes command at the beam, (n_channels, n_samples) array [V].
+
+        Parameters
+        ----------
+        to_beam : float
+            Voltage at the beam per open-circuit voltage of the generator [V/V].
+        velocity : float, optional
+            Level [m/s]; the burst's own if not given.
+        """
+        full_scale = self.amplitude if velocity is None else self.full_scale_for(velocity)
+        unit = np.array(full_scale) * (to_beam / 2 / self.converter.mid_code)
+        return np.asarray(self.converter.signed(self.codes) * unit[:, None])
+
     @cached_property
     def content_hash(self) -> str:
         """SHA-256 of the codes as they are sent: big-endian, channel after channel."""

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from modaltouch.lab.calibration.acquisition import DecayRecorder, commanded_voltage, identifying_burst, timing_voltage
+from modaltouch.lab.calibration.acquisition import DecayRecorder, identifying_burst, timing_voltage
 from modaltouch.lab.calibration.plant import VibrometerDelay, fit_drive, fit_vibrometer
 from modaltouch.preflight import Preflight
 from modaltouch.protocol.apparatus import Apparatus
@@ -33,7 +33,7 @@ def test_drive_tells_amplifier_and_clock(
         load_factor=1.0,
         velocity_limit=0.5,
     )
-    commanded = commanded_voltage(burst, listed.amplifier.gain)
+    commanded = burst.commanded(listed.amplifier.gain)
     taking = DecayRecorder(bench, listed.model, listed.timing, 0.5, 0.0)
     found = fit_drive(taking.drive(burst, float(np.abs(commanded).max())), commanded, listed.timing)
     assert found.delay == pytest.approx(delay * 1e-6 - 50e-9, abs=10e-9)

@@ -113,37 +113,14 @@ def identifying_burst(
     speed = float(BlockStates.of(system, voltage, timing).peak(model.shapes(points).T @ system.velocity).max())
     highest = np.abs(voltage).max(axis=1)
     scale = SHARE * min(amplifier.limit / highest.max(), velocity_limit / max(speed, 1e-30))
-    to_beam = amplifier.gain * load_factor
-    amplitude = [timing.converter.round_amplitude(2 * float(volts) * scale / to_beam) for volts in highest]
-    # Amplitudes are rounded to the instrument's grid; the codes are made for the rounded ones.
-    unit = np.array(amplitude) * to_beam / 2 / timing.converter.mid_code
-    fitted = np.where(highest > 0, unit * timing.converter.mid_code / np.where(highest > 0, highest, 1.0), 0.0)
-    codes = timing.converter.round_to_codes(voltage * fitted[:, None], unit)
-    return Burst(
-        codes=timing.converter.unsigned(codes),
-        duration=timing.duration,
-        repetition_rate=timing.repetition_rate,
-        velocity=speed * scale,
-        amplitude=tuple(amplitude),
-        converter=timing.converter,
+    return Burst.holding(
+        voltage * scale,
+        amplifier.gain * load_factor,
+        speed * scale,
+        timing.converter,
+        timing.duration,
+        timing.repetition_rate,
     )
-
-
-def commanded_voltage(burst: Burst, to_beam: float, velocity: float | None = None) -> FloatArray:
-    """Return the voltages that a burst commands at the beam, (n_channels, n_samples) array [V].
-
-    Parameters
-    ----------
-    burst : Burst
-        The burst.
-    to_beam : float
-        Volts at the beam per volt of the open generator, according to the apparatus file [1].
-    velocity : float, optional
-        Level [m/s]; the burst's own if not given.
-    """
-    full_scale = burst.amplitude if velocity is None else burst.full_scale_for(velocity)
-    unit = np.array(full_scale) * (to_beam / 2 / burst.converter.mid_code)
-    return np.asarray(burst.converter.signed(burst.codes) * unit[:, None])
 
 
 MARGIN = 40e-6

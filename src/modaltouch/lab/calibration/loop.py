@@ -12,7 +12,6 @@ from modaltouch.lab.calibration.acquisition import (
     HEADROOM,
     SWEEP,
     DecayRecorder,
-    commanded_voltage,
     identifying_burst,
     measuring_points,
     probe_voltage,
@@ -260,7 +259,7 @@ class _Loop:
 
         self._recorder.begin("amplifier and clock", 2)
         burst = burst_of(timing_voltage(listed.model, timing))
-        commanded = commanded_voltage(burst, to_beam)
+        commanded = burst.commanded(to_beam)
         drive = fit_drive(self._recorder.drive(burst, float(np.abs(commanded).max())), commanded, timing)
         refuse_implausible_drive(drive)
         self._recorder.wait_for(drive)
@@ -268,7 +267,7 @@ class _Loop:
         for channel in range(n_channels):
             self._recorder.begin(f"modes, by output {channel + 1}", self._points.size)
             burst = burst_of(probe_voltage(listed.model, timing, channel))
-            voltages.append(commanded_voltage(burst, to_beam))
+            voltages.append(burst.commanded(to_beam))
             time, decay = self._recorder.decays(burst, burst.velocity, self._points)
             rows.append(decay)
         since = time / (1 + drive.clock) - timing.focusing_instant
@@ -326,7 +325,7 @@ class _Loop:
     def _drives(self, name: str, stimulus: Stimulus, plant: Plant) -> tuple[FloatArray, FloatArray]:
         """Return predicted and measured drive of the loaded stimulus about its peak at the highest level [V]."""
         level, listed = self._asked[-1], self._listed
-        commanded = commanded_voltage(stimulus.burst, listed.amplifier.gain * listed.load_factor, level)
+        commanded = stimulus.burst.commanded(listed.amplifier.gain * listed.load_factor, level)
         highest = np.abs(commanded).max(axis=0)
         self._recorder.begin(name, 1)
         about = float(highest.argmax()) * self._timing.hold

@@ -175,10 +175,6 @@ def _taper(n: int, n_end: int) -> FloatArray:
     return window
 
 
-SMALLEST_AMPLITUDE = 0.02
-"""Amplitude of a silent output [V peak to peak]."""
-
-
 @dataclass(frozen=True)
 class Method:
     """A method of computing the voltages from the training data.
@@ -320,6 +316,7 @@ def design_all(known: TrainingData, release: Release, load_factor: float) -> lis
     load_factor : float
         Fraction of the generator's open-circuit voltage that reaches the amplifier's input [1].
     """
+    timing, to_beam, level = known.timing, known.amplifier.gain * load_factor, known.target_field.velocity
     # Shared by the rivals and part of the recordings, so computed before the timing starts.
     _ = known.towards
     designed = []
@@ -327,22 +324,6 @@ def design_all(known: TrainingData, release: Release, load_factor: float) -> lis
         started = time.perf_counter()
         voltage = method.design(known, release)
         took = time.perf_counter() - started
-        designed.append(MethodDrive(method, voltage, as_burst(voltage, known, load_factor), took))
+        burst = Burst.holding(voltage, to_beam, level, timing.converter, timing.duration, timing.repetition_rate)
+        designed.append(MethodDrive(method, voltage, burst, took))
     return designed
-
-
-def as_burst(voltage: FloatArray, known: TrainingData, load_factor: float) -> Burst:
-    """Return voltages as a burst of the generator."""
-    to_beam, converter = known.amplifier.gain * load_factor, known.timing.converter
-    least = (2 * max(float(np.abs(row).max()) / to_beam, SMALLEST_AMPLITUDE / 2) for row in voltage)
-    amplitude = tuple(converter.full_scale(each, (1.0,)) for each in least)
-    codes = converter.round_to_codes(voltage, np.asarray(amplitude) * (to_beam / 2 / converter.mid_code))
-    timing = known.timing
-    return Burst(
-        converter.unsigned(codes),
-        timing.duration,
-        timing.repetition_rate,
-        known.target_field.velocity,
-        amplitude,
-        converter,
-    )

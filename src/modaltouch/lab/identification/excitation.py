@@ -90,16 +90,11 @@ def excite(apparatus: Apparatus, set_name: str, voltage: float, highest: float, 
         )
     duration = N_SAMPLES / RATE
     wave = chirp(highest) if kind == "chirp" else multisine(highest)
-    instrument = instrument_of(apparatus)
-    converter = instrument.converter
-    codes = np.full((2, N_SAMPLES), converter.mid_code, dtype=np.uint16)
-    channel = apparatus.actuator_sets[set_name].channel
-    codes[channel - 1] = np.round(converter.mid_code + converter.mid_code * wave)
-    codes[:, [0, -1]] = converter.mid_code
-    peak = 2 * voltage / (apparatus.amplifier.gain_V_per_V * apparatus.generator.load_factor)
-    amplitude = tuple(peak if number == channel else instrument.lowest_amplitude for number in instrument.channels)
+    given = np.zeros((2, N_SAMPLES))
+    given[apparatus.actuator_sets[set_name].channel - 1] = voltage * wave
     level = min(LEVEL, apparatus.safety.velocity_limit_mm_s * 1e-3)
-    return Burst(codes, duration, 1 / duration, level, amplitude, converter)
+    converter = instrument_of(apparatus).converter
+    return Burst.holding(given, apparatus.to_beam, level, converter, duration, 1 / duration)
 
 
 def chirp(highest: float) -> NDArray[np.float64]:

@@ -122,8 +122,9 @@ class Excitation:
         highest = float(np.abs(np.tensordot(share, moved, (0, 1))).max())
         limit = ROOM * apparatus.amplifier.limit_V
         voltage *= np.minimum(speed / highest, limit / np.abs(voltage).max(axis=1))[:, None]
-        burst = _burst(apparatus, voltage, speed)
-        return cls(burst, bins, channel, _commanded(apparatus, burst, bins)[channel, np.arange(bins.size)])
+        converter = instrument_of(apparatus).converter
+        burst = Burst.holding(voltage, apparatus.to_beam, speed, converter, N_SAMPLES / RATE, SPACING)
+        return cls(burst, bins, channel, _at_beam(apparatus, burst, bins)[channel, np.arange(bins.size)])
 
     def probe(self, laboratory: Laboratory, laser: float, speed: float, bandwidth: float | None) -> list[Probe]:
         """Return the responses at a point of the beam, one probe per period.
@@ -217,20 +218,9 @@ def _wave(response: ComplexArray | float, line: ComplexArray, bins: NDArray[np.i
     return np.asarray(np.fft.irfft(spectrum, N_SAMPLES))
 
 
-def _commanded(apparatus: Apparatus, burst: Burst, bins: NDArray[np.intp]) -> ComplexArray:
-    """Return the voltage that the codes command at the beam, with sample and hold, (n_channels, n_lines) array [V]."""
-    to_beam = apparatus.amplifier.gain_V_per_V * apparatus.generator.load_factor
-    unit = np.array(burst.amplitude) * to_beam / 2 / burst.converter.mid_code
-    spectrum = np.fft.rfft(burst.converter.signed(burst.codes) * unit[:, None])[:, bins] / N_SAMPLES
+def _at_beam(apparatus: Apparatus, burst: Burst, bins: NDArray[np.intp]) -> ComplexArray:
+    """Return the spectrum of the commanded voltage, with sample and hold, (n_channels, n_lines) array [V]."""
+    spectrum = np.fft.rfft(burst.commanded(apparatus.to_beam))[:, bins] / N_SAMPLES
     corner = apparatus.amplifier_values().bandwidth
     passed = 1.0 if corner is None else 1 / (1 + 1j * SPACING * bins / corner)
     return np.asarray(spectrum * np.sinc(bins / N_SAMPLES) * np.exp(-1j * np.pi * bins / N_SAMPLES) * passed)
-
-
-def _burst(apparatus: Apparatus, voltage: FloatArray, speed: float) -> Burst:
-    converter = instrument_of(apparatus).converter
-    to_beam = apparatus.amplifier.gain_V_per_V * apparatus.generator.load_factor
-    amplitude = tuple(converter.full_scale(2 * float(np.abs(row).max()) / to_beam, (1.0,)) for row in voltage)
-    unit = np.array(amplitude) * to_beam / 2 / converter.mid_code
-    codes = converter.unsigned(converter.round_to_codes(voltage, unit))
-    return Burst(codes, N_SAMPLES / RATE, RATE / N_SAMPLES, speed, amplitude, converter)
