@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -92,8 +92,8 @@ def test_nobody_to_aim_ends_the_scan(tmp_path: Path, monkeypatch: pytest.MonkeyP
     """Without a terminal nobody moves the vibrometer of a real rig: exit 2, not 41 records of one spot."""
 
     @contextmanager
-    def open_laboratory(*parts: object, aim: Callable[[float, float], None], **options: object) -> Iterator[None]:
-        aim(0.0125, 0.0)
+    def open_laboratory(*parts: Any, **options: object) -> Iterator[None]:
+        parts[2].aim(0.0125, 0.0)
         yield
 
     monkeypatch.setattr("modaltouch.lab.identification.command.open_laboratory", open_laboratory)

@@ -94,9 +94,8 @@ class Laboratory:
         Vibrometer and scope.
     mode : str
         ``simulated`` if the generator is, else ``real``.
-    aim : callable
-        Moves the vibrometer's spot to a place, along the beam from mid-beam and across it from the mid-line [m], and
-        returns when it is there; called with the outputs off.
+    progress : MeasurementProgress
+        Told what is measured; called with the outputs off.
     settling_time : float
         Wait between the first burst and the first record [s].
     simulator : Simulator or None
@@ -107,7 +106,7 @@ class Laboratory:
     rig: Rig
     scope: Scope
     mode: Mode
-    aim: Callable[[float, float], None] = quiet
+    progress: MeasurementProgress = SILENT_PROGRESS
     settling_time: float = 0.0
     simulator: Simulator | None = None
 
@@ -136,7 +135,7 @@ class Laboratory:
             spoilt by a stall of this computer is repeated, up to `ATTEMPTS` in all.
         """
         self.scope.configure(acquisition)
-        self.aim(position, across)
+        self.progress.aim(position, across)
         for _ in range(ATTEMPTS):
             recording, firing = self._record_once(position, across, velocity, acquisition)
             if firing is not None and firing.confirmed and recording is not None:
@@ -199,10 +198,10 @@ class Laboratory:
 def open_laboratory(
     apparatus: Apparatus,
     address: str = SIMULATED,
+    progress: MeasurementProgress = SILENT_PROGRESS,
     *,
     seed: int | None = None,
     repetition: Literal["single", "timer", "continuous", "wired"] | None = None,
-    aim: Callable[[float, float], None] = quiet,
     scope: Scope | None = None,
     **options: Any,
 ) -> Iterator[Laboratory]:
@@ -214,13 +213,13 @@ def open_laboratory(
         The apparatus, from its file.
     address : str
         ``simulated``, or the generator's VISA address; with a real one a PicoScope is opened unless `scope` is given.
+    progress : MeasurementProgress
+        Told what is measured; not asked to aim at the twin.
     seed : int, optional
         Seed of the twin, instead of that in its apparatus file.
     repetition : str, optional
         ``continuous`` plays one burst after the other without a gap, as for a periodic excitation; None uses the
         setting of the apparatus, as in a session.
-    aim : callable
-        Moves the vibrometer's spot to a place, as `Laboratory.aim`; not called for the twin.
     scope : Scope, optional
         Scope to use instead of the twin's or a PicoScope; closed here.
     **options
@@ -245,10 +244,10 @@ def open_laboratory(
             simulator = stack.enter_context(Simulator(apparatus, seed, clock=clock))
             scope = stack.enter_context(scope or simulator.scope())
             rig = open_generator(simulator.address, **simulator.driver_options)
-            yield Laboratory(apparatus, rig, scope, "simulated", simulator=simulator)
+            yield Laboratory(apparatus, rig, scope, "simulated", replace(progress, aim=quiet), simulator=simulator)
             return
         # The scope first: without it nothing needs to be played.
         scope = stack.enter_context(scope or Scope.open(apparatus))
         rig = open_generator(address)
         mode: Mode = "simulated" if instrument_of(apparatus).is_simulated(rig.identity) else "real"
-        yield Laboratory(apparatus, rig, scope, mode, aim, SETTLING_TIME)
+        yield Laboratory(apparatus, rig, scope, mode, progress, SETTLING_TIME)

@@ -19,15 +19,14 @@ import hashlib
 import json
 import math
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.laboratory import Laboratory, MeasurementProgress, open_laboratory
+from modaltouch.lab.laboratory import MeasurementProgress
 from modaltouch.lab.scan import LARGEST_SHIFT
 from modaltouch.protocol import Apparatus
 from modaltouch.record import replace_file
@@ -45,17 +44,6 @@ CUT = 4
 REMEDY = "move it away, or give another folder with --record"
 
 FORM = "save it as UTF-8, with commas between columns and points in decimals"
-
-
-@contextmanager
-def open_measurement(
-    apparatus: Apparatus, rig: str, record: Path | None, progress: MeasurementProgress
-) -> Iterator[tuple[Laboratory, MeasurementProgress]]:
-    """Open generator and scope, or the folder in which records arrive; a signal stops it between two records."""
-    with progress.interruptible() as heard:
-        scope = RecordedFiles(record, apparatus, heard) if record else None
-        with open_laboratory(apparatus, rig, aim=heard.aim, scope=scope) as laboratory:
-            yield laboratory, heard
 
 
 class RecordedFiles(Scope):

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.laboratory import Laboratory, quiet
+from modaltouch.lab.laboratory import Laboratory
 from modaltouch.lab.scan_plan import ScanPlan
 from modaltouch.protocol import Source
 from modaltouch.record import RecordError, RecordInputError, replace_file
@@ -245,15 +245,14 @@ def take_scan(
     *,
     source: Source | None = None,
     reduction: Reduction = keep_records,
-    on_progress: Callable[[int, int], None] = quiet,
-    check: Callable[[], None] = quiet,
+    step: str = "points",
 ) -> Scan:
     """Take a scan, from the start or from where it was interrupted, and return it.
 
     Parameters
     ----------
     laboratory : Laboratory
-        Generator and scope, open.
+        Generator and scope, open; its progress may stop the scan between two positions.
     plan : ScanPlan
         What is played, and where and how it is recorded.
     folder : Path, optional
@@ -263,10 +262,8 @@ def take_scan(
         The apparatus file, kept in the description.
     reduction : callable
         Reduces each recording to what is kept; whole records if not given.
-    on_progress : callable
-        Called with (recorded, planned) positions, the first time before anything is recorded.
-    check : callable
-        Called between positions; may raise to stop the scan, and the positions recorded so far are kept.
+    step : str
+        Name under which progress is shown.
 
     Raises
     ------
@@ -280,18 +277,18 @@ def take_scan(
     facts = _describe(laboratory, plan, source, reduction)
     places = np.array(facts["settings"]["positions_mm"]) * 1e-3
     kept = [] if folder is None else _begin(folder, facts, plan)
-    on_progress(len(kept), len(places))
+    laboratory.progress.show(step, len(kept), len(places))
     if len(kept) < len(places):
         laboratory.load(plan.burst)
     try:
         for index in range(len(kept), len(places)):
-            check()
+            laboratory.progress.check()
             recording = laboratory.record(float(places[index]), plan.velocity, plan.acquisition, plan.across)
             kept.append(_arrays(recording, reduction))
             assemble(facts, kept).refuse_overloaded().refuse_other_instants()
             if folder is not None:
                 save_arrays(position_file(folder, index), kept[-1])
-            on_progress(len(kept), len(places))
+            laboratory.progress.show(step, len(kept), len(places))
     except (Interrupted, KeyboardInterrupt) as error:
         error.add_note(_resume_hint(folder, len(kept), len(places)))
         raise

@@ -10,6 +10,7 @@ import pytest
 
 from modaltouch.lab.calibration.file import CalibrationResult, corrected_inputs
 from modaltouch.lab.calibration.loop import calibrate
+from modaltouch.lab.laboratory import SILENT_PROGRESS
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
@@ -31,6 +32,8 @@ LEVEL_BAR = 0.01
 
 class TwinBench:
     """Plays on a twin and records with its scope; `amplitude_error` is what the generator makes of an amplitude."""
+
+    progress = SILENT_PROGRESS
 
     def __init__(self, apparatus: Apparatus, seed: int, amplitude_error: Callable[[float], float] | None = None):
         self.twin = Twin(apparatus, seed)

@@ -147,8 +147,9 @@ def test_a_signal_ends_it_before_the_next_record(
         if bench.n_records >= 5:
             raise Interrupted("SIGINT")
 
+    bench.progress = MeasurementProgress(check=check)
     with pytest.raises(Interrupted):
-        calibrate(bench, shipped_apparatus, preflight.inputs, MeasurementProgress(check=check))
+        calibrate(bench, shipped_apparatus, preflight.inputs)
     assert bench.n_records == 5
 
 
@@ -157,10 +158,10 @@ def test_turns_are_told_as_they_are_measured(
 ) -> None:
     """Every turn, in order, with the number of records announced beforehand; each step ends complete."""
     bench, said, shown = make_bench(shipped_apparatus, 2), list[str](), dict[str, tuple[int, int]]()
-    progress = MeasurementProgress(
+    bench.progress = MeasurementProgress(
         say=said.append, show=lambda what, done, total: shown.__setitem__(what, (done, total))
     )
-    outcome = calibrate(bench, shipped_apparatus, preflight.inputs, progress)
+    outcome = calibrate(bench, shipped_apparatus, preflight.inputs)
     assert said == [str(turn) for turn in outcome.turns]
     assert said[0].startswith("before       worst velocity error ")
     assert said[1].startswith("iteration 1  worst velocity error ")

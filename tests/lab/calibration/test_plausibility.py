@@ -23,7 +23,7 @@ class Spoilt:
     """A bench whose recordings are changed on their way."""
 
     def __init__(self, bench, change: Callable[[Recording], Recording]) -> None:
-        self.load = bench.load
+        self.load, self.progress = bench.load, bench.progress
         self._bench = bench
         self._change = change
 

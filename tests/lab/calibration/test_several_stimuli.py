@@ -58,8 +58,8 @@ def test_the_rig_is_identified_once_for_all(make_bench: Callable, mismatched: Ap
             steps.append(what)
 
     said: list[str] = []
-    told = MeasurementProgress(show=show, say=said.append)
-    outcomes = calibrate_each(bench, mismatched, design_inputs_of(preflight), told)
+    bench.progress = MeasurementProgress(show=show, say=said.append)
+    outcomes = calibrate_each(bench, mismatched, design_inputs_of(preflight))
     assert list(outcomes) == ["sharp", "blunt"]
     assert [words for words in said if words.startswith("stimulus")] == ["stimulus sharp", "stimulus blunt"]
     identified = ["amplifier and clock", "modes, by output 1", "modes, by output 2", "before"]

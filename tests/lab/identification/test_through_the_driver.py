@@ -19,7 +19,7 @@ from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import responses_of
 from modaltouch.lab.identification.shapes import mac
 from modaltouch.lab.identification.spectra import Spectra
-from modaltouch.lab.laboratory import Laboratory, open_laboratory
+from modaltouch.lab.laboratory import Laboratory, MeasurementProgress, open_laboratory
 from modaltouch.lab.scan import read_scan, take_scan
 from modaltouch.lab.scan_plan import ScanPlan
 from modaltouch.protocol.apparatus import Apparatus
@@ -38,14 +38,6 @@ EXCITATIONS: tuple[Excitation, ...] = get_args(Excitation)
 
 class StoppedError(Exception):
     """Somebody ends the scan."""
-
-
-def never() -> None:
-    """Stop at no moment."""
-
-
-def nothing(done: int, total: int) -> None:
-    """Show no progress."""
 
 
 def with_noise(apparatus: Apparatus, density: float) -> Apparatus:
@@ -86,7 +78,7 @@ def test_twin_is_identified_through_all_its_instruments(
     if WHOLE:
         apparatus = with_noise(apparatus, density_of_the_bar(apparatus, campaign))
     with open_laboratory(apparatus, repetition="continuous") as laboratory:
-        scans = campaign.scan(laboratory, Source.load(APPARATUS), tmp_path, on_progress=nothing, check=never)
+        scans = campaign.scan(laboratory, Source.load(APPARATUS), tmp_path)
         assert laboratory.simulator is not None
         true = laboratory.simulator.twin.beam.table
     bandwidth = (apparatus.acquisition.vibrometer_bandwidth_kHz or 0) * 1e3
@@ -125,13 +117,14 @@ def test_stopped_scan_keeps_its_range(laboratory: Laboratory, tmp_path: Path) ->
             raise StoppedError
 
     with pytest.raises(StoppedError):
-        small().scan(laboratory, source, tmp_path, on_progress=nothing, check=check)
+        small().scan(replace(laboratory, progress=MeasurementProgress(check=check)), source, tmp_path)
     half = read_scan(tmp_path / "scan_centre")
     with pytest.raises(RecordInputError, match="interrupted after 1 of 3 positions"):
         responses_of({"centre": half})
-    shown: list[tuple[int, int]] = []
-    scans = small().scan(laboratory, source, tmp_path, on_progress=lambda *n: shown.append(n), check=never)
-    assert shown == [(1, 3), (2, 3), (3, 3)]
+    shown: list[tuple[str, int, int]] = []
+    heard = replace(laboratory, progress=MeasurementProgress(show=lambda *step: shown.append(step)))
+    scans = small().scan(heard, source, tmp_path)
+    assert shown == [("points, centre", n, 3) for n in (1, 2, 3)]
     assert scans["centre"].facts["settings"] == half.facts["settings"]
 
 
@@ -154,10 +147,7 @@ def test_a_first_look_that_was_cut_tells_no_range(laboratory: Laboratory) -> Non
 def test_scans_at_other_positions_do_not_go_together(laboratory: Laboratory) -> None:
     """Each set at the same positions: no shape has two places at once."""
     source = Source.load(APPARATUS)
-    one, other = (
-        small(positions=(place,)).scan(laboratory, source, None, on_progress=nothing, check=never)["centre"]
-        for place in (0.0, 0.01)
-    )
+    one, other = (small(positions=(place,)).scan(laboratory, source, None)["centre"] for place in (0.0, 0.01))
     with pytest.raises(
         RecordInputError, match="the positions in the scan of the set side differ from those of the first"
     ):
@@ -170,7 +160,7 @@ def test_drive_that_does_not_arrive_is_told(laboratory: Laboratory, tmp_path: Pa
     laboratory.simulator.twin.tripped = True
     try:
         with pytest.raises(RigError, match="the drive of the actuator set centre measures .* but 20 V"):
-            small().scan(laboratory, Source.load(APPARATUS), tmp_path, on_progress=nothing, check=never)
+            small().scan(laboratory, Source.load(APPARATUS), tmp_path)
     finally:
         laboratory.simulator.twin.tripped = False
     assert list(tmp_path.iterdir()) == []
@@ -185,7 +175,7 @@ def test_velocity_beyond_the_safety_limit_is_refused(apparatus: Apparatus) -> No
         open_laboratory(careful, repetition="continuous") as laboratory,
         pytest.raises(RigError, match="mm/s, but the safety limit is 5; the outputs are off; lower --drive-V"),
     ):
-        small(voltage=100.0).scan(laboratory, Source.load(APPARATUS), None, on_progress=nothing, check=never)
+        small(voltage=100.0).scan(laboratory, Source.load(APPARATUS), None)
 
 
 def test_headroom_ends_at_the_vibrometer_s_own_range(apparatus: Apparatus) -> None:
@@ -193,9 +183,7 @@ def test_headroom_ends_at_the_vibrometer_s_own_range(apparatus: Apparatus) -> No
     knobs = apparatus.acquisition.model_copy(update={"range_mm_s": 7.5})
     tight = apparatus.model_copy(update={"acquisition": knobs})
     with open_laboratory(tight, repetition="continuous") as laboratory:
-        scans = small(positions=(0.049,)).scan(
-            laboratory, Source.load(APPARATUS), None, on_progress=nothing, check=never
-        )
+        scans = small(positions=(0.049,)).scan(laboratory, Source.load(APPARATUS), None)
     assert scans["centre"].overloaded == ((),)
     assert scans["centre"].facts["settings"]["acquisition"]["velocity_range"] == pytest.approx(0.0075)
 

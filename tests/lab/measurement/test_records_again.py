@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.lab.laboratory import ATTEMPTS, Laboratory
+from modaltouch.lab.laboratory import ATTEMPTS, Laboratory, MeasurementProgress
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.acquisition import Acquisition, Recording
 from modaltouch.rig.interface import Firing, RigError, StimulusLost
@@ -60,7 +60,7 @@ class Bench:
 
 def record(bench: Bench) -> Recording:
     """Take a record at 20 mm at 200 mm/s."""
-    laboratory = Laboratory(APPARATUS, bench, bench, "simulated", aim=bench.aim)
+    laboratory = Laboratory(APPARATUS, bench, bench, "simulated", MeasurementProgress(aim=bench.aim))
     return laboratory.record(0.02, 0.2, Acquisition(n_samples=2))
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from modaltouch.lab.laboratory import Laboratory, open_laboratory
+from modaltouch.lab.laboratory import Laboratory, MeasurementProgress, open_laboratory
 from modaltouch.lab.scan import position_file, read_scan, take_scan
 from modaltouch.lab.scan_plan import ScanPlan
 from modaltouch.protocol.apparatus import Apparatus
@@ -59,6 +59,11 @@ def plan(**changes: Any) -> ScanPlan:
     return replace(ScanPlan(smooth_burst(), 0.2, PLACES, asked, {"stimulus": "test"}), **changes)
 
 
+def heard(laboratory: Laboratory, **callbacks: Any) -> Laboratory:
+    """Return the laboratory with callbacks of its progress."""
+    return replace(laboratory, progress=MeasurementProgress(**callbacks))
+
+
 def stop_after(n: int) -> Callable[[], None]:
     """Return what lets n positions pass and ends the scan before the next."""
     passed = iter(range(n))
@@ -74,7 +79,8 @@ def test_scan_is_read_back_as_it_was_taken(laboratory: Laboratory, tmp_path: Pat
     """Positions, records and drives in their order, in single precision; the description says what was played."""
     shown: list[tuple[int, int]] = []
     source = Source.load(APPARATUS)
-    taken = take_scan(laboratory, plan(), tmp_path / "scan", source=source, on_progress=lambda *n: shown.append(n))
+    watched = heard(laboratory, show=lambda _, *n: shown.append(n))
+    taken = take_scan(watched, plan(), tmp_path / "scan", source=source)
     found = read_scan(tmp_path / "scan").require_complete()
     assert shown == [(n, 4) for n in range(5)]
     assert found.velocity.shape == (4, 2, 5000)
@@ -106,7 +112,7 @@ def test_stopped_scan_goes_on_where_it_was(laboratory: Laboratory, tmp_path: Pat
     """Two positions recorded, then an end: they are kept, the outputs are off, and only the rest is recorded then."""
     folder = tmp_path / "scan"
     with pytest.raises(StoppedError):
-        take_scan(laboratory, plan(), folder, check=stop_after(2))
+        take_scan(heard(laboratory, check=stop_after(2)), plan(), folder)
     assert laboratory.simulator is not None
     assert laboratory.simulator.outputs == (False, False)
     half = read_scan(folder)
@@ -115,7 +121,7 @@ def test_stopped_scan_goes_on_where_it_was(laboratory: Laboratory, tmp_path: Pat
         half.require_complete()
     before = [position_file(folder, index).read_bytes() for index in range(2)]
     shown: list[tuple[int, int]] = []
-    whole = take_scan(laboratory, plan(), folder, on_progress=lambda *n: shown.append(n))
+    whole = take_scan(heard(laboratory, show=lambda _, *n: shown.append(n)), plan(), folder)
     assert shown == [(2, 4), (3, 4), (4, 4)]
     assert [position_file(folder, index).read_bytes() for index in range(2)] == before
     np.testing.assert_array_equal(whole.velocity, read_scan(folder).velocity)
@@ -124,7 +130,7 @@ def test_stopped_scan_goes_on_where_it_was(laboratory: Laboratory, tmp_path: Pat
 def test_a_row_beside_the_mid_line_is_measured_there(laboratory: Laboratory, tmp_path: Path) -> None:
     """The spot is sent 2.5 mm across, the file says so; there the twin's torsion has the other sign."""
     seen: list[tuple[float, float]] = []
-    aimed = replace(laboratory, aim=lambda *place: seen.append(place))
+    aimed = heard(laboratory, aim=lambda *place: seen.append(place))
     rows = [take_scan(aimed, plan(positions=(0.05,), across=y), tmp_path / f"{y}") for y in (-2.5e-3, 2.5e-3)]
     assert seen == [(0.05, -2.5e-3), (0.05, 2.5e-3)]
     assert read_scan(tmp_path / "0.0025").across == 2.5e-3
@@ -150,7 +156,7 @@ def test_scan_of_other_settings_is_not_gone_on_with(
 ) -> None:
     """The difference is named, and the folder stays as it was."""
     with pytest.raises(StoppedError):
-        take_scan(laboratory, plan(), tmp_path / "scan", check=stop_after(1))
+        take_scan(heard(laboratory, check=stop_after(1)), plan(), tmp_path / "scan")
     before = sorted((tmp_path / "scan").iterdir())
     with pytest.raises(RecordError, match=named):
         take_scan(laboratory, plan(**changes), tmp_path / "scan")
@@ -217,7 +223,7 @@ def test_outputs_are_off_while_the_spot_is_moved(laboratory: Laboratory) -> None
     assert laboratory.simulator is not None
     found: list[tuple[bool, ...]] = []
     outputs = laboratory.simulator
-    aimed = replace(laboratory, aim=lambda *place: found.append(outputs.outputs))
+    aimed = heard(laboratory, aim=lambda *place: found.append(outputs.outputs))
     take_scan(aimed, plan())
     assert found == [(False, False)] * 4
 

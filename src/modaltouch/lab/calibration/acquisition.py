@@ -9,7 +9,7 @@ import numpy as np
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.calibration.plant import DriveDelay
 from modaltouch.lab.calibration.plausibility import refuse_implausible_velocity
-from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
+from modaltouch.lab.laboratory import Laboratory
 from modaltouch.rig import Acquisition, Recording, RigError
 from modaltouch.stimulus import Amplifier, BlockStates, Burst, DiagonalSystem, ModalModel, Taper, Timing
 
@@ -169,7 +169,7 @@ class DecayRecorder:
     Attributes
     ----------
     bench : Laboratory
-        Generator and scope.
+        Generator and scope; its progress is told of each record.
     model : ModalModel
         The modes, known approximately; they determine the sampling rate and the length of a record.
     timing : Timing
@@ -178,8 +178,6 @@ class DecayRecorder:
         Upper end of the vibrometer's range [m/s].
     latency : float
         Trigger latency, from the generator's first sample to the scope's [s].
-    progress : MeasurementProgress
-        Called before and after each record.
     name : str
         Name of the stimulus, if there are several.
     margin : float
@@ -193,7 +191,6 @@ class DecayRecorder:
     timing: Timing
     highest_velocity: float
     latency: float
-    progress: MeasurementProgress = field(default_factory=MeasurementProgress)
     name: str = ""
     margin: float = field(default=MARGIN, init=False)
     _forth: bool = field(default=False, init=False)
@@ -206,7 +203,7 @@ class DecayRecorder:
         """Announce a step and its number of records."""
         self._step = f"{self.name}: {step}" if self.name else step
         self._done, self._total = 0, n_records
-        self.progress.show(self._step, 0, n_records)
+        self.bench.progress.show(self._step, 0, n_records)
 
     @property
     def rate(self) -> float:
@@ -328,12 +325,12 @@ class DecayRecorder:
         if highest:
             asked = replace(asked, velocity_range=min(HEADROOM * highest, self.highest_velocity))
         for _ in range(6):
-            self.progress.check()
+            self.bench.progress.check()
             recording = self.bench.record(point, level, asked)
             if not recording.overloaded:
                 self._done += 1
                 self.n_taken += 1
-                self.progress.show(self._step, self._done, self._total)
+                self.bench.progress.show(self._step, self._done, self._total)
                 return replace(recording, time=recording.time + self.latency)
             wide = asked.velocity_range is None or asked.velocity_range >= self.highest_velocity
             if "velocity" in recording.overloaded and wide:

@@ -11,8 +11,8 @@ from typing import Any
 from modaltouch.lab.calibration.file import calibration_of, write_calibration
 from modaltouch.lab.calibration.loop import calibrate_each
 from modaltouch.lab.calibration.plausibility import mark_of
-from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, MeasurementProgress
-from modaltouch.lab.recorded_files import open_measurement
+from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, MeasurementProgress, open_laboratory
+from modaltouch.lab.recorded_files import RecordedFiles
 from modaltouch.preflight import DesignInputs, Preflight, examine
 from modaltouch.protocol import Calibration, InputError, Problem, Protocol
 from modaltouch.record import prepare_file
@@ -72,19 +72,21 @@ def calibrate(
     experiment, inputs_of = preflight.experiment, design_inputs_of(preflight)
     between = levels_between(experiment.protocol)
     prepare_file(out)
-    with open_measurement(experiment.apparatus, rig, record, progress) as (laboratory, heard):
-        outcomes = calibrate_each(laboratory, experiment.apparatus, inputs_of, heard, between)
-        calibration = calibration_of(
-            outcomes,
-            protocol=experiment.protocol.protocol,
-            apparatus=experiment.apparatus,
-            generator=laboratory.rig.identity,
-            scope=laboratory.scope.identity,
-            mode=laboratory.mode,
-            person=person,
-            made=datetime.now().astimezone(),
-            marks={name: mark_of(outcome, experiment.protocol) for name, outcome in outcomes.items()},
-        )
+    with progress.interruptible() as heard:
+        scope = RecordedFiles(record, experiment.apparatus, heard) if record else None
+        with open_laboratory(experiment.apparatus, rig, heard, scope=scope) as laboratory:
+            outcomes = calibrate_each(laboratory, experiment.apparatus, inputs_of, between)
+            calibration = calibration_of(
+                outcomes,
+                protocol=experiment.protocol.protocol,
+                apparatus=experiment.apparatus,
+                generator=laboratory.rig.identity,
+                scope=laboratory.scope.identity,
+                mode=laboratory.mode,
+                person=person,
+                made=datetime.now().astimezone(),
+                marks={name: mark_of(outcome, experiment.protocol) for name, outcome in outcomes.items()},
+            )
     if calibration.mark and not accept:
         raise RigError(
             f"the calibration misses its limits: {calibration.mark}; the outputs are off and nothing is written; "

@@ -48,7 +48,7 @@ from modaltouch.lab.calibration.plausibility import (
     refuse_odd_point,
     refuse_saturation,
 )
-from modaltouch.lab.laboratory import SILENT_PROGRESS, Laboratory, MeasurementProgress
+from modaltouch.lab.laboratory import Laboratory
 from modaltouch.preflight import DesignInputs, design_to_fit
 from modaltouch.protocol import Apparatus
 from modaltouch.rig import RigError
@@ -68,7 +68,6 @@ def calibrate_each(
     bench: Laboratory,
     apparatus: Apparatus,
     inputs_of: Mapping[str, DesignInputs],
-    progress: MeasurementProgress = SILENT_PROGRESS,
     between: Sequence[float] = (),
 ) -> dict[str, CalibrationResult]:
     """Return the targets and amplitudes that make each of several stimuli accurate on a rig, by name.
@@ -84,8 +83,6 @@ def calibrate_each(
         As in its file.
     inputs_of : mapping of str to DesignInputs
         The stimuli by name, without any calibration; a protocol's only stimulus has an empty name.
-    progress : MeasurementProgress, optional
-        Reports progress and lets the user interrupt.
     between : sequence of float
         Levels to verify in addition to the protocol's own [mm/s].
 
@@ -98,8 +95,8 @@ def calibrate_each(
     plant: Plant | None = None
     for name, inputs in inputs_of.items():
         if name:
-            progress.say(f"stimulus {name}")
-        found[name] = calibrate(bench, apparatus, inputs, progress, plant, between, name)
+            bench.progress.say(f"stimulus {name}")
+        found[name] = calibrate(bench, apparatus, inputs, plant, between, name)
         plant = found[name].plant
     return found
 
@@ -108,7 +105,6 @@ def calibrate(
     bench: Laboratory,
     apparatus: Apparatus,
     inputs: DesignInputs,
-    progress: MeasurementProgress = SILENT_PROGRESS,
     plant: Plant | None = None,
     between: Sequence[float] = (),
     name: str = "",
@@ -121,8 +117,6 @@ def calibrate(
         As for `calibrate_each`.
     inputs : DesignInputs
         The stimulus, without any calibration.
-    progress : MeasurementProgress, optional
-        Reports progress and lets the user interrupt.
     plant : Plant, optional
         The rig, if it has already been identified.
     between : sequence of float
@@ -137,7 +131,7 @@ def calibrate(
     ValueError
         If the stimulus cannot be designed for the identified rig.
     """
-    return _Loop(bench, apparatus, inputs, progress, between, name).run(plant)
+    return _Loop(bench, apparatus, inputs, between, name).run(plant)
 
 
 class _Loop:
@@ -148,13 +142,12 @@ class _Loop:
         bench: Laboratory,
         apparatus: Apparatus,
         inputs: DesignInputs,
-        progress: MeasurementProgress,
         between: Sequence[float],
         name: str,
     ) -> None:
         self._name = name
         self._asked = sorted({level * 1e-3 for level in (*inputs.levels.values(), *between)})
-        self._bench, self._apparatus, self._inputs, self._progress = bench, apparatus, inputs, progress
+        self._bench, self._apparatus, self._inputs = bench, apparatus, inputs
         self._listed = design_to_fit(inputs, release="free")
         self._timing, self._target = self._listed.timing, self._listed.target
         self._reference = self._listed.target_field.velocity
@@ -167,7 +160,6 @@ class _Loop:
             timing=self._timing,
             highest_velocity=apparatus.acquisition.range_mm_s * 1e-3,
             latency=apparatus.acquisition.trigger_latency_us * 1e-6,
-            progress=progress,
             name=name,
         )
 
@@ -305,7 +297,7 @@ class _Loop:
         """Play a stimulus at the reference level and return the modal state at the focusing instant."""
         self._recorder.begin("before" if number == 0 else f"iteration {number}", self._points.size)
         turn = self._turn(number, stimulus, plant, self._reference)
-        self._progress.say(str(turn))
+        self._bench.progress.say(str(turn))
         return turn
 
     def _turn(

@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -314,11 +313,8 @@ def learn(
     sets = tuple(sorted(apparatus.actuator_sets, key=lambda name: apparatus.actuator_sets[name].channel))
     places = tuple(round(place, 9) for place in evenly(apparatus.beam.length_mm * 1e-3, n_points, 0.0))
     campaign = IdentificationPlan(places, n_records, VOLTAGE, highest, sets)
-    with open_laboratory(apparatus, repetition="continuous") as laboratory:
-        scans = campaign.scan(
-            laboratory, source, folder, on_progress=partial(progress.show, "recordings"), check=progress.check
-        )
-    return responses_of(scans, bandwidth=None)
+    with open_laboratory(apparatus, progress=progress, repetition="continuous") as laboratory:
+        return responses_of(campaign.scan(laboratory, source, folder), bandwidth=None)
 
 
 def identified_model(found: Identification, apparatus: Apparatus) -> ModalModel:

@@ -6,7 +6,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -300,15 +299,10 @@ class _Beam:
         with (
             progress.interruptible() as heard,
             open_laboratory(
-                self.apparatus, options.rig, seed=options.seed, repetition="continuous", aim=heard.aim
+                self.apparatus, options.rig, heard, seed=options.seed, repetition="continuous"
             ) as laboratory,
         ):
-            found = []
-            for across in rows:
-                row = replace(campaign, across=across)
-                show = partial(heard.show, f"points measured{f' {across * 1e3:+g} mm across' if across else ''}")
-                found.append(row.scan(laboratory, self.source, out, on_progress=show, check=heard.check))
-            return found
+            return [replace(campaign, across=across).scan(laboratory, self.source, out) for across in rows]
 
     def responses_of(self, rows: list[dict[str, Scan]]) -> FrequencyResponses:
         """Return the responses of all rows of a scan."""

@@ -9,7 +9,6 @@ steps.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -147,15 +146,7 @@ class IdentificationPlan:
     excitation: Excitation = "multisine"
     across: float = 0.0
 
-    def scan(
-        self,
-        laboratory: Laboratory,
-        source: Source,
-        folder: Path | None,
-        *,
-        on_progress: Callable[[int, int], None],
-        check: Callable[[], None],
-    ) -> dict[str, Scan]:
+    def scan(self, laboratory: Laboratory, source: Source, folder: Path | None) -> dict[str, Scan]:
         """Return the scans of all sets, each begun anew or resumed where it was interrupted.
 
         Parameters
@@ -166,8 +157,6 @@ class IdentificationPlan:
             The apparatus file.
         folder : Path or None
             Parent of one folder per set; None to write nothing.
-        on_progress, check : callable
-            As for `take_scan`, counted over all sets.
 
         Raises
         ------
@@ -177,24 +166,11 @@ class IdentificationPlan:
             If a folder holds another scan.
         """
         scans: dict[str, Scan] = {}
-        n_positions = len(self.positions)
-        for index, name in enumerate(self.sets):
+        for name in self.sets:
             place = None if folder is None else folder / row_name(f"scan_{name}", self.across)
-            plan = self._plan(laboratory, name, place)
-            before = index * n_positions
-
-            def shifted(done: int, total: int, before: int = before) -> None:
-                on_progress(before + done, total * len(self.sets))
-
-            scans[name] = take_scan(
-                laboratory,
-                plan,
-                place,
-                source=source,
-                reduction=Spectra(self.highest),
-                on_progress=shifted,
-                check=check,
-            )
+            plan, reduction = self._plan(laboratory, name, place), Spectra(self.highest)
+            step = row_name(f"points, {name}", self.across)
+            scans[name] = take_scan(laboratory, plan, place, source=source, reduction=reduction, step=step)
         return scans
 
     def _plan(self, laboratory: Laboratory, name: str, place: Path | None) -> ScanPlan:

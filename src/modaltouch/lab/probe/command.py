@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -123,10 +122,10 @@ def probe_fingers(
     prepare_file(out)
     with (
         progress.interruptible() as heard,
-        open_laboratory(plan.apparatus, rig, seed=seed, aim=heard.aim) as bench,
+        open_laboratory(plan.apparatus, rig, heard, seed=seed) as bench,
     ):
         prober = Prober(bench, plan.fingers, laser, speed)
-        return plan.carried_out(prober, bench, partial(heard.show, "probes"), lay, out)
+        return plan.carried_out(prober, bench, lay, out)
 
 
 class _Plan:
@@ -169,16 +168,14 @@ class _Plan:
         """Expected fingers of each finger condition."""
         return [[finger for _, finger in expected.values()] for expected in self.conditions.values()]
 
-    def carried_out(
-        self, prober: Prober, bench: Laboratory, show: Callable[[int, int], None], lay: Callable[[str], None], out: Path
-    ) -> ProbeReport:
+    def carried_out(self, prober: Prober, bench: Laboratory, lay: Callable[[str], None], out: Path) -> ProbeReport:
         """Probe all placements and return the report; for a finger measured more than once, the first counts."""
         self.lay(bench, {}, lay, "Take all hands off the beam")
         prober.hands_off()
         hands: dict[str, dict[str, Any]] = {}
         probes, shown = [], []
         for number, (condition, expected) in enumerate(self.conditions.items(), start=1):
-            show(number, 1 + len(self.conditions))
+            bench.progress.show("probes", number, 1 + len(self.conditions))
             words = " and ".join(f"the {name} finger on {zone}" for name, (zone, _) in expected.items())
             self.lay(bench, expected, lay, f"Lay {words} ({condition.replace('_', ' ')}), and keep still")
             found = prober.hands_on(expected)
@@ -201,7 +198,7 @@ class _Plan:
                 }
             )
             shown.append(probes[-1] | level | {"attainable_mm_s": level["level_mm_s"] * room})
-        show(1 + len(self.conditions), 1 + len(self.conditions))
+        bench.progress.show("probes", 1 + len(self.conditions), 1 + len(self.conditions))
         about = {"description": f"Measured by `modaltouch fingers probe` for {self.placements.protocol.protocol}"}
         file = self.placements.file.model_validate(about | {"fingers": hands, "probes": probes})
         values = file.model_dump(mode="json", exclude_defaults=True)

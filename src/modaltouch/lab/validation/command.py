@@ -12,9 +12,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from modaltouch.lab.identification.shapes import check_points
-from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, MeasurementProgress
+from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, MeasurementProgress, open_laboratory
 from modaltouch.lab.output import rounded, title_of
-from modaltouch.lab.recorded_files import open_measurement
+from modaltouch.lab.recorded_files import RecordedFiles
 from modaltouch.lab.scan import Scan
 from modaltouch.lab.scan_plan import rows_over
 from modaltouch.lab.validation.evidence import Evidence, evaluate
@@ -191,18 +191,19 @@ def _observe(
     experiment, (inputs, stimulus) = preflight.experiment, preflight.sound
     if folder is not None and complete(folder, rows):
         return read_laws(inputs, folder)
-    with open_measurement(experiment.apparatus, rig, record, progress) as (laboratory, heard):
-        return record_laws(
-            inputs,
-            laboratory,
-            stimulus.target_field.velocity,
-            n_points=points,
-            n_records=averages,
-            rows=rows,
-            folder=folder,
-            source=experiment.sources.apparatus,
-            progress=heard,
-        )
+    with progress.interruptible() as heard:
+        scope = RecordedFiles(record, experiment.apparatus, heard) if record else None
+        with open_laboratory(experiment.apparatus, rig, heard, scope=scope) as laboratory:
+            return record_laws(
+                inputs,
+                laboratory,
+                stimulus.target_field.velocity,
+                n_points=points,
+                n_records=averages,
+                rows=rows,
+                folder=folder,
+                source=experiment.sources.apparatus,
+            )
 
 
 def _context(preflight: Preflight, protocol: Path, field: Scan) -> dict[str, Any]:

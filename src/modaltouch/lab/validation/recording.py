@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.laboratory import SILENT_PROGRESS, Laboratory, MeasurementProgress
+from modaltouch.lab.laboratory import Laboratory
 from modaltouch.lab.scan import Scan, read_scan, take_scan
 from modaltouch.lab.scan_plan import ScanPlan, kept_rows, row_name
 from modaltouch.preflight import DesignInputs, design
@@ -130,7 +129,6 @@ def record_laws(
     rows: Sequence[float] = (),
     folder: Path | None = None,
     source: Source | None = None,
-    progress: MeasurementProgress = SILENT_PROGRESS,
 ) -> list[Observation]:
     """Play the drive of each law on a rig, and return the recordings.
 
@@ -150,8 +148,6 @@ def record_laws(
         Parent of one folder per scan; an interrupted scan is resumed.
     source : Source, optional
         The apparatus file.
-    progress : MeasurementProgress, optional
-        Called between positions.
     """
     observed = []
     for law in LAWS:
@@ -166,8 +162,7 @@ def record_laws(
                 None if folder is None else folder / name,
                 source=source,
                 reduction=keep_velocities,
-                on_progress=partial(progress.show, name),
-                check=progress.check,
+                step=name,
             )
             scans.append(scan.refuse_overloaded())
         observed.append(_observation(inputs, stimulus, velocity, scans))
