@@ -15,8 +15,8 @@ import io
 import json
 import time
 import zipfile
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -26,10 +26,10 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.laboratory import Laboratory
-from modaltouch.lab.scan_plan import ScanPlan
-from modaltouch.protocol import Source
+from modaltouch.protocol import Apparatus, Source
 from modaltouch.record import RecordError, RecordInputError, replace_file
-from modaltouch.rig import Recording
+from modaltouch.rig import Acquisition, Recording
+from modaltouch.stimulus import Burst
 from modaltouch.system import Interrupted, commit, versions
 
 SCHEMA = "modaltouch scan 1"
@@ -37,6 +37,52 @@ DESCRIPTION = "scan.json"
 
 LARGEST_SHIFT = 20e-9
 """Largest difference between the sampling instants of two records that count as the same [s]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ScanPlan:
+    """What is played, where it is recorded, and how.
+
+    Attributes
+    ----------
+    burst : Burst
+        The burst that the generator repeats.
+    velocity : float
+        Level at which it is played [m/s].
+    positions : sequence of float
+        Positions at which velocity is recorded, in this order, origin at mid-beam [m].
+    acquisition : Acquisition
+        Settings of the scope at each position.
+    about : mapping
+        Further facts about the scan, plain values: the name of the stimulus, the actuator set, ...
+    across : float
+        Distance of the row of positions from the beam's mid-line [m].
+    """
+
+    burst: Burst
+    velocity: float
+    positions: Sequence[float]
+    acquisition: Acquisition
+    about: Mapping[str, Any] = field(default_factory=dict)
+    across: float = 0.0
+
+    def settings(self) -> dict[str, Any]:
+        """Return everything that must stay the same when a scan is resumed, as plain values."""
+        return {
+            "about": dict(self.about),
+            "burst": {
+                "sha256": self.burst.content_hash,
+                "n_samples": int(self.burst.codes.shape[1]),
+                "duration_s": self.burst.duration,
+                "repetition_rate_Hz": self.burst.repetition_rate,
+                "velocity_mm_s": self.burst.velocity * 1e3,
+                "amplitude_V": list(self.burst.amplitude),
+            },
+            "velocity_mm_s": self.velocity * 1e3,
+            "positions_mm": [place * 1e3 for place in self.positions],
+            **({"across_mm": self.across * 1e3} if self.across else {}),
+            "acquisition": {**asdict(self.acquisition), "drives": list(self.acquisition.drives)},
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +97,11 @@ class Scan:
         Recorded positions, origin at mid-beam [m]; fewer than planned if the scan was interrupted.
     arrays : tuple of dict
         Arrays kept at each position; for whole records ``time``, ``velocity`` and ``drive``.
-    overloaded : tuple of tuple of str
-        Inputs that reached the end of their range, at each position.
     """
 
     facts: Mapping[str, Any]
     positions: FloatArray
     arrays: tuple[Mapping[str, NDArray[Any]], ...]
-    overloaded: tuple[tuple[str, ...], ...]
 
     @property
     def complete(self) -> bool:
@@ -118,11 +161,12 @@ class Scan:
         RecordInputError
             If one did; the message says which and where.
         """
-        for position, names in zip(self.positions, self.overloaded, strict=True):
-            if names:
+        for position, each in zip(self.positions, self.arrays, strict=True):
+            if each["overloaded"].size:
                 raise RecordInputError(
-                    f"{' and '.join(names)} reached the end of the range at {position * 1e3:g} mm, so the record is "
-                    "clipped: widen the range and continue, or scan again into another folder with a lower drive"
+                    f"{' and '.join(each['overloaded'])} reached the end of the range at {position * 1e3:g} mm, so "
+                    "the record is clipped: widen the range and continue, or scan again into another folder with a "
+                    "lower drive"
                 )
         return self
 
@@ -209,7 +253,6 @@ def assemble(facts: Mapping[str, Any], kept: list[dict[str, NDArray[Any]]]) -> S
         facts=facts,
         positions=np.array(facts["settings"]["positions_mm"][: len(kept)], dtype=float) * 1e-3,
         arrays=tuple(kept),
-        overloaded=tuple(tuple(str(name) for name in each["overloaded"]) for each in kept),
     )
 
 
@@ -290,16 +333,13 @@ def take_scan(
                 save_arrays(position_file(folder, index), kept[-1])
             laboratory.progress.show(step, len(kept), len(places))
     except (Interrupted, KeyboardInterrupt) as error:
-        error.add_note(_resume_hint(folder, len(kept), len(places)))
+        error.add_note(
+            "nothing measured is kept; to keep it, give a folder with --scan"
+            if folder is None
+            else f"{len(kept)} of {len(places)} points are kept in {folder}; run the same command again to continue"
+        )
         raise
     return assemble(facts, kept)
-
-
-def _resume_hint(folder: Path | None, n_kept: int, n_planned: int) -> str:
-    """Return what is kept of an interrupted scan, and how to continue it."""
-    if folder is None:
-        return "nothing measured is kept; to keep it, give a folder with --scan"
-    return f"{n_kept} of {n_planned} points are kept in {folder}; run the same command again to continue"
 
 
 def _describe(laboratory: Laboratory, plan: ScanPlan, source: Source | None, reduction: Reduction) -> dict[str, Any]:
@@ -378,3 +418,33 @@ def save_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     buffer = io.BytesIO()
     np.savez(buffer, **dict(arrays))  # type: ignore[arg-type]
     replace_file(path, buffer.getvalue(), _REMEDY)
+
+
+EDGE = 0.5e-3
+"""Distance from the long edges of the beam to the outer rows [m]."""
+
+
+def rows_over(apparatus: Apparatus, n_rows: int) -> tuple[float, ...]:
+    """Return the distances of rows of positions from the mid-line, evenly from edge to edge, 0 among them [m].
+
+    Raises
+    ------
+    ValueError
+        If their number is not odd and positive, so that none would lie on the mid-line.
+    """
+    if n_rows < 1 or n_rows % 2 == 0:
+        raise ValueError(
+            f"given --rows {n_rows}; allowed: odd numbers; 1 scans only the mid-line, 3 or more show torsion"
+        )
+    half = apparatus.beam.width_mm * 0.5e-3 - EDGE
+    return tuple(float(each) for each in np.round(np.linspace(-half, half, n_rows), 9)) if n_rows > 1 else (0.0,)
+
+
+def row_name(name: str, across: float) -> str:
+    """Return the name of a row's folder, which for the mid-line is the given name itself."""
+    return f"{name}_{across * 1e3:+g}_mm" if across else name
+
+
+def kept_rows(folder: Path, name: str) -> list[str]:
+    """Return the suffixes of a name for the rows kept in a folder; the first is empty, for the mid-line."""
+    return ["", *sorted(path.name.removeprefix(name) for path in folder.glob(f"{name}_*_mm"))]

@@ -17,7 +17,7 @@ from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.report import as_dict, map_rows, shape_rows, table_rows
 from modaltouch.lab.identification.responses import FrequencyResponses, Place, along
 from modaltouch.lab.identification.shapes import label_torsion, mac, torsion_shapes
-from modaltouch.lab.scan_plan import rows_over
+from modaltouch.lab.scan import rows_over
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.rig.simulator.true_beam import TrueBeam
 

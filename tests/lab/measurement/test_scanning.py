@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from modaltouch.lab.laboratory import Laboratory, MeasurementProgress, open_laboratory
-from modaltouch.lab.scan import position_file, read_scan, take_scan
-from modaltouch.lab.scan_plan import ScanPlan
+from modaltouch.lab.scan import ScanPlan, position_file, read_scan, take_scan
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.source import Source
 from modaltouch.record.chain import RecordError, RecordInputError

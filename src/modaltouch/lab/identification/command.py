@@ -41,8 +41,7 @@ from modaltouch.lab.identification.responses import (
 from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.identification.verdict import check_all, check_gains, check_modes
 from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, MeasurementProgress, open_laboratory
-from modaltouch.lab.scan import Scan, read_scan
-from modaltouch.lab.scan_plan import kept_rows, rows_over
+from modaltouch.lab.scan import Scan, kept_rows, read_scan, rows_over
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.report import refuse_other
 

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.identification.spectra import Spectra
 from modaltouch.lab.laboratory import Laboratory
-from modaltouch.lab.scan import DESCRIPTION, Scan, read_facts, take_scan
-from modaltouch.lab.scan_plan import ScanPlan, row_name
+from modaltouch.lab.scan import DESCRIPTION, Scan, ScanPlan, read_facts, row_name, take_scan
 from modaltouch.protocol import Apparatus, Source
 from modaltouch.rig import Acquisition, RigError, instrument_of
 from modaltouch.stimulus import Burst

@@ -15,8 +15,7 @@ from modaltouch.lab.identification.shapes import check_points
 from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, MeasurementProgress, open_laboratory
 from modaltouch.lab.output import rounded, title_of
 from modaltouch.lab.recorded_files import RecordedFiles
-from modaltouch.lab.scan import Scan
-from modaltouch.lab.scan_plan import rows_over
+from modaltouch.lab.scan import Scan, rows_over
 from modaltouch.lab.validation.evidence import Evidence, evaluate
 from modaltouch.lab.validation.figures import (
     PAPER_WORST,

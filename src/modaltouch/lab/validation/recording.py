@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.lab.laboratory import Laboratory
-from modaltouch.lab.scan import Scan, read_scan, take_scan
-from modaltouch.lab.scan_plan import ScanPlan, kept_rows, row_name
+from modaltouch.lab.scan import Scan, ScanPlan, kept_rows, read_scan, row_name, take_scan
 from modaltouch.preflight import DesignInputs, design
 from modaltouch.protocol import Source
 from modaltouch.record import RecordError, RecordInputError
