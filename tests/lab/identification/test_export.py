@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 import pyuff
 
-from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
+from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode, Rest
 from modaltouch.lab.identification.export import check_export, export
 from modaltouch.lab.identification.files import ResponseFormat, read_responses
 from modaltouch.lab.identification.peaks import HalfPower
 from modaltouch.lab.identification.responses import FrequencyResponses
-from modaltouch.lab.identification.rest import Rest
 from modaltouch.protocol import InputError
 from modaltouch.record import RecordError
 

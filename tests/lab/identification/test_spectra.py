@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from modaltouch.lab.identification.spectra import LowTransform
+from modaltouch.lab.identification.excitation import LowTransform
 
 
 @pytest.mark.parametrize(

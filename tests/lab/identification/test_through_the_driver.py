@@ -14,11 +14,18 @@ from typing import Any, get_args
 import numpy as np
 import pytest
 
-from modaltouch.lab.identification.excitation import LOWEST, Excitation, IdentificationPlan, _with_range, evenly, excite
+from modaltouch.lab.identification.excitation import (
+    LOWEST,
+    Excitation,
+    IdentificationPlan,
+    Spectra,
+    _with_range,
+    evenly,
+    excite,
+)
 from modaltouch.lab.identification.joint_fit import identify
 from modaltouch.lab.identification.responses import responses_of
 from modaltouch.lab.identification.shapes import mac
-from modaltouch.lab.identification.spectra import Spectra
 from modaltouch.lab.laboratory import Laboratory, MeasurementProgress, open_laboratory
 from modaltouch.lab.scan import ScanPlan, read_scan, take_scan
 from modaltouch.protocol.apparatus import Apparatus

@@ -9,8 +9,7 @@ from ruamel.yaml import YAML
 
 from modaltouch.lab import probe_fingers
 from modaltouch.lab.laboratory import open_laboratory
-from modaltouch.lab.probe.burst_record import BurstRecord
-from modaltouch.lab.probe.excitation import Excitation
+from modaltouch.lab.probe.excitation import BurstRecord, Excitation
 from modaltouch.preflight import design, examine
 from modaltouch.protocol.apparatus import Apparatus
 from modaltouch.protocol.fingers import FingersFile

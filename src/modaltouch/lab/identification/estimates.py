@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from modaltouch.lab.arrays import ComplexArray, FloatArray
 from modaltouch.lab.identification.peaks import HalfPower, Poles
 from modaltouch.lab.identification.responses import FrequencyResponses
-from modaltouch.lab.identification.rest import Rest
 
 NORMAL_95 = 1.959963984540054
 """Half-width of a 95 % interval of a normal distribution, in standard deviations."""
@@ -41,6 +40,36 @@ class Estimate:
     def __contains__(self, value: float) -> bool:
         """Return whether the interval covers a value."""
         return self.low <= value <= self.high
+
+
+REMEDIES = {
+    "noise": "average more, or drive harder",
+    "nonlinearity": "drive at half the voltage, and compare; if nothing changes, check the sensor's filters, and the "
+    "window and the trigger of the records",
+    "drift": "let the beam warm up, and scan again",
+    "a missing mode": "measure with finer bins or at more points, or leave that band out",
+    "nonlinearity or a missing mode": "drive at half the voltage, and compare, or measure with finer bins",
+}
+"""What to do about each cause."""
+
+
+@dataclass(frozen=True)
+class Rest:
+    """The residual of a fit within one half-power bandwidth of a mode on either side.
+
+    Attributes
+    ----------
+    share : float
+        Its amplitude beyond the noise, relative to that of the responses [1].
+    smooth : float
+        The same for its part that is smooth over frequency, unlike noise [1].
+    cause : str
+        The most probable cause, a key of `REMEDIES`.
+    """
+
+    share: float
+    smooth: float
+    cause: str
 
 
 @dataclass(frozen=True, eq=False)

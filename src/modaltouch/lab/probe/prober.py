@@ -13,8 +13,7 @@ from modaltouch.lab.calibration.plausibility import COMMON_FACTORS
 from modaltouch.lab.identification.estimates import NORMAL_95
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.lab.output import rounded
-from modaltouch.lab.probe.burst_record import BurstRecord
-from modaltouch.lab.probe.excitation import Excitation
+from modaltouch.lab.probe.excitation import BurstRecord, Excitation
 from modaltouch.preflight import DesignInputs
 from modaltouch.stimulus import Finger, ModalModel, Probe, Stimulus
 
