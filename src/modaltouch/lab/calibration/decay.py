@@ -205,24 +205,16 @@ class _Projection:
     def newton_step(self) -> ComplexArray:
         """Return the Gauss-Newton step of every pole (Kaufman's Jacobian)."""
         n = self.pole.size
-        # Derivatives by the poles, less their projection on the decays: columns t cos, t (-sin), t sin, t cos.
-        turned = np.concatenate([-self._swing[n:], self._swing[:n]])
-        moved = _about_mean(np.concatenate([self._swing, turned]) * self._time)
+        # Derivatives of the decays by their poles, less their projection on the decays: t cos, -t sin.
+        moved = _about_mean(self._swing * self._time)
         cross = (self._basis @ moved.T) / self._size[:, None]
-        across = moved @ moved.T - cross.T @ self._solve(cross)
-        slope = moved @ self._records.T - cross.T @ self._weights
-        real, imag = self._weights[:n] / self._size[:n, None], self._weights[n:] / self._size[n:, None]
+        across = (moved @ moved.T - cross.T @ self._solve(cross)).reshape(2, n, 2, n)
+        slope = (moved @ self._records.T - cross.T @ self._weights).reshape(2, n, -1)
+        real, imag = (self._weights / self._size[:, None]).reshape(2, n, -1)
         # Re(R t e^{st}) = Rr t cos - Ri t sin; Re(i R t e^{st}) = -(Rr t sin + Ri t cos).
-        normal = np.zeros((2 * n, 2 * n))
-        downhill = np.zeros(2 * n)
-        parts = ((0, real, 0), (0, imag, 1), (1, -real, 2), (1, -imag, 3))
-        for row, first, one in parts:
-            rows = slice(row * n, (row + 1) * n)
-            downhill[rows] += np.einsum("kq,kq->k", first, slope[one * n : (one + 1) * n])
-            for column, second, other in parts:
-                columns = slice(column * n, (column + 1) * n)
-                shared = across[one * n : (one + 1) * n, other * n : (other + 1) * n]
-                normal[rows, columns] += shared * (first @ second.T)
+        turned = np.array([[real, imag], [-imag, real]])
+        downhill = np.einsum("ikq,aikq->ak", slope, turned).ravel()
+        normal = np.einsum("ikjl,aikq,bjlq->akbl", across, turned, turned, optimize=True).reshape(2 * n, 2 * n)
         size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
         scaled = normal / np.outer(size, size) + 1e-9 * np.eye(2 * n)
         step = np.linalg.solve(scaled, downhill / size) / size
