@@ -124,7 +124,7 @@ def rows_of(contest: Contest) -> list[Row]:
             "method": designed.method.key,
             "name": designed.method.name,
             "idea": designed.method.idea,
-            "focus": contest.task.focus,
+            "focus": contest.preflight.experiment.protocol.stimulus.focus,
             **verdict.row,
             "peak_voltage_V": designed.peak_voltage,
             "energy_V2_s": designed.energy,
@@ -163,12 +163,11 @@ COLUMNS = 3
 
 def draw_fields(contest: Contest) -> Figure:
     """Draw the true field of every method at the focusing instant, and the target field."""
-    n_rows = -(-len(contest.designed) // COLUMNS)
+    n_rows, target = -(-len(contest.designed) // COLUMNS), contest.known.target_field
     with house_style(7.6, 2.1 * n_rows + 0.5, n_rows, COLUMNS, sharex=True, sharey=True) as (figure, panels):
         for axes, designed, verdict in zip(panels.ravel(), contest.designed, contest.verdicts, strict=False):
             place = verdict.position * 1e3
-            task = contest.task.target_field
-            axes.plot(place, task.velocity * 1e3 * task.profile(verdict.position), color=INK, linestyle="--",
+            axes.plot(place, target.velocity * 1e3 * target.profile(verdict.position), color=INK, linestyle="--",
                       linewidth=1, label="target")  # fmt: skip
             axes.plot(place, verdict.field * 1e3, color=DARK, linewidth=1.2, label="made")
             axes.set_title(designed.method.name, loc="left")
@@ -233,7 +232,7 @@ def draw_robustness(contest: Contest) -> Figure:
     """Draw the effects of every drive on other beams: a dot for each beam, a line for the measured one."""
     names = [each.method.name for each in contest.designed]
     with house_style(7.6, 0.42 * len(names) + 1.1, 1, 3, sharey=True) as (figure, [panels]):
-        pair = contest.task.pairs[0]
+        pair = contest.preflight.experiment.protocol.conditions.pairs[0]
         columns = (
             ("velocity at the focus [mm/s]", "at_focus_mm_s"),
             ("distance from the target, rms [mm/s]", "rms_error_mm_s"),
@@ -295,7 +294,7 @@ class ComparisonReport:
     @property
     def level(self) -> float:
         """Level: the target velocity at the focus [mm/s]."""
-        return self.contest.task.target_field.velocity * 1e3
+        return self.contest.known.target_field.velocity * 1e3
 
     def as_dict(self) -> dict[str, Any]:
         """Return the comparison as plain values."""

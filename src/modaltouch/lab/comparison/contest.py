@@ -6,7 +6,6 @@ No method has access to the true values by which it is judged.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ from modaltouch.lab.validation.evidence import contrast, root_mean_square, spot_
 from modaltouch.preflight import Preflight, finite
 from modaltouch.protocol import Apparatus
 from modaltouch.rig import RigError, Simulator
-from modaltouch.stimulus import ModalModel, TargetField
+from modaltouch.stimulus import ModalModel
 
 POINTS = 201
 """Points along the beam at which a field is judged."""
@@ -42,34 +41,6 @@ FINGER_POINTS = 5
 
 PLACES = 41
 """Points along the beam among which the highest speed anywhere is found."""
-
-
-@dataclass(frozen=True)
-class Task:
-    """The task by which a drive is judged.
-
-    Attributes
-    ----------
-    target_field : TargetField
-        The target field, at its level.
-    instant : float
-        The required focusing instant, from the start of the burst [s].
-    zones : dict of str to float
-        Zones and their centres [m].
-    focus : str
-        Zone in which the focus lies.
-    pairs : tuple of (str, str)
-        Zones that two fingers touch together.
-    selected : callable
-        Returns the target field projected on the selected modes, at positions [m], in m/s.
-    """
-
-    target_field: TargetField
-    instant: float
-    zones: dict[str, float]
-    focus: str
-    pairs: tuple[tuple[str, str], ...]
-    selected: Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +60,7 @@ class DriveAssessment:
     row: dict[str, Any]
 
 
-def judge(rig: Simulator, task: Task, *, everywhere: bool = True) -> DriveAssessment:
+def judge(rig: Simulator, preflight: Preflight, *, everywhere: bool = True) -> DriveAssessment:
     """Return the effect on a beam of what a generator sends, in the steady state of repeated bursts.
 
     The field is taken later than the focusing instant by the amplifier's true delay and lag. No method knows these,
@@ -99,42 +70,49 @@ def judge(rig: Simulator, task: Task, *, everywhere: bool = True) -> DriveAssess
     ----------
     rig : Simulator
         True beam, amplifier, and what the generator sends.
-    task : Task
-        The task by which the drive is judged.
+    preflight : Preflight
+        The protocol, whose stimulus, zones and pairs the drive is judged by.
     everywhere : bool
         Whether to find the highest speed along the whole beam and under the fingers, which takes longest.
     """
     twin, playbacks = rig.twin, rig.playbacks
+    stimulus, target, zones = preflight.stimulus, preflight.stimulus.target_field, _centres(preflight)
     half = twin.beam.table.length / 2
     position = np.linspace(-half, half, POINTS)
-    state = twin.true_state(playbacks, task.instant + true_delay(rig))
+    state = twin.true_state(playbacks, stimulus.timing.focusing_instant + true_delay(rig))
     velocity = np.concatenate([state.velocity, state.unlisted_velocity])
     field = velocity @ twin.beam.shapes(position)
-    miss = field - task.target_field.velocity * task.target_field.profile(position)
-    felt = twin.felt(playbacks, list(task.zones.values())) * 1e3
-    zone_peak = dict(zip(task.zones, felt.tolist(), strict=True))
+    miss = field - target.velocity * target.profile(position)
+    felt = twin.felt(playbacks, list(zones.values())) * 1e3
+    zone_peak = dict(zip(zones, felt.tolist(), strict=True))
     places = np.linspace(-half, half, PLACES).tolist()
-    centre = task.target_field.centre
     row = {
-        "at_focus_mm_s": float(velocity @ twin.beam.shapes(centre)[:, 0]) * 1e3,
+        "at_focus_mm_s": float(velocity @ twin.beam.shapes(target.centre)[:, 0]) * 1e3,
         "rms_error_mm_s": root_mean_square(miss) * 1e3,
         "max_error_mm_s": float(np.abs(miss).max()) * 1e3,
-        "rms_from_selected_mm_s": root_mean_square(field - task.selected(position)) * 1e3,
-        "outside_mm_s": float(np.abs(field[task.target_field.profile(position) < REST]).max(initial=0.0)) * 1e3,
-        "width_50_mm": finite(spot_width(position, field, centre, 0.5) * 1e3),
-        "width_80_mm": finite(spot_width(position, field, centre, 0.8) * 1e3),
-        "highest_at_focus_mm_s": zone_peak[task.focus],
+        "rms_from_selected_mm_s": root_mean_square(field - stimulus.projection.field(position)) * 1e3,
+        "outside_mm_s": float(np.abs(field[target.profile(position) < REST]).max(initial=0.0)) * 1e3,
+        "width_50_mm": finite(spot_width(position, field, target.centre, 0.5) * 1e3),
+        "width_80_mm": finite(spot_width(position, field, target.centre, 0.8) * 1e3),
+        "highest_at_focus_mm_s": zone_peak[preflight.experiment.protocol.stimulus.focus],
         "highest_mm_s": float(twin.felt(playbacks, places).max()) * 1e3 if everywhere else None,
         "zone_peak_mm_s": zone_peak,
-        **_contrasts(zone_peak, task, "contrast"),
+        **_contrasts(zone_peak, preflight, "contrast"),
     }
     if everywhere:
-        row |= _contrasts(_finger_peaks(rig, task), task, "finger_contrast")
+        row |= _contrasts(_finger_peaks(rig, zones), preflight, "finger_contrast")
     return DriveAssessment(position, field, row)
 
 
-def _contrasts(peak: dict[str, float], task: Task, name: str) -> dict[str, float | None]:
-    return {f"{name}_{a}_{b}": finite(contrast(peak[a], peak[b])) for a, b in task.pairs}
+def _centres(preflight: Preflight) -> dict[str, float]:
+    """Return the centre of each zone [m]."""
+    return {name: zone.centre_mm * 1e-3 for name, zone in preflight.experiment.apparatus.zones.items()}
+
+
+def _contrasts(peak: dict[str, float], preflight: Preflight, name: str) -> dict[str, float | None]:
+    return {
+        f"{name}_{a}_{b}": finite(contrast(peak[a], peak[b])) for a, b in preflight.experiment.protocol.conditions.pairs
+    }
 
 
 def true_delay(rig: Simulator) -> float:
@@ -143,13 +121,13 @@ def true_delay(rig: Simulator) -> float:
     return rig.twin.amplifier.delay + (0.0 if bandwidth is None else 1 / (2 * math.pi * bandwidth))
 
 
-def _finger_peaks(rig: Simulator, task: Task) -> dict[str, float]:
+def _finger_peaks(rig: Simulator, zones: dict[str, float]) -> dict[str, float]:
     """Return the highest speed under a finger on each zone [m/s]."""
     half = rig.twin.beam.table.length / 2
     under = np.linspace(-FINGER / 2, FINGER / 2, FINGER_POINTS)
-    places = np.clip([centre + under for centre in task.zones.values()], -half, half)
+    places = np.clip([centre + under for centre in zones.values()], -half, half)
     speeds = rig.twin.felt(rig.playbacks, places.ravel().tolist()).reshape(places.shape).max(axis=1)
-    return dict(zip(task.zones, speeds.tolist(), strict=True))
+    return dict(zip(zones, speeds.tolist(), strict=True))
 
 
 VOLTAGE = 10.0
@@ -162,8 +140,8 @@ class Contest:
 
     Attributes
     ----------
-    task : Task
-        The task of all methods.
+    preflight : Preflight
+        The protocol.
     known : TrainingData
         The data that each was given.
     delay : float
@@ -178,7 +156,7 @@ class Contest:
         Effect of each drive on every other beam, drawn at random around the measured one.
     """
 
-    task: Task
+    preflight: Preflight
     known: TrainingData
     delay: float
     identification: tuple[str, ...]
@@ -250,25 +228,17 @@ def run_contest(
     apparatus, stimulus = preflight.experiment.apparatus, preflight.stimulus
     centre = without_mismatch(apparatus)
     designed = design_all(known, stimulus.release, stimulus.load_factor)
-    zones = {name: zone.centre_mm * 1e-3 for name, zone in apparatus.zones.items()}
-    protocol = preflight.experiment.protocol
-    task = Task(
-        target_field=stimulus.target_field,
-        instant=stimulus.timing.focusing_instant,
-        zones=zones,
-        focus=protocol.stimulus.focus,
-        pairs=protocol.conditions.pairs,
-        selected=stimulus.projection.field,
-    )
     sent = _play(centre, designed, stimulus.target_field.velocity, progress)
-    verdicts = [judge(each.on_beam(centre, seed), task) for each in sent]
+    verdicts = [judge(each.on_beam(centre, seed), preflight) for each in sent]
     changed: list[list[DriveAssessment]] = [[] for _ in designed]
     for number in range(n_beams):
         progress.check()
         for own, each in zip(changed, sent, strict=True):
-            own.append(judge(each.on_beam(apparatus, seed + number), task, everywhere=False))
+            own.append(judge(each.on_beam(apparatus, seed + number), preflight, everywhere=False))
         progress.show("other beams", number + 1, n_beams)
-    return Contest(task, known, delay, identification, tuple(designed), tuple(verdicts), tuple(map(tuple, changed)))
+    return Contest(
+        preflight, known, delay, identification, tuple(designed), tuple(verdicts), tuple(map(tuple, changed))
+    )
 
 
 def without_mismatch(apparatus: Apparatus) -> Apparatus:
