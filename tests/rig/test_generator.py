@@ -454,7 +454,7 @@ def test_level_change_sends_no_record(loaded: Generator, heard: Any) -> None:
     for level in LEVELS:
         loaded.fire(level)
         loaded.stop()
-    assert not any("DATA" in message.replace("DATA:LOCK:STAT?", "") for message in heard.sent)
+    assert not any("DATA" in message.replace("DATA:LOCK:STAT?", "").replace("DATA:POIN?", "") for message in heard.sent)
 
 
 def test_levels_are_set_while_the_trigger_is_stopped(loaded: Generator, simulator: Simulator) -> None:

@@ -129,6 +129,35 @@ def test_memories_are_locked_while_they_are_needed(
     assert simulator.front_panel("*CLS;:DATA:COPY USER1,EMEM;:SYST:ERR?").startswith("0,")
 
 
+@pytest.mark.parametrize("n_points", [1000, 125_000])
+def test_stimulus_in_which_a_program_stores_another_record_does_not_count(
+    loaded: Generator, simulator: Simulator, burst: Burst, n_points: int
+) -> None:
+    """It unlocks the memory, stores its own through the edit memory and locks it again; then the right one is sent."""
+    loaded.fire(0.1)
+    simulator.front_panel(f"DATA:LOCK USER1,OFF;:DATA:DEF EMEM,{n_points};:DATA:COPY USER1,EMEM;:DATA:LOCK USER1,ON")
+    loaded.stop()
+    assert loaded.firing is not None
+    assert not loaded.firing.confirmed
+    assert f"DATA:POIN EMEM reads {n_points}, " in loaded.firing.reason
+    assert simulator.afg.user[1] == burst.codes[0].astype(">u2").tobytes()
+    loaded.fire(0.1)
+    loaded.stop()
+    assert loaded.firing.confirmed
+
+
+def test_each_record_has_its_own_mark(
+    generator: Generator, simulator: Simulator, burst: Burst, make: Callable[..., Burst]
+) -> None:
+    """Another session of the same program is noticed as well: its records are others, so its mark is another."""
+    marks = set()
+    for each in (burst, make(seed=1), make(seed=2)):
+        generator.load(each)
+        marks.add(len(simulator.afg.edit) // 2)
+    assert len(marks) == 3
+    assert all(n % 2 == 0 and n < 65_536 for n in marks)
+
+
 def test_continuous_codes_hold_the_burst_and_then_rest(burst: Burst) -> None:
     """Point n of 131072 lies at (n + 1/2) / (7 Hz * 131072): the burst's sample of that instant, else 0 V."""
     codes = AFG3022B.continuous_codes(burst)

@@ -158,6 +158,8 @@ AFG3022B = Instrument(
         timer=Setting("TRIG:TIM", "period", "S", tolerance=5e-4),
         armed=Setting("TRIG:SOUR", "TIM", replies=("TIM", "TIMER")),
         locks=(LOCKED,),
+        # The number of points of the edit memory, which is not played.
+        mark=Setting("DATA:POIN", "mark", of="EMEM", tolerance=0.0),
     ),
     records=EditMemory(n_memories=4),
     questions=(0, 1, 2, 3, 6, 7, 8, 10, 12, 13),

@@ -58,9 +58,8 @@ class Setting:
     @property
     def command(self) -> str:
         """Command that makes the setting."""
-        if isinstance(self.value, str):
-            return f"{self.header} {self.of},{self.value}" if self.of else f"{self.header} {self.value}"
-        return f"{self.header} {self.value:.12g}{self.unit}"
+        value = self.value if isinstance(self.value, str) else f"{self.value:.12g}{self.unit}"
+        return f"{self.header} {self.of},{value}" if self.of else f"{self.header} {value}"
 
     @property
     def query(self) -> str:
@@ -139,6 +138,9 @@ class Commands:
         Time between triggers (``period``), and this timer as the trigger source; None if the channels share no timer.
     locks : tuple of Setting
         Settings that protect a ``{memory}`` from the front panel; none if the instrument has no such lock.
+    mark : Setting or None
+        A ``mark``, different for different records, on the memory through which every record is stored: whoever stores
+        another one wipes it off, even if the memories are unlocked and locked again. None if there is no such memory.
     """
 
     output: Setting
@@ -153,6 +155,7 @@ class Commands:
     timer: Setting | None = None
     armed: Setting | None = None
     locks: tuple[Setting, ...] = ()
+    mark: Setting | None = None
 
 
 @dataclass(frozen=True)

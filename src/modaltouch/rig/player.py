@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,6 +17,9 @@ from modaltouch.system import Clock
 
 LARGEST_STEP = 0.01
 """Largest value with which a record may begin or end, as a fraction of its full scale [1]."""
+
+MARKS = 30_000
+"""Number of different marks on the memory through which records are stored."""
 
 RELAYS_SETTLE = 0.05
 """Time from switching the outputs on to the first burst [s]: relays close and bounce within a few milliseconds."""
@@ -135,6 +139,9 @@ class Player:
                 settings += self._instrument.burst_settings(channel, memory, burst, continuous=self._continuous)
             settings += self._instrument.timer(burst) if self.repetition == "timer" else ()
         locks = [lock.filled(memory=memory) for lock in self._table.locks for memory in dict.fromkeys(memories)]
+        if self._table.mark is not None:
+            records_hash = zlib.crc32("".join(self._controls.stored.values()).encode())
+            locks.append(self._table.mark.filled(mark=float(2 * (500 + records_hash % MARKS))))
         self._controls.apply_each([*by_burst[self._chosen], *locks])
         if self.repetition == "single" and not self._trigger_command:
             self._trigger_command = self._controls.trigger_command()
@@ -242,7 +249,7 @@ class Player:
 
     def unlock(self) -> None:
         """Unlock the memories for other users."""
-        locks = [setting for setting in self._settings if setting.of]
+        locks = [setting for setting in self._settings if setting.of and setting.value == "ON"]
         self._controls.apply_each([setting.off for setting in locks])
 
 
