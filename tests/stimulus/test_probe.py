@@ -184,11 +184,21 @@ def test_weak_probe_is_refused(table, beam):
         measured(beam, noise=1.0).untouched(table)
 
 
-def test_no_finger_is_said(beam, free):
-    """The same beam once more: what is left is noise, whose mean square is 1."""
-    said = r"no finger is detected .*\(misfit (0\.9|1\.[01])\); lay the fingers on, and probe again"
+@pytest.mark.parametrize(("there", "absent"), [((), -40), (TRUE[:1], 0), (TRUE[1:], -40)])
+def test_finger_that_is_not_on_the_beam_is_said(beam, free, there, absent):
+    """Neither or one of the two: without the other one nothing is left but noise, whose mean square is 1."""
+    said = (
+        rf"no finger is detected at \{absent:+d} mm .*\(misfit (0\.[89]|1\.[01])\); lay the finger on, and probe again"
+    )
     with pytest.raises(ValueError, match=said):
-        measured(beam, seed=4).touched(free, EXPECTED)
+        measured(beam.touched(there), seed=4).touched(free, EXPECTED)
+
+
+def test_lightest_fingers_are_detected(beam, free):
+    """The lower end of the literature's range, 0.02 g and 0.1 N s/m without a spring."""
+    light = tuple(replace(finger, mass=2e-5, damping=0.1, stiffness=0.0) for finger in TRUE)
+    found = measured(beam.touched(light), seed=4).touched(free, EXPECTED)
+    assert [finger.mass for finger in found.model.fingers] == pytest.approx([2e-5, 2e-5], rel=0.05)
 
 
 def test_finger_that_moves_is_said(beam):

@@ -102,7 +102,7 @@ class Prober:
         Raises
         ------
         ValueError
-            If the fingers moved, none is detected, or no impedance describes them.
+            If the fingers moved, one is not on the beam, or no impedance describes them.
         RigError
             If the rig fails.
         """
