@@ -8,7 +8,7 @@ from typing import Any
 
 from modaltouch.preflight.design_inputs import DesignInputs
 from modaltouch.preflight.figures import estimated_duration
-from modaltouch.protocol import Apparatus, Protocol
+from modaltouch.protocol import Apparatus, Findings, Protocol
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Stimulus
 
@@ -69,6 +69,19 @@ def placement_warnings(designs: Mapping[str, DesignInputs]) -> list[str]:
     return [
         f"the velocity from {band[0]:g} to {band[1]:g} Hz at the focus is made the same at every placement: levels are "
         f"multiplied by {told}"
+    ]
+
+
+def contact_warnings(findings: Findings) -> list[str]:
+    """Return that a contact is wider than a zone, where a typing error is likelier than such a finger."""
+    placed = {} if findings.placements is None else findings.placements.all()
+    widest = max((finger.width * 1e3 for laid in placed.values() for finger in laid), default=0.0)
+    narrowest = min(zone.width_mm for zone in findings.experiment().apparatus.zones.values())
+    if widest <= narrowest:
+        return []
+    return [
+        f"a finger's contact is {widest:g} mm wide, a zone only {narrowest:g}; a fingertip touches about 10 mm: check "
+        "contact_width_mm"
     ]
 
 

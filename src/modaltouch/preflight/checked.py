@@ -339,11 +339,13 @@ class Preflight:
 
         inputs, _ = self.sound
         protocol, apparatus = self.experiment.protocol, inputs.apparatus
+        touching = self.findings if fingers in (None, "none") else self.findings.under(fingers)
         values |= {
             "warnings": [
                 *([f"the calibration misses its limits: {self.calibration_mark}"] if self.calibration_mark else []),
                 *self._stimulus_warnings(),
                 *advice.placement_warnings({name: part.sound[0] for name, part in self.designs.items()}),
+                *advice.contact_warnings(touching),
                 *advice.design_warnings(protocol),
                 *advice.answer_warnings(protocol),
                 *advice.interval_warnings(protocol),
