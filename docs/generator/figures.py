@@ -8,7 +8,6 @@ from matplotlib.figure import Figure
 import modaltouch
 from generator.field import typical_finger
 from generator.pages import write
-from modaltouch.preflight import sensitivity_figures
 from modaltouch.report import CONDITION_COLOURS, FAINT, PAIR_COLOURS, house_style, quiet_grid
 from modaltouch.report.style import render
 
@@ -82,13 +81,14 @@ def _over_time(stimulus):
     return figure
 
 
-def _open_loop(inputs, stimulus):
+def _open_loop(checked):
     figure = Figure(figsize=(6.4, 2.8))
     axes = figure.subplots()
-    rows = sensitivity_figures(inputs, stimulus)["table"][:8][::-1]
+    found = checked.explore(sensitivity=True)["sensitivity"]
+    rows = found["table"][:8][::-1]
     names = [f"{row['error']:.1%} {row['parameter'].replace('_', ' ')}, mode {row['mode']}" for row in rows]
     axes.barh(names, [row["field_mm_s"] for row in rows], color=PAIR_COLOURS[0], height=0.6)
-    axes.set_xlabel(f"largest change of the field at {stimulus.target_field.velocity * 1e3:.0f} mm/s (mm/s)")
+    axes.set_xlabel(f"largest change of the field at {found['velocity_mm_s']:.0f} mm/s (mm/s)")
     return figure
 
 
@@ -123,14 +123,15 @@ def _under_fingers(stimulus):
 
 def write_figures(folder: Path) -> None:
     """Draw every figure of the explanation."""
-    inputs, stimulus = modaltouch.examine("differentiated_stimulation").require().sound
+    checked = modaltouch.examine("differentiated_stimulation").require()
+    stimulus = checked.stimulus
     with house_style():
         figures = {
             "modes": _modes(stimulus),
             "adding_up": _adding_up(stimulus),
             "voltages": _voltages(stimulus),
             "over_time": _over_time(stimulus),
-            "open_loop": _open_loop(inputs, stimulus),
+            "open_loop": _open_loop(checked),
             "under_fingers": _under_fingers(stimulus),
         }
     for name, figure in figures.items():

@@ -76,8 +76,11 @@ def check(
     """
     with reporting(json_output=json_output):
         checked = preflight.check_legibility(preflight.examine(protocol, calibration, marked=with_marked_calibration))
-        more = (sensitivity, designs, contrast, tolerance)
-        asked = _explore(checked, *more) if any(more) and not checked.problems else {}
+        asked: dict[str, Any] = {}
+        if not checked.problems and (sensitivity or designs or contrast or tolerance):
+            asked = checked.explore(
+                sensitivity=sensitivity, designs=designs, contrast=contrast, tolerance=tolerance or 0.0
+            )
         if export is not None and not checked.problems:
             _export(checked, export)
         if json_output:
@@ -175,29 +178,6 @@ def _stimulus_lines(checked: preflight.Preflight, stimuli: list[dict[str, Any]])
             f"{each['sampling_rate_Hz'] / 1e6:g} MHz, spot {each['fwhm_mm']:.1f} mm wide"
             + (f"; {protocol.n_bursts(name)} bursts at {rate:g} Hz{mask}" if name else "")
         )
-
-
-def _explore(
-    checked: preflight.Preflight, sensitivity: bool, compared: bool, contrast: bool, tolerance: float | None
-) -> dict[str, Any]:
-    """Return what was asked for besides the check; nothing else is computed."""
-    asked: dict[str, Any] = {}
-    inputs, stimulus = checked.of_one_stimulus().sound
-    if sensitivity:
-        place = next(iter(checked.placed), "")
-        asked["sensitivity"] = {
-            **({"placement": place} if place else {}),
-            **preflight.sensitivity_figures(inputs, stimulus),
-        }
-    if compared:
-        asked["designs"] = preflight.design_figures(stimulus)
-    if contrast:
-        pairs = map("-".join, checked.experiment.protocol.conditions.contacts)
-        designs = {name: part.sound for name, part in checked.placed.items()}
-        asked["contrast"] = preflight.contrast_figures(designs or dict.fromkeys(pairs, checked.sound))
-    if tolerance is not None:
-        asked["samples"] = preflight.sample_figures(inputs, stimulus, tolerance)
-    return asked
 
 
 def _show_explored(asked: dict[str, Any]) -> None:

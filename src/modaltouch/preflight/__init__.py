@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from modaltouch.preflight.checked import Preflight
     from modaltouch.preflight.design_inputs import DesignInputs, design
     from modaltouch.preflight.examination import design_to_fit, examine, examine_findings
-    from modaltouch.preflight.exploration import contrast_figures, design_figures, sample_figures, sensitivity_figures
     from modaltouch.preflight.figures import estimated_duration, finite
     from modaltouch.preflight.legibility import check_legibility
     from modaltouch.preflight.measured import delivered_figures, has_drifted, with_measured
@@ -26,7 +25,6 @@ else:
             "checked": "Preflight",
             "design_inputs": "DesignInputs design",
             "examination": "design_to_fit examine examine_findings",
-            "exploration": "contrast_figures design_figures sample_figures sensitivity_figures",
             "figures": "estimated_duration finite",
             "legibility": "check_legibility",
             "measured": "delivered_figures has_drifted with_measured",
@@ -37,17 +35,13 @@ __all__ = [
     "DesignInputs",
     "Preflight",
     "check_legibility",
-    "contrast_figures",
     "delivered_figures",
     "design",
-    "design_figures",
     "design_to_fit",
     "estimated_duration",
     "examine",
     "examine_findings",
     "finite",
     "has_drifted",
-    "sample_figures",
-    "sensitivity_figures",
     "with_measured",
 ]

@@ -57,8 +57,7 @@ class Preflight:
 
     def at(self, group: str, session_kind: str) -> Preflight:
         """Return the preflight of a group of participants in a kind of session; itself if there are none."""
-        own = (each for each in self.others if each.findings.occasion == (group, session_kind))
-        return next(own, self)
+        return next((each for each in self.others if each.findings.occasion == (group, session_kind)), self)
 
     def require(self) -> Self:
         """Return the preflight itself if a session may run.
@@ -302,6 +301,40 @@ class Preflight:
 
         return drive_arrays({name: part.sound for name, part in self.designs.items()})
 
+    def explore(
+        self, *, sensitivity: bool = False, designs: bool = False, contrast: bool = False, tolerance: float = 0.0
+    ) -> dict[str, Any]:
+        """Return what is asked for besides the check, by name, each as the function of `preflight.exploration` says.
+
+        Parameters
+        ----------
+        sensitivity, designs, contrast : bool
+            Whether it is asked for.
+        tolerance : float
+            Allowed change of the field, if the fewest ``samples`` are asked for; else 0 [1].
+
+        Raises
+        ------
+        InputError
+            If the protocol has several stimuli, or with every problem.
+        """
+        from modaltouch.preflight import exploration
+
+        inputs, stimulus = self.of_one_stimulus().sound
+        asked: dict[str, Any] = {}
+        if sensitivity:
+            found = exploration.sensitivity_figures(inputs, stimulus)
+            asked["sensitivity"] = ({"placement": next(iter(self.placed))} if self.placed else {}) | found
+        if designs:
+            asked["designs"] = exploration.design_figures(stimulus)
+        if contrast:
+            placed = {name: part.sound for name, part in self.placed.items()}
+            pairs = map("-".join, self.experiment.protocol.conditions.contacts)
+            asked["contrast"] = exploration.contrast_figures(placed or dict.fromkeys(pairs, self.sound))
+        if tolerance:
+            asked["samples"] = exploration.sample_figures(inputs, stimulus, tolerance)
+        return asked
+
     def as_dict(self, *, compare: bool = False, fingers: str | None = None) -> dict[str, Any]:
         """Return everything as plain values, as ``modaltouch check --json`` prints it.
 
@@ -406,9 +439,8 @@ class Preflight:
     def _calibration(self) -> dict[str, Any] | None:
         """Return which calibration is used and how far from the target it left the beam; None without one."""
         reading = self.findings.calibration
-        if reading is None or reading.value is None:
+        if reading is None or (value := reading.value) is None:
             return None
-        value = reading.value
         return {
             "file": str(reading.source.path),
             "sha256": reading.source.sha256,
