@@ -15,7 +15,6 @@ from modaltouch.report import (
     FAINT,
     INK,
     PAIR_COLOURS,
-    figure_files,
     house_style,
     quiet_grid,
     write_files,
@@ -44,15 +43,14 @@ def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Pa
         If the folder holds something else, or cannot be written.
     """
     values = power.as_dict(target)
-    figure = draw_power(power, target)
     files = {
         "power.csv": values["power"],
         "power_tests.csv": values["tests"],
         "power_needed.csv": values["needed"],
         "power.json": values,
-        **figure_files({"power": figure}),
     }
-    return write_files(folder, files, {"version": version(), "seed": power.study.seed}, "power")
+    about = {"version": version(), "seed": power.study.seed}
+    return write_files(folder, files, about, "power", {"power": draw_power(power, target)})
 
 
 def draw_power(power: Power, target: float = 0.8) -> Figure:

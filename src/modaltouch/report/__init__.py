@@ -1,8 +1,8 @@
 """Figures, pages and files in one style, for the results of analysis, planning and lab.
 
-Matplotlib figures drawn within `house_style`, values and rows go in; image files (`figure_files`), pages that show them
-(`page_files`) and formatted numbers (`format_number`) come out. `write_files` puts them into a folder, rows as CSV and
-values as JSON: all of them or none, and never over files of another origin.
+Matplotlib figures drawn within `house_style`, values and rows go in; pages that show them (`page_files`) and formatted
+numbers (`format_number`) come out. `write_files` puts them into a folder, rows as CSV, values as JSON, figures as SVG
+and PNG: all of them or none, and never over files of another origin.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
         FAINT,
         INK,
         PAIR_COLOURS,
-        figure_files,
         house_style,
         quiet_grid,
     )
@@ -29,7 +28,7 @@ else:
         {
             "output": "refuse_other write_files",
             "page": "ReportFigure page_files render_page format_number",
-            "style": "CONDITION_COLOURS FAINT INK PAIR_COLOURS figure_files house_style quiet_grid",
+            "style": "CONDITION_COLOURS FAINT INK PAIR_COLOURS house_style quiet_grid",
         },
     )
 
@@ -39,7 +38,6 @@ __all__ = [
     "INK",
     "PAIR_COLOURS",
     "ReportFigure",
-    "figure_files",
     "house_style",
     "page_files",
     "quiet_grid",

@@ -10,9 +10,12 @@ import shutil
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from modaltouch.record import RecordError, move, replace_file
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MANIFEST = "manifest.json"
 
@@ -22,7 +25,11 @@ _REMEDY = "give a folder you may write to with --out"
 
 
 def write_files(
-    folder: Path, contents: Mapping[str, Any], about: dict[str, Any], command: str = "analyse"
+    folder: Path,
+    contents: Mapping[str, Any],
+    about: dict[str, Any],
+    command: str = "analyse",
+    figures: Mapping[str, Figure] | None = None,
 ) -> dict[str, Path]:
     """Write files into a folder, with a manifest that lists them and their hashes.
 
@@ -39,6 +46,8 @@ def write_files(
         What the manifest says about how they were made; plain values.
     command : str
         The command that made them; a folder belongs to one command.
+    figures : mapping of str to Figure, optional
+        Figures by name; each is written as SVG and PNG.
 
     Returns
     -------
@@ -53,6 +62,10 @@ def write_files(
     """
     refuse_other(folder, command)
     files = {name: _encode(name, content) for name, content in contents.items()}
+    if figures is not None:
+        from modaltouch.report.style import figure_files
+
+        files |= figure_files(figures)
     about = {"generated_by": _MAKER + command, **about}
     _, known = _read_manifest(folder)
     for name in files:

@@ -15,7 +15,7 @@ from modaltouch.lab.identification.responses import along
 from modaltouch.lab.identification.shapes import over_width, phase_collinearity, phase_deviation, recognise
 from modaltouch.lab.identification.verdict import misfit_verdict, repeatability, warnings
 from modaltouch.protocol import Apparatus, Source
-from modaltouch.report import figure_files, refuse_other, write_files
+from modaltouch.report import refuse_other, write_files
 from modaltouch.system import version
 
 COMMAND = "identify"
@@ -161,7 +161,7 @@ def write_identification(
         files["shapes_map.csv"] = map_rows(identification)
     if apparatus is not None:
         files[apparatus[0]] = apparatus[1]
-    return write_files(folder, files | figure_files(figures), {"version": version(), **about}, COMMAND)
+    return write_files(folder, files, {"version": version(), **about}, COMMAND, figures)
 
 
 def _pair(estimate: Estimate, scale: float = 1.0) -> dict[str, float | None]:
