@@ -14,12 +14,11 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.analysis.counts import AnswerCounts, Pair
-    from modaltouch.analysis.findings import ALPHA, holm
+    from modaltouch.analysis.findings import ALPHA
     from modaltouch.analysis.intervals import wilson
     from modaltouch.analysis.pipeline import analyse, analyse_responses
-    from modaltouch.analysis.preregistration import describe_families, term_in_words
+    from modaltouch.analysis.preregistration import terms_of
     from modaltouch.analysis.reading import read_responses
-    from modaltouch.analysis.registration import terms_of
     from modaltouch.analysis.responses import Responses, TableFormat
     from modaltouch.analysis.statistics import STATISTICS
     from modaltouch.analysis.words import scope_in_words
@@ -28,11 +27,10 @@ else:
         __name__,
         {
             "counts": "AnswerCounts Pair",
-            "findings": "ALPHA holm",
+            "findings": "ALPHA",
             "intervals": "wilson",
             "pipeline": "analyse analyse_responses",
-            "preregistration": "describe_families term_in_words",
-            "registration": "terms_of",
+            "preregistration": "terms_of",
             "reading": "read_responses",
             "responses": "TableFormat Responses",
             "statistics": "STATISTICS",
@@ -49,11 +47,8 @@ __all__ = [
     "STATISTICS",
     "analyse",
     "analyse_responses",
-    "describe_families",
-    "holm",
     "read_responses",
     "scope_in_words",
-    "term_in_words",
     "terms_of",
     "wilson",
 ]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from modaltouch.analysis.exact import ExactTest, sign_flip_test
-from modaltouch.analysis.findings import ALPHA
+from modaltouch.analysis.findings import ALPHA, holm
 from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.means import BoundedMean
 from modaltouch.analysis.shares import Shares, mean_of_known
@@ -45,6 +45,11 @@ class FamilyResult:
     interval: Interval
     n: NDArray[np.int64] | None = None
     notes: Callable[[int], Sequence[str]] = lambda place: ()
+
+    @property
+    def quick_p_holm(self) -> FloatArray:
+        """Holm's p from the `quick_p` of the tests, (..., n_tests) array [1]."""
+        return holm(self.test.quick_p)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import pandas as pd
 
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding, plain_row, to_frame
-from modaltouch.analysis.registration import Registration, terms_of
+from modaltouch.analysis.preregistration import RegisteredAnalysis, Registration, terms_of
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.tables import tabulate
 from modaltouch.protocol import InputError
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Analysis:
+class Analysis(RegisteredAnalysis):
     """The results of an analysis, and where they were written.
 
     Attributes

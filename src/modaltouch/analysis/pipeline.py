@@ -140,8 +140,7 @@ def _hold_against(prereg: Path | str | None, analysis: Held) -> Held:
         if not beside.is_file():
             return analysis
         prereg = beside
-    from modaltouch.analysis.preregistration import find_departures, read_preregistration
-    from modaltouch.analysis.registration import Registration
+    from modaltouch.analysis.preregistration import Registration, find_departures, read_preregistration
 
     path = Path(prereg)
     departures = find_departures(read_preregistration(path), analysis)

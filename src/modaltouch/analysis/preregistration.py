@@ -4,82 +4,131 @@ from __future__ import annotations
 
 import json
 import re
+from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
+from modaltouch.analysis.covariates import ANTICIPATION
 from modaltouch.analysis.findings import ALPHA, Finding
-from modaltouch.analysis.registration import ALL_PARTS
-from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.protocol import InputError
 
 if TYPE_CHECKING:
     from modaltouch.analysis.counts import AnswerCounts
     from modaltouch.analysis.responses import Responses
 
+ALL_PARTS = "all parts"
+"""Scope of a test of all parts together, for a design that is not crossed."""
+
 _UNKNOWN = ("protocol (SHA-256)", "equivalence margin")
 """Terms that a table of answers does not contain."""
 
 
-class RegisteredAnalysis(Protocol):
-    """An analysis as a preregistration sees it."""
+@dataclass(frozen=True)
+class Registration:
+    """The preregistration that an analysis was checked against.
 
-    @property
-    def responses(self) -> Responses:
-        """The answers."""
+    Attributes
+    ----------
+    path : Path or None
+        Its file; None without one.
+    departures : tuple of str
+        Departures of the analysis from it, in words.
+    """
 
-    @property
-    def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
-        """The tests that are corrected in families: part of the design (or empty), counts, and test."""
+    path: Path | None = None
+    departures: tuple[str, ...] = ()
 
-    def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
-        """Return the terms fixed beforehand, by name, as plain values; `tests` counts the tests of each family."""
+    def as_dict(self) -> dict[str, Any]:
+        """Return both as plain values for ``--json``."""
+        return {"preregistration": str(self.path) if self.path else None, "departures": list(self.departures)}
 
 
-def describe_families(analysis: RegisteredAnalysis) -> list[dict[str, Any]]:
-    """Return the families of confirmatory tests of an analysis, such as one of simulated sessions.
+def terms_of(answers: AnswerCounts, tests: Mapping[str, int]) -> dict[str, Any]:
+    """Return the terms that a preregistration of a crossed design fixes, by name, as plain values.
 
     Parameters
     ----------
-    analysis : RegisteredAnalysis
-        The analysis.
-
-    Returns
-    -------
-    list of dict
-        ``name``, ``asks``, ``test``, ``scopes``, and ``significant``: whether any test is, after correction.
+    answers : AnswerCounts
+        Counts of the answers, planned or given.
+    tests : mapping of str to int
+        Number of tests in each family.
     """
-    from modaltouch.analysis.measures import claim_of
-    from modaltouch.analysis.words import headings, scope_in_words
+    return {
+        "participants": answers.n_participants,
+        "finger conditions": sorted(answers.finger_conditions),
+        "pairs of zones": sorted(pair.label for pair in answers.pairs),
+        f"levels [{answers.scale.unit}]": sorted(answers.levels),
+        "repetitions": answers.n_repetitions,
+        "answers": list(answers.answers.names),
+        **terms_of_tests(tests),
+    }
 
-    families: dict[str, list[tuple[str, AnswerCounts, Finding]]] = {}
-    for each in analysis.confirmatory:
-        families.setdefault(each[2].family, []).append(each)
-    asks = {name: statistic.asks for name, statistic in STATISTICS.items()}
-    described = []
-    for name, rows in families.items():
-        _, counts, first = rows[0]
-        scopes = [
-            (
-                part,
-                row.scope.replace("_", " ")
-                if part == ALL_PARTS
-                else scope_in_words(row.scope, own.finger_conditions, own.pairs),
-                row.quantity,
+
+def terms_of_tests(tests: Mapping[str, int]) -> dict[str, Any]:
+    """Return the terms of every analysis with tests."""
+    return {"tests by family": dict(tests), "level of significance": ALPHA, "shortest reaction time [s]": ANTICIPATION}
+
+
+class RegisteredAnalysis(ABC):
+    """An analysis as a preregistration sees it."""
+
+    responses: Responses
+
+    @property
+    @abstractmethod
+    def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
+        """The tests that are corrected in families: part of the design (or empty), counts, and test."""
+
+    @abstractmethod
+    def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
+        """Return the terms fixed beforehand, by name, as plain values; `tests` counts the tests of each family."""
+
+    def design_in_words(self) -> list[tuple[str, str]]:
+        """Return the terms of a design without counts of its own, in words, by name."""
+        return []
+
+    def describe_families(self) -> list[dict[str, Any]]:
+        """Return the families of confirmatory tests.
+
+        Returns
+        -------
+        list of dict
+            ``name``, ``asks``, ``test``, ``scopes``, and ``significant``: whether any test is, after correction.
+        """
+        from modaltouch.analysis.measures import claim_of
+        from modaltouch.analysis.statistics import STATISTICS
+        from modaltouch.analysis.words import headings, scope_in_words
+
+        families: dict[str, list[tuple[str, AnswerCounts, Finding]]] = {}
+        for each in self.confirmatory:
+            families.setdefault(each[2].family, []).append(each)
+        asks = {name: statistic.asks for name, statistic in STATISTICS.items()}
+        described = []
+        for name, rows in families.items():
+            _, counts, first = rows[0]
+            scopes = [
+                (
+                    part,
+                    row.scope.replace("_", " ")
+                    if part == ALL_PARTS
+                    else scope_in_words(row.scope, own.finger_conditions, own.pairs),
+                    row.quantity,
+                )
+                for part, own, row in rows
+            ]
+            described.append(
+                {
+                    "name": name,
+                    "asks": asks.get(name) or claim_of(name, headings(counts)[first.question][1]),
+                    "test": "; ".join(dict.fromkeys(row.name for *_, row in rows)),
+                    "scopes": [": ".join(filter(None, scope)) for scope in scopes],
+                    "significant": any(row.p_holm <= ALPHA for *_, row in rows),
+                }
             )
-            for part, own, row in rows
-        ]
-        described.append(
-            {
-                "name": name,
-                "asks": asks.get(name) or claim_of(name, headings(counts)[first.question][1]),
-                "test": "; ".join(dict.fromkeys(row.name for *_, row in rows)),
-                "scopes": [": ".join(filter(None, scope)) for scope in scopes],
-                "significant": any(row.p_holm <= ALPHA for *_, row in rows),
-            }
-        )
-    return described
+        return described
 
 
 def read_preregistration(path: Path) -> dict[str, Any]:
@@ -115,6 +164,8 @@ def find_departures(terms: Mapping[str, Any], analysis: RegisteredAnalysis) -> t
     analysis : RegisteredAnalysis
         The analysis.
     """
+    from modaltouch.analysis.statistics import STATISTICS
+
     start = analysis.responses.start
     known = {}
     if start.get("sources"):

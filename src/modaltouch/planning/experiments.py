@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.analysis import ALPHA, STATISTICS, AnswerCounts, holm
+from modaltouch.analysis import ALPHA, STATISTICS, AnswerCounts
 from modaltouch.planning.design import Design
 from modaltouch.planning.observer import Observer, Participant
 
@@ -174,10 +174,9 @@ def count_significant(answers: AnswerCounts, family: str, alpha: float = ALPHA) 
     found = STATISTICS[family].compute(answers)
     if found is None:
         raise ValueError(f"no tests of {family} for {len(answers.finger_conditions)} finger conditions and these pairs")
-    p = found.test.quick_p
-    single, corrected = p <= alpha * _TIES, holm(p) <= alpha * _TIES
+    single, corrected = found.test.quick_p <= alpha * _TIES, found.quick_p_holm <= alpha * _TIES
     return Tally(
-        len(p),
+        len(single),
         single.sum(axis=0),
         corrected.sum(axis=0),
         int(corrected.any(axis=1).sum()),

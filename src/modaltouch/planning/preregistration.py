@@ -17,9 +17,7 @@ from modaltouch.analysis import (
     AnswerCounts,
     Responses,
     analyse_responses,
-    describe_families,
     scope_in_words,
-    term_in_words,
     terms_of,
     wilson,
 )
@@ -41,7 +39,7 @@ N_COUNTED, N_RECORDED = 1000, 20
 class _Plan:
     """What an analysis will test or estimate, and how well it does in simulated experiments.
 
-    `answers` is None if the design is not crossed, or adaptive; then `terms` describes it.
+    `answers` is None if the design is not crossed, or adaptive; then `design` describes it.
     """
 
     answers: AnswerCounts | None
@@ -51,16 +49,7 @@ class _Plan:
     n_experiments: int
     repeated_by: str
     thresholds: list[dict[str, Any]] = field(default_factory=list)
-
-    @property
-    def design(self) -> list[tuple[str, str]]:
-        """Terms of a design without counts of its own, in words."""
-        plain = ("runs", "levels [mm/s]", "method", "trials a run")
-        said = [
-            (name, term_in_words(self.terms[name])) for name in plain if self.answers is None and name in self.terms
-        ]
-        parts = enumerate(self.terms.get("crossed parts, with repetitions", {}).items(), start=1)
-        return said + [(f"part {number}", f"{name}, {times_in_words(n)}") for number, (name, n) in parts]
+    design: list[tuple[str, str]] = field(default_factory=list)
 
 
 def times_in_words(number: int) -> str:
@@ -200,7 +189,7 @@ def _by_sessions(
     estimates: dict[str, list[dict[str, Any]]] = {}
     for number in range(n_experiments):
         analysis = analyse_responses(study(seed + number))
-        found = describe_families(analysis)
+        found = analysis.describe_families()
         significant.update(each["name"] for each in found if each["significant"])
         # A degenerate experiment may lack a test.
         families = max(families, found, key=lambda each: sum(len(family["scopes"]) for family in each))
@@ -219,7 +208,8 @@ def _by_sessions(
     terms = analysis.terms({family["name"]: len(family["scopes"]) for family in families})
     thresholds = [_describe_threshold(name, found) for name, found in estimates.items()]
     counts = getattr(analysis, "answers", None)
-    return _Plan(counts, terms, families, rows, n_experiments, again, thresholds=thresholds)
+    design = analysis.design_in_words()
+    return _Plan(counts, terms, families, rows, n_experiments, again, thresholds, design)
 
 
 def _describe_threshold(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:

@@ -13,8 +13,8 @@ import pandas as pd
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding, correct, plain_row, to_frame
 from modaltouch.analysis.models import model_table, tidy_files, zone_files
+from modaltouch.analysis.preregistration import ALL_PARTS, RegisteredAnalysis, Registration, terms_of_tests
 from modaltouch.analysis.ratings import questions_of
-from modaltouch.analysis.registration import ALL_PARTS, Registration, terms_of_tests
 from modaltouch.analysis.responses import Responses, cell_of
 from modaltouch.analysis.statistics import uncorrected
 from modaltouch.analysis.tables import tabulate, zone_table
@@ -60,7 +60,7 @@ class CrossedPart:
 
 
 @dataclass(frozen=True, eq=False)
-class PartsAnalysis:
+class PartsAnalysis(RegisteredAnalysis):
     """The results of a design that is not crossed, and where they were written.
 
     Attributes
@@ -102,6 +102,14 @@ class PartsAnalysis:
             "answers": list(self.responses.answers.names),
             **terms_of_tests(tests),
         }
+
+    def design_in_words(self) -> list[tuple[str, str]]:
+        """Return the parts and how often each cell of a part is presented, in words, by number."""
+        repeated = [(part.name, part.counts.n_repetitions) for part in self.parts]
+        return [
+            (f"part {number}", f"{name}, {'once' if n == 1 else f'{n} times'}")
+            for number, (name, n) in enumerate(repeated, start=1)
+        ]
 
     @cached_property
     def whole(self) -> list[Finding]:

@@ -11,7 +11,7 @@ from typing import Any
 from modaltouch.analysis.certificates import certificates_in_words
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding, plain_row, to_frame
-from modaltouch.analysis.registration import Registration
+from modaltouch.analysis.preregistration import RegisteredAnalysis, Registration, term_in_words
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.thresholds.runs import Run, compare_runs, find_runs, in_words, is_forced, over_participants
@@ -23,7 +23,7 @@ MOST_FIGURES = 60
 
 
 @dataclass(frozen=True, eq=False)
-class ThresholdAnalysis:
+class ThresholdAnalysis(RegisteredAnalysis):
     """The results of adaptive sessions, and where they were written.
 
     Attributes
@@ -59,6 +59,11 @@ class ThresholdAnalysis:
             "trials a run": adaptive["trials"],
             "answers": list(self.responses.answers.names),
         }
+
+    def design_in_words(self) -> list[tuple[str, str]]:
+        """Return runs, levels and method in words, by name."""
+        terms = self.terms({})
+        return [(name, term_in_words(terms[name])) for name in ("runs", "levels [mm/s]", "method", "trials a run")]
 
     @property
     def thresholds(self) -> list[dict[str, Any]]:
