@@ -205,13 +205,6 @@ def test_of_two_further_answers_the_share_of_the_second_tells_both(compared) -> 
     assert names == {"P(sure: certain)", "P(sure: certain) when correct less when not"}
 
 
-def test_what_was_said_in_the_form_is_not_passed_over_in_silence(compared) -> None:
-    """No test reads it, so the report says where it is."""
-    limits = analyse_design(take(compared, {**TWO, "form": {"effort": {}, "liked": {}}})).limits
-    assert any(each.startswith("The form at the end (effort, liked) is not analysed") for each in limits)
-    assert not any("form at the end" in each for each in analyse_design(take(compared, TWO)).limits)
-
-
 def test_groups_are_compared_by_participants_and_never_by_trials(compared) -> None:
     """Known: the low ones feel 0.6 dB less; every trial twice leaves p of the shares as it was."""
     few = compared[compared["velocity_mm_s"] > 100]

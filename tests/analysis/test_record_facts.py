@@ -1,8 +1,11 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
-from modaltouch.analysis.provenance import describe_record, take_facts
+import numpy as np
+
+from modaltouch.analysis.provenance import describe_record, form_rows, summarise_form, take_facts
 from modaltouch.record.session import Session
 
 
@@ -71,3 +74,36 @@ def test_troubles_of_the_rig_are_found_among_its_exchanges() -> None:
     lost = {"event": "rig", "n": 3, "exchanges": [{"what": "scpi"}, {"what": "connection_lost"}]}
     calm = {"event": "rig", "n": 3, "exchanges": [{"what": "scpi"}]}
     assert [row.n_events for row in facts(session("p1", lost), session("p2", calm)).sessions] == [1, 0]
+
+
+def with_form(participant: str, **said: float | str):
+    """Return the facts of a session whose form holds these numbers and words."""
+    own = session(participant, *(
+        {"event": "form", "n": 3 + place, "name": name,
+         "response": {"answer": value} if isinstance(value, str) else {"answer": "rated", "value": value}}
+        for place, (name, value) in enumerate(said.items())
+    ))  # fmt: skip
+    own.start["design"] = {"form": dict.fromkeys(said, {})}
+    return take_facts(own)
+
+
+def test_the_form_is_summarised_over_participants_and_not_over_sessions() -> None:
+    """By numpy's quartiles of 1, 2, 5 and the mean of 6 and 10; of words, each session counts; a time-out does not."""
+    sessions = [with_form("p1", tired=1, again="yes"), with_form("p2", tired=2, again="no"),
+                with_form("p3", tired=5, again="time_out"), with_form("p4", tired=6, again="yes"),
+                with_form("p4", tired=10, again="yes")]  # fmt: skip
+    tired, again = summarise_form(sessions)
+    assert (tired["question"], tired["n"], tired["answers"]) == ("tired", 4, {})
+    told = [tired[name] for name in ("quartile_low", "median", "quartile_high")]
+    assert told == np.quantile([1, 2, 5, 8], [0.25, 0.5, 0.75]).tolist()
+    assert (again["n"], again["median"], again["answers"]) == (3, None, {"yes": 3, "no": 1})
+    assert [row["again"] for row in form_rows(sessions)] == ["yes", "no", None, "yes", "yes"]
+    assert form_rows([take_facts(session("p1"))]) == []
+
+
+def test_groups_and_kinds_of_session_have_forms_apart() -> None:
+    """One participant of each group: two rows, each with its own number as all three quartiles."""
+    low, high = with_form("p1", tired=1), with_form("p2", tired=5)
+    told = list(summarise_form([replace(low, occasion=("low", "test")), replace(high, occasion=("high", "test"))]))
+    assert [(row["group"], row["session_kind"], row["quartile_low"], row["n"]) for row in told] == [
+        ("low", "test", 1.0, 1), ("high", "test", 5.0, 1)]  # fmt: skip

@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from modaltouch.analysis import analyse
 from modaltouch.planning import designs_for, read_observer
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
@@ -147,6 +148,18 @@ def test_a_trial_that_is_cut_in_a_further_question_is_asked_again(protocol: Path
     assert again["presentation"] == 2 and list(again["response"]["further"]) == ["sure", "pleasant"]
     assert session.complete and len(session.trials) == 5
     assert not audit_session(session).problems
+
+
+def test_the_form_is_in_the_report_in_json_and_in_a_table(recorded: Session, tmp_path: Path) -> None:
+    """The number and the word of its only session, from the log."""
+    done = analyse(recorded.path.parent, tmp_path / "report")
+    tired, dizzy = done.as_dict()["form"]
+    assert tired["median"] == recorded.form["tired"]["value"]
+    assert dizzy["answers"] == {recorded.form["dizzy"]["answer"]: 1}
+    assert '<th scope="row">dizzy</th>' in done.files["report.html"].read_text(encoding="utf-8")
+    with done.files["form.csv"].open(encoding="utf-8", newline="") as lines:
+        (row,) = csv.DictReader(lines)
+    assert float(row["tired"]) == tired["median"] and row["dizzy"] in dizzy["answers"]
 
 
 def test_a_form_that_is_cut_goes_on_with_its_next_question(protocol: Path, tmp_path: Path) -> None:

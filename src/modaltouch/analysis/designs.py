@@ -144,8 +144,6 @@ def _limits(responses: Responses, task: TrialTask, fits: Sequence[FittedCell]) -
         yield "Answers that name no interval are left out of d' and of psychometric functions."
     if task.named and (task.n_intervals > 2 or responses.frame["interval"].nunique() < 2):
         yield "d' assumes no preference for an interval: these answers cannot show a preference."
-    if form := responses.design.get("form"):
-        yield f"The form at the end ({', '.join(form)}) is not analysed: its answers are in the tables *_form_beh.tsv."
     yield (
         "No test here covers interactions between factors, or several measures together: answers.csv is a tidy table "
         "for tests of your own, and models.R fits mixed models to it."

@@ -113,9 +113,6 @@ class Analysis(RegisteredAnalysis):
             "n_responses": int(self.answers.counts.sum()),
             "n_missing": sum(n for *_, n in self.answers.missing),
             "missing": [{"participant": who, "cell": cell, "n": n} for who, cell, n in self.answers.missing],
-            "notes": list(self.responses.notes),
-            "mode": self.responses.source.mode or None,
-            "source": self.responses.source.path,
             **self.registration.as_dict(),
-            "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
+            **self.responses.as_dict(),
         }

@@ -6,8 +6,10 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
-from statistics import fmean
+from statistics import fmean, quantiles
 from typing import TYPE_CHECKING, Any
+
+from modaltouch.protocol import TIME_OUT
 
 if TYPE_CHECKING:
     from modaltouch.record import Session
@@ -49,6 +51,8 @@ class RecordFacts:
         Instrument, seed, hashes and versions, the same for all sessions or listed.
     people : tuple of str
         What participants said about themselves, one line for each number and choice that the protocol asks for.
+    form : tuple of dict
+        What they answered in the form at the end, as `summarise_form` returns it.
     """
 
     sessions: tuple[SessionFacts, ...]
@@ -56,6 +60,7 @@ class RecordFacts:
     faults: tuple[tuple[str, int, str], ...]
     settings: dict[str, str]
     people: tuple[str, ...] = ()
+    form: tuple[dict[str, Any], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +89,10 @@ class SessionFacts:
         The participant's own threshold, if levels are multiples of it [mm/s].
     people : dict
         Numbers and choices that the participant gave, by the protocol's name with its unit.
+    form : dict
+        Numbers and words that the participant gave in the form at the end, by question.
+    occasion : (str, str)
+        Group and kind of session; empty if there are none.
     """
 
     participant: str
@@ -96,6 +105,8 @@ class SessionFacts:
     settings: dict[str, object]
     threshold_mm_s: float | None = None
     people: dict[str, float | str] = field(default_factory=dict)
+    form: dict[str, float | str] = field(default_factory=dict)
+    occasion: tuple[str, str] = ("", "")
 
     @property
     def name(self) -> str:
@@ -123,6 +134,8 @@ def take_facts(session: Session) -> SessionFacts:
         settings=_settings_of(start),
         threshold_mm_s=(start.get("sensation_levels") or {}).get("threshold_mm_s"),
         people=dict(_people(start)),
+        form={name: each.get("value", each["answer"]) for name, each in session.form.items()},
+        occasion=session.occasion,
     )
 
 
@@ -143,6 +156,7 @@ def describe_record(sessions: Sequence[SessionFacts]) -> RecordFacts | None:
         tuple(_faults(sessions)),
         _settings(sessions),
         tuple(_describe_people(sessions)),
+        tuple(summarise_form(sessions)),
     )
 
 
@@ -154,6 +168,41 @@ def _describe_people(sessions: Sequence[SessionFacts]) -> Iterator[str]:
         numbers = [value for value in values if not isinstance(value, str)]
         said = f"mean {fmean(numbers):.1f}, range {min(numbers):g} to {max(numbers):g}" if numbers else counted
         yield f"{name}: {said} (n = {len(values)})"
+
+
+def form_rows(sessions: Sequence[SessionFacts]) -> list[dict[str, Any]]:
+    """Return the form at the end of each session as a row of ``form.csv``, empty at a time-out; none without a form."""
+    names = dict.fromkeys(name for session in sessions for name in session.form)
+    return [
+        {"participant": each.participant, "session": each.number, "group": each.occasion[0],
+         "session_kind": each.occasion[1]}
+        | {name: said if (said := each.form.get(name)) != TIME_OUT else None for name in names}
+        for each in (sessions if names else ())
+    ]  # fmt: skip
+
+
+def summarise_form(sessions: Sequence[SessionFacts]) -> Iterator[dict[str, Any]]:
+    """Yield median and quartiles of each number of the form over participants, or how often each word was chosen.
+
+    Groups and kinds of session are kept apart. A participant with several sessions of a kind counts once, with the
+    mean of the numbers; words are counted session by session.
+    """
+    told: dict[tuple[str, str, str], dict[str, list[float | str]]] = {}
+    for session in sessions:
+        for name, said in session.form.items():
+            if said != TIME_OUT:
+                told.setdefault((name, *session.occasion), {}).setdefault(session.participant, []).append(said)
+    for (name, group, kind), own in told.items():
+        words = Counter(said for given in own.values() for said in given if isinstance(said, str))
+        quartiles: list[float] | list[None] = [None] * 3
+        if not words:
+            numbers = [fmean(map(float, given)) for given in own.values()]
+            quartiles = quantiles(numbers * max(1, 3 - len(numbers)), n=4, method="inclusive")
+        yield {
+            "question": name, "group": group, "session_kind": kind, "n": len(own),
+            "median": quartiles[1], "quartile_low": quartiles[0], "quartile_high": quartiles[2],
+            "answers": dict(words.most_common()),
+        }  # fmt: skip
 
 
 def _presentation(event: dict[str, Any], multiples: dict[float, float]) -> Presented:

@@ -243,6 +243,18 @@ class Responses:
             words += ["--protocol", "PROTOCOL"]
         return shlex.join(words)
 
+    def as_dict(self, *notes: str) -> dict[str, Any]:
+        """Return where the answers come from, and the form at the end, as plain values for ``--json``."""
+        from modaltouch.analysis.provenance import summarise_form
+
+        return {
+            "notes": [*self.notes, *notes],
+            "mode": self.source.mode or None,
+            "source": self.source.path,
+            "left_out": [{"source": item.source, "reason": item.reason} for item in self.left_out],
+            "form": list(summarise_form(self.sessions)),
+        }
+
     @property
     def has_individual_results(self) -> bool:
         """Whether a participant has more than counts of answers: catch trials, a d', a threshold, ratings, a group."""

@@ -101,7 +101,7 @@ class SessionAnswers:
         """Return the session with the lab in its participant's name, so that participants of labs are distinct."""
         who = f"{name}/{self.participant}"
         rows = tuple((who, *row[1:]) for row in self.rows)
-        facts = None if self.facts is None else replace(self.facts, participant=who)
+        facts = None if self.facts is None else replace(self.facts, participant=who, occasion=(name, self.kind[1]))
         return replace(self, participant=who, rows=rows, facts=facts, lab=name)
 
 

@@ -151,13 +151,9 @@ class PartsAnalysis(RegisteredAnalysis):
             "n_responses": len(self.responses.frame),
             "n_missing": sum(each["n"] for each in missing),
             "missing": missing,
-            "notes": [
-                *self.responses.notes,
-                *[f"{len(self.parts)} crossed parts of the design are analysed separately"] * (len(self.parts) > 1),
-            ],
-            "mode": self.responses.source.mode or None,
-            "source": self.responses.source.path,
-            "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
+            **self.responses.as_dict(
+                *[f"{len(self.parts)} crossed parts of the design are analysed separately"] * (len(self.parts) > 1)
+            ),
             **self.registration.as_dict(),
         }
 

@@ -103,10 +103,7 @@ class ThresholdAnalysis(RegisteredAnalysis):
                 for run in self.runs
                 if run.n_missing
             ],
-            "notes": list(self.responses.notes),
-            "mode": self.responses.source.mode or None,
-            "source": self.responses.source.path,
-            "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses.left_out],
+            **self.responses.as_dict(),
             **self.registration.as_dict(),
         }
 
