@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -224,6 +225,11 @@ def test_sessions_are_shown_within_80_columns_and_on_a_page(tree: Path, tmp_path
     page.write_text("mine")
     assert call(f"study {tree} --html {page}").status == 4
     assert page.read_text() == "mine"
+    os.mkfifo(pipe := tmp_path / "pipe")
+    for kept in ("/proc/self/mem", pipe):  # cannot be read; would keep the command waiting
+        done = call(f"study {tree} --html {kept}")
+        assert done.status == 4
+        assert "is not from `modaltouch study`" in done.stderr.replace("\n", " ")
 
 
 def test_verify_and_doctor_take_a_whole_tree(tree: Path, tmp_path: Path) -> None:

@@ -174,6 +174,8 @@ def _measure_generator(address: str, apparatus: Path) -> tuple[dict[str, Any], s
 
 
 _MAKER = '<meta name="generator" content="modaltouch study">'
+_HEAD = 20_000
+"""Characters among which a page of ours says so."""
 
 
 def study(
@@ -205,7 +207,7 @@ def _write_page(file: Path, results: Path, shown: list[dict[str, Any]]) -> None:
     """Write the page; replace only an earlier one."""
     if not file.exists():
         record.prepare_file(file)
-    elif not file.is_file() or _MAKER not in file.read_text(encoding="utf-8", errors="replace"):
+    elif not _is_ours(file):
         raise record.RecordError(
             f"{file}: exists already and is not from `modaltouch study`; give another file with --html"
         )
@@ -215,6 +217,17 @@ def _write_page(file: Path, results: Path, shown: list[dict[str, Any]]) -> None:
         title="Study", maker=_MAKER, results=results, datasets=shown, headings=headings, version=system.version(),
     )  # fmt: skip
     record.replace_file(file, page.encode(), "give another file with --html")
+
+
+def _is_ours(file: Path) -> bool:
+    """Return whether a file is an earlier page; one that cannot be read is not."""
+    if not file.is_file():  # a pipe would keep us waiting
+        return False
+    try:
+        with file.open(encoding="utf-8", errors="replace") as page:
+            return _MAKER in page.read(_HEAD)
+    except OSError:
+        return False
 
 
 def _show(shown: dict[str, Any]) -> None:
