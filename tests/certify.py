@@ -279,15 +279,15 @@ def program() -> dict[str, str]:
 
 
 def unlike(expected: dict[str, str]) -> list[str]:
-    """Return what is another here than where the work was given out: its source, or the version of a library."""
+    """List the parts of this program, source and libraries, that differ from the submitter's."""
     here = program()
     return [name for name in here if here[name] != expected[name]]
 
 
 def certify_alike(expected: dict[str, str], number: int, n_experiments: int) -> dict:
-    """Return the rows of one population, by the program that gave out the work and no other.
+    """Return the rows of one population, if this worker runs the submitter's program.
 
-    A worker may have joined after all were asked.
+    A worker may join after `check_workers` has asked them all.
     """
     if others := unlike(expected):
         raise RuntimeError(f"a worker has another {' and '.join(others)}: install this very program there")
