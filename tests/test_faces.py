@@ -1,4 +1,4 @@
-"""What each room offers: names that exist, told in one place, and none that a module of the room would hide."""
+"""What each package offers: names that exist, told in one place, and none that one of its modules would hide."""
 
 from importlib import import_module
 from pathlib import Path

@@ -33,7 +33,7 @@ def load(*words):
 
 
 def rooms(modules):
-    """Return the rooms that modules lie in."""
+    """Return the packages that modules are in."""
     return {name.partition(".")[0] for name in modules}
 
 

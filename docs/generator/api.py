@@ -38,8 +38,8 @@ def write_api(folder: Path) -> None:
         directives = [f".. automodule:: {module}\n   :no-members:", *(_directive(module, each) for each in names)]
         write(folder / f"{name}.md", page(module, "```{eval-rst}\n" + "\n\n".join(directives) + "\n```"))
     lead = (
-        "Only the names in `modaltouch` itself are public. The other pages list what the rooms (packages) behind it "
-        "offer, which may change from one version to the next. Units are SI: metres, seconds, volts. The test suite "
+        "Only the names in `modaltouch` itself are public. The other pages list the interfaces of its packages, "
+        "which may change from one version to the next. Units are SI: metres, seconds, volts. The test suite "
         "runs every example."
     )
     rows = [(f"[`modaltouch.{room}`]({room}.md)", _first_line(f"modaltouch.{room}")) for room in ROOMS]

@@ -1,4 +1,4 @@
-"""The architecture as the import contracts have it: one box a room, one row a layer."""
+"""The architecture as the import contracts have it: a box per package, a row per layer."""
 
 import ast
 import tomllib
@@ -13,7 +13,7 @@ WIDTH, ROW, BOX = 460, 62, 42
 
 
 def layers() -> list[list[str]]:
-    """Return the rooms from the last stage to the first, those of equal rank together."""
+    """Return the packages from the last layer to the first, those of the same layer together."""
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
         "contracts"
     ]
@@ -22,7 +22,7 @@ def layers() -> list[list[str]]:
 
 
 def imports() -> dict[str, set[str]]:
-    """Return which rooms each room imports, read from the source."""
+    """Return which packages each package imports, read from the source."""
     package, found = ROOT / "src" / "modaltouch", defaultdict(set)
     for file in package.rglob("*.py"):
         room = file.relative_to(package).parts[0].removesuffix(".py")
@@ -33,7 +33,7 @@ def imports() -> dict[str, set[str]]:
 
 
 def shortest(used: dict[str, set[str]]) -> dict[str, set[str]]:
-    """Return the imports that do not follow from others: none to a room that an imported room reaches."""
+    """Return the imports that do not follow from others: none to a package that an imported package reaches."""
     reached: dict[str, set[str]] = {}
     for room in (room for row in reversed(layers()) for room in row):
         reached[room] = used.get(room, set()).union(*(reached.get(other, set()) for other in used.get(room, ())))
@@ -77,7 +77,7 @@ def draw() -> str:
             f'<text x="{x:.0f}" y="{y + 5:.0f}">{room}</text>'
         )
     return (
-        f'<svg class="architecture" viewBox="0 0 {WIDTH} {height}" role="img" aria-label="The rooms of the program in the '
+        f'<svg class="architecture" viewBox="0 0 {WIDTH} {height}" role="img" aria-label="The packages of the program in the '
         f'order of its import contracts, from the command line down to the system">{"".join(lines)}{"".join(boxes)}</svg>'
     )
 

@@ -1,13 +1,13 @@
 """From a YAML protocol to the statistics of the paper: a haptics experiment on a vibrating beam.
 
-The rooms, in the order in which values flow through them:
+The packages, in the order in which data flow through them:
 
 ``system``
     clocks, locks, signals, and which build this is
 ``stimulus``
     modal synthesis: target field -> voltages -> codes -> predicted field
 ``protocol``
-    YAML -> Protocol and Apparatus, every fault in its place; Protocol + participant + seed -> Schedule
+    YAML -> Protocol and Apparatus, with the location of every error; Protocol + participant + seed -> Schedule
 ``rig``
     plays the burst: a generator over PyVISA, or its simulated twin behind the same driver
 ``window``
@@ -15,15 +15,15 @@ The rooms, in the order in which values flow through them:
 ``preflight``
     everything that can fail before the participant sits down
 ``record``
-    the append-only session log, its audit and its BIDS view
+    the append-only session log, its verification and its BIDS view
 ``report``
     figures, pages and files in one style
 ``analysis``
     records -> tables, statistics, figures, report
 ``planning``
-    observers; how many participants, by simulating the very protocol
+    observers; power and sample size by simulating the protocol
 ``session``
-    the one loop, its set-up, its console, its verification
+    the session loop, its set-up, its console, its verification
 ``lab``
     identification, calibration, validation and comparison of a beam
 ``cli``
@@ -32,7 +32,7 @@ The rooms, in the order in which values flow through them:
 From Python, without the command line:
 
 >>> import modaltouch, tempfile
->>> preflight = modaltouch.examine("demo")                     # every fault in `problems`, the design in `stimulus`
+>>> preflight = modaltouch.examine("demo")                     # errors in `problems`, the design in `stimulus`
 >>> [round(1e3 * speed) for speed in preflight.stimulus.peak_velocity([-0.02, 0.0, 0.02], 0.2)]
 [115, 200, 115]
 >>> results = tempfile.TemporaryDirectory()

@@ -138,7 +138,7 @@ ELSEWHERE: list[tuple[str, str, str, str]] = [
 
 
 def test_readme_says_what_the_matrix_proves() -> None:
-    """The table of the room's README has a cell for each fault and phase that is proved here, and no other."""
+    """The table of the package's README has a cell for each fault and phase that is proved here, and no other."""
     words = {"refused": "error", "recovers": "goes on", "unconfirmed": "trial again", "unseen": "not seen"}
     proved: dict[tuple[str, str], set[str]] = {}
     for fault, _, _, phase, seen, _ in MATRIX:

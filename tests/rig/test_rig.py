@@ -1,4 +1,4 @@
-"""The room's front door."""
+"""The interface of the package."""
 
 from __future__ import annotations
 

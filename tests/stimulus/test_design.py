@@ -1,4 +1,4 @@
-"""The facade on the shipped numbers: what the other rooms rely on."""
+"""The facade on the shipped numbers: what the other packages rely on."""
 
 from dataclasses import replace
 

@@ -1,6 +1,6 @@
 """The command line: everything that is printed, every exit status, and nothing else.
 
-Arguments go in; lines, JSON and an exit status come out. The work is done by the other rooms.
+Commands take arguments and produce lines, JSON and an exit status. The other packages do the work.
 """
 
 from __future__ import annotations

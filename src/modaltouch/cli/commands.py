@@ -35,7 +35,7 @@ MODULES = {
     "doctor": "records",
     "rig": "rig",
 }
-"""Module of this room in which each command is defined, in the order in which commands are listed."""
+"""Module of this package in which each command is defined, in the order in which commands are listed."""
 
 
 class _Value:

@@ -1,4 +1,4 @@
-"""Sample size: the protocol itself, simulated thousands of times and analysed as the real data will be.
+"""Power and sample size: the protocol is simulated thousands of times and analysed as the real data will be.
 
 For an examined protocol and an `Observer`, `designs_for` returns the cells of each stimulus, a `Study` says what is
 simulated in them, and `plan` returns its `Power`, which `write_power` writes as tables and a figure. `fit_answers` fits

@@ -1,8 +1,8 @@
 """The whole check of a protocol before a session, without hardware.
 
 `examine` takes the files of a protocol, `examine_findings` what was read from them. Both return a `Preflight`: every
-fault with its position, or the stimulus of all levels and what each level does to the beam. `design` makes a stimulus
-from `DesignInputs`, the sound parts of the files.
+error with its position, or the stimulus at all levels with its effect on the beam. `design` makes a stimulus from
+`DesignInputs`, the valid parts of the files.
 """
 
 from __future__ import annotations

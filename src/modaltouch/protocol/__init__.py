@@ -1,4 +1,4 @@
-"""YAML -> frozen values, every fault with its place; protocol + participant + seed -> schedule.
+"""YAML -> frozen values, or every error with its position; protocol + participant + seed -> schedule.
 
 Input: a protocol and the files that it names (apparatus, texts, calibration, points of a target field), or the copies
 in a record. Output: `Findings`, with each file as far as it is valid and every `Problem` with its line, and an

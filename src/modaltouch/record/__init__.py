@@ -1,7 +1,7 @@
 """The record of a session: the append-only session log, the only original, and the BIDS view derived from it.
 
-In go the place of a session and its events. Out come the session as read from its log, an audit of the log against its
-own start record, and what can be recovered from a damaged log.
+Writes the events of a session; reads a session from its log, verifies the log against its own start record, and
+recovers what is left of a damaged log.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Figures, pages and files in one style, for the results of analysis, planning and lab.
 
-Matplotlib figures drawn within `house_style`, values and rows go in; pages that show them (`page_files`) and formatted
-numbers (`format_number`) come out. `write_files` puts them into a folder, rows as CSV, values as JSON, figures as SVG
-and PNG: all of them or none, and never over files of another origin.
+`page_files` makes pages from Matplotlib figures drawn within `house_style`, values and rows; `format_number` formats
+numbers. `write_files` writes them to a folder, rows as CSV, values as JSON, figures as SVG and PNG: all of them or
+none, and never over files of another origin.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def page_files(package: str, name: str, pictures: Sequence[ReportFigure], /, **v
     ----------
     package : str
         Dotted name of the package whose folder ``templates`` holds the template; templates that it extends or includes
-        may also be those of this room, such as ``base.html.j2``.
+        may also be those of this package, such as ``base.html.j2``.
     name : str
         Name of the page and of its template.
     pictures : sequence of ReportFigure

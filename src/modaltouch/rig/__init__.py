@@ -1,4 +1,4 @@
-"""Plays bursts and measures the beam: in go a `Burst` and a level, out come a `Firing` or a `Recording`.
+"""The rig: plays a `Burst` at a level, which returns a `Firing`, and measures the beam, which returns a `Recording`.
 
 A session opens the driver at a VISA address; the simulator has one too::
 

@@ -1,7 +1,7 @@
 """A session of one participant, from its set-up to its verified record.
 
-A checked experiment, a participant and a place for the record go in; the record and, while it is written, its events
-come out. ``wiring`` puts the parts together, ``setup`` opens and closes them in order, ``loop`` runs the trials.
+Takes a checked experiment, a participant and a folder for the record, and writes the record and its events. ``wiring``
+puts the parts together, ``setup`` opens and closes them in order, ``loop`` runs the trials.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""What every room needs from the computer: clocks, locks between processes, signals, and which build this is.
+"""What every package needs from the computer: clocks, locks between processes, signals, and which build this is.
 
-Only what the caller times, locks or waits for goes in; instants, locks, signals as exceptions, and the version that a
-record names come out. `lazily` makes the ``__init__`` of every room load what the room offers on first use: some of it
-takes seconds to import.
+Signals become exceptions; the version is the one stated in every record. `lazily` makes the ``__init__`` of every
+package load what it offers on first use: some of it takes seconds to import.
 """
 
 from __future__ import annotations
@@ -13,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 
 def lazily(package: str, places: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return the ``__getattr__`` (PEP 562) of a room, which imports a module when one of its names is used.
+    """Return the ``__getattr__`` (PEP 562) of a package, which imports a module when one of its names is used.
 
     Parameters
     ----------
     package : str
-        Dotted name of the room.
+        Dotted name of the package.
     places : mapping of str to str
         Names that each module offers, separated by spaces; a module in a folder has a dotted name.
 

@@ -1,7 +1,7 @@
-"""Asks the participant: the PsychoPy window, and a simulated participant behind the same interface; masking noise.
+"""The PsychoPy window that asks the participant, a simulated participant with the same interface, and masking noise.
 
-A protocol, its texts and, trial by trial, the stimulus that plays go in; the answers and their instants come out.
-``examine_surroundings`` and ``measure_timing`` tell whether a machine is fit for it.
+Takes a protocol, its texts and, trial by trial, the stimulus; returns the answers and their times.
+``examine_surroundings`` and ``measure_timing`` say whether a machine is fit for a session.
 """
 
 from __future__ import annotations
