@@ -139,12 +139,12 @@ ELSEWHERE: list[tuple[str, str, str, str]] = [
 
 def test_readme_says_what_the_matrix_proves() -> None:
     """The table of the package's README has a cell for each fault and phase that is proved here, and no other."""
-    words = {"refused": "error", "recovers": "goes on", "unconfirmed": "trial again", "unseen": "not seen"}
+    words = {"refused": "error", "recovers": "continues", "unconfirmed": "trial repeated", "unseen": "undetected"}
     proved: dict[tuple[str, str], set[str]] = {}
     for fault, _, _, phase, seen, _ in MATRIX:
         proved.setdefault((fault.replace("_", " "), phase), set()).add(words[seen])
     for fault, _, confirmed, _ in DISTURBANCES:
-        proved.setdefault((fault, "trial"), set()).add("goes on" if confirmed else "trial again")
+        proved.setdefault((fault, "trial"), set()).add("continues" if confirmed else "trial repeated")
     for fault, phase, seen in LINKS:
         proved.setdefault((fault, phase), set()).add(words[seen])
     for fault, phase, seen, test in ELSEWHERE:
