@@ -94,17 +94,17 @@ def _readme(protocols: list[protocol.Protocol]) -> Iterator[str]:
     first, name = protocols[0], protocols[0].protocol
     files = [f"protocols/{each.protocol}.yaml" for each in reversed(protocols)]
     yield f"# {first.title}\n"
-    yield f"Written by modaltouch {system.version()} from its protocol `{name}`. In this folder, in this order:\n"
+    yield f"Written by modaltouch {system.version()} from its protocol `{name}`. Run in this folder, in this order:\n"
     yield "| command | purpose |\n|---|---|"
     for file in files:
-        yield f"| `modaltouch check {file}` | after each change: faults with their place, speeds, duration |"
-        yield f"| `modaltouch simulate {file} -n 10` | simulated participants, to see what the data will look like |"
+        yield f"| `modaltouch check {file}` | after each change: errors with their position, speeds, duration |"
+        yield f"| `modaltouch simulate {file} -n 10` | simulate participants, to see what the data will look like |"
     yield f"| `modaltouch analyse results/simulated/{name}` | tables, figures, statistics, report of the simulation |"
     for file in files:
-        yield f"| `modaltouch run {file} -p p01 --fullscreen` | a session; asks for the generator's address |"
-    yield f"| `modaltouch verify results/{name}/sub-p01/ses-1` | checks its record by recomputing it |"
-    yield f"| `modaltouch analyse results/{name}` | the same for your participants |"
-    yield f"\nYour beam goes into `protocols/{first.apparatus}`, your words into `protocols/{first.texts}`."
+        yield f"| `modaltouch run {file} -p p01 --fullscreen` | run a session; asks for the generator's address |"
+    yield f"| `modaltouch verify results/{name}/sub-p01/ses-1` | check the record by recomputing it |"
+    yield f"| `modaltouch analyse results/{name}` | the same for the real sessions |"
+    yield f"\nDescribe your beam in `protocols/{first.apparatus}`, and edit the screens in `protocols/{first.texts}`."
 
 
 def _remove(path: Path) -> None:
