@@ -106,7 +106,7 @@ def test_a_problem_names_the_file_and_the_line_where_it_begins():
     """Lines count from 1; the break stands where the first unproved line does, however many follow."""
     lines = chain_of(*EVENTS).splitlines(keepends=True)
     changed = lines[1].replace(b"both", b"left")
-    broken = "the chain breaks: a line was changed, removed, doubled or moved"
+    broken = "the chain breaks: a line was changed, removed, duplicated or moved"
     assert parse_chain(lines[0] + changed + lines[2], "log").problems == (f"log:2: {broken}",)
     assert parse_chain(changed + lines[2], "log").problems == (f"log:1: {broken}",)
     cut = parse_chain(lines[0] + lines[1][:9], "log")

@@ -239,5 +239,5 @@ def test_a_damaged_log_is_neither_called_short_nor_offered_to_be_resumed(folder)
     lines[9] = lines[9].replace(b'"event":"', b'"event":"x')
     log.write_bytes(b"".join(lines))
     audit = audit_session(Session.find(folder))
-    assert audit.problems == (f"{log}:10: the chain breaks: a line was changed, removed, doubled or moved",)
+    assert audit.problems == (f"{log}:10: the chain breaks: a line was changed, removed, duplicated or moved",)
     assert audit.lines[-1] == "not complete; the analysis leaves it out"

@@ -44,7 +44,7 @@ def read_responses(
     place, *further = map(Path, (path, *labs))
     for each in (place, *further):
         if not each.exists():
-            remedy = "check the name; results lie under results/<protocol> unless --results said otherwise"
+            remedy = "check the name; results are in results/<protocol> unless --results named another folder"
             raise InputError.of(each, "no such file or folder", "a CSV file or a results folder", remedy)
         if further and not each.is_dir():
             remedy = "give the results folder of each lab; combine tables into one"

@@ -426,6 +426,6 @@ def _choose_stimulus(place: Path, frame: pd.DataFrame, stimulus: str) -> pd.Data
     names = [name for name in frame["stimulus"].unique().tolist() if name]
     if stimulus not in names:
         remedy = "choose one of them, or leave the option out; a fit needs the protocol that was answered"
-        allowed = ", ".join(names) or "sessions have one alone"
+        allowed = ", ".join(names) or "the sessions have only one"
         raise InputError.of(place, f"stimulus {stimulus!r}", allowed, remedy)
     return frame[frame["stimulus"] == stimulus].reset_index(drop=True)

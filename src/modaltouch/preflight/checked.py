@@ -120,7 +120,7 @@ class Preflight:
         """
         self.require()
         if self.variants and self.findings.protocol is not None:
-            given, remedy = f"{len(self.variants)} stimuli", "make a separate protocol of each for this"
+            given, remedy = f"{len(self.variants)} stimuli", "make a separate protocol for each"
             raise InputError([self.findings.protocol.problem(("stimuli",), given, "one stimulus", remedy)])
         return self
 

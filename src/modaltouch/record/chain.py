@@ -174,7 +174,7 @@ def parse_chain(data: bytes, name: str) -> Chain:
     if pending and (converted := conversion(data)):
         damage.append(f"{name}:1: {converted}")
     elif b"\n" in pending:
-        damage.append(f"{name}:{pending_line}: the chain breaks: a line was changed, removed, doubled or moved")
+        damage.append(f"{name}:{pending_line}: the chain breaks: a line was changed, removed, duplicated or moved")
     elif pending:
         cut.append(f"{name}:{pending_line}: the last line was cut while being written ({len(pending)} bytes)")
     elif events and not data.endswith(b"\n"):
