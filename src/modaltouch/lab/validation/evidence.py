@@ -67,6 +67,11 @@ def contrast(one: float, other: float) -> float:
     return faster / slower if slower > 0 else math.inf
 
 
+def mean_velocity(scan: Scan) -> FloatArray:
+    """Return the mean over the records, (n_positions, n_samples) array [m/s]."""
+    return np.asarray(scan.velocity.mean(axis=1))
+
+
 LAGS = np.arange(-5e-6, 25e-6, 0.25e-6)
 """Delays of the measurement that are tried [s]."""
 
@@ -120,7 +125,7 @@ def measurement_delay(observations: Sequence[Observation], predictions: Sequence
     for observation, prediction in zip(observations, predictions, strict=True):
         scan = observation.field
         near = np.abs(scan.time - observation.stimulus.timing.focusing_instant) < COMPARED
-        measured = scan.velocity[:, :, near].mean(axis=1)
+        measured = mean_velocity(scan)[:, near]
         predicted = prediction.around(scan.time[near][0] - 2 * LAGS[-1], scan.time[near][-1] - 2 * LAGS[0])
         for place, lag in enumerate(LAGS):
             missed[place] += float(np.square(measured - predicted(scan.time[near] - lag)).sum())
@@ -219,7 +224,7 @@ class Evidence:
     def _at_focus(self, scan: Scan) -> FloatArray:
         from scipy.interpolate import CubicSpline
 
-        time = scan.time - self.lag
+        time = self.times(scan)
         near = np.abs(time - self.instant) < 2e-5
         return np.asarray(CubicSpline(time[near], scan.velocity[:, :, near], axis=2)(self.instant).T)
 
@@ -241,7 +246,7 @@ class Evidence:
     @cached_property
     def speed_over_width(self) -> FloatArray:
         """Highest speed of each row during the scan of the field, (n_rows, n_positions) array [m/s]."""
-        return np.array([np.abs(scan.velocity.mean(axis=1)).max(axis=1) for scan in self.rows])
+        return np.array([np.abs(mean_velocity(scan)).max(axis=1) for scan in self.rows])
 
     @property
     def torsion(self) -> FloatArray:
@@ -302,25 +307,14 @@ class Evidence:
         """The smooth field through the measured points, (FINE,) array [m/s]."""
         return np.asarray(self._projections.mean(axis=0) @ self._shapes(self.position))
 
-    @cached_property
-    def map_time(self) -> FloatArray:
-        """Times of `velocity_map`, less the lag [s]."""
-        return self.observation.field.time - self.lag
-
-    @cached_property
-    def velocity_map(self) -> FloatArray:
-        """Mean velocity along the beam around the focus, (n_positions, n_times) array [m/s]."""
-        return np.asarray(self.observation.field.velocity.mean(axis=1))
-
-    @cached_property
-    def course_time(self) -> FloatArray:
-        """Times of `course`, less the lag [s]."""
-        return self.observation.course.time - self.lag
+    def times(self, scan: Scan) -> FloatArray:
+        """Return the times of a scan, less the lag [s]."""
+        return scan.time - self.lag
 
     @cached_property
     def course(self) -> FloatArray:
         """Mean velocity at the zones throughout the burst, (n_zones, n_times) array [m/s]."""
-        return np.asarray(self.observation.course.velocity.mean(axis=1))
+        return mean_velocity(self.observation.course)
 
     @property
     def _focus_row(self) -> int:
@@ -332,29 +326,31 @@ class Evidence:
         return np.asarray(self.course[self._focus_row])
 
     @property
-    def time_above_90(self) -> tuple[float, float]:
+    def time_above_90(self) -> dict[str, float]:
         """Time for which the velocity at the focus stays above 90 % of its peak near the focusing instant [s].
 
-        As measured, and as predicted.
+        ``measured`` and ``predicted``.
         """
-        predicted = self._above_90(self.prediction.time, self.prediction.course[self._focus_row])
-        return self._above_90(self.course_time, self.focus_course), predicted
+        courses = {
+            "measured": (self.times(self.observation.course), self.focus_course),
+            "predicted": (self.prediction.time, self.prediction.course[self._focus_row]),
+        }
+        return {name: self._above_90(*course) for name, course in courses.items()}
 
     def _above_90(self, time: FloatArray, velocity: FloatArray) -> float:
         near = np.abs(time - self.instant) < AROUND_PEAK
         time, velocity = time[near], velocity[near]
         return spot_width(time, velocity, float(time[np.abs(velocity).argmax()]), 0.9)
 
-    @cached_property
-    def zone_peak(self) -> dict[str, float]:
-        """Highest measured speed at the centre of each zone throughout the burst [m/s]."""
-        return dict(zip(self.observation.zones, np.abs(self.course).max(axis=1).tolist(), strict=True))
-
-    @cached_property
-    def predicted_zone_peak(self) -> dict[str, float]:
-        """Highest predicted speed at the centre of each zone throughout the burst [m/s]."""
-        peaks = np.abs(self.prediction.course).max(axis=1).tolist()
-        return dict(zip(self.observation.zones, peaks, strict=True))
+    @property
+    def zone_peak(self) -> dict[str, dict[str, float]]:
+        """Highest speeds at the centre of each zone throughout the burst, ``measured`` and ``predicted`` [m/s]."""
+        peaks = (np.abs(course).max(axis=1).tolist() for course in (self.course, self.prediction.course))
+        both = zip(*peaks, strict=True)
+        return {
+            zone: dict(zip(("measured", "predicted"), each, strict=True))
+            for zone, each in zip(self.observation.zones, both, strict=True)
+        }
 
 
 AROUND_PEAK = 0.1e-3

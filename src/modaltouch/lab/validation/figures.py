@@ -12,7 +12,7 @@ from matplotlib.patches import Patch
 
 from modaltouch.lab.arrays import FloatArray
 from modaltouch.lab.output import DARK, LIGHT, MIDDLE, SIGNED, draw_map
-from modaltouch.lab.validation.evidence import Evidence
+from modaltouch.lab.validation.evidence import Evidence, mean_velocity
 from modaltouch.lab.validation.key_figures import coefficients, key_figures
 from modaltouch.lab.validation.recording import AROUND
 from modaltouch.report import FAINT, INK, house_style, quiet_grid
@@ -209,6 +209,8 @@ def spectrogram(time: FloatArray, velocity: FloatArray, highest: float) -> tuple
     ValueError
         If the velocity is shorter than a window.
     """
+    from scipy.signal import spectrogram as of_windows
+
     step = (time[-1] - time[0]) / (time.size - 1)
     n_window, n_step = round(WINDOW / step), max(1, round(STEP / step))
     if velocity.size < n_window:
@@ -216,13 +218,12 @@ def spectrogram(time: FloatArray, velocity: FloatArray, highest: float) -> tuple
             f"the record lasts {velocity.size * step * 1e3:g} ms, but a window of the spectrogram needs "
             f"{WINDOW * 1e3:g} ms: record for longer"
         )
-    window = 0.5 - 0.5 * np.cos(2 * np.pi * (np.arange(n_window) + 0.5) / n_window)
-    parts = np.lib.stride_tricks.sliding_window_view(velocity, n_window)[::n_step]
-    frequency = np.fft.rfftfreq(FINER * n_window, step)
+    frequency, middle, amplitude = of_windows(
+        velocity, 1 / step, "hann", n_window, n_window - n_step, FINER * n_window, detrend=False, scaling="spectrum",
+        mode="magnitude",
+    )  # fmt: skip
     kept = frequency <= highest
-    amplitude = 2 / window.sum() * np.abs(np.fft.rfft(parts * window, FINER * n_window, axis=1)[:, kept])
-    middle = time[0] + (np.arange(len(parts)) * n_step + (n_window - 1) / 2) * step
-    return middle, frequency[kept], amplitude.T
+    return time[0] + middle, frequency[kept], 2 * amplitude[kept]
 
 
 MAP_STEP = 2e-6
@@ -237,7 +238,7 @@ _DECIBELS = 60.0
 
 def draw_maps(evidences: Sequence[Evidence]) -> Figure:
     """Draw velocity over position and time around the focus as in Fig. 5."""
-    highest = max(float(np.abs(each.velocity_map).max()) for each in evidences) * 1e3
+    highest = max(float(np.abs(mean_velocity(each.observation.field)).max()) for each in evidences) * 1e3
     with house_style(7.6, 4.4, 1, len(evidences), sharex=True, sharey=True) as (figure, [panels]):
         for axes, evidence in zip(panels, evidences, strict=True):
             time, velocity = around_focus(evidence, MAP_STEP)
@@ -260,15 +261,16 @@ def draw_maps(evidences: Sequence[Evidence]) -> Figure:
 
 def around_focus(evidence: Evidence, step: float) -> tuple[FloatArray, FloatArray]:
     """Return times around the focusing instant, about a step apart [s], and the velocities, (n_positions, n_times)."""
-    every = max(1, round(step / (evidence.map_time[1] - evidence.map_time[0])))
-    near = np.flatnonzero(np.abs(evidence.map_time - evidence.instant) <= AROUND)[::every]
-    return evidence.map_time[near], evidence.velocity_map[:, near]
+    time = evidence.times(evidence.observation.field)
+    every = max(1, round(step / (time[1] - time[0])))
+    near = np.flatnonzero(np.abs(time - evidence.instant) <= AROUND)[::every]
+    return time[near], mean_velocity(evidence.observation.field)[:, near]
 
 
 def spectrogram_of(evidence: Evidence) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the spectrogram at the focus, up to a quarter above the highest modelled mode."""
     highest = 1.25 * float(evidence.observation.stimulus.model.natural_frequency.max())
-    return spectrogram(evidence.course_time, evidence.focus_course, highest)
+    return spectrogram(evidence.times(evidence.observation.course), evidence.focus_course, highest)
 
 
 def draw_spectrograms(evidences: Sequence[Evidence]) -> Figure:
@@ -309,7 +311,7 @@ def _mark_modes(axes: Axes, evidence: Evidence) -> None:
 
 def draw_zones(evidence: Evidence) -> Figure:
     """Draw the velocity at every zone over time: its envelope throughout the burst, and in detail around the focus."""
-    observation, time = evidence.observation, evidence.course_time
+    observation, time = evidence.observation, evidence.times(evidence.observation.course)
     reach = 1.12 * float(np.abs(evidence.course).max()) * 1e3
     with house_style(
         7.6, 0.95 * len(observation.zones) + 0.9, len(observation.zones), 2, sharex="col", sharey=True
@@ -324,7 +326,7 @@ def draw_zones(evidence: Evidence) -> Figure:
             row[1].plot(evidence.prediction.time[own] * 1e3, predicted[own] * 1e3, color=MIDDLE, linewidth=2.2)
             row[1].plot(time[near] * 1e3, measured[near] * 1e3, color=DARK, linewidth=0.7)
             row[0].set_ylabel(name, rotation=0, labelpad=10, va="center", fontsize=11)
-            words = f"peak {evidence.zone_peak[name] * 1e3:.0f} mm/s"
+            words = f"peak {evidence.zone_peak[name]['measured'] * 1e3:.0f} mm/s"
             row[0].text(0.01, 0.97, words, va="top", fontsize=7.5, transform=row[0].transAxes)
             for axes in row:
                 axes.axvline(evidence.instant * 1e3, color=FAINT, linewidth=0.6, linestyle=":")

@@ -27,7 +27,8 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
     observation = evidence.observation
     stimulus = observation.stimulus
     at_focus = float(np.interp(evidence.centre, evidence.position, evidence.measured_field))
-    near = np.abs(evidence.course_time - evidence.instant) < stimulus.timing.duration
+    time = evidence.times(observation.course)
+    near = np.abs(time - evidence.instant) < stimulus.timing.duration
     highest = int(np.abs(np.where(near, evidence.focus_course, 0.0)).argmax())
     return {
         "law": evidence.law,
@@ -40,7 +41,7 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
         "unmodelled_motion_mm_s": evidence.unmodelled_motion * 1e3,
         "velocity_at_focus_mm_s": at_focus * 1e3,
         "highest_velocity_at_focus_mm_s": abs(float(evidence.focus_course[highest])) * 1e3,
-        "highest_velocity_instant_ms": float(evidence.course_time[highest]) * 1e3,
+        "highest_velocity_instant_ms": float(time[highest]) * 1e3,
         "field_error": {
             "measured_from_wished": _distance(evidence.measured_field, evidence.target_field),
             "measured_from_selected_modes": _distance(evidence.measured_field, evidence.selected_field),
@@ -50,13 +51,9 @@ def key_figures(evidence: Evidence, pairs: Sequence[tuple[str, str]]) -> dict[st
         "torsion_on_outer_rows_mm_s": _torsion(evidence) if observation.rows else None,
         "width_50_mm": _widths(evidence, 0.5),
         "width_80_mm": _widths(evidence, 0.8),
-        "time_above_90_us": {
-            name: finite(time * 1e6)
-            for name, time in zip(("measured", "predicted"), evidence.time_above_90, strict=True)
-        },
+        "time_above_90_us": {name: finite(each * 1e6) for name, each in evidence.time_above_90.items()},
         "zone_peak_mm_s": {
-            zone: {"measured": peak * 1e3, "predicted": evidence.predicted_zone_peak[zone] * 1e3}
-            for zone, peak in evidence.zone_peak.items()
+            zone: {name: peak * 1e3 for name, peak in each.items()} for zone, each in evidence.zone_peak.items()
         },
         "contrasts": [_contrast(evidence, left, right) for left, right in pairs],
         "peak_drive_V": {
@@ -131,14 +128,13 @@ def _widths(evidence: Evidence, fraction: float) -> dict[str, float | None]:
 
 
 def _contrast(evidence: Evidence, left: str, right: str) -> dict[str, Any]:
-    measured, predicted = evidence.zone_peak, evidence.predicted_zone_peak
+    one, other = evidence.zone_peak[left], evidence.zone_peak[right]
     return {
         "zone_left": left,
         "zone_right": right,
-        "left_mm_s": measured[left] * 1e3,
-        "right_mm_s": measured[right] * 1e3,
-        "measured": finite(contrast(measured[left], measured[right])),
-        "predicted": finite(contrast(predicted[left], predicted[right])),
+        "left_mm_s": one["measured"] * 1e3,
+        "right_mm_s": other["measured"] * 1e3,
+        **{name: finite(contrast(one[name], other[name])) for name in ("measured", "predicted")},
     }
 
 
