@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.arrays import FloatArray
-from modaltouch.lab.calibration.plant import INTERVAL, ModalState, Plant
+from modaltouch.lab.arrays import NORMAL_95, FloatArray
+from modaltouch.lab.calibration.plant import ModalState, Plant
 from modaltouch.lab.output import yaml_text
 from modaltouch.preflight import DesignInputs
 from modaltouch.protocol import Apparatus, Calibration
@@ -96,7 +96,7 @@ class Level:
     @property
     def true_half_width(self) -> float:
         """Half-width of the 95 % interval of the true velocity [m/s]."""
-        noise = INTERVAL * self.spread
+        noise = NORMAL_95 * self.spread
         # Where the focus and the other points disagree, either may be right.
         beyond = max(abs(self.excess / (1 + self.excess) * self.at_focus) - noise, 0.0)
         return math.hypot(noise, self.sensitivity_doubt * self.at_focus, beyond)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.arrays import NORMAL_95, FloatArray
 from modaltouch.lab.calibration.acquisition import (
     HEADROOM,
     SWEEP,
@@ -28,7 +28,6 @@ from modaltouch.lab.calibration.file import (
     significant,
 )
 from modaltouch.lab.calibration.plant import (
-    INTERVAL,
     ModalState,
     Plant,
     fit_drive,
@@ -356,7 +355,7 @@ class _Loop:
             amplitude=stimulus.burst.amplitude_for(level),
             at_focus=float(swing.sum()),
             excess=float(swing[: plant.model.n_modes].sum()) / said - 1,
-            spread=float(np.hypot(noise, np.linalg.norm(missed) / INTERVAL)),
+            spread=float(np.hypot(noise, np.linalg.norm(missed) / NORMAL_95)),
             sensitivity_doubt=plant.sensitivity_doubt,
             highest=highest,
         )

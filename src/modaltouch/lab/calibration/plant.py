@@ -13,16 +13,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.arrays import NORMAL_95, ComplexArray, FloatArray
 from modaltouch.lab.calibration.decay import SLIP_NOISE, Decay, missed_swing
 from modaltouch.rig import Recording
 from modaltouch.stimulus import Amplifier, DiagonalSystem, ModalModel, Timing
 
 LONGEST = 100e-6
 """Longest delay, and lag, that is searched for [s]."""
-
-INTERVAL = 1.96
-"""Half-width of a 95 % interval, in standard errors [1]."""
 
 DISAGREEMENT = 1.3
 """Standard error from the disagreement of eight points over that from noise, up to which noise explains it [1]."""
@@ -362,7 +359,7 @@ class Plant:
             velocity=swing.real,
             displacement=turned.real,
             spread=spread,
-            half_width=np.sqrt((INTERVAL * either) ** 2 + late**2 + missed**2),
+            half_width=np.sqrt((NORMAL_95 * either) ** 2 + late**2 + missed**2),
             change=error.imag / pole.imag,
             disagreement=by_points,
             slip=np.abs(swing * error / pole.real),

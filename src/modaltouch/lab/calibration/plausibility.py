@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.arrays import NORMAL_95, FloatArray
 from modaltouch.lab.calibration.decay import Decay
 from modaltouch.lab.calibration.file import CERTAIN, CalibrationResult, Level
-from modaltouch.lab.calibration.plant import INTERVAL, DriveDelay, ModalState, Plant, modal_swings
+from modaltouch.lab.calibration.plant import DriveDelay, ModalState, Plant, modal_swings
 from modaltouch.protocol import Protocol
 from modaltouch.rig import Recording, RigError
 from modaltouch.stimulus import ModalModel
@@ -225,7 +225,7 @@ def refuse_implausible_velocity(recording: Recording) -> None:
     n_records = len(velocity)
     off = velocity - np.median(velocity, axis=0)
     # Not from the median, which is 0 if most samples agree to within one step of the converter.
-    noise = float(np.quantile(np.abs(off), 0.95)) / INTERVAL
+    noise = float(np.quantile(np.abs(off), 0.95)) / NORMAL_95
     power = float(np.mean(velocity**2))
     if n_records < 4 or power == 0:
         return
@@ -363,7 +363,7 @@ def _level_error(level: Level, allowed: float, highest: float) -> float:
     noise = 100 * level.spread / level.velocity
     if deviation > max(allowed, CERTAIN * noise):
         return deviation
-    uncertainty = 100 * INTERVAL * level.spread / highest
+    uncertainty = 100 * NORMAL_95 * level.spread / highest
     return uncertainty if uncertainty > allowed else 0.0
 
 
@@ -371,9 +371,9 @@ def _causes(outcome: CalibrationResult, protocol: Protocol, missed: list[dict[st
     """Yield the cause that the records show, with its remedy."""
     limits, last = protocol.calibration.limits, outcome.turns[-1].state
     allowed = min(limits.velocity_mm_s, limits.displacement_mm_s) * 1e-3
-    noise = INTERVAL * float(outcome.best.state.spread.max())
+    noise = NORMAL_95 * float(outcome.best.state.spread.max())
     highest, excess = max((level.velocity, level.excess) for level in outcome.levels)
-    level_noise = INTERVAL * max(level.spread for level in outcome.levels)
+    level_noise = NORMAL_95 * max(level.spread for level in outcome.levels)
     if any(each["limit"] == "drive_percent" for each in missed):
         output = int(outcome.drive_shortfall.argmax())
         yield (

@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.arrays import NORMAL_95, ComplexArray, FloatArray
 from modaltouch.lab.identification.peaks import HalfPower, Poles
 from modaltouch.lab.identification.responses import FrequencyResponses
-
-NORMAL_95 = 1.959963984540054
-"""Half-width of a 95 % interval of a normal distribution, in standard deviations."""
 
 
 @dataclass(frozen=True)

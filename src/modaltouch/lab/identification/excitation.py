@@ -54,7 +54,7 @@ CLOCK_TOLERANCE = 20e-6
 """How far the clocks of scope and generator may differ according to their data sheets [1]."""
 
 HEADROOM = 1.5
-"""Input range for the vibrometer over its peak at the end of the beam, which moves most [1]."""
+"""Input range for the vibrometer over its expected peak: seen at the end of the beam, or predicted for a probe [1]."""
 
 
 def excite(apparatus: Apparatus, set_name: str, voltage: float, highest: float, kind: Excitation = "chirp") -> Burst:

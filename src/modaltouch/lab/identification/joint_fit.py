@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.arrays import ComplexArray, FloatArray, low_pass
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
 from modaltouch.lab.identification.kernel import Bins, Evaluation, LeastSquaresProblem, evaluate
 from modaltouch.lab.identification.modal_parameters import ModalParameters
@@ -167,9 +167,7 @@ def _course(problem: LeastSquaresProblem, natural_frequency: FloatArray, ratio: 
     """Return the responses of modes at the centres of the groups of bins, (n_modes, n_groups) array."""
     omega = 2 * np.pi * problem.bins.centre
     own = 2 * np.pi * natural_frequency[:, None]
-    turn = np.exp(-1j * omega * delay)
-    if problem.bandwidth is not None:
-        turn = turn / (1 + 1j * problem.bins.centre / problem.bandwidth)
+    turn = np.exp(-1j * omega * delay) * low_pass(problem.bins.centre, problem.bandwidth)
     course = 1j * omega * turn / (own**2 - omega**2 + 2j * ratio * own * omega)
     return np.asarray(course * problem.weight)
 

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.arrays import ComplexArray, FloatArray, low_pass
 
 N_REST = 4
 """Real columns of the complex linear background."""
@@ -141,9 +141,7 @@ class LeastSquaresProblem:
     @cached_property
     def low_pass(self) -> ComplexArray:
         """The known low-pass, (n_nodes,) array [1]."""
-        if self.bandwidth is None:
-            return np.ones(self.omega.size, dtype=complex)
-        return np.asarray(1 / (1 + 1j * self.bins.nodes / self.bandwidth))
+        return low_pass(self.bins.nodes, self.bandwidth)
 
 
 @dataclass(frozen=True, eq=False)

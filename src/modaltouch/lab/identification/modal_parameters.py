@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray
-from modaltouch.lab.identification.estimates import NORMAL_95, Estimate, Identification, IdentifiedMode, Rest
+from modaltouch.lab.arrays import NORMAL_95, ComplexArray, FloatArray
+from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode, Rest
 from modaltouch.lab.identification.kernel import N_REST, Evaluation, LeastSquaresProblem, complex_residue, fitted
 from modaltouch.lab.identification.peaks import HalfPower, Poles, half_power
 from modaltouch.lab.identification.points import refuse_odd_point

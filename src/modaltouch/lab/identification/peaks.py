@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray
+from modaltouch.lab.arrays import ComplexArray, FloatArray, low_pass
 from modaltouch.lab.identification.responses import FrequencyResponses, along
 from modaltouch.stimulus import mode_shapes
 
@@ -61,34 +61,25 @@ def half_power(frequency: FloatArray, magnitude: FloatArray, near: float, reach:
     near, reach : float
         The highest bin within `reach` of `near` is the peak [Hz].
     """
+    from scipy.signal import peak_widths
+
     spacing = float(frequency[1] - frequency[0])
     # A pole may lie beyond the band, in which case only the end of the band shows it.
     near = float(np.clip(near, frequency[0], frequency[-1]))
     inside = np.flatnonzero(np.abs(frequency - near) <= max(reach, 1.5 * spacing))
     peak = int(inside[magnitude[inside].argmax()])
     power = magnitude.astype(float) ** 2
-    left, right = _crossing(power, peak, -1), _crossing(power, peak, +1)
-    width = (right + left) * spacing if left is not None and right is not None else math.nan
+    span = np.array([power[peak]]), np.array([0]), np.array([power.size - 1])
+    _, half, (left,), (right,) = peak_widths(power, [peak], rel_height=0.5, prominence_data=span)
+    between = power[int(np.ceil(left)) : int(right) + 1]
+    reached = power[int(left)] <= half and power[int(np.ceil(right))] <= half and between.max() <= power[peak]
+    width = (right - left) * spacing if reached else math.nan
     return HalfPower(
         peak_frequency=float(frequency[peak]),
         height=float(magnitude[peak]),
         damping_ratio=width / (2 * float(frequency[peak])),
         n_bins=width / spacing,
     )
-
-
-def _crossing(power: FloatArray, peak: int, step: int) -> float | None:
-    """Return the distance from a peak to half its power [bins], linearly interpolated; None if it is not reached."""
-    half = power[peak] / 2
-    index = peak
-    while 0 <= index + step < power.size:
-        before, index = index, index + step
-        if power[index] <= half:
-            part = (power[before] - half) / (power[before] - power[index])
-            return float(abs(before - peak) + part)
-        if power[index] > power[peak]:
-            return None
-    return None
 
 
 SIGNIFICANT = 7.0
@@ -336,9 +327,7 @@ def first_delay(responses: FrequencyResponses, peaks: Sequence[_Peak]) -> float:
     for peak in resolved:
         low, high = np.searchsorted(responses.frequency, [peak.frequency - peak.width, peak.frequency + peak.width])
         band = slice(max(0, int(low) - 1), int(high) + 1)
-        own = peak.share[:, band]
-        if responses.bandwidth is not None:
-            own = own * (1 + 1j * responses.frequency[band] / responses.bandwidth)
+        own = peak.share[:, band] / low_pass(responses.frequency[band], responses.bandwidth)
         twice.append(complex((own**2).sum()) / max(float((np.abs(own) ** 2).sum()), 1e-300))
     _refuse_rising(responses, peaks, float(np.mean(np.real(twice[:FEWEST_PHASES]))) if twice else 0.0)
     if not resolved:

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.lab.arrays import ComplexArray, FloatArray
-from modaltouch.lab.identification.excitation import OVERSAMPLING, RATE
+from modaltouch.lab.arrays import ComplexArray, FloatArray, low_pass
+from modaltouch.lab.identification.excitation import HEADROOM, OVERSAMPLING, RATE
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.protocol import Apparatus
 from modaltouch.rig import Acquisition, Recording, RigError, instrument_of
@@ -51,9 +51,6 @@ N_SILENT = 25
 
 ROOM = 0.8
 """Fraction of the amplifier's limit that a probe may use [1]."""
-
-HEADROOM = 1.5
-"""Range of scope and vibrometer over the predicted peak [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +168,7 @@ class Excitation:
         window = 1 - np.cos(2 * np.pi * (np.arange(n) + 0.5) / n)
         velocity = rfft(recording.velocity[number] * window) / n
         frequency = self.bins * recording.sampling_rate / n
-        per_volt = (1.0 if bandwidth is None else 1 + 1j * frequency / bandwidth) / self.line
+        per_volt = 1 / (low_pass(frequency, bandwidth) * self.line)
         deviation = self._noise(velocity) * np.abs(per_volt) / np.sqrt(2)
         drive = np.eye(len(self.burst.codes))[self.channel]
         return Probe(recording.position, frequency, drive, velocity[self.bins] * per_volt, deviation)
@@ -223,9 +220,8 @@ def _wave(response: ComplexArray | float, line: ComplexArray, bins: NDArray[np.i
 def _at_beam(apparatus: Apparatus, burst: Burst, bins: NDArray[np.intp]) -> ComplexArray:
     """Return the spectrum of the commanded voltage, with sample and hold, (n_channels, n_lines) array [V]."""
     spectrum = np.fft.rfft(burst.commanded(apparatus.to_beam))[:, bins] / N_SAMPLES
-    corner = apparatus.amplifier_values().bandwidth
-    passed = 1.0 if corner is None else 1 / (1 + 1j * SPACING * bins / corner)
-    return np.asarray(spectrum * np.sinc(bins / N_SAMPLES) * np.exp(-1j * np.pi * bins / N_SAMPLES) * passed)
+    held = np.sinc(bins / N_SAMPLES) * np.exp(-1j * np.pi * bins / N_SAMPLES)
+    return np.asarray(spectrum * held * low_pass(SPACING * bins, apparatus.amplifier_values().bandwidth))
 
 
 BURST_OVERSAMPLING = 2
@@ -300,13 +296,12 @@ class BurstRecord:
         bins = self._bins(n_held * hold)
         frequency = bins / (n_held * hold)
         noise = noise_level(rfft(silence), np.arange(GAP, silence.size // 2), bins * silence.size / seen.size)
-        passed = 1.0 if bandwidth is None else 1 + 1j * frequency / bandwidth
-        deviation = noise * np.sqrt(seen.size / silence.size / 2) / rate * np.abs(passed)
+        passed = low_pass(frequency, bandwidth)
+        deviation = noise * np.sqrt(seen.size / silence.size / 2) / rate / np.abs(passed)
         voltage = rfft(self.stimulus.voltage_played(self.velocity), n_held, axis=1)[:, bins] * hold
         voltage = voltage * np.sinc(frequency * hold) * np.exp(-1j * np.pi * frequency * hold)
-        corner = self.stimulus.amplifier.bandwidth
-        drive = voltage if corner is None else voltage / (1 + 1j * frequency / corner)
-        return Probe(recording.position, frequency, drive.T, rfft(seen)[bins] / rate * passed, deviation)
+        drive = voltage * low_pass(frequency, self.stimulus.amplifier.bandwidth)
+        return Probe(recording.position, frequency, drive.T, rfft(seen)[bins] / rate / passed, deviation)
 
     def _until(self, part: float) -> float:
         """Return the time from the start of the burst to a fraction of the silence after it [s]."""

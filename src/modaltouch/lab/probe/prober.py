@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.arrays import NORMAL_95, FloatArray
 from modaltouch.lab.calibration.plausibility import COMMON_FACTORS
-from modaltouch.lab.identification.estimates import NORMAL_95
 from modaltouch.lab.laboratory import Laboratory
 from modaltouch.lab.output import rounded
 from modaltouch.lab.probe.excitation import BurstRecord, Excitation

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from modaltouch.lab.arrays import FloatArray
+from modaltouch.lab.arrays import NORMAL_95, FloatArray
 from modaltouch.lab.output import DARK, LIGHT, MIDDLE, SIGNED, draw_map
 from modaltouch.lab.validation.evidence import Evidence, mean_velocity
 from modaltouch.lab.validation.key_figures import coefficients, key_figures
@@ -85,7 +85,7 @@ def _draw_bars(axes: Axes, lines: list[dict[str, Any]]) -> None:
 def _draw_errors(axes: Axes, lines: list[dict[str, Any]]) -> None:
     place = np.arange(len(lines))
     error = [line["achieved_mm_s"] - line["target_mm_s"] for line in lines]
-    spread = [1.96 * (line["standard_error_mm_s"] or 0.0) for line in lines]
+    spread = [NORMAL_95 * (line["standard_error_mm_s"] or 0.0) for line in lines]
     for line in (-PAPER_WORST, PAPER_WORST):
         axes.axhline(line, color=FAINT, linewidth=0.8, linestyle="--")
     axes.text(len(lines) - 0.5, PAPER_WORST, "paper's worst", ha="right", va="bottom", fontsize=7, color=FAINT)
@@ -121,7 +121,7 @@ def _draw_field(axes: Axes, evidence: Evidence) -> None:
     axes.errorbar(
         evidence.observation.field.positions * 1e3,
         evidence.measured_points * 1e3,
-        yerr=np.nan_to_num(1.96 * evidence.points_error * 1e3),
+        yerr=np.nan_to_num(NORMAL_95 * evidence.points_error * 1e3),
         fmt="o",
         color=DARK,
         markersize=2.8,
