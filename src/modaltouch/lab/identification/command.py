@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from modaltouch.lab.identification.estimates import Identification
 from modaltouch.lab.identification.excitation import (
     CLOCK_TOLERANCE,
     LOWEST,
@@ -21,15 +20,14 @@ from modaltouch.lab.identification.excitation import (
     excite,
     highest_needed,
 )
-from modaltouch.lab.identification.export import check_export, export
 from modaltouch.lab.identification.files import read_responses
 from modaltouch.lab.identification.joint_fit import identify as fit_jointly
 from modaltouch.lab.identification.joint_fit import identify_each, over_repeats
 from modaltouch.lab.identification.report import (
     COMMAND,
-    as_dict,
+    IdentificationReport,
+    check_export,
     identified_apparatus,
-    write_identification,
 )
 from modaltouch.lab.identification.responses import (
     FrequencyResponses,
@@ -122,58 +120,6 @@ class IdentifyOptions:
     rows: int = 1
 
 
-@dataclass(frozen=True, eq=False)
-class IdentificationReport:
-    """The modes found, and the apparatus file that lists them.
-
-    Attributes
-    ----------
-    found : Identification
-        The modes.
-    mode : str
-        ``simulated``, ``real`` or ``file``.
-    sources : str or list of str
-        Files or folders the responses come from.
-    folder : Path
-        Folder for the results.
-    labels : tuple of int
-        Modes of the new table.
-    apparatus : (str, str) or None
-        Name and text of the apparatus file; None where there are no shapes and hence no gains.
-    export : Path or None
-        File to which the responses and shapes are written for other programs.
-    """
-
-    found: Identification
-    mode: str
-    sources: str | list[str]
-    folder: Path
-    labels: tuple[int, ...] = ()
-    apparatus: tuple[str, str] | None = None
-    export: Path | None = None
-
-    def write(self) -> dict[str, Any]:
-        """Write table, shapes, figures and apparatus file, and return the plain values with the path of each file.
-
-        Raises
-        ------
-        RecordError
-            If the folder holds something else or cannot be written.
-        """
-        written = write_identification(self.folder, self.found, self.apparatus, {"sources": self.sources})
-        if self.export is not None:
-            export(self.found, self.export)
-            written[self.export.name] = self.export
-        table = {} if self.apparatus is None else {"table_modes": list(self.labels)}
-        return {
-            **as_dict(self.found),
-            "mode": self.mode,
-            **table,
-            "apparatus_file": None if self.apparatus is None else str(written[self.apparatus[0]]),
-            "files": {name: str(path) for name, path in written.items()},
-        }
-
-
 def identify(options: IdentifyOptions, progress: MeasurementProgress = SILENT_PROGRESS) -> IdentificationReport:
     """Identify the modes of a beam from a new or earlier scan, or from files of measured responses.
 
@@ -200,11 +146,11 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress = SILENT_PR
     """
     if options.export is not None:
         check_export(options.export)
+    refuse_other(options.out, COMMAND)
     folders = options.files if all(path.is_dir() for path in options.files) else ()
     if options.files and not folders:
         responses = _read(options)
         if responses.positions is None or responses.n_points < FEWEST_SHAPE_POINTS:
-            refuse_other(options.out, COMMAND)
             with _fitting(progress):
                 found = over_repeats(identify_each(responses))
             check_all(found)
@@ -285,7 +231,6 @@ class _Beam:
     def measure(self, progress: MeasurementProgress) -> list[dict[str, Scan]]:
         """Return the scans of each row, measured now or resumed."""
         options, out = self.options, self.options.out
-        refuse_other(out, COMMAND)
         positions = evenly(self.length, options.points, options.margin)
         check_points(np.array(positions), self.labels, self.length)
         highest = highest_needed(self.apparatus) if options.highest is None else options.highest
@@ -341,7 +286,6 @@ class _Beam:
         self, responses: FrequencyResponses, facts: dict[str, Any], progress: MeasurementProgress
     ) -> IdentificationReport:
         """Return the modes and the apparatus file with the new table."""
-        refuse_other(self.options.out, COMMAND)
         if self.options.leave_out:
             responses = responses.without(self.options.leave_out)
         if responses.places:

@@ -35,6 +35,24 @@ MOST_SETS = 6
 """Largest number of excitations drawn, one panel each."""
 
 
+def draw_all(identification: Identification) -> dict[str, Figure]:
+    """Return every figure that the responses allow, by file name."""
+    drawn = {
+        "responses": draw_responses(identification),
+        "fits": draw_fits(identification),
+        "stability": draw_stability(identification),
+    }
+    if any(mode.residue.size > 1 for mode in identification.modes):
+        drawn["complexity"] = draw_complexity(identification)
+    if identification.responses.coherence is not None:
+        drawn["coherence"] = draw_coherence(identification)
+    if identification.shaped:
+        drawn["fig_4"] = draw_shapes(identification)
+    if identification.shaped and np.any(identification.responses.across):
+        drawn["fig_4_map"] = draw_shape_maps(identification)
+    return drawn
+
+
 def draw_responses(identification: Identification) -> Figure:
     """Draw the responses, root mean square over the points, with the fit and the residual."""
     responses = identification.responses

@@ -1,20 +1,28 @@
-"""An identification as Table I, as plain values and as files, including the apparatus file with the new table."""
+"""An identification as Table I, as plain values and as files, including the apparatus file with the new table.
+
+Responses and mode shapes are exported for other programs: a universal file (data sets 164, 2411, 58 and 55) or CSV.
+"""
 
 from __future__ import annotations
 
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
+from modaltouch.lab.identification.files import CSV_COLUMNS
 from modaltouch.lab.identification.responses import along
 from modaltouch.lab.identification.shapes import over_width, phase_collinearity, phase_deviation, recognise
 from modaltouch.lab.identification.verdict import misfit_verdict, repeatability, warnings
-from modaltouch.protocol import Apparatus, Source
+from modaltouch.protocol import Apparatus, InputError, Problem, Source
+from modaltouch.record import RecordError
 from modaltouch.report import refuse_other, write_files
 from modaltouch.system import version
 
@@ -119,49 +127,64 @@ def map_rows(identification: Identification) -> list[dict[str, str]]:
     ]
 
 
-def write_identification(
-    folder: Path, identification: Identification, apparatus: tuple[str, str] | None, about: dict[str, Any]
-) -> dict[str, Path]:
-    """Write table, shapes, figures and apparatus file into a folder, all or nothing.
+@dataclass(frozen=True, eq=False)
+class IdentificationReport:
+    """The modes found, and the apparatus file that lists them.
 
-    Parameters
+    Attributes
     ----------
+    found : Identification
+        The modes.
+    mode : str
+        ``simulated``, ``real`` or ``file``.
+    sources : str or list of str
+        Files or folders the responses come from.
     folder : Path
-        Folder for the files.
-    identification : Identification
-        The modes found.
+        Folder for the results.
+    labels : tuple of int
+        Modes of the new table.
     apparatus : (str, str) or None
-        Name and text of the apparatus file; None where no gains were measured.
-    about : dict
-        Further entries of the manifest.
-
-    Raises
-    ------
-    RecordError
-        If the folder holds something else or cannot be written.
+        Name and text of the apparatus file; None where there are no shapes and hence no gains.
+    export : Path or None
+        File to which the responses and shapes are written for other programs.
     """
-    from modaltouch.lab.identification import figures as draw
 
-    refuse_other(folder, COMMAND)
-    figures = {
-        "responses": draw.draw_responses(identification),
-        "fits": draw.draw_fits(identification),
-        "stability": draw.draw_stability(identification),
-    }
-    if any(mode.residue.size > 1 for mode in identification.modes):
-        figures["complexity"] = draw.draw_complexity(identification)
-    if identification.responses.coherence is not None:
-        figures["coherence"] = draw.draw_coherence(identification)
-    files: dict[str, Any] = {"table_1.csv": table_rows(identification), "identification.json": as_dict(identification)}
-    if identification.shaped:
-        figures["fig_4"] = draw.draw_shapes(identification)
-        files["shapes.csv"] = shape_rows(identification)
-    if identification.shaped and np.any(identification.responses.across):
-        figures["fig_4_map"] = draw.draw_shape_maps(identification)
-        files["shapes_map.csv"] = map_rows(identification)
-    if apparatus is not None:
-        files[apparatus[0]] = apparatus[1]
-    return write_files(folder, files, {"version": version(), **about}, COMMAND, figures)
+    found: Identification
+    mode: str
+    sources: str | list[str]
+    folder: Path
+    labels: tuple[int, ...] = ()
+    apparatus: tuple[str, str] | None = None
+    export: Path | None = None
+
+    def write(self) -> dict[str, Any]:
+        """Write table, shapes, figures and apparatus file, and return the plain values with the path of each file.
+
+        Raises
+        ------
+        RecordError
+            If the folder holds something else or cannot be written.
+        """
+        from modaltouch.lab.identification.figures import draw_all
+
+        refuse_other(self.folder, COMMAND)
+        values = as_dict(self.found)
+        files: dict[str, Any] = {"table_1.csv": table_rows(self.found), "identification.json": values}
+        if self.found.shaped:
+            files["shapes.csv"] = shape_rows(self.found)
+        if self.found.shaped and np.any(self.found.responses.across):
+            files["shapes_map.csv"] = map_rows(self.found)
+        table: dict[str, Any] = {"apparatus_file": None}
+        if self.apparatus is not None:
+            name, files[name] = self.apparatus
+            table = {"table_modes": list(self.labels), "apparatus_file": str(self.folder / name)}
+        about = {"version": version(), "sources": self.sources}
+        written = write_files(self.folder, files, about, COMMAND, draw_all(self.found))
+        if self.export is not None:
+            export(self.found, self.export)
+            written[self.export.name] = self.export
+        paths = {name: str(path) for name, path in written.items()}
+        return {**values, "mode": self.mode, **table, "files": paths}
 
 
 def _pair(estimate: Estimate, scale: float = 1.0) -> dict[str, float | None]:
@@ -283,3 +306,108 @@ def _flow(values: Any) -> Any:
     made = CommentedSeq(values) if isinstance(values, list) else CommentedMap(values)
     made.fa.set_flow_style()
     return made
+
+
+ENDINGS = (".uff", ".unv", ".csv")
+"""Endings of an export, which select its format."""
+
+
+def check_export(path: Path) -> None:
+    """Refuse, before anything is measured, a file whose ending is not one of `ENDINGS`.
+
+    Raises
+    ------
+    InputError
+        With the allowed endings.
+    """
+    if path.suffix.lower() not in ENDINGS:
+        given = f"--export with the ending '{path.suffix}'"
+        raise InputError(
+            [Problem(str(path), 0, 0, "", given, ", ".join(ENDINGS), "give the file one of these endings")]
+        )
+
+
+def export(identification: Identification, path: Path) -> None:
+    """Write the measured responses and, in a universal file, the mode shapes; all or nothing.
+
+    Parameters
+    ----------
+    identification : Identification
+        The responses and the modes found.
+    path : Path
+        The file; its ending is one of `ENDINGS`.
+
+    Raises
+    ------
+    RecordError
+        If it cannot be written.
+    """
+    part = path.with_name(path.name + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix.lower() == ".csv":
+            with part.open("w", encoding="utf-8", newline="") as file:
+                file.writelines(_lines(identification))
+        else:
+            import pyuff
+
+            with catch_warnings():
+                # pyuff does not close the file object that it uses for binary data.
+                simplefilter("ignore", ResourceWarning)
+                pyuff.UFF(str(part)).write_sets(list(_sets(identification)), mode="overwrite")
+        part.replace(path)
+    except OSError as error:
+        raise RecordError(f"{path}: {error.strerror}; name another file with --export") from error
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+def _lines(identification: Identification) -> Iterator[str]:
+    """Yield the header and one line per number, in the format that `identify` reads."""
+    responses = identification.responses
+    coherence, rows = responses.coherence, bool(np.any(responses.across))
+    further = ("coherence", "across_mm") if rows else ("coherence",)
+    yield ",".join((*CSV_COLUMNS, *further[coherence is None :])) + "\n"
+    for s, name in enumerate(responses.sets):
+        for p in range(responses.n_points):
+            place = "" if responses.positions is None else f"{responses.positions[p] * 1e3:.9g}"
+            row = f",{responses.places[p].across * 1e3:.9g}" if rows else ""
+            for k, (frequency, value) in enumerate(zip(responses.frequency, responses.response[s, p], strict=True)):
+                certain = "" if coherence is None else f",{coherence[s, p, k]:.6g}"
+                yield f"{frequency:.12g},{name},{place},{value.real:.9g},{value.imag:.9g}{certain}{row}\n"
+
+
+def _sets(identification: Identification) -> Iterator[dict[str, Any]]:
+    """Yield the data sets in the order in which they refer to each other, all in SI units."""
+    responses = identification.responses
+    nodes, origin = np.arange(1, responses.n_points + 1), np.zeros(responses.n_points)
+    yield {
+        "type": 164, "units_code": 1, "units_description": "SI: Meter (newton)", "temp_mode": 1,
+        "length": 1.0, "force": 1.0, "temp": 1.0, "temp_offset": 273.15,
+    }  # fmt: skip
+    if responses.positions is not None:
+        yield {
+            "type": 2411, "node_nums": nodes, "def_cs": nodes * 0, "disp_cs": nodes * 0, "color": nodes * 0 + 11,
+            "x": responses.positions, "y": origin + responses.across, "z": origin,
+        }  # fmt: skip
+    for s, name in enumerate(responses.sets):
+        for p in range(responses.n_points):
+            yield {
+                "type": 58, "binary": 1, "func_type": 4,
+                "id1": f"velocity per unit of excitation, {name}", "id2": "NONE", "id3": "NONE", "id4": "NONE",
+                "id5": "NONE", "rsp_node": p + 1, "rsp_dir": 3, "ref_node": responses.n_points + 1 + s, "ref_dir": 3,
+                "ord_data_type": 6, "abscissa_spacing": 1, "abscissa_spec_data_type": 18,
+                "ordinate_spec_data_type": 11, "orddenom_spec_data_type": 0,
+                "x": responses.frequency, "data": responses.response[s, p],
+            }  # fmt: skip
+    for number, mode in enumerate(identification.modes, start=1):
+        if mode.shape is not None:
+            yield {
+                "type": 55, "id1": f"mode {mode.name}, of unit mean square", "id2": "NONE",
+                "id3": "NONE", "id4": "NONE", "id5": "NONE", "model_type": 1, "analysis_type": 2, "data_ch": 2,
+                "spec_data_type": 8, "data_type": 2, "n_data_per_node": 3, "load_case": 1,
+                "mode_n": mode.label or number, "freq": mode.natural_frequency.value, "modal_m": 1.0,
+                "modal_damp_vis": mode.damping_ratio.value, "modal_damp_his": 0.0,
+                "node_nums": nodes, "r1": origin, "r2": origin, "r3": mode.shape,
+            }  # fmt: skip
