@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import pyvisa
+from cable import Cable
 from pyvisa.ctwrapper import IVIVisaLibrary
 
 from modaltouch.protocol.apparatus import Apparatus
@@ -64,6 +65,23 @@ def test_reply_after_a_block_that_ends_in_line_feeds_is_its_own(simulator: Simul
         assert session.exchange(b"DATA:POIN? EMEM\n", timeout=1.0, reply=True) == b"2\n"
     finally:
         session.close(broken=False)
+
+
+def test_trigger_into_a_dead_raw_socket_is_no_trigger(simulator: Simulator) -> None:
+    """A write into it succeeds, and the burst that was never played would count as played."""
+    with Cable(simulator.server.port) as cable:
+        session = VisaSession(f"TCPIP::127.0.0.1::{cable.port}::SOCKET")
+        session.open()
+        try:
+            assert session.exchange(b"TRIG:SEQ:IMM\n", timeout=1.0, reply=False) == b""
+            assert session.exchange(b"*IDN?\n", timeout=1.0, reply=True).startswith(b"TEKTRONIX"), (
+                "nothing is left over"
+            )
+            cable.cut(new=False)
+            with pytest.raises(pyvisa.VisaIOError, match="VI_ERROR_TMO"):
+                session.exchange(b"TRIG:SEQ:IMM\n", timeout=0.3, reply=False)
+        finally:
+            session.release()
 
 
 def test_session_that_was_cut_may_still_be_counted(single_link: Simulator, monkeypatch: pytest.MonkeyPatch) -> None:

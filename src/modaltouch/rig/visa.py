@@ -88,6 +88,7 @@ class VisaSession:
         self._timeout = 0.0
         self._shares = shares
         self._is_socket = self._address.upper().endswith("SOCKET")
+        self._acknowledges = not self._is_socket and "HISLIP" not in self._address.upper()
         self._lock: int | None = None
         self._counted_until = 0.0
 
@@ -126,7 +127,14 @@ class VisaSession:
         return "other programs on this machine are kept out"
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
-        """Send a message, and return the reply if one is expected; each may take as long as `timeout` [s]."""
+        """Send a message, and return the reply if one is expected; each may take as long as `timeout` [s].
+
+        Without a reply, return once the instrument has accepted it: where the link acknowledges nothing, once it
+        answers a query after it, unless the message holds a block.
+        """
+        if not (reply or self._acknowledges or b"#" in message):
+            self.exchange(message.rstrip() + b";*STB?\n", timeout=timeout, reply=True)
+            return b""
         resource = self._resource
         if resource is None:
             raise ConnectionError("the VISA session is closed")
