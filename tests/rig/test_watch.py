@@ -504,6 +504,12 @@ def test_trigger_that_fails_is_told_with_the_next_sign_of_life() -> None:
     master.pipe.write(frame(BEAT, 3))
     ((done, _, lost),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))
     assert (done, lost) == (DONE, b"failed: trigger 1 failed (OSError: gone)")
+    master.pipe.write(request(ARM), frame(LATE, 4))
+    ((_, number, _),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))
+    assert number == 4, "the next stimulus is being prepared"
+    master.pipe.write(frame(BEAT, 3))
+    ((done, _, lost),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))
+    assert (done, lost) == (DONE, b""), "it is not lost before it has begun"
     assert master.ask(PLAY, order(5))["ended"] == ""
     master.pipe.write(frame(BEAT, 3))
     ((done, _, lost),) = read_frames(io.BytesIO(master.answers.get(timeout=60)))

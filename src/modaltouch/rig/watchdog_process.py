@@ -159,7 +159,9 @@ class WatchdogProcess:
         self, letter: bytes, content: bytes, answer_later: Callable[[bytes], None]
     ) -> tuple[bytes, bytes] | None:
         if letter == ARM:
-            (self._plays_by_itself,), self._held_up = FLAG.unpack(content), 0.0
+            self._end_bursts()
+            # How the bursts before it ended is no news of the stimulus that begins now.
+            self._pacer, (self._plays_by_itself,), self._held_up = None, FLAG.unpack(content), 0.0
             self._armed.set()
         elif letter == DISARM:
             self._armed.clear()
