@@ -41,6 +41,7 @@ def test_numbers_are_filled_in(paper_frame) -> None:
     assert "Yes, in 4 of 6 tests: one zone is chosen more than the other for at least one participant." in told["a2"]
     assert "changes with the level for at least one participant: none of 6 tests could reach p ≤ 0.05." in told["b"]
     assert told["e"].startswith("Gwet AC1 from 0.")
+    assert re.match(r"P\(C\) from 0.* to 1 .*; P\(B\) from 0.[12].* to 0.[12]\S* \[[^;]*\.", told["f"])
     rows = find(count_answers(paper_frame), paper_frame)
     (row,) = [row for row in rows if (row.family, row.scope) == ("a2 mean", "one_hand C-E")]
     assert row.note == "38 C, 0 E, 2 both of 40 answers; 10 of 10 participants lean to C"

@@ -150,16 +150,15 @@ def _answer_family(tested: Sequence[Finding], claim: str, answers: AnswerCounts)
 
 
 def _estimate(own: Sequence[Finding], answers: AnswerCounts) -> str:
-    """Return the range of the estimates, and how many uncorrected tests are significant."""
-    first = [row for row in own if row.name == own[0].name and math.isfinite(row.estimate)]
-    in_order = sorted(first, key=lambda row: row.estimate)
-    ends = in_order if len(first) < 2 else [in_order[0], in_order[-1]]
-    about = [_about(row, answers) for row in ends]
-    if len(ends) > 1 and ends[0].quantity == ends[1].quantity:
-        about = [words.removeprefix(f"{ends[0].quantity} = ") for words in about]
-        said = [f"{ends[0].quantity} from {' to '.join(about)}"]
-    else:
-        said = [" to ".join(about) or "not estimable: see the notes"]
+    """Return the range of the estimates of each quantity, and how many uncorrected tests are significant."""
+    alike: dict[str, list[Finding]] = {}
+    for row in own:
+        if row.name == own[0].name and math.isfinite(row.estimate):
+            alike.setdefault(row.quantity, []).append(row)
+    # Shares of different answers are not compared; of two zones, the dominant one tells the effect.
+    dominant = {f"P({pair.dominant})" for pair in answers.pairs} & alike.keys() if answers.compares else set()
+    ranges = "; ".join(_range(alike[each], answers) for each in alike if each in (dominant or alike))
+    said = [ranges or "not estimable: see the notes"]
     tested = [row for row in own if row.p == row.p]
     if tested:
         n_low = sum(row.p <= ALPHA for row in tested)
@@ -168,6 +167,15 @@ def _estimate(own: Sequence[Finding], answers: AnswerCounts) -> str:
             f"give {ALPHA * len(tested):.2g} on average"
         )
     return ". ".join(words[:1].upper() + words[1:] for words in said) + "."
+
+
+def _range(rows: Sequence[Finding], answers: AnswerCounts) -> str:
+    """Return the lowest and the highest estimate of one quantity, with what they are about."""
+    in_order = sorted(rows, key=lambda row: row.estimate)
+    if len(rows) < 2:
+        return _about(rows[0], answers)
+    ends = (_about(row, answers).removeprefix(f"{row.quantity} = ") for row in (in_order[0], in_order[-1]))
+    return f"{rows[0].quantity} from {' to '.join(ends)}"
 
 
 def _about(row: Finding, answers: AnswerCounts) -> str:
