@@ -115,7 +115,8 @@ class RegisteredAnalysis(ABC):
                     row.scope.replace("_", " ")
                     if part == ALL_PARTS
                     else scope_in_words(row.scope, own.finger_conditions, own.pairs),
-                    row.quantity,
+                    # Only the data can tell which answer will be the most frequent.
+                    "P(most frequent answer)" if name == "a1" else row.quantity,
                 )
                 for part, own, row in rows
             ]
