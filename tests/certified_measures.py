@@ -43,6 +43,7 @@ REASONS = {
     "mean of runs, forced choice, as estimated": "Student's interval ignores how skewed thresholds of short runs are",
     "mean JND": "spreads fitted to few trials are too small, which biases every JND downwards",
     "mean d'": "the correction that keeps every d' finite biases it towards zero, the more so the fewer the trials",
+    "mean criterion": "the correction that keeps every criterion finite biases it towards zero",
     "exponent of one": "participants round their numbers, so the residuals are not normal",
 }  # fmt: skip
 """Why intervals err in more than 5 % of the experiments of a population beyond doubt, where they do."""
@@ -100,6 +101,7 @@ def errors_of_measures(number: int, participants: int, n: int) -> Errors:
     yield from _of_fixed_levels(task, rng, (n, participants))
     yield from _of_runs(task, rng, (n, participants))
     yield from _of_exponents(rng, (n, participants))
+    yield from _of_criteria(task, np.random.default_rng([1910, number]), (n, participants))
 
 
 def _of_tests(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
@@ -135,6 +137,14 @@ def _of_sensitivity(task: Task, rng: np.random.Generator, shape: tuple[int, int]
     differing = [each.d_prime for each in _each(same_different, rng, task, chances)]
     bounds = (np.array([getattr(each, name) for each in differing]) for name in _BOUNDS)
     yield "same and different of one", _missed(Interval(*bounds, shape[0]), own)
+
+
+def _of_criteria(task: Task, rng: np.random.Generator, shape: tuple[int, int]) -> Errors:
+    """Yield mean criteria of people who are biased as strongly as the mean d' of their task."""
+    own = np.abs(rng.normal(task.d_prime, 0.5, shape[0]))
+    criterion = rng.normal(task.d_prime / 2, 0.4, shape[0])
+    found = _each(yes_no, rng, task, (ndtr(own / 2 - criterion), ndtr(-own / 2 - criterion)))
+    yield from _of_mean("criterion", rng, np.array([each.criterion.estimate for each in found]), criterion, shape, 0.05)
 
 
 _BOUNDS = ("estimate", "low", "high")

@@ -16,11 +16,12 @@ from scipy import stats
 from scipy.special import ndtr, ndtri
 
 from modaltouch.analysis.designs import analyse_design
+from modaltouch.analysis.detection import CRITERION
 from modaltouch.analysis.findings import Finding, correct
 from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.location import by_flips, by_ranks, group_test
 from modaltouch.analysis.means import BoundedMean
-from modaltouch.analysis.measures import IndividualValue, Measure, contrast_findings
+from modaltouch.analysis.measures import IndividualValue, Measure, contrast_findings, over_participants
 from modaltouch.analysis.outcome import Analysis
 from modaltouch.analysis.pipeline import analyse
 from modaltouch.analysis.ratings import friedman, level_findings, power_law
@@ -301,6 +302,25 @@ def test_two_alternatives_in_space_are_the_fingers_on_the_focus() -> None:
     d_prime = findings["d' over participants", "one_hand 80 mm/s"]
     assert d_prime.estimate == pytest.approx(math.sqrt(2) * ndtri((n_correct + 0.5) / 17))
     assert findings["criterion over participants", "one_hand 80 mm/s"].estimate == pytest.approx(0)
+
+
+@pytest.mark.parametrize(
+    ("own", "low", "high"),
+    [
+        ([(-math.inf, math.inf)] * 5 + [(-0.5, math.inf)], -math.inf, math.inf),
+        ([(0.1, math.inf)] * 6, 0.2, math.inf),
+        ([(-math.inf, 1.0)] * 5 + [(-math.inf, math.inf)], -math.inf, math.inf),
+        ([(-math.inf, math.inf)] * 5 + [(-0.5, 1.0)], 0.2, 0.7),
+    ],
+)
+def test_a_mean_is_not_bounded_on_a_side_by_values_that_have_no_bound(own, low, high) -> None:
+    """Six values from 0.2 to 0.7, whose flips give [0.2, 0.7]: without a bound above, some lows are not enough."""
+    values = [
+        IndividualValue(CRITERION, f"p{n}", "one_hand", "A-C", math.nan, Interval(0.2 + n / 10, *ends, 8), 8)
+        for n, ends in enumerate(own)
+    ]
+    interval = over_participants(CRITERION, values)[1]
+    assert (interval.low, interval.high) == pytest.approx((low, high), abs=1e-3)
 
 
 def test_a_comparison_of_conditions_is_named_without_the_zones_that_go_together() -> None:

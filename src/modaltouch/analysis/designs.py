@@ -30,7 +30,7 @@ from modaltouch.analysis.task import TrialTask
 from modaltouch.analysis.thresholds.constant import FittedCell, fit_cells, measures_of_fits
 
 _CERTIFICATES = {
-    "detection threshold": "", "differencing model criterion": "", "criterion": "criterion of one",
+    "detection threshold": "", "differencing criterion": "", "criterion": "criterion of one",
     "differencing": "same and different of one", "2AFC": "d' of one", "AFC": "a1 share", "triangular": "a1 share",
     "d'": "d' of one", "threshold": "threshold of one", "PSE": "PSE of one", "JND": "JND of one",
     "exponent": "exponent of one",

@@ -26,6 +26,7 @@ from modaltouch.analysis.zones import zones_of
 
 D_PRIME = Measure("d'", "sensitivity d'", "sensitivity", null=0.0)
 CRITERION = Measure("criterion", "criterion c", "sensitivity")
+DIFFERENCE = Measure("differencing criterion", "least difference called different", "sensitivity")
 
 FEWEST = 4
 """Fewest answers of each participant in each cell for which every level has its own d'."""
@@ -122,4 +123,5 @@ def _told(cell: Cell, found: SignalDetection, part: pd.DataFrame) -> Iterator[In
     n = int(part["n"].sum())
     yield IndividualValue(D_PRIME, *cell, found.d_prime, n, f"{found.model} model", found.contrast)
     if found.criterion is not None and math.isfinite(found.criterion.estimate):
-        yield IndividualValue(CRITERION, *cell, found.criterion, n, f"{found.model} model")
+        measure = DIFFERENCE if found.model.startswith("differencing") else CRITERION
+        yield IndividualValue(measure, *cell, found.criterion, n, f"{found.model} model")

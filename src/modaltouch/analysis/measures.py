@@ -130,10 +130,15 @@ def over_participants(measure: Measure, own: Sequence[IndividualValue]) -> Locat
     interval = interval.changed(lambda shifted: shifted + null)
     if measure.ends and values.size:
         interval = BoundedMean(values, *measure.ends).interval()
-    # If no participant's value is bounded on a side, neither is the mean, however well they agree.
-    if all(each.interval.low == -math.inf for each in own):
+    # If no participant's value is bounded on a side, neither is the mean, however well they agree; then it is open on
+    # the other side too, if some are open there.
+    open_low, open_high = (
+        [end == side * math.inf for end in ends]
+        for side, ends in ((-1, [each.interval.low for each in own]), (1, [each.interval.high for each in own]))
+    )
+    if all(open_low) or (all(open_high) and any(open_low)):
         interval = replace(interval, low=-math.inf)
-    if all(each.interval.high == math.inf for each in own):
+    if all(open_high) or (all(open_low) and any(open_high)):
         interval = replace(interval, high=math.inf)
     in_place = np.array([each.tested for each in own if each.tested is not None], dtype=float)
     if in_place.size:
@@ -287,6 +292,7 @@ def cells(frame: pd.DataFrame, scale: LevelScale, *, by_level: bool) -> Iterator
 
 _CLAIMS = {
     " compared": "{claim} between conditions",
+    " together": "{claim} for at least one participant, in any of the answers",
     " over levels": "ratings or further answers change with the level",
     "groups": "{claim}",
     "PSE": "the PSE is not the standard",
