@@ -22,6 +22,7 @@ import scipy
 import certified_measures
 import modaltouch
 from modaltouch.analysis.agreement import ac1_interval
+from modaltouch.analysis.association import association_test
 from modaltouch.analysis.consistency import shows_dominance
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.exact import sign_flip_test, sign_test
@@ -43,6 +44,7 @@ LIMITS = {
     "agreement": "coverage is shown here alone",
     "time, rank": "hold where differences are as likely with either sign about their centre",
     "d'": "is of the difference of two rates; that its sign is as likely either way is shown here alone",
+    "together": "hold where a participant's levels, or finger conditions as a whole, could have been exchanged",
     "group, friedman": "hold where groups, or a participant's ratings, could have been exchanged",
     "of one, of runs, mean d' to mean exponent": "people answer by the very model that is fitted",
     "as estimated": "the truth is the mean of what as many trials tell of everybody, biased as that may be",
@@ -242,6 +244,19 @@ def errors_of_tests(population, rng, shape):
     yield "time", sign_flip_test(gaps).quick_p <= ALPHA * TIES
 
 
+def errors_together(population, rng, n_experiments):
+    """Yield tests of all answers together, unordered, where nobody differs: over levels, and between finger conditions.
+
+    Their chance is their own, so that the other rows stay as they are.
+    """
+    for start in range(0, n_experiments, BATCH):
+        shape = (min(BATCH, n_experiments - start), population.participants)
+        nobody, _ = population.answers(rng, shape, null=True)
+        own = nobody.counts[..., 0, :, :]
+        for name, table in (("b together", own[..., 0, :, :]), ("c together", own.sum(axis=-2))):
+            yield name, association_test(table).p <= ALPHA * TIES
+
+
 def certify(number, n_experiments):
     """Return the rows of one population."""
     population = Population.draw(number)
@@ -259,6 +274,8 @@ def certify(number, n_experiments):
                 widths[name] = float(np.mean(mean.interval().half_width))
         for name, errors in chain(errors_of_shares(answers, truth), errors_of_tests(population, rng, shape)):
             wrong.setdefault(name, []).append(errors)
+    for name, errors in errors_together(population, np.random.default_rng([1909, number]), n_experiments):
+        wrong.setdefault(name, []).append(errors)
     wrong |= {
         name: [errors]
         for name, errors in certified_measures.errors_of_measures(number, population.participants, n_experiments)

@@ -186,7 +186,7 @@ class AnswerCounts:
     def effects(self, pair: Pair) -> tuple[tuple[str, int], ...]:
         """Return the answers whose share is the effect, with their indices: the dominant zone, then "both" if offered.
 
-        If no zone is dominant, all answers but the last, whose share follows from the others.
+        If no zone is dominant, all answers; of two, the first, whose share tells that of the second.
 
         Parameters
         ----------
@@ -194,7 +194,8 @@ class AnswerCounts:
             One of `pairs`.
         """
         if not self.compares:
-            return tuple((answer.name, place) for place, answer in enumerate(self.answers[:-1]))
+            counted = self.answers if len(self.answers) > 2 else self.answers[:-1]
+            return tuple((answer.name, place) for place, answer in enumerate(counted))
         place = self.both_place
         both = [] if place is None else [(self.answers[place].name, place)]
         return ((pair.dominant, self.dominant_place(pair)), *both)

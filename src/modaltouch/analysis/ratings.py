@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
+from modaltouch.analysis.association import shuffle_conditions
 from modaltouch.analysis.exact import ExactTest
 from modaltouch.analysis.findings import Finding, finding_of
 from modaltouch.analysis.intervals import Interval, student_quantile
@@ -20,8 +21,6 @@ from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import LevelScale, scale_of
 from modaltouch.analysis.task import TrialTask
 from modaltouch.protocol import ScaleSection
-
-_SHUFFLES = 9_999
 
 
 @dataclass(frozen=True)
@@ -222,7 +221,7 @@ def level_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
 
 
 def friedman(rows: np.ndarray) -> tuple[ExactTest, Any]:
-    """Return Friedman's test, with p from 9,999 shuffles within participants (fixed seed), and Kendall's W.
+    """Return Friedman's test, with p from shuffles within participants, and Kendall's W.
 
     Parameters
     ----------
@@ -231,35 +230,13 @@ def friedman(rows: np.ndarray) -> tuple[ExactTest, Any]:
     """
     shape, (n, k) = rows.shape[:-2], rows.shape[-2:]
     ranks = pd.DataFrame(rows.reshape(-1, k)).round(9).rank(axis=1).to_numpy().reshape(-1, n, k)
-    order = np.lexsort(np.moveaxis(ranks, -1, 0))  # so that the shuffles do not depend on names
-    ranks = np.take_along_axis(ranks, order[..., np.newaxis], axis=1)
     ties = ((ranks[..., np.newaxis] == ranks[..., np.newaxis, :]).sum(axis=-1) ** 2 - 1).sum(axis=(1, 2))
     most = n**2 * (k**3 - k) / 12 - n * ties / 12
-    centred = ranks - (k + 1) / 2
-    deviation = (centred.sum(axis=1) ** 2).sum(axis=-1)
-    reached, halves = np.zeros(len(rows := centred.reshape(-1, n * k))), rows.astype(np.float32)
-    for shuffles in _shuffles(n, k, 1_000_000 // (k * max(len(halves), n * k))):
-        # Sums of halves are exact in single precision.
-        sums = (halves @ shuffles).astype(float).reshape(len(halves), -1, k)
-        reached += ((sums**2).sum(axis=-1) >= deviation[:, np.newaxis] - 1e-9).sum(axis=-1)
-    varies, least = most > 0, max(1 / (_SHUFFLES + 1), float(math.factorial(k)) ** (1 - n))
-    concordance = np.divide(deviation, most, out=np.full(most.shape, math.nan), where=varies)
+    # Sums of halves are exact in single precision.
+    test = shuffle_conditions((ranks - (k + 1) / 2).astype(np.float32)[..., np.newaxis])
+    concordance = np.divide(test.statistic, most, out=np.full(most.shape, math.nan), where=most > 0)
+    statistic = np.where(most > 0, n * (k - 1) * concordance, 0.0)
     found: list[Any] = [
-        np.where(varies, value, nothing).reshape(shape)[()]
-        for value, nothing in (
-            (n * (k - 1) * concordance, 0.0), (np.maximum((reached + 1) / (_SHUFFLES + 1), least), 1.0),
-            (least, 1.0), (n, 0),
-        )
-    ]  # fmt: skip
-    return ExactTest(*found), concordance.reshape(shape)[()]
-
-
-def _shuffles(n: int, k: int, at_once: int) -> Iterator[np.ndarray]:
-    """Yield shuffles within n participants, in batches, as matrices that turn values into their sums by level."""
-    rng = np.random.default_rng(1)
-    for start in range(0, _SHUFFLES, max(at_once, 1)):
-        size = min(max(at_once, 1), _SHUFFLES - start)
-        places = rng.permuted(np.broadcast_to(np.arange(k), (size, n, k)), axis=2)
-        picked = np.zeros((n, k, size, k), dtype=np.float32)
-        picked[np.arange(n)[:, np.newaxis], places, np.arange(size)[:, np.newaxis, np.newaxis], np.arange(k)] = 1
-        yield picked.reshape(n * k, size * k)
+        each.reshape(shape)[()] for each in (statistic, test.p, test.p_min, test.n_informative, concordance)
+    ]
+    return ExactTest(*found[:4]), found[4]

@@ -1,0 +1,99 @@
+"""All of several unordered answers together: exact enumeration, sign flips, and what no answer shows by itself."""
+
+from __future__ import annotations
+
+from itertools import permutations, product
+
+import numpy as np
+import pytest
+
+from modaltouch.analysis.association import association_test, joint_findings
+from modaltouch.analysis.counts import AnswerCounts, Pair
+from modaltouch.analysis.exact import sign_flip_test
+from modaltouch.protocol import AnswerList
+
+WORDS = AnswerList.of({"keys": ["rough", "smooth", "sharp"]})
+PAIRS = (Pair.of("A", "C", "C"), Pair.of("C", "E", "C"))
+
+
+def every_arrangement(counts: np.ndarray) -> float:
+    """Return p by going through all arrangements of conditions within participants."""
+    totals = counts.sum(axis=(0, 1))
+    expected = counts.sum(axis=2, keepdims=True) * counts.sum(axis=1, keepdims=True) / counts.sum(axis=(1, 2))[
+        :, np.newaxis, np.newaxis]  # fmt: skip
+    residual = counts - expected
+
+    def statistic(orders) -> float:
+        sums = sum(residual[who, list(order)] for who, order in enumerate(orders))
+        return float((sums**2 / np.maximum(totals, 1)).sum())
+
+    n, k = counts.shape[:2]
+    reached = [statistic(orders) for orders in product(permutations(range(k)), repeat=n)]
+    return float(np.mean(np.array(reached) >= statistic([range(k)] * n) - 1e-9))
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    """Return the same chance in every run."""
+    return np.random.default_rng(18)
+
+
+@pytest.mark.parametrize("missing", [False, True])
+def test_p_is_that_of_all_arrangements(rng, missing) -> None:
+    """Four participants, three conditions, three answers, with and without gaps: within the error of 9,999 shuffles."""
+    counts = rng.multinomial(4, [0.5, 0.3, 0.2], size=(6, 4, 3))
+    counts -= missing * (rng.random(counts.shape) < 0.2) * (counts > 0)
+    exact = np.array([every_arrangement(each) for each in counts])
+    assert association_test(counts).p == pytest.approx(exact, abs=5 * np.sqrt(0.25 / 9999))
+
+
+def test_of_two_answers_in_two_conditions_it_is_the_sign_flip_test(rng) -> None:
+    """The sum of squares grows with the size of the sum of differences; exact p by convolution."""
+    counts = rng.multinomial(6, [0.6, 0.4], size=(5, 9, 2))
+    exact = sign_flip_test(counts[..., 0, 0] - counts[..., 1, 0]).p
+    assert association_test(counts).p == pytest.approx(exact, abs=5 * np.sqrt(0.25 / 9999))
+
+
+def test_what_is_spread_over_the_other_answers_is_found_in_any_order_of_answers_and_people() -> None:
+    """Eight people each gain one "sharp": half of them in place of "rough", half of "smooth"."""
+    counts = np.tile(np.array([[3, 3, 0], [3, 3, 0]]), (8, 1, 1))
+    counts[:4, 1] = [2, 3, 1]
+    counts[4:, 1] = [3, 2, 1]
+    test = association_test(counts)
+    assert test.p < 0.02
+    assert association_test(counts[::-1, :, ::-1]).p == pytest.approx(test.p, abs=0.005)
+    for answer in (0, 1):
+        assert sign_flip_test(counts[:, 0, answer] - counts[:, 1, answer]).p_min > 0.05
+
+
+def test_missing_answers_alone_are_no_difference() -> None:
+    """All say the same, but the second condition lacks most answers."""
+    counts = np.tile(np.array([[4, 0, 0], [1, 0, 0]]), (10, 1, 1))
+    assert (association_test(counts).p, association_test(counts).p_min) == (1, 1)
+
+
+def test_the_smallest_p_is_that_of_the_most_extreme_data() -> None:
+    """Six people, two conditions: 2/2^6; three conditions of which two are alike in three people: 3/3^3."""
+    two = np.tile(np.array([[4, 0, 0], [0, 2, 2]]), (6, 1, 1))
+    assert association_test(two).p_min == pytest.approx(2 / 64)
+    three = np.tile(np.array([[4, 0, 0], [2, 1, 1], [2, 1, 1]]), (3, 1, 1))
+    assert association_test(three).p_min == pytest.approx(1 / 9)
+    assert association_test(three).p == pytest.approx(every_arrangement(three), abs=0.02)
+
+
+def test_each_question_has_its_test_and_no_answer_is_passed_over(rng) -> None:
+    """Two hands, two pairs, three levels: four tests over levels, two between hands, two between pairs."""
+    counts = rng.multinomial(2, [0.5, 0.3, 0.2], size=(6, 2, 2, 3))
+    people = tuple(f"p{n}" for n in range(6))
+    answers = AnswerCounts(people, ("one_hand", "two_hands"), PAIRS, (80.0, 100.0, 150.0), counts, 2, answers=WORDS)
+    found = list(joint_findings(answers))
+    assert [(row.family, row.scope) for row in found] == [
+        ("b together", "one_hand A-C"), ("b together", "one_hand C-E"), ("b together", "two_hands A-C"),
+        ("b together", "two_hands C-E"), ("c together", "A-C"), ("c together", "C-E"), ("d together", "one_hand"),
+        ("d together", "two_hands")]  # fmt: skip
+    expected = [association_test(counts[:, f, q]).p for f in (0, 1) for q in (0, 1)]
+    expected += [association_test(counts[:, :, q].sum(axis=2)).p for q in (0, 1)]
+    expected += [association_test(counts[:, f].sum(axis=2)).p for f in (0, 1)]
+    assert [row.p for row in found] == expected
+    assert [word for word, _ in answers.effects(PAIRS[0])] == ["rough", "smooth", "sharp"]
+    assert not list(joint_findings(AnswerCounts(people, ("one_hand",), PAIRS, (80.0,), counts[:, :1, :, :1], 2)))
