@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
@@ -13,14 +14,17 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from modaltouch.analysis.designs import DesignAnalysis
-from modaltouch.analysis.detection import CRITERION
-from modaltouch.analysis.measures import IndividualValue, by_measure, of_participants, over_participants
+from modaltouch.analysis.detection import CRITERION, DIFFERENCE
+from modaltouch.analysis.measures import IndividualValue, Measure, by_measure, of_participants, over_participants
 from modaltouch.analysis.scale import LevelScale
 from modaltouch.analysis.thresholds.constant import FittedCell
 from modaltouch.analysis.words import condition_in_words
 from modaltouch.report import CONDITION_COLOURS, FAINT, ReportFigure, house_style, quiet_grid
 
 PANELS_PER_ROW = 3
+FEWEST_FLIPS = 6
+"""Fewest participants whose sign flips can exclude a value at 95 %: 2/2^6 is the first p below 0.05."""
+
 _MARKERS = "os^D"
 _THIN = "Thin: each participant. Bold: mean over participants with its interval, whose coverage the statistics state"
 
@@ -38,14 +42,24 @@ def draw_design(design: DesignAnalysis) -> Iterator[ReportFigure]:
         caption = "Psychometric functions. Dots: the share of each participant, the larger the more answers."
         yield ReportFigure("functions", draw_functions(design.fits, scale), caption, "each")
     for measure, own in by_measure(design.values):
-        if measure != CRITERION and any(math.isfinite(each.interval.estimate) for each in own):
+        if measure not in (CRITERION, DIFFERENCE) and any(math.isfinite(each.interval.estimate) for each in own):
             name = "".join(letter if letter.isalnum() else "_" for letter in measure.name.replace("'", "_prime"))
             means = _THIN.replace("mean", "geometric mean") if measure.is_ratio else _THIN
-            caption = f"{measure.quantity[:1].upper()}{measure.quantity[1:]}. {means}."
+            n = len({each.participant for each in own})
+            caption = f"{measure.quantity[:1].upper()}{measure.quantity[1:]}. {means}.{_too_few([measure], n)}"
             yield ReportFigure(f"measure_{name}", draw_measure(own, scale, groups), caption, "each")
     if design.shared:
+        n = min(Counter(groups.values()).values())
         caption = f"Groups of participants, over the cells that all of them met. {_THIN.replace('Thin', 'Dots')}."
+        caption += _too_few([each.measure for each in design.shared], n)
         yield ReportFigure("groups", draw_groups(design.shared, groups), caption, "each")
+
+
+def _too_few(measures: Sequence[Measure], n: int) -> str:
+    """Return why means of n participants have no interval, if they have none."""
+    if n >= FEWEST_FLIPS or all(measure.ends for measure in measures):
+        return ""
+    return f" With fewer than {FEWEST_FLIPS} participants, sign flips exclude no mean at 95 %, so there is no interval."
 
 
 def draw_measure(values: Sequence[IndividualValue], scale: LevelScale, groups: Mapping[str, str]) -> Figure:
