@@ -364,7 +364,7 @@ def model_threshold(preflight: Preflight) -> float:
 
 def test_what_needs_fixed_levels_refuses_adaptive_sessions(preflight: Preflight, results: Path) -> None:
     """Power and fits count answers in fixed cells: refused with a way out, never a traceback."""
-    with pytest.raises(InputError, match="adaptive runs, which have no fixed conditions"):
+    with pytest.raises(InputError, match="adaptive runs, which .*; let `modaltouch prereg` say how precisely"):
         designs_for(preflight, FAINT)
     with pytest.raises(InputError, match="adaptive sessions, which have no table of counts"):
         fit_answers(preflight, results, FAINT)

@@ -122,6 +122,8 @@ def test_each_stimulus_is_planned_by_itself(tmp_path: Path) -> None:
     assert sharp > 0.9 > blunt
     for each in values["stimuli"]:
         assert json.loads((tmp_path / "plan" / each["stimulus"] / "power.json").read_text())["power"] == each["power"]
+    said = " ".join(run("power", TWO_FIELDS, "-n", 8, "--experiments", 20, "--questions", "a2").stdout.split())
+    assert "the tests of blunt alone, as by `analyse --stimulus blunt`" in said
 
 
 def test_ctrl_c_keeps_the_stimuli_that_are_done(monkeypatch: pytest.MonkeyPatch) -> None:

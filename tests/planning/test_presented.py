@@ -11,6 +11,7 @@ import pytest
 from modaltouch.planning.observer import Observer
 from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import examine
+from modaltouch.protocol import InputError
 
 
 def test_the_papers_design_is_that_of_the_analysis(shipped: Path) -> None:
@@ -33,3 +34,10 @@ def test_placements_follow_the_schedule(edit: Callable[..., Path]) -> None:
     file = edit("demo.yaml", (fingers, fingers + "  placements: [normal, mirrored]\n"))
     design = designs_for(examine(file).require(), Observer())[""]
     assert design.facing(9).tolist() == [1, 1, -1, -1, 1, 1, -1, -1, 1]
+
+
+def test_groups_that_meet_the_same_cells_are_refused_as_groups(edit: Callable[..., Path]) -> None:
+    """Their design is crossed: what an observer cannot say is how they differ."""
+    file = edit("demo.yaml", ("schedule:\n", "groups: {low: {}, high: {}}\nschedule:\n"))
+    with pytest.raises(InputError, match="groups: given groups of participants, whom one observer does not tell apart"):
+        designs_for(examine(file).require(), Observer())

@@ -111,11 +111,13 @@ def _results(
         from modaltouch.analysis.parts import analyse_parts, render_parts
 
         if options:
-            given = "--model, --figures or --speed with a design that is not crossed"
-            remedy = "leave these options out"
-            if responses.stimuli:
-                given, remedy = f"{given}, of several stimuli", f"{remedy}, or take one stimulus with --stimulus"
-            raise InputError.of(path, given, "tables, tests of its crossed parts, models.R", remedy)
+            what = " and ".join(
+                name for name, several in (("stimuli", responses.stimuli), ("groups", responses.groups),
+                                           ("kinds of session", responses.kinds)) if several
+            )  # fmt: skip
+            given = f"{' and '.join(options)} with {f'several {what}' if what else 'a design that is not crossed'}"
+            remedy = "leave these options out" + ", or take one stimulus with --stimulus" * bool(responses.stimuli)
+            raise InputError.of(path, given, "tables, tests of each crossed part, models.R", remedy)
         parts = _hold_against(prereg, analyse_parts(responses))
         return parts, render_parts(parts)
     from modaltouch.analysis.outcome import Analysis

@@ -210,11 +210,13 @@ def tell(found: planning.Power, target: float) -> None:
 
     study = found.study
     what = "False alarms, with no effect simulated, of" if study.null else "Power of"
-    observer = escape(study.observer.name)
+    observer, name = escape(study.observer.name), escape(study.design.stimulus)
+    alone = f"; the tests of {name} alone, as by `analyse --stimulus {name}`" if name else ""
+    alone += ": without it the correction is over all stimuli, as `prereg` simulates" * bool(name)
     say(
         f"[bold]{what}[/] {study.design.title} with observer {observer}: share of {_done(found)} in "
         f"which at least one test of a family is significant at {study.alpha:g} after Holm's correction, in per cent "
-        "with a 95 % interval"
+        f"with a 95 % interval{alone}"
     )
     for n_repetitions, own in groupby(found.families, key=lambda row: row["n_repetitions"]):
         rows = [(str(n), *map(_cell, of_size)) for n, of_size in groupby(own, key=lambda row: row["n_participants"])]

@@ -21,8 +21,7 @@ _SIMULATE = "simulate sessions and analyse those, as `modaltouch prereg` does"
 def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
     """Return the design of each stimulus of a protocol for an observer, by name; a single one has no name.
 
-    The analysis takes one stimulus at a time (``modaltouch analyse --stimulus``), each with its own families of tests,
-    so each has its own design.
+    As in ``modaltouch analyse --stimulus``, each stimulus has its own families of tests, so each has its own design.
 
     Parameters
     ----------
@@ -38,7 +37,7 @@ def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
     """
     protocol = preflight.experiment.protocol
     adaptive = "adaptive runs, which have no fixed conditions"
-    remedy = "plan with a protocol of fixed levels"
+    remedy = "let `modaltouch prereg` say how precisely thresholds will be known, or plan with fixed levels"
     _refuse(preflight, (protocol.adaptive, ("adaptive",), adaptive, "fixed levels", remedy))
     refuse_own_levels(preflight)
     refuse_unlike(preflight)
@@ -66,6 +65,12 @@ def refuse_own_levels(preflight: Preflight, remedy: str = "plan with the peak ve
     )
 
 
+_UNCROSSED = {
+    "groups": "groups of participants, whom one observer does not tell apart",
+    "schedule": "kinds of session, whose tests are corrected together",
+}
+
+
 def refuse_unlike(preflight: Preflight) -> None:
     """Refuse a protocol whose cells or answers are not those of an observer's design, which compares two fingers.
 
@@ -84,7 +89,7 @@ def refuse_unlike(preflight: Preflight) -> None:
         (
             protocol.uncrossed_by,
             protocol.uncrossed_by,
-            "a design that is not crossed",
+            _UNCROSSED.get("".join(protocol.uncrossed_by[:1]), "a design that is not crossed"),
             "every pair at every level, equally often, in every finger condition, for all participants",
             f"{_SIMULATE}, or plan with a protocol of a part of the design",
         ),

@@ -151,6 +151,13 @@ def generator_warnings(apparatus: Apparatus) -> list[str]:
     return said
 
 
+_PARTS = {
+    "conditions": "the design is not crossed ({}): each crossed part is tested by itself",
+    "groups": "each of the groups is tested by itself; they are compared by one number of each participant",
+    "schedule": "each kind of session is tested by itself; they are compared by each participant's difference",
+}
+
+
 def design_warnings(protocol: Protocol) -> list[str]:
     """Return where no finger touches the focus, what no test can show whatever is answered, and too long a session."""
     conditions, said = protocol.conditions, []
@@ -172,11 +179,11 @@ def design_warnings(protocol: Protocol) -> list[str]:
     n_pairs, n_fingers = len(conditions.contacts), len(conditions.finger_conditions)
     # With a single kind of session that is analysed, the design is still crossed.
     n_kinds = len({each.name for each in kinds if each.analysed})
-    if protocol.uncrossed_by and (protocol.uncrossed_by[0] != "schedule" or n_kinds > 1):
-        said.append(
-            f"the design is not crossed ({'.'.join(protocol.uncrossed_by)}): each crossed part is tested by itself"
-        )
-    elif not protocol.uncrossed_by and protocol.adaptive is None:
+    if protocol.adaptive is not None:
+        pass  # runs are compared with each other; no part is tested by itself
+    elif protocol.uncrossed_by and (protocol.uncrossed_by[0] != "schedule" or n_kinds > 1):
+        said.append(_PARTS[protocol.uncrossed_by[0]].format(".".join(protocol.uncrossed_by)))
+    elif not protocol.uncrossed_by:
         numbers = {"level": len(protocol.scheduled_levels), "finger condition": n_fingers, "pair of zones": n_pairs}
         alone = " and one ".join(noun for noun, number in numbers.items() if number == 1)
         said += [f"there is only one {alone}: no test can show whether that matters"] if alone else []
