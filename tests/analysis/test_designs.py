@@ -241,6 +241,17 @@ def test_groups_are_compared_over_the_cells_that_both_met() -> None:
     assert shared == 80
 
 
+def test_groups_with_levels_of_their_own_are_tested_over_those() -> None:
+    """Each group rises from level to level in all four: 2/2^4 by signed ranks, at levels that the other never met."""
+    findings, _ = found(rated(low=(40, 80), high=(80, 160)))
+    told = {scope: row for (name, scope), row in findings.items() if name.startswith("rating over levels")}
+    assert list(told) == ["one_hand A-C low", "one_hand A-C high"]
+    assert [(row.p, row.n) for row in told.values()] == [(pytest.approx(2 / 16), 4)] * 2
+    together, _ = found(rated(low=(40, 80), high=(40, 80)))
+    (scope,) = [scope for name, scope in together if name.startswith("rating over levels")]
+    assert scope == "one_hand A-C"
+
+
 def test_participants_who_lack_a_level_are_counted_beside_a_comparison_of_groups() -> None:
     """The mean of who lacks the highest level is lower for that alone."""
     whole = rated(low=(40, 80), high=(40, 80))
@@ -618,7 +629,7 @@ def test_ratings_of_two_levels_are_compared_by_signed_ranks(is_ratio) -> None:
         for who, value in enumerate(rated)
     ]
     values.append(IndividualValue(measure, "alone", "one_hand", "A-C", 50.0, Interval.point(1.0, 1), 1))
-    (row,) = level_findings(values)
+    (row,) = level_findings(values, {})
     gaps = np.log(high / low) if is_ratio else high - low
     assert row.p == pytest.approx(stats.wilcoxon(gaps, method="exact").pvalue)
     averages = [(one + other) / 2 for place, one in enumerate(gaps) for other in gaps[place:]]

@@ -107,7 +107,7 @@ def analyse_design(responses: Responses) -> DesignAnalysis:
         *catch_findings(responses),
         *mean_findings(values, scale, groups),
         *contrast_findings(every if is_within else values),
-        *level_findings(values),
+        *level_findings(values, groups),
         *(row for two in combinations(names, 2) for row in group_findings(every, shared[two], groups, two)),
     )
     limits, catches = tuple(_limits(responses, task, fits)), catch_rows(responses)

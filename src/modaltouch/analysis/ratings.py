@@ -186,38 +186,55 @@ def power_law(levels: ArrayLike, magnitudes: ArrayLike) -> Interval:
     return Interval(slope, slope - half, slope + half, len(x))
 
 
-def level_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
+def level_findings(values: Sequence[IndividualValue], groups: Mapping[str, str]) -> Iterator[Finding]:
     """Yield Friedman's test of each rating over levels, with Kendall's coefficient; for two levels, signed ranks.
+
+    Groups that met different levels have tests of their own.
 
     Parameters
     ----------
     values : sequence of IndividualValue
         Ratings by level.
+    groups : mapping of str to str
+        Group of each participant; empty if there is only one.
     """
     tables: dict[tuple[Measure, str], dict[str, dict[float, float]]] = {}
     for each in values:
         if each.measure.is_ranked:
             own = tables.setdefault((each.measure, f"{each.finger_condition} {each.pair}"), {})
             own.setdefault(each.participant, {})[each.level] = linear(each)
-    for (measure, scope), people in tables.items():
-        levels = sorted(set().union(*people.values()))
-        rows = np.array([[own[level] for level in levels] for own in people.values() if len(own) == len(levels)])
-        if len(levels) < 2 or len(rows) < 2:
-            continue
-        if len(levels) == 2:
-            test, interval = by_ranks(rows[:, 1] - rows[:, 0])
-            way, interval = "signed ranks", as_told(measure, interval)
-            quantity = f"{'ratio' if measure.is_ratio else 'difference'} of {measure.quantity}, higher to lower level"
-        else:
-            test, concordance = friedman(rows)
-            way, interval = "Friedman's test by shuffles within participants", Interval.point(concordance, len(rows))
-            quantity = "Kendall's W"
-        left_out = len(people) - len(rows)
-        yield finding_of(
-            "rating", f"{measure.name} over levels, {way}", scope, test, quantity, interval, len(rows),
-            family="rating over levels",
-            notes=[f"{left_out} participants without a rating at every level left out" if left_out else ""],
-        )  # fmt: skip
+    for (measure, scope), everybody in tables.items():
+        met: dict[str, set[float]] = {}
+        for who, rated in everybody.items():
+            met.setdefault(groups.get(who, ""), set()).update(rated)
+        for levels in map(sorted, dict.fromkeys(map(frozenset, met.values()))):
+            alike = [name for name in met if met[name] == {*levels}]
+            people = [rated for who, rated in everybody.items() if groups.get(who, "") in alike]
+            where = f"{scope} {', '.join(alike)}" if len(alike) < len(met) else scope
+            yield from _over_levels(measure, where, levels, people)
+
+
+def _over_levels(
+    measure: Measure, scope: str, levels: Sequence[float], people: Sequence[Mapping[float, float]]
+) -> Iterator[Finding]:
+    """Yield the test of a rating over levels, of participants by their ratings at the levels; none at one level."""
+    rows = np.array([[own[level] for level in levels] for own in people if len(own) == len(levels)])
+    if len(levels) < 2 or len(rows) < 2:
+        return
+    if len(levels) == 2:
+        test, interval = by_ranks(rows[:, 1] - rows[:, 0])
+        way, interval = "signed ranks", as_told(measure, interval)
+        quantity = f"{'ratio' if measure.is_ratio else 'difference'} of {measure.quantity}, higher to lower level"
+    else:
+        test, concordance = friedman(rows)
+        way, interval = "Friedman's test by shuffles within participants", Interval.point(concordance, len(rows))
+        quantity = "Kendall's W"
+    left_out = len(people) - len(rows)
+    yield finding_of(
+        "rating", f"{measure.name} over levels, {way}", scope, test, quantity, interval, len(rows),
+        family="rating over levels",
+        notes=[f"{left_out} participants without a rating at every level left out" if left_out else ""],
+    )  # fmt: skip
 
 
 def friedman(rows: np.ndarray) -> tuple[ExactTest, Any]:
