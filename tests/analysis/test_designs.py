@@ -16,7 +16,7 @@ from scipy import stats
 from scipy.special import ndtr, ndtri
 
 from modaltouch.analysis.designs import analyse_design
-from modaltouch.analysis.detection import CRITERION
+from modaltouch.analysis.detection import CRITERION, D_PRIME
 from modaltouch.analysis.findings import Finding, correct
 from modaltouch.analysis.intervals import Interval
 from modaltouch.analysis.location import by_flips, by_ranks, group_test
@@ -332,6 +332,18 @@ def test_a_mean_is_not_bounded_on_a_side_by_values_that_have_no_bound(own, low, 
     ]
     interval = over_participants(CRITERION, values)[1]
     assert (interval.low, interval.high) == pytest.approx((low, high), abs=1e-3)
+
+
+def test_the_interval_of_a_mean_d_prime_holds_zero_unless_the_rates_reject_it() -> None:
+    """No d' of the odd one of three is below zero, so that by chance alone their mean is above: p of the rates is 1."""
+    values = [
+        IndividualValue(D_PRIME, f"p{n}", "one_hand", "A-C", 80.0, Interval(0.5 + n / 10, 0, 2, 9), 9, tested=gap)
+        for n, gap in enumerate([0.1, -0.1] * 4)
+    ]
+    test, interval = over_participants(D_PRIME, values)
+    assert (test.p, interval.low) == (1, 0) and interval.estimate == pytest.approx(0.85)
+    test, interval = over_participants(D_PRIME, [replace(each, tested=0.1 + n) for n, each in enumerate(values)])
+    assert test.p < 0.01 and interval.low > 0.5
 
 
 def test_a_comparison_of_conditions_is_named_without_the_zones_that_go_together() -> None:

@@ -143,6 +143,8 @@ def over_participants(measure: Measure, own: Sequence[IndividualValue]) -> Locat
     in_place = np.array([each.tested for each in own if each.tested is not None], dtype=float)
     if in_place.size:
         test = flip_test(in_place[np.isfinite(in_place)])
+        if test.p > ALPHA:  # the interval holds what the test does not reject
+            interval = replace(interval, low=min(interval.low, null), high=max(interval.high, null))
     return test, as_told(measure, interval)
 
 
@@ -166,6 +168,9 @@ def mean_findings(values: Sequence[IndividualValue], scale: LevelScale, groups: 
             f"{left_out} participants without a value left out" if left_out else "",
             f"participants whose own interval is open on one side: {n_open}" if n_open else "",
             "" if tested else "described, not tested",
+            "the rates reject zero, which the interval holds"
+            if own[0].tested is not None and test.p <= ALPHA and interval.low <= 0 <= interval.high
+            else "",
             f"95 % interval of the mean that as many trials give, not of the true mean: {why_not}" if why_not else "",
         ]
         yield finding_of(
