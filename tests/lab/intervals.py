@@ -23,7 +23,8 @@ from scipy.stats import norm
 
 from modaltouch.lab.calibration.file import CalibrationResult, corrected_inputs
 from modaltouch.lab.calibration.loop import calibrate
-from modaltouch.lab.calibration.plant import DATA_SHEET, INTERVAL
+from modaltouch.lab.arrays import NORMAL_95
+from modaltouch.lab.calibration.plant import DATA_SHEET
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
 from modaltouch.protocol.apparatus import Apparatus
@@ -75,7 +76,7 @@ GOLDEN = (5**0.5 - 1) / 2
 
 def reading(apparatus: Apparatus, number: int) -> float:
     """Return what a vibrometer shows of a velocity, drawn evenly over the quantiles of what is known of it [1]."""
-    known = apparatus.acquisition.sensitivity_uncertainty_percent * 1e-2 / INTERVAL
+    known = apparatus.acquisition.sensitivity_uncertainty_percent * 1e-2 / NORMAL_95
     return 1 + known * float(norm.ppf((0.5 + number * GOLDEN) % 1))
 
 
@@ -84,7 +85,7 @@ def drawn(rig: Apparatus, shipped: Apparatus, seed: int) -> tuple[Apparatus, App
     rng, knobs, twin = np.random.default_rng([seed, 9]), shipped.acquisition, rig.twin
     slower = max(0.4, 1 + DATA_SHEET * rng.standard_normal())
     filtered = twin.vibrometer.model_copy(update={"bandwidth_kHz": knobs.vibrometer_bandwidth_kHz / slower})
-    late = twin.scope.trigger_latency_us + knobs.trigger_latency_uncertainty_us / INTERVAL * rng.standard_normal()
+    late = twin.scope.trigger_latency_us + knobs.trigger_latency_uncertainty_us / NORMAL_95 * rng.standard_normal()
     told = knobs.model_copy(update={"trigger_latency_us": max(0.0, float(late))})
     return (
         rig.model_copy(update={"twin": twin.model_copy(update={"vibrometer": filtered})}),
