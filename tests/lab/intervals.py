@@ -21,9 +21,9 @@ import numpy as np
 from calibration.conftest import PROTOCOL, TwinBench, mismatched_of
 from scipy.stats import norm
 
+from modaltouch.lab.arrays import NORMAL_95
 from modaltouch.lab.calibration.file import CalibrationResult, corrected_inputs
 from modaltouch.lab.calibration.loop import calibrate
-from modaltouch.lab.arrays import NORMAL_95
 from modaltouch.lab.calibration.plant import DATA_SHEET
 from modaltouch.preflight import Preflight, examine
 from modaltouch.preflight.examination import design_to_fit
