@@ -116,7 +116,7 @@ def test_the_report_says_the_numbers(analysis) -> None:
     assert "p = 0.002, Holm p = 0.012" in shown
     assert "none of 6 tests could reach p ≤ 0.05" in shown
     assert "10, 10, 9, 10" in shown
-    assert "In (B, D) zone, side and finger go together" in shown
+    assert "In (B, D) zone, side and finger are confounded" in shown
 
 
 def test_names_from_the_table_are_text_in_the_report(write_csv, paper_rows, tmp_path) -> None:

@@ -88,7 +88,7 @@ def test_points_of_equality_and_differences_are_those_of_the_observers(compared)
     assert noticed.estimate == pytest.approx(0.6745 * 2, rel=0.2)
     assert noticed.low < 0.6745 * 2 < noticed.high
     assert equal.p < 0.05 and math.isnan(noticed.p) and "described, not tested" in noticed.note
-    assert "mean that as many trials give, not of the true mean: spreads fitted to few trials are too" in noticed.note
+    assert "mean of such estimates, not of the true mean: spreads fitted to few trials are too" in noticed.note
     assert "95 % interval" not in equal.note
     assert "geometric mean" in equal.note and "geometric" not in noticed.note
     assert len(values["PSE"]) == 8

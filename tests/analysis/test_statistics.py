@@ -348,7 +348,7 @@ def test_answers_are_drawn_alike_whatever_the_names_of_participants() -> None:
     assert found.test.p < 0.001
     (said,) = found.notes(0)
     told = re.fullmatch(
-        "320 answers left out of the test, drawn at random so that both have as many at each level; "
+        "320 answers left out of the test, drawn at random to have equal numbers at each level; "
         "nine in ten other draws give p from ([^ ]+) to ([^ ]+)",
         said,
     )

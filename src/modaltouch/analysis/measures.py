@@ -171,7 +171,7 @@ def mean_findings(values: Sequence[IndividualValue], scale: LevelScale, groups: 
             "the rates reject zero, which the interval holds"
             if own[0].tested is not None and test.p <= ALPHA and interval.low <= 0 <= interval.high
             else "",
-            f"95 % interval of the mean that as many trials give, not of the true mean: {why_not}" if why_not else "",
+            f"95 % interval of the mean of such estimates, not of the true mean: {why_not}" if why_not else "",
         ]
         yield finding_of(
             measure.question, f"{measure.name} over participants, {'bounded mean' if measure.ends else way}", scope,

@@ -173,7 +173,7 @@ def _aliases(pairs: Sequence[Pair]) -> Iterator[str]:
     for left, right in ((pair.left, pair.right) for pair in pairs if not pair.focused):
         if (right, left) not in sides:
             yield (
-                f"In ({left}, {right}) zone, side and finger go together: {left} always lies on the left under the "
+                f"In ({left}, {right}) zone, side and finger are confounded: {left} always lies on the left under the "
                 f"same finger, so a preference for {left} cannot be distinguished from one for that side or finger. "
                 "Mirrored placement, or swapped hands in half the participants, would separate them."
             )

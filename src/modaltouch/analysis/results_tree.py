@@ -292,7 +292,7 @@ def _open_labs(*places: Path) -> list[SessionAnswers]:
     found = [item.of_lab(name) for name, place in zip(names, places, strict=True) for item in _open_logs(place)]
     if grouped := next((item for item in found if item.kind[0]), None):
         given = f"sessions of several labs with groups of participants, such as {grouped.kind[0]!r}"
-        raise InputError.of(places[0], given, "labs of a protocol without groups", "analyse each lab by itself")
+        raise InputError.of(places[0], given, "labs of a protocol without groups", "analyse each lab separately")
     return found
 
 

@@ -77,8 +77,8 @@ def inverted_at(place: float) -> Callable[[Recording], Recording]:
             changed(velocity=1.3),
             r"the modes move 1\.[23]\d times as fast .* allowed 0\.85 to 1\.15; .*sensitivity_mm_s_per_V",
         ),
-        (humming(1e-4), r"holds a tone near 5\d Hz that does not decay .* hum of the mains"),
-        (humming(2e-2), r"differs from burst to burst; the outputs are off; it has hum of the mains"),
+        (humming(1e-4), r"holds a tone near 5\d Hz that does not decay .* mains hum"),
+        (humming(2e-2), r"differs from burst to burst; the outputs are off; it has mains hum"),
         (
             inverted_at(-0.002),
             r"at -2 mm the modes move -\d\.\d\d times as fast as the other points predict: .* its sign",

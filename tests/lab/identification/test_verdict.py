@@ -262,7 +262,7 @@ def test_hum_of_the_mains_is_named(clean: FrequencyResponses) -> None:
     at = [int(np.abs(clean.frequency - line).argmin()) for line in range(50, 4000, 50)]
     turned = np.exp(2j * np.pi * rng.random((2, 21, len(at))))
     response[:, :, at] += 3 * np.median(np.abs(response)) * turned
-    with pytest.raises(ValueError, match="most probable cause is hum of the mains: .* multiples of 50 Hz"):
+    with pytest.raises(ValueError, match="most probable cause is mains hum: .* multiples of 50 Hz"):
         check_modes(identify(replace(clean, response=response), 0.1), spoilt.LABELS)
 
 

@@ -114,7 +114,7 @@ def refuse_changing_beam(decays: Sequence[Decay], shapes: FloatArray) -> None:
 
 
 HUM = (
-    "hum of the mains (multiples of 50 or 60 Hz) or a swinging beam: connect vibrometer, scope and amplifier to one "
+    "mains hum (multiples of 50 or 60 Hz) or a swinging beam: connect vibrometer, scope and amplifier to one "
     "earth, keep cables away from transformers, calm the suspension, and calibrate again"
 )
 

@@ -331,7 +331,7 @@ def _hum(identification: Identification) -> str:
         on = off <= 0.51 * responses.spacing
         if on.mean() < FEW and left[on].sum() > 0.5 * left.sum():
             return (
-                f"the most probable cause is hum of the mains: most of what is left lies at multiples of {mains:g} Hz; "
+                f"the most probable cause is mains hum: most of what is left lies at multiples of {mains:g} Hz; "
                 "connect all instruments to one earth, keep cables away from transformers, and measure again"
             )
     return ""
