@@ -14,7 +14,7 @@ from modaltouch.cli.commands import MODULES
 
 STATUSES = (
     ("DONE", "Done."),
-    ("BAD_INPUT", "A file, an option or a record has a fault; each fault is named with its place. Nothing was begun."),
+    ("BAD_INPUT", "A file, an option or a record is invalid; each error is reported with its position. Nothing was begun."),
     ("RIG_FAILED", "Generator, vibrometer or window failed, or a measurement missed its limits. The outputs are off; "
      "the answers are kept, and `modaltouch resume` continues the session."),
     ("RECORD_AT_RISK", "A record is damaged, would be overwritten, or could not be written. The outputs are off."),
@@ -72,7 +72,7 @@ def write_commands(folder: Path) -> None:
         names.append(name)
         rows.append((f"[`modaltouch {words}`]({name}.md)", first))
         write(folder / f"{name}.md", page(f"modaltouch {words}", *blocks))
-    lead = "These pages are made from `--help` and say the same. Commands that report something accept `--json`."
+    lead = "These pages are generated from `--help`. Commands that report something accept `--json`."
     write(folder / "index.md", page("Commands", lead, table(("command", "does"), rows), toctree(*names)))
 
 
@@ -89,8 +89,8 @@ def write_statuses(folder: Path) -> None:
     )
     rows = [(f"`{known[name]}`", meaning) for name, meaning in STATUSES]
     bug = (
-        "The output could not be printed: its disk is full, or, without a word, nobody reads it any more. With a "
-        "traceback, a fault of the program itself: please report it. The outputs are off; the answers are kept."
+        "The output could not be printed: the disk is full or, without a message, the reader has closed. With a "
+        "traceback, it is a bug of the program: please report it. The outputs are off; the answers are kept."
     )
     rows.insert(1, ("`1`", bug))
     write(folder / "exit_statuses.md", page("Exit statuses", lead, table(("status", "meaning"), rows)))

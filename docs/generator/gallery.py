@@ -134,7 +134,7 @@ def write_gallery(folder: Path, static: Path) -> None:
             )
         )
     lead = (
-        "Every shipped protocol. Its name works in any folder: `modaltouch check NAME`, `modaltouch new --from NAME`."
+        "The shipped protocols. Their names work in any folder: `modaltouch check NAME`, `modaltouch new --from NAME`."
     )
     names = [file.stem for file in protocols()]
     write(

@@ -19,11 +19,11 @@ ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "docs" / "examples"
 
 FILES = {
-    "protocol": ("The protocol", "What an experiment is. Shipped ones are in `protocols/`."),
+    "protocol": ("The protocol", "The experiment. Shipped ones are in `protocols/`."),
     "apparatus": ("The apparatus", "The beam, its modes and the instruments. A lab has one for each rig."),
-    "texts": ("The texts", "Every word that a participant reads, one file per language."),
+    "texts": ("The texts", "Everything that a participant reads, one file per language."),
     "fingers": ("Fingers", "What a finger adds to the beam where it touches, typical or measured."),
-    "observer": ("An observer", "A model of how people answer, for `simulate`, `power` and `fit`."),
+    "observer": ("An observer", "A model of how participants answer, for `simulate`, `power` and `fit`."),
     "calibration": ("A calibration", "Written by `modaltouch calibrate`; read, never edited."),
 }
 """Title and first line of the page of each kind of file."""
@@ -189,7 +189,7 @@ def write_keys(folder: Path) -> None:
         lead = f"{first} {len(all_keys)} keys; the schema for editors is `protocols/schema/{kind}.json`."
         write(folder / f"{kind}.md", page(title, lead, *blocks))
     lead = (
-        "What each file of an experiment may contain. Every key has its meaning, its type with unit and bounds, its "
+        "What each file of an experiment may contain. Every key is listed with its meaning, type, unit, bounds and "
         "default, and an example from a real file. Keys end in the unit: `pause_s` is in seconds, `base_mm` in "
         "millimetres. A key that is not listed is refused, with its line and column, and the nearest one is suggested."
     )
