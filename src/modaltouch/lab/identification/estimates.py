@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass, replace
 
 from modaltouch.lab.arrays import NORMAL_95, ComplexArray, FloatArray
-from modaltouch.lab.identification.peaks import HalfPower, Poles
+from modaltouch.lab.identification.kernel import Poles
+from modaltouch.lab.identification.peaks import HalfPower
 from modaltouch.lab.identification.responses import FrequencyResponses
 
 

@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray, low_pass
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode
-from modaltouch.lab.identification.kernel import Bins, Evaluation, LeastSquaresProblem, evaluate
+from modaltouch.lab.identification.kernel import Bins, Evaluation, LeastSquaresProblem, Poles, evaluate
 from modaltouch.lab.identification.modal_parameters import ModalParameters
 from modaltouch.lab.identification.peaks import (
     DAMPING_BOUNDS,
     MOST_POLES,
     SIGNIFICANT,
-    Poles,
     first_poles,
     half_power,
 )
@@ -39,11 +38,10 @@ def make_problem(responses: FrequencyResponses, poles: Poles, phase_at: float | 
     return LeastSquaresProblem(bins, np.asarray(grouped.T), weight, responses.bandwidth, phase_at)
 
 
-def refine(problem: LeastSquaresProblem, poles: Poles, *, most: int = 60) -> tuple[Poles, Evaluation]:
-    """Return the least-squares poles and delay, and the fit there."""
+def refine(problem: LeastSquaresProblem, poles: Poles, *, most: int = 60) -> Evaluation:
+    """Return the fit at the least-squares poles and delay."""
     from scipy.optimize import minimize
 
-    scale = 1 / problem.highest
     n = poles.natural_frequency.size
 
     @lru_cache(maxsize=4)
@@ -51,7 +49,7 @@ def refine(problem: LeastSquaresProblem, poles: Poles, *, most: int = 60) -> tup
         step = np.frombuffer(key)
         frequency = poles.natural_frequency * np.exp(np.clip(step[:n] * poles.damping_ratio, -0.5, 0.5))
         damping = np.clip(poles.damping_ratio * np.exp(np.clip(step[n : 2 * n], -3, 3)), *DAMPING_BOUNDS)
-        return evaluate(problem, frequency, damping, poles.delay + scale * float(step[-1]), scale)
+        return evaluate(problem, Poles(frequency, damping, poles.delay + float(step[-1]) / problem.highest))
 
     def at(step: FloatArray) -> Evaluation:
         return evaluated(step.tobytes())
@@ -79,81 +77,69 @@ def refine(problem: LeastSquaresProblem, poles: Poles, *, most: int = 60) -> tup
         callback=stop,
         options={"initial_trust_radius": 1.0, "max_trust_radius": 20.0, "gtol": 1e-6, "maxiter": most},
     )
-    best = at(found.x)
-    refined = Poles(best.natural_frequency, best.damping_ratio, best.delay).sorted()
-    return refined, evaluate(problem, refined.natural_frequency, refined.damping_ratio, refined.delay, scale)
+    return evaluate(problem, at(found.x).poles.sorted())
 
 
 def _unit(evaluation: Evaluation, start: Poles) -> FloatArray:
     """Return the search's units in those of the kernel's parameters, which change with the damping."""
     n = evaluation.n_modes
-    return np.concatenate([start.damping_ratio / evaluation.damping_ratio, np.ones(n), [1.0]])
+    return np.concatenate([start.damping_ratio / evaluation.poles.damping_ratio, np.ones(n), [1.0]])
 
 
-def find_more(
-    responses: FrequencyResponses, poles: Poles, problem: LeastSquaresProblem, fit: Evaluation, most: int
-) -> tuple[Poles, LeastSquaresProblem, Evaluation]:
-    """Add poles wherever the residual has a peak that noise does not explain, and return them with their fit."""
-    poles, problem, fit = _keep_sound_poles(responses, poles, problem, fit, SURE / 2)
+def find_more(responses: FrequencyResponses, fit: Evaluation, most: int) -> Evaluation:
+    """Add poles wherever the residual has a peak that noise does not explain, and return the fit with them."""
+    fit = _keep_sound_poles(responses, fit, SURE / 2)
     passed: list[tuple[float, float]] = []
     # The modes beyond the band come first: a pole inside it would follow their flanks.
     low, high = float(responses.frequency[0]), float(responses.frequency[-1])
     ends = [(high * FAR_BEYOND, 0.01), (low / FAR_BEYOND, 0.01)]
     for attempt in range(most):
-        peak = ends.pop() if ends else _left_over(problem, fit, passed)
-        if peak is None or poles.natural_frequency.size >= MOST_POLES or len(passed) == MOST_PASSED:
+        peak = ends.pop() if ends else _left_over(fit, passed)
+        if peak is None or fit.n_modes >= MOST_POLES or len(passed) == MOST_PASSED:
             break
-        tried = poles.and_one(*peak)
+        tried = fit.poles.and_one(*peak)
         finer = make_problem(responses, tried)
-        _, before = refine(finer, poles, most=3)
-        refined, after = refine(finer, tried)
-        refined, finer, after = _keep_sound_poles(responses, refined, finer, after, SURE / 2)
-        apart = np.diff(refined.natural_frequency) > 0.05 * (refined.damping_ratio * refined.natural_frequency)[:-1]
-        grown = refined.natural_frequency.size > poles.natural_frequency.size
-        new = grown or refined.near(*peak) > poles.near(*peak) or not low <= peak[0] <= high
-        if new and apart.all() and after.cost < before.cost - 0.5 * SIGNIFICANT * problem.response.shape[1] ** 0.5:
-            poles, problem, fit = refined, finer, after
+        before = refine(finer, fit.poles, most=3)
+        after = _keep_sound_poles(responses, refine(finer, tried), SURE / 2)
+        own = after.poles.natural_frequency
+        apart = np.diff(own) > 0.05 * (after.poles.damping_ratio * own)[:-1]
+        grown = after.n_modes > fit.n_modes
+        new = grown or after.poles.near(*peak) > fit.poles.near(*peak) or not low <= peak[0] <= high
+        if new and apart.all() and after.cost < before.cost - 0.5 * SIGNIFICANT * fit.rest.shape[1] ** 0.5:
+            fit = after
         elif attempt > 1:
             passed.append(peak)
     # Only now: while a mode is missing, its residual inflates the deviations of the others.
-    return _keep_sound_poles(responses, poles, problem, fit, SURE)
+    return _keep_sound_poles(responses, fit, SURE)
 
 
 def _sound(fit: Evaluation, frequency: FloatArray, sure: float) -> NDArray[np.bool_]:
     """Return which poles are modes: their damping differs significantly from zero, unlike a chance peak of few bins."""
-    low, high = DAMPING_BOUNDS
-    possible = (fit.damping_ratio > 2 * low) & (fit.damping_ratio < 0.9 * high)
+    (low, high), own, ratio = DAMPING_BOUNDS, fit.poles.natural_frequency, fit.poles.damping_ratio
+    possible = (ratio > 2 * low) & (ratio < 0.9 * high)
     # A pole beyond either end of the band represents the modes there; only its flank is visible.
-    beyond = (fit.natural_frequency < frequency[0]) | (fit.natural_frequency > frequency[-1])
+    beyond = (own < frequency[0]) | (own > frequency[-1])
     return np.asarray(beyond | (possible & (fit.deviation[fit.n_modes : -1] < 1 / sure)))
 
 
-def _keep_sound_poles(
-    responses: FrequencyResponses, poles: Poles, problem: LeastSquaresProblem, fit: Evaluation, sure: float
-) -> tuple[Poles, LeastSquaresProblem, Evaluation]:
-    """Return the poles that are modes, with their fit; all poles if none is, since their intervals then show it."""
+def _keep_sound_poles(responses: FrequencyResponses, fit: Evaluation, sure: float) -> Evaluation:
+    """Return the fit with the poles that are modes; with all poles if none is, since their intervals then show it."""
     kept = _sound(fit, responses.frequency, sure)
     if kept.all() or not kept.any():
-        return poles, problem, fit
-    fewer = Poles(poles.natural_frequency[kept], poles.damping_ratio[kept], poles.delay)
-    problem = make_problem(responses, fewer)
-    fewer, fit = refine(problem, fewer)
-    return _keep_sound_poles(responses, fewer, problem, fit, sure)
+        return fit
+    fewer = Poles(fit.poles.natural_frequency[kept], fit.poles.damping_ratio[kept], fit.poles.delay)
+    return _keep_sound_poles(responses, refine(make_problem(responses, fewer), fewer), sure)
 
 
-def _left_over(
-    problem: LeastSquaresProblem, fit: Evaluation, passed: Sequence[tuple[float, float]]
-) -> tuple[float, float] | None:
+def _left_over(fit: Evaluation, passed: Sequence[tuple[float, float]]) -> tuple[float, float] | None:
     """Return frequency and rough damping ratio of the residual's highest peak not passed over before, or None."""
-    n = problem.bins.start.size
-    left = (fit.rest[:n] + 1j * fit.rest[n:]).T
-    frequency = problem.bins.centre
+    left, frequency = fit.left.T, fit.problem.bins.centre
     best, where = SIGNIFICANT**2, None
     for ratio in (0.004, 0.012, 0.03):
         # Power that a mode there would explain, summed over the responses.
-        candidate = np.append(frequency[:: max(1, n // 1500)], frequency[-1] * BEYOND)
+        candidate = np.append(frequency[:: max(1, frequency.size // 1500)], frequency[-1] * BEYOND)
         candidate = candidate[[all(abs(own / f - 1) > max(2 * wide, NEAR) for f, wide in passed) for own in candidate]]
-        course = _course(problem, candidate, ratio, fit.delay)
+        course = _course(fit.problem, candidate, ratio, fit.poles.delay)
         overlap = (np.conj(course) @ left.T).real / np.linalg.norm(course, axis=1)[:, None]
         n_responses = left.shape[0]
         height = ((overlap**2).sum(axis=1) - n_responses) / np.sqrt(2 * n_responses)
@@ -235,17 +221,16 @@ def identify(
     if start is None:
         responses = responses.aligned()
 
-    def fitted(poles: Poles) -> tuple[LeastSquaresProblem, Evaluation]:
-        problem = make_problem(responses, poles, phase_at)
-        poles, fit = refine(problem, poles)
-        return find_more(responses, poles, problem, fit, most)[1:] if most else (problem, fit)
+    def fitted(poles: Poles) -> Evaluation:
+        fit = refine(make_problem(responses, poles, phase_at), poles)
+        return find_more(responses, fit, most) if most else fit
 
-    problem, fit = fitted(first_poles(responses, length) if start is None else start)
+    fit = fitted(first_poles(responses, length) if start is None else start)
     if start is None and responses.coherence is not None and fit.variance > FAR_OFF:
         # Leakage is noise that peaks where the responses do: relative to it their peaks vanish or shift.
         again = fitted(first_poles(replace(responses, coherence=None), length))
-        problem, fit = min((problem, fit), again, key=lambda each: each[1].variance)
-    return ModalParameters(responses, length, problem, fit, clock_tolerance).identification()
+        fit = min(fit, again, key=lambda each: each.variance)
+    return ModalParameters(responses, length, fit, clock_tolerance).identification()
 
 
 def identify_each(responses: FrequencyResponses) -> Identification:

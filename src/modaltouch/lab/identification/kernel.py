@@ -95,6 +95,38 @@ class Bins:
 
 
 @dataclass(frozen=True, eq=False)
+class Poles:
+    """Natural frequencies, damping ratios and the common delay.
+
+    Attributes
+    ----------
+    natural_frequency, damping_ratio : (n_modes,) array
+        In order of frequency [Hz, 1].
+    delay : float
+        Delay common to all responses [s].
+    """
+
+    natural_frequency: FloatArray
+    damping_ratio: FloatArray
+    delay: float
+
+    def sorted(self) -> Poles:
+        """Return the same in order of frequency."""
+        order = np.argsort(self.natural_frequency)
+        return Poles(self.natural_frequency[order], self.damping_ratio[order], self.delay)
+
+    def near(self, frequency: float, damping_ratio: float) -> int:
+        """Return the number of poles within two half-power bandwidths of a frequency."""
+        return int((np.abs(self.natural_frequency / frequency - 1) <= 4 * damping_ratio).sum())
+
+    def and_one(self, frequency: float, damping_ratio: float) -> Poles:
+        """Return the poles with one more."""
+        return Poles(
+            np.append(self.natural_frequency, frequency), np.append(self.damping_ratio, damping_ratio), self.delay
+        ).sorted()
+
+
+@dataclass(frozen=True, eq=False)
 class LeastSquaresProblem:
     """Responses to be fitted.
 
@@ -150,10 +182,10 @@ class Evaluation:
 
     Attributes
     ----------
-    natural_frequency, damping_ratio : (n_modes,) array
-        The poles [Hz, 1].
-    delay : float
-        Delay of the responses [s].
+    problem : LeastSquaresProblem
+        The responses.
+    poles : Poles
+        Poles and delay.
     residue : (n_modes + 4, n_responses) array
         Residues of the modes, then coefficients of the background, in the scale of the problem's responses.
     rest : (2 n_groups, n_responses) array
@@ -171,9 +203,8 @@ class Evaluation:
         The same for the delay.
     """
 
-    natural_frequency: FloatArray
-    damping_ratio: FloatArray
-    delay: float
+    problem: LeastSquaresProblem
+    poles: Poles
     residue: FloatArray
     rest: FloatArray
     slope: FloatArray
@@ -186,7 +217,13 @@ class Evaluation:
     @property
     def n_modes(self) -> int:
         """Number of poles."""
-        return int(self.natural_frequency.size)
+        return int(self.poles.natural_frequency.size)
+
+    @property
+    def left(self) -> ComplexArray:
+        """Residual as complex numbers, (n_groups, n_responses) array."""
+        n = len(self.rest) // 2
+        return np.asarray(self.rest[:n] + 1j * self.rest[n:])
 
     @cached_property
     def cost(self) -> float:
@@ -232,7 +269,7 @@ class Evaluation:
     def covariance(self) -> FloatArray:
         """Covariance of the parameters for responses of unit variance.
 
-        The parameters are natural frequency in units of its damping, log damping ratio, and delay over scale.
+        The parameters are natural frequency in units of its damping, log damping ratio, and delay times `highest`.
         """
         return np.asarray(np.linalg.pinv(self.curvature, hermitian=True))
 
@@ -251,24 +288,10 @@ class Evaluation:
         return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance) * self.variance, (moved**2).sum(axis=0))))
 
 
-def evaluate(
-    problem: LeastSquaresProblem, natural_frequency: FloatArray, damping_ratio: FloatArray, delay: float, scale: float
-) -> Evaluation:
-    """Return the best fit of the responses for given poles and delay.
-
-    Parameters
-    ----------
-    problem : LeastSquaresProblem
-        The responses.
-    natural_frequency, damping_ratio : (n_modes,) array
-        The poles [Hz, 1].
-    delay : float
-        Delay of the responses [s].
-    scale : float
-        Unit of the delay as a parameter [s].
-    """
-    n_modes = natural_frequency.size
-    grouped = _columns(problem, natural_frequency, damping_ratio, delay, scale) * problem.weight
+def evaluate(problem: LeastSquaresProblem, poles: Poles) -> Evaluation:
+    """Return the best fit of the responses for given poles and delay."""
+    n_modes = poles.natural_frequency.size
+    grouped = _columns(problem, poles) * problem.weight
     real = np.concatenate([grouped.real, grouped.imag], axis=1).T
     n_columns = n_modes + N_REST
     basis, factor = np.linalg.qr(real[:, :n_columns])
@@ -279,9 +302,8 @@ def evaluate(
     inverse = np.linalg.inv(factor)
     lost = inverse @ taken
     return Evaluation(
-        natural_frequency=natural_frequency,
-        damping_ratio=damping_ratio,
-        delay=delay,
+        problem=problem,
+        poles=poles,
         residue=inverse @ solved,
         rest=problem.stacked - basis @ solved,
         slope=left[:, : 2 * n_modes],
@@ -293,42 +315,40 @@ def evaluate(
     )
 
 
-def fitted(problem: LeastSquaresProblem, fit: Evaluation) -> ComplexArray:
+def fitted(fit: Evaluation) -> ComplexArray:
     """Return the fitted responses at every bin, in the problem's scale, (n_responses, n_bins) array."""
-    frequency = problem.bins.frequency
-    every = replace(problem, bins=Bins(frequency, np.arange(frequency.size)))
-    columns = _columns(every, fit.natural_frequency, fit.damping_ratio, fit.delay, 1.0)
+    frequency = fit.problem.bins.frequency
+    columns = _columns(replace(fit.problem, bins=Bins(frequency, np.arange(frequency.size))), fit.poles)
     return np.asarray(fit.residue.T @ columns[: fit.n_modes + N_REST])
 
 
-def complex_residue(problem: LeastSquaresProblem, fit: Evaluation) -> ComplexArray:
+def complex_residue(fit: Evaluation) -> ComplexArray:
     r"""Return complex residues for the same poles and delay, (n_modes, n_responses) array.
 
     A complex conjugate pair of poles with the residues :math:`R \mp i S` over :math:`2 i \omega_d` contributes
     :math:`R + S (i\omega + \xi_k\omega_k) / \omega_d` times the mode's column: S is in quadrature at its resonance.
     """
-    n, own, ratio = fit.n_modes, fit.natural_frequency[:, None], fit.damping_ratio[:, None]
-    columns = _columns(problem, fit.natural_frequency, fit.damping_ratio, fit.delay, 1.0)[: n + N_REST] * problem.weight
+    n, problem = fit.n_modes, fit.problem
+    own, ratio = fit.poles.natural_frequency[:, None], fit.poles.damping_ratio[:, None]
+    columns = _columns(problem, fit.poles)[: n + N_REST] * problem.weight
     quadrature = columns[:n] * (1j * problem.bins.centre + ratio * own) / (own * np.sqrt(1 - ratio**2))
     both = np.concatenate([columns, quadrature])
     solved = np.linalg.lstsq(np.concatenate([both.real, both.imag], axis=1).T, problem.stacked, rcond=None)[0]
     return np.asarray(solved[:n] + 1j * solved[-n:])
 
 
-def _columns(
-    problem: LeastSquaresProblem, natural_frequency: FloatArray, damping_ratio: FloatArray, delay: float, scale: float
-) -> ComplexArray:
+def _columns(problem: LeastSquaresProblem, poles: Poles) -> ComplexArray:
     """Return the model's columns and their derivatives, averaged over the groups of bins.
 
     Returns
     -------
     (4 n_modes + 2 N_REST, n_groups) complex array
         Columns of the modes and of the background; derivatives of the modes' columns by natural frequency, then by
-        damping ratio; derivatives of all columns by the delay.
+        damping ratio; derivatives of all columns by the delay times `highest`.
     """
     omega = problem.omega
-    turn = problem.low_pass * np.exp(-1j * problem.turning * delay)
-    own, ratio = 2 * np.pi * natural_frequency[:, None], damping_ratio[:, None]
+    turn = problem.low_pass * np.exp(-1j * problem.turning * poles.delay)
+    own, ratio = 2 * np.pi * poles.natural_frequency[:, None], poles.damping_ratio[:, None]
     dynamic = 1 / (own**2 - omega**2 + 2j * ratio * own * omega)
     modes = 1j * omega * turn * dynamic * (own * ratio)
     relative = omega / problem.highest
@@ -337,5 +357,5 @@ def _columns(
     mean = problem.bins.mean_of_nodes
     steeper = mean(moved * omega)
     by_frequency = 2 * own * mean(moved) + 2j * ratio * steeper
-    by_delay = mean(columns * (-1j * problem.turning * scale))
+    by_delay = mean(columns * (-1j * problem.turning / problem.highest))
     return np.concatenate([mean(columns), by_frequency, 2j * steeper, by_delay])

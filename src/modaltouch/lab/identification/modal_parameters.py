@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from modaltouch.lab.arrays import NORMAL_95, ComplexArray, FloatArray
 from modaltouch.lab.identification.estimates import Estimate, Identification, IdentifiedMode, Rest
-from modaltouch.lab.identification.kernel import N_REST, Evaluation, LeastSquaresProblem, complex_residue, fitted
-from modaltouch.lab.identification.peaks import HalfPower, Poles, half_power
+from modaltouch.lab.identification.kernel import N_REST, Evaluation, complex_residue, fitted
+from modaltouch.lab.identification.peaks import HalfPower, half_power
 from modaltouch.lab.identification.points import refuse_odd_point
 from modaltouch.lab.identification.responses import FrequencyResponses
 from modaltouch.lab.identification.shapes import (
@@ -31,7 +31,6 @@ class ModalParameters:
 
     responses: FrequencyResponses
     length: float | None
-    problem: LeastSquaresProblem
     fit: Evaluation
     clock_tolerance: float
 
@@ -39,10 +38,10 @@ class ModalParameters:
         """Return the modes and the fitted responses."""
         fit = self.fit
         variance, deviation = fit.variance, fit.deviation
-        scale = 1 / self.problem.highest
+        scale = 1 / self.fit.problem.highest
         local = np.sqrt(self._local_misfit(variance) / variance)
         residue = self._scaled(fit.residue[: fit.n_modes])
-        argand = self._scaled(complex_residue(self.problem, fit))
+        argand = self._scaled(complex_residue(fit))
         labels, torsion, likeness = self._labels(residue)
         modes = tuple(
             self._mode(
@@ -61,14 +60,13 @@ class ModalParameters:
         return Identification(
             modes=modes,
             delay=Estimate.of(
-                fit.delay + self.responses.offset, float(deviation[-1]) * scale * float(local.max(initial=1.0))
+                fit.poles.delay + self.responses.offset, float(deviation[-1]) * scale * float(local.max(initial=1.0))
             ),
             misfit=variance,
             responses=self.responses,
             length=self.length,
-            fitted=fitted(self.problem, fit).reshape(self.responses.response.shape)
-            * np.sqrt(self._level)[:, None, None],
-            poles=Poles(fit.natural_frequency, fit.damping_ratio, fit.delay),
+            fitted=fitted(fit).reshape(self.responses.response.shape) * np.sqrt(self._level)[:, None, None],
+            poles=fit.poles,
         )
 
     def _mode(
@@ -83,7 +81,7 @@ class ModalParameters:
         variance: float,
     ) -> IdentifiedMode:
         fit, n, (label, torsion) = self.fit, self.fit.n_modes, which
-        frequency, ratio = float(fit.natural_frequency[k]), float(fit.damping_ratio[k])
+        frequency, ratio = float(fit.poles.natural_frequency[k]), float(fit.poles.damping_ratio[k])
         gain: tuple[Estimate, ...] = ()
         shape = None
         if label is not None and self.length is not None:
@@ -111,21 +109,21 @@ class ModalParameters:
             half_power=peak,
             half_power_gain=self._half_power_gain(peak, residue, shape if gain else None, int(driver), int(point)),
             coherence=self._coherence(residue, frequency),
-            rest=rest_about(self.problem, fit, k, self.responses.response.shape[0]),
+            rest=rest_about(fit, k, self.responses.response.shape[0]),
             residue=argand.ravel() if self.responses.n_points == 1 else argand[driver],
             torsion=torsion,
         )
 
     def _scaled(self, residue: NDArray[Any]) -> NDArray[Any]:
         """Convert residues from the problem's scale to gain times shape, (n_modes, n_sets, n_points) [m/s^2 per V]."""
-        column = 2 * np.pi * self.fit.natural_frequency * self.fit.damping_ratio
+        column = 2 * np.pi * self.fit.poles.natural_frequency * self.fit.poles.damping_ratio
         residue = residue.reshape(-1, *self.responses.response.shape[:2])
         return np.asarray(residue * column[:, None, None] * np.sqrt(self._level)[None, :, None])
 
     @property
     def _inside(self) -> NDArray[np.bool_]:
         """Which poles lie within the band; those beyond it represent all modes there and are no modes themselves."""
-        own, frequency = self.fit.natural_frequency, self.responses.frequency
+        own, frequency = self.fit.poles.natural_frequency, self.responses.frequency
         return np.asarray((own >= frequency[0]) & (own <= frequency[-1]))
 
     @property
@@ -139,8 +137,9 @@ class ModalParameters:
             return [None] * n_modes, [None] * n_modes, np.full(n_modes, np.nan)
         scaled = residue / np.sqrt(self._level)[None, :, None]
         # Of two poles within one width only the sum is certain; those beyond the band are no modes.
-        own, width = self.fit.natural_frequency[self._inside], 2 * (self.fit.damping_ratio * self.fit.natural_frequency)
-        first = np.append(True, np.diff(own) > width[self._inside][:-1])
+        own = self.fit.poles.natural_frequency[self._inside]
+        width = 2 * self.fit.poles.damping_ratio[self._inside] * own
+        first = np.append(True, np.diff(own) > width[:-1])
         together = np.add.reduceat(scaled[self._inside], np.flatnonzero(first), axis=0)
         refuse_odd_point(together, places, self.length, self.responses.sets)
         common = np.array([np.linalg.svd(each, full_matrices=False)[2][0] for each in scaled])
@@ -152,7 +151,7 @@ class ModalParameters:
         """Return the standard deviation of a mode's gains, from its residues and from their change with the poles."""
         fit = self.fit
         n_sets, n_points = self.responses.response.shape[:2]
-        column = 2 * np.pi * float(fit.natural_frequency[k] * fit.damping_ratio[k])
+        column = 2 * np.pi * float(fit.poles.natural_frequency[k] * fit.poles.damping_ratio[k])
         weight = shape / (shape @ shape)
         on_shape = fit.residue.reshape(-1, n_sets, n_points) @ weight
         inverse = np.linalg.inv(fit.factor)
@@ -171,11 +170,10 @@ class ModalParameters:
 
     def _local_misfit(self, variance: float) -> FloatArray:
         """Return the residual's mean square about each mode where it is significantly above `variance`, else that."""
-        n = self.problem.bins.start.size
-        square = (self.fit.rest[:n] ** 2 + self.fit.rest[n:] ** 2).sum(axis=1)
-        frequency = self.problem.bins.centre
+        square = (np.abs(self.fit.left) ** 2).sum(axis=1)
+        frequency = self.fit.problem.bins.centre
         worst = []
-        for own, ratio in zip(self.fit.natural_frequency, self.fit.damping_ratio, strict=True):
+        for own, ratio in zip(self.fit.poles.natural_frequency, self.fit.poles.damping_ratio, strict=True):
             near = np.abs(frequency - own) <= 2 * max(ratio * own, self.responses.spacing)
             count = 2 * int(near.sum()) * self.fit.rest.shape[1]
             # The mode's own parameters absorb part of the scatter.
@@ -212,17 +210,17 @@ FEWEST = 8
 """Least number of groups of bins about a mode for their correlation to be meaningful."""
 
 
-def rest_about(problem: LeastSquaresProblem, fit: Evaluation, k: int, n_sets: int) -> Rest:
+def rest_about(fit: Evaluation, k: int, n_sets: int) -> Rest:
     """Return the residual of a fit about its mode `k`, with its most probable cause.
 
     For a nonlinear beam the residual over the responses has the mode's own shape; for a beam that drifts while its
     points are scanned from end to end, that shape times the position; for a missing mode, another shape.
     """
-    n = problem.bins.start.size
-    own = float(fit.natural_frequency[k])
+    problem = fit.problem
+    own = float(fit.poles.natural_frequency[k])
     spacing = float(problem.bins.frequency[1] - problem.bins.frequency[0])
-    near = np.abs(problem.bins.centre - own) <= 2 * max(float(fit.damping_ratio[k]) * own, spacing)
-    left = (fit.rest[:n] + 1j * fit.rest[n:])[near]
+    near = np.abs(problem.bins.centre - own) <= 2 * max(float(fit.poles.damping_ratio[k]) * own, spacing)
+    left = fit.left[near]
     power = max(float((np.abs(problem.response[near]) ** 2).sum()), 1e-300)
     share = float(np.sqrt(max(float((np.abs(left) ** 2).sum()) - 2 * left.size, 0.0) / power))
     if left.shape[0] < FEWEST:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from modaltouch.lab.arrays import ComplexArray, FloatArray, low_pass
+from modaltouch.lab.identification.kernel import Poles
 from modaltouch.lab.identification.responses import FrequencyResponses, along
 from modaltouch.stimulus import mode_shapes
 
@@ -111,38 +112,6 @@ DAMPING_BOUNDS = (1e-5, 0.3)
 """Bounds of the damping ratio of a mode [1]."""
 
 MOST_POLES = 60
-
-
-@dataclass(frozen=True, eq=False)
-class Poles:
-    """Natural frequencies, damping ratios and the common delay.
-
-    Attributes
-    ----------
-    natural_frequency, damping_ratio : (n_modes,) array
-        In order of frequency [Hz, 1].
-    delay : float
-        Delay common to all responses [s].
-    """
-
-    natural_frequency: FloatArray
-    damping_ratio: FloatArray
-    delay: float
-
-    def sorted(self) -> Poles:
-        """Return the same in order of frequency."""
-        order = np.argsort(self.natural_frequency)
-        return Poles(self.natural_frequency[order], self.damping_ratio[order], self.delay)
-
-    def near(self, frequency: float, damping_ratio: float) -> int:
-        """Return the number of poles within two half-power bandwidths of a frequency."""
-        return int((np.abs(self.natural_frequency / frequency - 1) <= 4 * damping_ratio).sum())
-
-    def and_one(self, frequency: float, damping_ratio: float) -> Poles:
-        """Return the poles with one more."""
-        return Poles(
-            np.append(self.natural_frequency, frequency), np.append(self.damping_ratio, damping_ratio), self.delay
-        ).sorted()
 
 
 def first_poles(responses: FrequencyResponses, length: float | None) -> Poles:
