@@ -83,9 +83,11 @@ def inverse_filter(known: TrainingData) -> FloatArray:
     come closest to the target field at the focusing instant within the voltage limit; if none stays within the limit,
     those that need the lowest voltage.
     """
+    from scipy.signal.windows import tukey
+
     step, n_before = known.step, known.n_before
     n_after = (known.timing.n_samples - n_before * known.stride) // known.stride
-    taper = _taper(n_before + n_after, round(ENDS / step))
+    taper = tukey(n_before + n_after, 2 * ENDS / step / (n_before + n_after))
     # The drive is linear in the spectrum of the pulse, which is the same for all control points.
     target = np.broadcast_to(known.target()[:, None], known.responses.response.shape[1:]).astype(complex)
     candidates = []
@@ -165,14 +167,6 @@ def least_energy(towards: FloatArray, target: FloatArray, beta: float, kept: Flo
     gram = np.einsum("ckj,clj->kl", within, within, optimize=True)
     weight = np.linalg.lstsq(gram + beta * np.eye(gram.shape[0]), kept.T @ target, rcond=None)[0]
     return np.asarray(np.einsum("ckj,k->cj", within, weight))
-
-
-def _taper(n: int, n_end: int) -> FloatArray:
-    """Return a window of ones with raised-cosine ends, (n,) array [1]."""
-    window = np.ones(n)
-    ramp = 0.5 - 0.5 * np.cos(np.pi * (np.arange(n_end) + 0.5) / max(1, n_end))
-    window[:n_end], window[n - n_end :] = ramp, ramp[::-1]
-    return window
 
 
 @dataclass(frozen=True)
