@@ -278,7 +278,7 @@ CAUSES = {
 def is_wrong(found: Identification, beam: TrueBeam) -> bool:
     """Return whether a number is further from the true one than twice the half-width of its interval."""
     for label in LABELS:
-        mode, k = found.mode(label), beam.table.label.index(label)
+        mode, k = found.by_label[label], beam.table.label.index(label)
         numbers = (mode.natural_frequency, mode.damping_ratio, *mode.gain)
         true = (beam.table.natural_frequency[k], beam.table.damping_ratio[k], *beam.table.modal_gain[k])
         if any(abs(a.value - b) > 2 * (a.high - a.value) for a, b in zip(numbers, true, strict=True)):

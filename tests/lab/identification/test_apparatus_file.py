@@ -40,7 +40,7 @@ def test_file_is_read_back_with_every_number(found: Identification, tmp_path: Pa
     assert after.zones == before.zones
     assert after.amplifier == before.amplifier
     for mode in after.modes:
-        mine = found.mode(mode.label)
+        mine = found.by_label[mode.label]
         assert mode.natural_frequency_Hz == pytest.approx(mine.natural_frequency.value, rel=1e-6)
         assert mode.gain_mm_s2_per_V["side"] == pytest.approx(mine.gain[1].value * 1e3, rel=1e-6)
         assert mode.intervals_95 is not None
@@ -104,7 +104,7 @@ def test_folder_holds_table_shapes_and_figures(found: Identification, tmp_path: 
     values = np.array([table[column] for column in table.dtype.names[1:]])
     shapes = MeasuredShapes(labels, table["position_mm"] * 1e-3, values, 0.1)
     row = shapes.label.index(13)
-    np.testing.assert_allclose(shapes.shape[row], found.mode(13).shape, rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(shapes.shape[row], found.by_label[13].shape, rtol=2e-3, atol=2e-3)
     for picture in ("responses", "fits", "stability", "complexity", "coherence", "fig_4"):
         assert files[f"{picture}.svg"].stat().st_size > 10_000
         assert f"{picture}.png" in files
@@ -112,7 +112,7 @@ def test_folder_holds_table_shapes_and_figures(found: Identification, tmp_path: 
 
 def test_missing_and_incoherent_modes_are_all_named(found: Identification) -> None:
     """One mode that is not there and one that is too weak: both in one message, with what to do."""
-    weak = replace(found.mode(3), coherence=0.2)
+    weak = replace(found.by_label[3], coherence=0.2)
     modes = tuple(weak if mode.label == 3 else mode for mode in found.modes if mode.label != 9)
     with pytest.raises(ValueError, match=r"(?s)mode 3 has a coherence of 0.20 .*--averages.*mode 9 was not found"):
         check_modes(replace(found, modes=modes), LABELS)

@@ -47,7 +47,7 @@ def test_normal_mode_has_its_phases_on_a_line() -> None:
 
 def test_complexity_of_a_mode_is_found(found: Identification) -> None:
     """The beam's modes are real, within 0.1 degrees; a damper that turns one end by 20 degrees shows as such."""
-    assert math.degrees(phase_deviation(found.mode(5).residue)) < 0.1
+    assert math.degrees(phase_deviation(found.by_label[5].residue)) < 0.1
     frequency = np.arange(100.0, 400.0, 0.25)
     shape = np.array([1.0, -0.5, 0.8]) * np.exp(1j * np.radians([0.0, 0.0, 20.0]))
     pole = 2 * np.pi * 230 * (-0.01 + 1j * math.sqrt(1 - 0.01**2))

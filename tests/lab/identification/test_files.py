@@ -416,10 +416,10 @@ def test_free_free_ratios_are_recognised() -> None:
     found = recognise([*bending[:3], 1.3 * bending[2], *bending[3:]])
     assert found is not None
     assert found.recognised
-    assert found.mode == (1, 2, 3, None, 4, 5, 6)
+    assert found.bending_modes == (1, 2, 3, None, 4, 5, 6)
     cantilever = recognise(np.array([1.8751, 4.6941, 7.8548, 10.9955]) ** 2)
     assert cantilever is not None
-    assert cantilever.mode[0] is None or not cantilever.recognised
+    assert cantilever.bending_modes[0] is None or not cantilever.recognised
     assert recognise([1.0, 2.0]) is None
 
 

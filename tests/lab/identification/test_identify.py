@@ -31,7 +31,7 @@ def at(positions: np.ndarray) -> list[Place]:
 
 def errors(found: Identification, beam: TrueBeam) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return relative errors of frequency and damping, and of the gains in parts of the larger gain of the mode."""
-    modes = [found.mode(label) for label in beam.table.label]
+    modes = [found.by_label[label] for label in beam.table.label]
     gain = np.array([[estimate.value for estimate in mode.gain] for mode in modes])
     true = beam.table.modal_gain
     return (
@@ -65,7 +65,7 @@ def test_bars_of_the_joint_fit(found: Identification, beam: TrueBeam) -> None:
     assert np.abs(damping).max() < 0.05
     assert np.abs(gain).max() < 0.05
     for label, true in zip(beam.table.label, beam.table.modal_gain, strict=True):
-        mode = found.mode(label)
+        mode = found.by_label[label]
         assert [np.sign(estimate.value) for estimate in mode.gain] == list(np.sign(true))
         theory = mode_shapes([label], found.responses.positions, LENGTH)
         assert mac(mode.shape[None], theory)[0, 0] > 0.99
@@ -101,7 +101,7 @@ def test_intervals_cover_the_truth_at_their_rate(make, beam: TrueBeam, noise: fl
     for seed in range(n_seeds):
         found = identify(make(seed, noise), LENGTH, start=near_truth(beam), most=0)
         for k, label in enumerate(beam.table.label):
-            mode = found.mode(label)
+            mode = found.by_label[label]
             covered.append(beam.table.natural_frequency[k] in mode.natural_frequency)
             covered.append(beam.table.damping_ratio[k] in mode.damping_ratio)
             covered += [true in gain for true, gain in zip(beam.table.modal_gain[k], mode.gain, strict=True)]
@@ -115,7 +115,7 @@ def test_twice_the_noise_widens_the_intervals_twice(make, beam: TrueBeam) -> Non
     """What is worse is said to be worse: every interval of the nine modes by 1.6 to 2.4."""
     plain, noisy = (identify(make(5, noise), LENGTH, start=near_truth(beam), most=0) for noise in (1.0, 2.0))
     for label in beam.table.label:
-        one, other = plain.mode(label), noisy.mode(label)
+        one, other = plain.by_label[label], noisy.by_label[label]
         pairs = [
             (one.natural_frequency, other.natural_frequency),
             (one.damping_ratio, other.damping_ratio),
@@ -146,7 +146,7 @@ def test_quantity_decides_the_phase(make, beam: TrueBeam, recorded: Quantity, sa
         for label in (1, 3, 5, 7, 9, 11):
             k = beam.table.label.index(label)
             strongest = int(np.abs(beam.table.modal_gain[k]).argmax())
-            assert found.mode(label).gain[strongest].value == pytest.approx(
+            assert found.by_label[label].gain[strongest].value == pytest.approx(
                 beam.table.modal_gain[k, strongest], rel=0.05
             )
     elif "velocity" in (recorded, said):
@@ -172,7 +172,7 @@ def test_time_offset_is_found_and_taken_off(make, beam: TrueBeam, offset: float)
     for label in (3, 5, 7, 9, 11):
         k = beam.table.label.index(label)
         strongest = int(np.abs(beam.table.modal_gain[k]).argmax())
-        mode = found.mode(label)
+        mode = found.by_label[label]
         assert mode.natural_frequency.value == pytest.approx(beam.table.natural_frequency[k], rel=1e-3)
         assert mode.gain[strongest].value == pytest.approx(beam.table.modal_gain[k, strongest], rel=0.05)
 
@@ -195,10 +195,10 @@ def test_sign_of_the_gain_is_the_drive_s(make, beam: TrueBeam, flipped: bool) ->
     sign = np.array([1.0, -1.0 if flipped else 1.0])
     found = identify(replace(plain, response=plain.response * sign[:, None, None]), LENGTH, most=0)
     for label in (3, 5, 7, 11):
-        gains = [estimate.value for estimate in found.mode(label).gain]
+        gains = [estimate.value for estimate in found.by_label[label].gain]
         true = beam.table.modal_gain[beam.table.label.index(label)] * sign
         np.testing.assert_allclose(gains, true, atol=0.05 * np.abs(true).max())
-        assert found.mode(label).shape[-1] > 0
+        assert found.by_label[label].shape[-1] > 0
 
 
 def test_noise_alone_has_no_resonance(make) -> None:

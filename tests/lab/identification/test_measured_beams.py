@@ -54,7 +54,7 @@ def test_slender_beam_of_pyuff(data: Path) -> None:
     assert beam is not None
     assert beam.recognised
     assert beam.shear == 0
-    assert beam.mode == (1, 2, 3, 4, 5, 6)
+    assert beam.bending_modes == (1, 2, 3, 4, 5, 6)
     assert beam.deviation < 0.002
 
 
@@ -69,7 +69,7 @@ def test_hammered_beam_of_the_image_based_tutorial(data: Path) -> None:
     assert beam is not None
     assert beam.recognised
     assert beam.shear > 0
-    bending = [float(own) for own, mode in zip(frequency, beam.mode, strict=True) if mode is not None]
+    bending = [float(own) for own, mode in zip(frequency, beam.bending_modes, strict=True) if mode is not None]
     assert bending == pytest.approx([695.75, 1898.1, 3671.2, 5975.0], rel=1e-4)
 
 

@@ -215,9 +215,9 @@ def test_gains_hold_the_scatter_of_repeated_scans(make) -> None:
     found = over_repeats(mean)
     assert mean.responses.n_averages == 20
     for label, row in ((3, 0), (5, 1)):
-        wide, narrow = found.mode(label).gain[row], mean.mode(label).gain[row]
-        assert all(one.mode(label).gain[row].value in wide for one in each)
-        assert not all(one.mode(label).gain[row].value in narrow for one in each)
+        wide, narrow = found.by_label[label].gain[row], mean.by_label[label].gain[row]
+        assert all(one.by_label[label].gain[row].value in wide for one in each)
+        assert not all(one.by_label[label].gain[row].value in narrow for one in each)
 
 
 @pytest.mark.parametrize(

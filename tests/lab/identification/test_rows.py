@@ -79,7 +79,7 @@ def test_close_points_of_one_row_are_places_of_their_own() -> None:
 def test_gains_are_those_of_the_mid_line(found: Identification, beam: TrueBeam) -> None:
     """Rows beside it change no gain: within two thousandths of the twin's."""
     for label in (5, 7):
-        k, gain = beam.table.label.index(label), [each.value for each in found.mode(label).gain]
+        k, gain = beam.table.label.index(label), [each.value for each in found.by_label[label].gain]
         np.testing.assert_allclose(gain, beam.table.modal_gain[k], rtol=2e-3)
 
 

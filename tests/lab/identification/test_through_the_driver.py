@@ -91,7 +91,7 @@ def test_twin_is_identified_through_all_its_instruments(
     responses = responses_of(scans, bandwidth).between(60, campaign.highest)
     found = identify(responses, LENGTH)
     for label in labels:
-        mode, k = found.mode(label), true.label.index(label)
+        mode, k = found.by_label[label], true.label.index(label)
         assert mode.natural_frequency.value == pytest.approx(true.natural_frequency[k], rel=1e-3)
         assert mode.damping_ratio.value == pytest.approx(true.damping_ratio[k], rel=0.05)
         gain = np.array([estimate.value for estimate in mode.gain])
@@ -99,7 +99,7 @@ def test_twin_is_identified_through_all_its_instruments(
         assert mode.shape is not None
         assert mac(mode.shape[None], mode_shapes([label], responses.positions, LENGTH))[0, 0] > 0.99
     if WHOLE:
-        assert 0.9 < min(found.mode(label).coherence for label in labels) < 0.97
+        assert 0.9 < min(found.by_label[label].coherence for label in labels) < 0.97
 
 
 def small(**changes: Any) -> IdentificationPlan:

@@ -124,7 +124,7 @@ def test_bending_beside_torsion_is_no_mode_that_moved(clean: FrequencyResponses)
     response = clean.response.copy()
     response[0, 4, int(np.abs(clean.frequency - 2554).argmin())] *= 10
     found = identify(replace(clean, response=response), 0.1)
-    ten, torsion = found.mode(10), min(found.modes, key=lambda each: abs(each.natural_frequency.value - 26900))
+    ten, torsion = found.by_label[10], min(found.modes, key=lambda each: abs(each.natural_frequency.value - 26900))
     assert torsion.label is None
     assert torsion.natural_frequency.value - ten.natural_frequency.value < 2 * 26200 * ten.damping_ratio.value
     assert warnings(found)
@@ -205,7 +205,7 @@ def test_random_excitation_of_few_averages_is_no_nonlinearity(tmp_path: Path, se
     np.savez(tmp_path / "a.npz", **arrays, sets=["centre"], quantity="velocity")
     found = identify(read_responses([tmp_path / "a.npz"], ResponseFormat(n_averages=4)), 0.1)
     check_modes(found, (3, 4, 5))
-    assert [found.mode(k).natural_frequency.value for k in (3, 4, 5)] == pytest.approx(own / 2 / np.pi, rel=1e-3)
+    assert [found.by_label[k].natural_frequency.value for k in (3, 4, 5)] == pytest.approx(own / 2 / np.pi, rel=1e-3)
 
 
 def test_resonances_beside_each_other_explain_only_a_mode_that_belongs_there(clean: FrequencyResponses) -> None:

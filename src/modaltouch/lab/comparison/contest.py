@@ -293,9 +293,8 @@ def identified_model(found: Identification, apparatus: Apparatus) -> ModalModel:
     frequency, ratio = np.empty(len(table.label)), np.empty(len(table.label))
     gain = table.modal_gain.copy()
     channels = [apparatus.actuator_sets[name].channel - 1 for name in found.responses.sets]
-    by_label = {mode.label: mode for mode in found.modes}
     for row, label in enumerate(table.label):
-        mode = by_label[label]
+        mode = found.by_label[label]
         frequency[row], ratio[row] = mode.natural_frequency.value, mode.damping_ratio.value
         gain[row, channels] = [estimate.value for estimate in mode.gain]
     return replace(table, natural_frequency=frequency, damping_ratio=ratio, modal_gain=gain)

@@ -175,7 +175,9 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress = SILENT_PR
         "scope": first["settings"]["scope"],
         "method": f"{first['settings']['about']['stimulus']}, H1 by the measured drive, joint fit of all responses",
     }
-    responses = FrequencyResponses.of_repeats([beam.responses_of(rows) for rows in measured])
+    responses = FrequencyResponses.of_repeats(
+        [FrequencyResponses.of_rows([responses_of(scans, beam.bandwidth) for scans in rows]) for rows in measured]
+    )
     return beam.fit(responses.between(1.5 * LOWEST, float(responses.frequency[-1])), facts, progress)
 
 
@@ -248,10 +250,6 @@ class _Beam:
         ):
             return [replace(campaign, across=across).scan(laboratory, self.source, out) for across in rows]
 
-    def responses_of(self, rows: list[dict[str, Scan]]) -> FrequencyResponses:
-        """Return the responses of all rows of a scan."""
-        return FrequencyResponses.of_rows([responses_of(scans, self.bandwidth) for scans in rows])
-
     def read(self, folder: Path) -> list[dict[str, Scan]]:
         """Return the scans of each row in a folder."""
         for name in self.sets:
@@ -299,7 +297,7 @@ class _Beam:
         found = found.with_sensitivity_uncertainty(uncertainty)
         labels = self.labels
         if self.options.modes == "all":
-            labels = tuple(mode.label for mode in found.modes if mode.label is not None)
+            labels = tuple(found.by_label)
         apparatus = identified_apparatus(self.source, found, labels, facts)
         out, beside = self.options.out, self.options.export
         return IdentificationReport(found, facts["mode"], facts["source"], out, labels, apparatus, beside)

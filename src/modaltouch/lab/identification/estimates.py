@@ -170,16 +170,7 @@ class Identification:
         modes = (replace(mode, gain=tuple(gain.widened(uncertainty) for gain in mode.gain)) for mode in self.modes)
         return replace(self, modes=tuple(modes))
 
-    def mode(self, label: int) -> IdentifiedMode:
-        """Return the mode with a given label.
-
-        Raises
-        ------
-        KeyError
-            If it was not found.
-        """
-        for mode in self.modes:
-            if mode.label == label:
-                return mode
-        found = ", ".join(str(mode.label) for mode in self.modes if mode.label)
-        raise KeyError(f"mode {label} was not found; the modes found are {found}")
+    @property
+    def by_label(self) -> dict[int, IdentifiedMode]:
+        """The modes that have a label."""
+        return {mode.label: mode for mode in self.modes if mode.label is not None}

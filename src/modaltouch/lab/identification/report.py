@@ -9,7 +9,7 @@ import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 from warnings import catch_warnings, simplefilter
@@ -75,7 +75,7 @@ def as_dict(identification: Identification) -> dict[str, Any]:
         "misfit_verdict": misfit_verdict(identification),
         "warnings": warnings(identification),
         "modes": [mode_values(mode, responses.sets) for mode in identification.modes],
-        "free_free": None if beam is None else beam.as_dict(),
+        "free_free": None if beam is None else asdict(beam),
     }
 
 
@@ -239,7 +239,7 @@ def identified_apparatus(
     name = str(document["apparatus"])
     # A second identification keeps the name.
     document["apparatus"] = name if name.endswith(SUFFIX) else f"{name[: 64 - len(SUFFIX)]}{SUFFIX}"
-    document["modes"] = [_mode(identification.mode(label), identification.responses.sets) for label in labels]
+    document["modes"] = [_mode(identification.by_label[label], identification.responses.sets) for label in labels]
     document.pop("identified", None)
     document["identified"] = {**facts, **_figures(identification), "replaced_sha256": source.sha256}
     unlisted = document.get("twin", {}).get("unlisted_modes")

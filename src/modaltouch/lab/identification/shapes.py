@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -235,33 +234,23 @@ class FreeFree:
 
     Attributes
     ----------
-    first_frequency : float
-        Natural frequency of its first bending mode [Hz].
-    shear : float
-        How much shear and rotary inertia lower its natural frequencies, of order (h/L)^2; 0 for Euler-Bernoulli [1].
-    mode : tuple of (int or None)
-        Bending mode of each natural frequency, from 1; None for other motions.
-    deviation : float
-        Largest relative deviation of the natural frequencies of bending modes [1].
     recognised : bool
         Whether the natural frequencies are those of a free-free beam.
+    first_frequency_Hz : float
+        Natural frequency of its first bending mode [Hz].
+    bending_modes : tuple of (int or None)
+        Bending mode of each natural frequency, from 1; None for other motions.
+    shear : float
+        How much shear and rotary inertia lower its natural frequencies, of order (h/L)^2; 0 for Euler-Bernoulli [1].
+    deviation : float
+        Largest relative deviation of the natural frequencies of bending modes [1].
     """
 
-    first_frequency: float
-    shear: float
-    mode: tuple[int | None, ...]
-    deviation: float
     recognised: bool
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return plain values, units in the keys."""
-        return {
-            "recognised": self.recognised,
-            "first_frequency_Hz": self.first_frequency,
-            "bending_modes": list(self.mode),
-            "shear": self.shear,
-            "deviation": self.deviation,
-        }
+    first_frequency_Hz: float  # noqa: N815
+    bending_modes: tuple[int | None, ...]
+    shear: float
+    deviation: float
 
 
 def recognise(natural_frequency: Sequence[float]) -> FreeFree | None:
@@ -307,10 +296,10 @@ def _fit(measured: FloatArray, first: int, mode: int, shear: float, square: Floa
     successive = len(set(found)) == len(found) and bool(found) and max(found) - min(found) + 1 <= len(found) + 1
     deviation = float(off[fits].max()) if fits.any() else 1.0
     recognised = successive and len(found) >= enough and 2 * len(found) > measured.size
-    return FreeFree(scale * float(course[0]), shear, tuple(labels), deviation, recognised)
+    return FreeFree(recognised, scale * float(course[0]), tuple(labels), shear, deviation)
 
 
 def _worth(tried: FreeFree) -> tuple[bool, int, float]:
     """Rank a fit: recognised, then many modes, then a small deviation; shear and inertia only if they are needed."""
-    n_found = sum(mode is not None for mode in tried.mode)
+    n_found = sum(mode is not None for mode in tried.bending_modes)
     return tried.recognised, n_found, -tried.deviation - (WITHIN / 2 if tried.shear > 0 else 0.0)

@@ -52,7 +52,7 @@ def check_modes(identification: Identification, labels: Sequence[int]) -> None:
     ValueError
         With every mode that is missing, incoherent or badly fitted, and what to do.
     """
-    found = {mode.label: mode for mode in identification.modes if mode.label is not None}
+    found = identification.by_label
     spoilt = identification.misfit > WELL_FITTED or any(mode.rest.share > MARKED_ELSE for mode in identification.modes)
     missing = [label for label in labels if label not in found]
     faulty = [label for label, mode in found.items() if label in labels and _faults(f"mode {label}", mode)]
@@ -230,8 +230,7 @@ def check_gains(identification: Identification, apparatus: Apparatus, labels: Se
     ValueError
         With the factor and the units that were probably confused.
     """
-    found = {mode.label: mode for mode in identification.modes}
-    sets = identification.responses.sets
+    found, sets = identification.by_label, identification.responses.sets
     listed = {
         (name, mode.label): (own.gain[sets.index(name)].value * 1e3 / value, own.natural_frequency.value)
         for mode in apparatus.modes
