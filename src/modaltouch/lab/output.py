@@ -1,10 +1,12 @@
-"""Colours, maps and plain values shared by the outputs of the lab's commands."""
+"""Colours, maps, plain values and YAML files shared by the outputs of the lab's commands."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.lab.arrays import FloatArray
+from modaltouch.record import prepare_file, replace_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,16 +44,24 @@ def rounded(value: Any, digits: int) -> Any:
     return round(value, digits) if isinstance(value, float) else value
 
 
-def yaml_text(values: dict[str, Any]) -> str:
-    """Return plain values as YAML, with innermost lists and mappings on one line."""
+def write_yaml(path: Path, head: str, values: dict[str, Any]) -> None:
+    """Write plain values as YAML below comments, innermost lists and mappings on one line; no file is overwritten.
+
+    Raises
+    ------
+    RecordError
+        If the file exists or cannot be written.
+    """
     import io
 
     from ruamel.yaml import YAML
 
+    prepare_file(path)
     yaml = YAML()
     yaml.default_flow_style = None
     yaml.width = 200
     yaml.allow_unicode = True
     stream = io.StringIO()
     yaml.dump(values, stream)
-    return stream.getvalue()
+    text = head + stream.getvalue()
+    replace_file(path, text.encode(), "move it away, or give another file with --out")

@@ -8,15 +8,21 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from modaltouch.lab.calibration.file import calibration_of, write_calibration
+from modaltouch.lab.calibration.file import calibration_of
 from modaltouch.lab.calibration.loop import calibrate_each
 from modaltouch.lab.calibration.plausibility import mark_of
 from modaltouch.lab.laboratory import SILENT_PROGRESS, SIMULATED, MeasurementProgress, open_laboratory
+from modaltouch.lab.output import write_yaml
 from modaltouch.lab.recorded_files import RecordedFiles
 from modaltouch.preflight import DesignInputs, Preflight, examine
 from modaltouch.protocol import Calibration, InputError, Problem, Protocol
 from modaltouch.record import prepare_file
 from modaltouch.rig import RigError
+
+HEAD = """\
+# Corrections that make these stimuli accurate on this rig: written by `modaltouch calibrate`, read by `modaltouch run`.
+# It holds for one apparatus file, the stimuli in it and one generator; measure again rather than edit it.
+"""
 
 
 @dataclass(frozen=True)
@@ -28,8 +34,9 @@ class CalibrationReport:
 
     def write(self) -> dict[str, Any]:
         """Write the file and return its plain values with its path."""
-        write_calibration(self.out, self.calibration)
-        return {**self.calibration.model_dump(mode="json"), "file": str(self.out)}
+        values = self.calibration.model_dump(mode="json")
+        write_yaml(self.out, HEAD, values)
+        return {**values, "file": str(self.out)}
 
 
 def calibrate(

@@ -1,4 +1,4 @@
-"""The results of a calibration, and the file that people and the session read."""
+"""The results of a calibration, and the contents of the file that people and the session read."""
 
 from __future__ import annotations
 
@@ -6,17 +6,14 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from modaltouch.lab.arrays import NORMAL_95, FloatArray
 from modaltouch.lab.calibration.plant import ModalState, Plant
-from modaltouch.lab.output import yaml_text
 from modaltouch.preflight import DesignInputs
 from modaltouch.protocol import Apparatus, Calibration
-from modaltouch.record import prepare_file, replace_file
 from modaltouch.stimulus import Correction
 from modaltouch.system import commit, versions
 
@@ -215,12 +212,6 @@ def _digits(value: float) -> float:
     return float(f"{value:.9g}")
 
 
-HEAD = """\
-# Corrections that make these stimuli accurate on this rig: written by `modaltouch calibrate`, read by `modaltouch run`.
-# It holds for one apparatus file, the stimuli in it and one generator; measure again rather than edit it.
-"""
-
-
 def calibration_of(
     outcomes: Mapping[str, CalibrationResult],
     *,
@@ -345,23 +336,3 @@ def _modes(outcome: CalibrationResult) -> list[dict[str, Any]]:
             }
         )
     return rows
-
-
-def write_calibration(path: Path, calibration: Calibration) -> None:
-    """Write a calibration file atomically; an existing file is not overwritten.
-
-    Parameters
-    ----------
-    path : Path
-        The file; its folder is created.
-    calibration : Calibration
-        The calibration.
-
-    Raises
-    ------
-    RecordError
-        If the file exists already or cannot be written.
-    """
-    prepare_file(path)
-    text = HEAD + yaml_text(calibration.model_dump(mode="json"))
-    replace_file(path, text.encode(), "move it away, or give another file with --out")

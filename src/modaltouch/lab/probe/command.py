@@ -18,11 +18,11 @@ from modaltouch.lab.laboratory import (
     open_laboratory,
     quiet,
 )
-from modaltouch.lab.output import rounded, yaml_text
+from modaltouch.lab.output import rounded, write_yaml
 from modaltouch.lab.probe.prober import SPEED, Prober
 from modaltouch.preflight import design, examine
 from modaltouch.protocol import InputError
-from modaltouch.record import prepare_file, replace_file
+from modaltouch.record import prepare_file
 from modaltouch.stimulus import Finger, Probe
 
 HEAD = """\
@@ -45,9 +45,7 @@ class ProbeReport:
     ----------
     placements : list of dict
         Plain values of each placement: its fingers, the misfit, and the level at the focus with its interval.
-    fingers : dict
-        Values of each finger, by hand.
-    text : str
+    file : dict
         Contents of the file of fingers.
     out : Path
         The file.
@@ -57,18 +55,16 @@ class ProbeReport:
     """
 
     placements: list[dict[str, Any]]
-    fingers: dict[str, Any]
-    text: str
+    file: dict[str, Any]
     out: Path
     sensitivity_percent: float
 
     def write(self) -> dict[str, Any]:
         """Write the file, and return the plain values with its path."""
-        prepare_file(self.out)
-        replace_file(self.out, self.text.encode(), "move it away, or give another file with --out")
+        write_yaml(self.out, HEAD, self.file)
         return {
             "placements": rounded(self.placements, 6),
-            "fingers": self.fingers,
+            "fingers": self.file["fingers"],
             "sensitivity_uncertainty_percent": self.sensitivity_percent,
             "file": str(self.out),
         }
@@ -203,4 +199,4 @@ class _Plan:
         file = self.placements.file.model_validate(about | {"fingers": hands, "probes": probes})
         values = file.model_dump(mode="json", exclude_defaults=True)
         doubt = self.apparatus.acquisition.sensitivity_uncertainty_percent
-        return ProbeReport(shown, values["fingers"], HEAD + yaml_text(values), out, doubt)
+        return ProbeReport(shown, values, out, doubt)
