@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -37,32 +38,19 @@ class ModalParameters:
     def identification(self) -> Identification:
         """Return the modes and the fitted responses."""
         fit = self.fit
-        variance, deviation = fit.variance, fit.deviation
-        scale = 1 / self.fit.problem.highest
-        local = np.sqrt(self._local_misfit(variance) / variance)
         residue = self._scaled(fit.residue[: fit.n_modes])
         argand = self._scaled(complex_residue(fit))
         labels, torsion, likeness = self._labels(residue)
         modes = tuple(
-            self._mode(
-                k,
-                residue[k],
-                argand[k],
-                (labels[k], torsion[k]),
-                float(likeness[k]),
-                deviation,
-                float(local[k]),
-                variance,
-            )
+            self._mode(k, residue[k], argand[k], (labels[k], torsion[k]), float(likeness[k]))
             for k in range(fit.n_modes)
             if fit.n_modes == 1 or self._inside[k]
         )
+        late = float(fit.deviation[-1] / fit.problem.highest * self._local.max(initial=1.0))
         return Identification(
             modes=modes,
-            delay=Estimate.of(
-                fit.poles.delay + self.responses.offset, float(deviation[-1]) * scale * float(local.max(initial=1.0))
-            ),
-            misfit=variance,
+            delay=Estimate.of(fit.poles.delay + self.responses.offset, late),
+            misfit=fit.variance,
             responses=self.responses,
             length=self.length,
             fitted=fitted(fit).reshape(self.responses.response.shape) * np.sqrt(self._level)[:, None, None],
@@ -76,11 +64,9 @@ class ModalParameters:
         argand: ComplexArray,
         which: tuple[int | None, int | None],
         likeness: float,
-        deviation: FloatArray,
-        local: float,
-        variance: float,
     ) -> IdentifiedMode:
-        fit, n, (label, torsion) = self.fit, self.fit.n_modes, which
+        fit, (label, torsion) = self.fit, which
+        off = fit.deviation * self._local[k]
         frequency, ratio = float(fit.poles.natural_frequency[k]), float(fit.poles.damping_ratio[k])
         gain: tuple[Estimate, ...] = ()
         shape = None
@@ -88,7 +74,7 @@ class ModalParameters:
             shape = unit_shape(residue, self.responses.places, label, self.length)
             values = residue @ shape / (shape @ shape)
             scatter = shape_scatter(shape, self.responses.places, label, self.length)
-            spread = np.hypot(self._gain_deviation(k, shape, variance) * local, scatter * values)
+            spread = np.hypot(self._gain_deviation(k, shape) * self._local[k], scatter * values)
             gain = tuple(Estimate.of(float(v), float(d)) for v, d in zip(values, spread, strict=True))
         elif torsion is not None and self.length is not None:
             expected = torsion_shapes([torsion], self.responses.places, self.length)[0]
@@ -100,9 +86,9 @@ class ModalParameters:
         return IdentifiedMode(
             label=label,
             natural_frequency=Estimate.of(
-                frequency, frequency * math.hypot(float(deviation[k]) * ratio * local, self.clock_tolerance / NORMAL_95)
+                frequency, frequency * math.hypot(float(off[k]) * ratio, self.clock_tolerance / NORMAL_95)
             ),
-            damping_ratio=Estimate.of(ratio, float(deviation[n + k]) * ratio * local),
+            damping_ratio=Estimate.of(ratio, float(off[fit.n_modes + k]) * ratio),
             gain=gain,
             shape=shape,
             mac=likeness if shape is not None else float("nan"),
@@ -147,7 +133,7 @@ class ModalParameters:
         torsion, twisted = label_torsion(common, labels, places, self.length)
         return labels, torsion, np.where([order is None for order in torsion], likeness, twisted)
 
-    def _gain_deviation(self, k: int, shape: FloatArray, variance: float) -> FloatArray:
+    def _gain_deviation(self, k: int, shape: FloatArray) -> FloatArray:
         """Return the standard deviation of a mode's gains, from its residues and from their change with the poles."""
         fit = self.fit
         n_sets, n_points = self.responses.response.shape[:2]
@@ -160,7 +146,7 @@ class ModalParameters:
         for s in range(n_sets):
             own = np.concatenate([on_shape[: fit.n_modes, s]] * 2)
             slope = -np.append(fit.lost[k] * own, fit.lost_turned[k] @ on_shape[:, s])
-            independent = (alone + float(slope @ fit.covariance @ slope)) * variance
+            independent = (alone + float(slope @ fit.covariance @ slope)) * fit.variance
             rest = fit.rest[:, s * n_points : (s + 1) * n_points] @ weight
             each = inverse[k] @ fit.basis.T * rest
             n = each.size // 2
@@ -168,8 +154,9 @@ class ModalParameters:
             spread.append(column * np.sqrt(max(independent, common) * float(self._level[s])))
         return np.array(spread)
 
-    def _local_misfit(self, variance: float) -> FloatArray:
-        """Return the residual's mean square about each mode where it is significantly above `variance`, else that."""
+    @cached_property
+    def _local(self) -> FloatArray:
+        """How much larger the residual is about each mode than over the band, rms; 1 where that may be chance [1]."""
         square = (np.abs(self.fit.left) ** 2).sum(axis=1)
         frequency = self.fit.problem.bins.centre
         worst = []
@@ -178,9 +165,9 @@ class ModalParameters:
             count = 2 * int(near.sum()) * self.fit.rest.shape[1]
             # The mode's own parameters absorb part of the scatter.
             free = max(count - self.fit.rest.shape[1] * (1 + N_REST / 4), 1.0)
-            found = float(square[near].sum()) / free
-            worst.append(found if found > variance * (1 + 3 * np.sqrt(2 / free)) else variance)
-        return np.array(worst)
+            larger = float(square[near].sum()) / free / self.fit.variance
+            worst.append(larger if larger > 1 + 3 * np.sqrt(2 / free) else 1.0)
+        return np.sqrt(worst)
 
     def _half_power_gain(
         self, peak: HalfPower, residue: FloatArray, shape: FloatArray | None, driver: int, point: int
