@@ -70,14 +70,7 @@ class Held:
             time = time - self.delay
         if math.isinf(self.period):
             return time
-        first, last = time.min(), time.max()
-        if first >= 0 and last < self.period:
-            return time
-        if first < -self.period or last >= 2 * self.period:
-            return np.mod(time, self.period)
-        since = np.where(time < 0, time + self.period, time)
-        np.subtract(since, self.period, out=since, where=since >= self.period)
-        return since
+        return time if time.min() >= 0 and time.max() < self.period else np.mod(time, self.period)
 
 
 def start_state(system: DiagonalSystem, held: Held) -> ComplexArray:
@@ -137,6 +130,6 @@ def peak(system: DiagonalSystem, output: ComplexArray, held: Held) -> FloatArray
 
 
 def refined(system: DiagonalSystem, held: Held) -> tuple[FloatArray, float]:
-    """Return the same voltages on a grid in whose step no mode turns by more than FINEST_TURN, and that step [s]."""
+    """Return the voltages on a grid in whose step no mode turns by more than LARGEST_PHASE_STEP, and that step [s]."""
     times = max(1, math.ceil(float(np.abs(system.exponent.imag).max()) * held.hold / LARGEST_PHASE_STEP))
     return held.voltage if times == 1 else np.repeat(held.voltage, times, axis=1), held.hold / times

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from modaltouch.rig.simulator.held import ComplexArray, FloatArray, Held, refined, start_state
 from modaltouch.stimulus import Amplifier, BlockKernel, DiagonalSystem
@@ -223,65 +222,16 @@ class DriveVoltage:
         time : (n_times,) array
             Instants, since the first sample of a burst reached the beam [s].
         """
-        since, index, left = self._places(time)
-        target, change = self._parts(index, left)
-        return np.asarray(np.where(since < 0, 0.0, target + change) + self.held.rest[self.channel])
-
-    def sampled(self, time: FloatArray) -> SampledDrive:
-        """Return the voltage at a scope's instants, (n_times,) array, since the first sample reached the beam [s]."""
-        since, index, left = self._places(time)
-        target, change = self._parts(index, left)
-        target += self.held.rest[self.channel]
-        room = np.where(index < self.held.voltage.shape[1], self.held.hold - left, np.inf)
-        for other in (left, since, self.held.period - since):
-            np.minimum(room, other, out=room)
-        return SampledDrive(self, time, target, change, room)
-
-    def _places(self, time: FloatArray) -> tuple[FloatArray, NDArray[np.intp], FloatArray]:
-        """Return times since the latest burst began [s], the samples held then [1], and for how long already [s]."""
-        since = self.held.within_period(time)
-        index = np.clip((since / self.held.hold).astype(np.intp), 0, self.held.voltage.shape[1])
-        return since, index, np.maximum(since - index * self.held.hold, 0.0)
-
-    def _parts(self, index: NDArray[np.intp], left: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the voltage that the amplifier approaches, as deviation from rest, and its distance from that [V]."""
-        target = np.append(self.held.voltage[self.channel], 0.0)[index]
-        if self.pole is None:
-            return target, np.zeros(target.size)
-        return target, (self.before[index] - target) * np.exp(-self.pole * left)
-
-
-@dataclass(frozen=True, eq=False)
-class SampledDrive:
-    """The voltage of one channel at the instants of a scope, which the jitter of its trigger shifts slightly.
-
-    Attributes
-    ----------
-    drive : DriveVoltage
-        The voltage at every instant.
-    time : (n_times,) array
-        Instants, since the first sample of a burst reached the beam [s].
-    target, change : (n_times,) array
-        Voltage that the amplifier approaches at each instant, and its distance from that [V].
-    room : (n_times,) array
-        How far each instant may shift before it is in another sample, or another burst [s].
-    """
-
-    drive: DriveVoltage
-    time: FloatArray
-    target: FloatArray
-    change: FloatArray
-    room: FloatArray
-
-    def move(self, shifts: FloatArray, out: FloatArray) -> None:
-        """Write the voltage at the instants shifted by each of `shifts` [s] into a row of `out` [V]."""
-        anew = np.flatnonzero(self.room <= np.abs(shifts).max())
-        for shift, voltage in zip(shifts, out, strict=True):
-            faded = 1.0 if self.drive.pole is None else math.exp(-self.drive.pole * shift)
-            np.multiply(self.change, faded, out=voltage)
-            voltage += self.target
-            if anew.size:
-                voltage[anew] = self.drive.at(self.time[anew] + shift)
+        since, hold, target = (
+            self.held.within_period(time),
+            self.held.hold,
+            np.append(self.held.voltage[self.channel], 0),
+        )
+        index = np.clip((since / hold).astype(np.intp), 0, target.size - 1)
+        voltage = target[index]
+        if self.pole is not None:
+            voltage += (self.before[index] - voltage) * np.exp(-self.pole * np.maximum(since - index * hold, 0.0))
+        return np.asarray(np.where(since < 0, 0.0, voltage) + self.held.rest[self.channel])
 
 
 def low_passed(

@@ -13,7 +13,7 @@ from modaltouch.rig.acquisition import Acquisition, Inputs, Recording
 from modaltouch.rig.interface import RigError
 from modaltouch.rig.scope import Scope
 from modaltouch.rig.simulator.held import FloatArray
-from modaltouch.rig.simulator.motion import AT_ONCE, Motion, SampledDrive
+from modaltouch.rig.simulator.motion import AT_ONCE, Motion
 from modaltouch.rig.simulator.timeline import Playback, Timeline
 from modaltouch.rig.simulator.twin import Twin
 from modaltouch.stimulus import Finger
@@ -76,7 +76,6 @@ class SimulatedScope(Scope):
         # A random stream of its own: measurements do not change the beam.
         self._rng = np.random.Generator(np.random.SFC64([twin.seed, 1]))
         self._noise = np.empty(AT_ONCE)
-        self._sampled: dict[int, tuple[tuple[object, ...], SampledDrive | None]] = {}
         self.configure(Acquisition())
 
     @property
@@ -163,26 +162,19 @@ class SimulatedScope(Scope):
             touched=self._touched(),
             span=(float(elapsed[0] - reach), float(elapsed[-1] + reach)),
         )
-        drives = [self._drive(number, playbacks, elapsed) for number in asked.drives]
+        drives = [self._twin.drive(playbacks, number - 1) for number in asked.drives]
         velocity = _moved(motions, elapsed - late, jitter)
         voltage = np.zeros((n_records, len(drives), asked.n_samples))
         over = [self._see_velocity(record) for record in velocity]
         overloaded = {"velocity": any(over)}
         for row, (number, drive) in enumerate(zip(asked.drives, drives, strict=True)):
-            if drive is not None:
-                drive.move(jitter, voltage[:, row])
+            for shift, record in zip(jitter, voltage[:, row], strict=True):
+                for instants, volts in zip(_parts(elapsed), _parts(record), strict=True):
+                    volts[:] = 0.0 if drive is None else drive.at(instants + shift)
             over = [self._see_drive(record) for record in voltage[:, row]]
             overloaded[f"drive {number}"] = any(over)
         names = tuple(name for name, over in overloaded.items() if over)
         return Recording(position, nominal, velocity, voltage, self._rate, names)
-
-    def _drive(self, number: int, playbacks: Sequence[Playback | None], elapsed: FloatArray) -> SampledDrive | None:
-        """Return the voltage of a drive; at the points of a scan it is the same except for jitter."""
-        key = (*playbacks, self._twin.tripped, elapsed[0], elapsed[-1], elapsed.size)
-        if number not in self._sampled or self._sampled[number][0] != key:
-            drive = self._twin.drive(playbacks, number - 1)
-            self._sampled[number] = key, None if drive is None else drive.sampled(elapsed)
-        return self._sampled[number][1]
 
     def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
         """Call `send`, and return the earliest and latest onset of its burst, as a periodically polled scope would."""
