@@ -77,12 +77,8 @@ def contact_warnings(findings: Findings) -> list[str]:
     placed = {} if findings.placements is None else findings.placements.all()
     widest = max((finger.width * 1e3 for laid in placed.values() for finger in laid), default=0.0)
     narrowest = min(zone.width_mm for zone in findings.experiment().apparatus.zones.values())
-    if widest <= narrowest:
-        return []
-    return [
-        f"a finger's contact is {widest:g} mm wide, a zone only {narrowest:g}; a fingertip touches about 10 mm: check "
-        "contact_width_mm"
-    ]
+    said = f"a finger's contact is {widest:g} mm wide, a zone only {narrowest:g}; a fingertip touches about 10 mm"
+    return [f"{said}: check contact_width_mm"] if widest > narrowest else []
 
 
 def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:

@@ -159,7 +159,7 @@ AFG3022B = Instrument(
         armed=Setting("TRIG:SOUR", "TIM", replies=("TIM", "TIMER")),
         locks=(LOCKED,),
         # The number of points of the edit memory, which is not played.
-        mark=Setting("DATA:POIN", "mark", of="EMEM", tolerance=0.0),
+        marks=(Setting("DATA:POIN", "mark", of="EMEM", tolerance=0.0),),
     ),
     records=EditMemory(n_memories=4),
     questions=(0, 1, 2, 3, 6, 7, 8, 10, 12, 13),

@@ -138,7 +138,7 @@ class Commands:
         Time between triggers (``period``), and this timer as the trigger source; None if the channels share no timer.
     locks : tuple of Setting
         Settings that protect a ``{memory}`` from the front panel; none if the instrument has no such lock.
-    mark : Setting or None
+    marks : tuple of Setting
         A ``mark``, different for different records, on the memory through which every record is stored: whoever stores
         another one wipes it off, even if the memories are unlocked and locked again. None if there is no such memory.
     """
@@ -155,7 +155,7 @@ class Commands:
     timer: Setting | None = None
     armed: Setting | None = None
     locks: tuple[Setting, ...] = ()
-    mark: Setting | None = None
+    marks: tuple[Setting, ...] = ()
 
 
 @dataclass(frozen=True)

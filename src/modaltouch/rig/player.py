@@ -139,9 +139,8 @@ class Player:
                 settings += self._instrument.burst_settings(channel, memory, burst, continuous=self._continuous)
             settings += self._instrument.timer(burst) if self.repetition == "timer" else ()
         locks = [lock.filled(memory=memory) for lock in self._table.locks for memory in dict.fromkeys(memories)]
-        if self._table.mark is not None:
-            records_hash = zlib.crc32("".join(self._controls.stored.values()).encode())
-            locks.append(self._table.mark.filled(mark=float(2 * (500 + records_hash % MARKS))))
+        mark = 2.0 * (500 + zlib.crc32("".join(self._controls.stored.values()).encode()) % MARKS)
+        locks += [each.filled(mark=mark) for each in self._table.marks]
         self._controls.apply_each([*by_burst[self._chosen], *locks])
         if self.repetition == "single" and not self._trigger_command:
             self._trigger_command = self._controls.trigger_command()
