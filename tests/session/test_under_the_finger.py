@@ -276,6 +276,17 @@ def test_people_lay_their_own_fingers_on_the_simulated_beam(preflight: Preflight
     assert untouched.with_true_fingers(np.random.default_rng(1)).twin.fingers is None
 
 
+def test_spreads_are_those_of_the_file_unless_the_twin_has_its_own(tmp_path: Path) -> None:
+    """A person's fingers differ between placements as the file says, and between trials as the apparatus says."""
+    file = protocol_for(
+        tmp_path / "protocols", f"{LIGHT}placement_spread: {{mass: 0.2}}\ntrial_spread: {{mass: 0.1}}\n"
+    )
+    beam = file.parent / "apparatus" / "beam_100x6x2.yaml"
+    beam.write_text(beam.read_text("utf-8") + "  finger_trial_spread: {mass: 0.5}\n", "utf-8")
+    twin = Findings.read(file).with_true_fingers(np.random.default_rng(1)).twin
+    assert (twin.finger_spread.mass, twin.finger_trial_spread.mass) == (0.2, 0.5)
+
+
 def test_fingers_by_hand_make_a_design_to_each_placement(tmp_path: Path) -> None:
     """One hand lies on the beam with other fingers than two hands do; eight records take turns in four memories."""
     pairs = "[[A, C], [B, D], [C, E]]", "[[A, C], [B, D]]"

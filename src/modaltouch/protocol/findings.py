@@ -173,6 +173,8 @@ class Findings:
     def with_true_fingers(self, rng: np.random.Generator) -> Apparatus:
         """Return the apparatus; if the stimulus is designed for fingers and the twin has none, with a random person's.
 
+        Spreads between placements and trials are those of the file, unless the section ``twin`` states its own.
+
         Parameters
         ----------
         rng : numpy.random.Generator
@@ -183,8 +185,9 @@ class Findings:
         if self.placements is None or fingers is None or apparatus.twin.fingers is not None:
             return apparatus
         file = self.placements.file
-        own = {"fingers": fingers, "finger_spread": file.placement_spread, "finger_trial_spread": file.trial_spread}
-        return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update=own)})
+        own = {"finger_spread": file.placement_spread, "finger_trial_spread": file.trial_spread}
+        own |= {name: getattr(apparatus.twin, name) for name in own.keys() & apparatus.twin.model_fields_set}
+        return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update={"fingers": fingers, **own})})
 
     def placement_of(self, finger_condition: str, left: str, right: str) -> str:
         """Return the name of the placement of a finger condition on two zones of the unturned beam; empty for none."""
