@@ -150,19 +150,15 @@ class _Plan:
         self.conditions = {
             each: placements.expected(each, pairs[pair]) for each in protocol.conditions.finger_conditions
         }
+        self.fingers = [[finger for _, finger in expected.values()] for expected in self.conditions.values()]
 
     def lay(self, bench: Laboratory, expected: Laid, lay: Callable[[str], None], words: str) -> None:
         """Have fingers laid on the beam, or taken away."""
         if bench.simulator is None:
             lay(words)
-            return
-        places = np.array([finger.position for _, finger in expected.values()])
-        bench.simulator.touch((places + PLACE_ERROR * self.rng.standard_normal(places.size)).tolist())
-
-    @property
-    def fingers(self) -> list[list[Finger]]:
-        """Expected fingers of each finger condition."""
-        return [[finger for _, finger in expected.values()] for expected in self.conditions.values()]
+        else:
+            places = np.array([finger.position for _, finger in expected.values()])
+            bench.simulator.touch((places + PLACE_ERROR * self.rng.standard_normal(places.size)).tolist())
 
     def carried_out(self, prober: Prober, bench: Laboratory, lay: Callable[[str], None], out: Path) -> ProbeReport:
         """Probe all placements and return the report; for a finger measured more than once, the first counts."""
