@@ -457,7 +457,7 @@ def test_a_finger_taken_away_must_not_send_the_beam_over_its_limit(edit: Edit) -
     beam.write_text(beam.read_text(encoding="utf-8").replace("limit_mm_s: 145", "limit_mm_s: 130"), encoding="utf-8")
     problems = examine(file).problems
     assert {problem.path for problem in problems} == {"conditions.peak_velocities_mm_s[1]"}
-    assert all("once both fingers are taken away" in problem.given for problem in problems)
+    assert all("once all fingers are taken away" in problem.given for problem in problems)
     assert all("at most 130 mm/s anywhere in a zone" in problem.allowed for problem in problems)
 
 

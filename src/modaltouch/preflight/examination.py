@@ -153,7 +153,9 @@ def _speeds_when_lifted(
     points, unit, n = _zone_points(inputs).ravel(), stimulus.volts_per_code(level * 1e-3), len(inputs.fingers)
     touched = stimulus.touched(inputs.fingers)
     for left in (left for n_left in range(n) for left in combinations(inputs.fingers, n_left)):
-        said = f" once {'both fingers are' if not left else 'a finger is'} taken away"
+        said = (
+            f" once {('a finger is', 'two fingers are')[n - len(left) - 1] if left else 'all fingers are'} taken away"
+        )
         found = touched.peak_when_lifted(stimulus.touched(left), points, unit, floor)
         speeds[said] = np.maximum(speeds.get(said, 0.0), found)
     return speeds
