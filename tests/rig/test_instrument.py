@@ -236,6 +236,10 @@ def test_timer_level_and_lock(burst: Burst) -> None:
     (lock,) = (entry.filled(memory="3") for entry in TABLE.locks)
     assert (lock.command, lock.query) == ("DATA:LOCK:STAT USER3,ON", "DATA:LOCK:STAT? USER3")
     assert lock.off.command == "DATA:LOCK:STAT USER3,OFF"
+    (mark,) = (entry.filled(mark=3182.0) for entry in TABLE.marks)
+    assert (mark.command, mark.query) == ("DATA:POIN EMEM,3182", "DATA:POIN? EMEM")
+    assert mark.confirmed_by("3182")
+    assert not mark.confirmed_by("3183")
 
 
 def test_instrument_whose_channels_have_triggers_of_their_own() -> None:
