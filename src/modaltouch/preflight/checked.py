@@ -357,10 +357,7 @@ class Preflight:
             "warnings": [],
             "defaults": self.findings.defaults(),
             "stimuli": self._levels(fingers),
-            "contrasts": [],
-            "unknown_gains": [],
-            "assumed_gains": [],
-            "offered_gains": [],
+            **{name: [] for name in ("contrasts", "unknown_gains", "assumed_gains", "offered_gains")},
         }
         if self.others:
             values["occasions"] = [occasion_figures(each.findings) for each in (self, *self.others)]
@@ -372,13 +369,12 @@ class Preflight:
 
         inputs, _ = self.sound
         protocol, apparatus = self.experiment.protocol, inputs.apparatus
-        touching = self.findings if fingers in (None, "none") else self.findings.under(fingers)
         values |= {
             "warnings": [
                 *([f"the calibration misses its limits: {self.calibration_mark}"] if self.calibration_mark else []),
                 *self._stimulus_warnings(),
                 *advice.placement_warnings({name: part.sound[0] for name, part in self.designs.items()}),
-                *advice.contact_warnings(touching),
+                *advice.contact_warnings(self.findings if fingers in (None, "none") else self.findings.under(fingers)),
                 *advice.design_warnings(protocol),
                 *advice.answer_warnings(protocol),
                 *advice.interval_warnings(protocol),

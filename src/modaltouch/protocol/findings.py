@@ -173,12 +173,10 @@ class Findings:
     def with_true_fingers(self, rng: np.random.Generator) -> Apparatus:
         """Return the apparatus; if the stimulus is designed for fingers and the twin has none, with a random person's.
 
-        Spreads between placements and trials are those of the file, unless the section ``twin`` states its own.
-
         Parameters
         ----------
         rng : numpy.random.Generator
-            Draws the person, with the spread that the file of fingers states.
+            Draws the person, with the file's spread; ``twin`` may state other spreads between placements and trials.
         """
         apparatus = self.experiment().apparatus
         fingers = None if self.placements is None else self.placements.drawn(rng)
