@@ -620,8 +620,13 @@ def test_a_measure_that_nobody_has_is_told_as_such() -> None:
     design = {"answers": {"keys": {"felt": ["f1"], "nothing": ["f2"]}, "fingers": {"nothing": []}}}
     findings, _ = found(take(frame, design))
     threshold = findings["detection threshold over participants", "one_hand A-C"]
-    assert math.isnan(threshold.estimate) and threshold.n == 0
+    assert np.isnan([threshold.estimate, threshold.low, threshold.high]).all() and threshold.n == 0
     assert threshold.note.endswith("8 participants without a value left out; described, not tested")
+    both = pd.concat([frame, frame.assign(finger_condition="two_hands")], ignore_index=True)
+    findings, _ = found(take(both, design))
+    compared = findings["detection threshold compared", "one_hand - two_hands A-C"]
+    assert (compared.family, compared.note) == ("", "described, not tested: nobody has a value in both")
+    assert math.isnan(compared.p) and math.isnan(compared.low)
 
 
 def test_no_p_of_friedman_is_below_the_smallest_there_is() -> None:

@@ -127,8 +127,10 @@ def over_participants(measure: Measure, own: Sequence[IndividualValue]) -> Locat
     null = 0.0 if measure.null is None else math.log(measure.null) if measure.is_ratio else measure.null
     values = np.array(list(_known(own).values()))
     test, interval = by_flips(values - null)
+    if not values.size:
+        return test, Interval.point(math.nan, 0)
     interval = interval.changed(lambda shifted: shifted + null)
-    if measure.ends and values.size:
+    if measure.ends:
         interval = BoundedMean(values, *measure.ends).interval()
     # If no participant's value is bounded on a side, neither is the mean, however well they agree; then it is open on
     # the other side too, if some are open there.
@@ -200,16 +202,24 @@ def contrast_findings(values: Sequence[IndividualValue]) -> Iterator[Finding]:
                 gap = first[who, level] - second[who, level]
                 if math.isfinite(gap):
                     gaps.setdefault(who, []).append(gap)
-            numbers = np.array([np.mean(gaps[who]) for who in sorted(gaps)])
-            test, interval = (by_ranks if measure.is_ranked else by_flips)(numbers)
             scope = f"{a[0]} - {b[0]} {a[1]}".strip() if a[1] == b[1] else f"{a[0]} {a[1]} - {b[1]}"
-            ends = measure.is_ranked and 0 in (interval.low, interval.high) and test.p <= ALPHA
-            notes = ["the interval ends at 0, which the test rejects: zeros count only in the interval"] if ends else []
-            yield finding_of(
-                measure.question, f"{measure.name} compared, {_RANKS if measure.is_ranked else _FLIPS}", scope, test,
-                f"{_difference(measure)} of {measure.quantity}", as_told(measure, interval), numbers.size,
-                family=f"{measure.question} compared", notes=notes,
-            )  # fmt: skip
+            name = f"{measure.name} compared, {_RANKS if measure.is_ranked else _FLIPS}"
+            yield _compared(measure, name, scope, np.array([np.mean(gaps[who]) for who in sorted(gaps)]))
+
+
+def _compared(measure: Measure, name: str, scope: str, numbers: FloatArray) -> Finding:
+    """Return the test of participants' differences between two conditions; none if nobody has a value in both."""
+    quantity = f"{_difference(measure)} of {measure.quantity}"
+    if not numbers.size:
+        notes = ["described, not tested: nobody has a value in both"]
+        return finding_of(measure.question, name, scope, None, quantity, Interval.point(math.nan, 0), 0, notes=notes)
+    test, interval = (by_ranks if measure.is_ranked else by_flips)(numbers)
+    ends = measure.is_ranked and 0 in (interval.low, interval.high) and test.p <= ALPHA
+    notes = ["the interval ends at 0, which the test rejects: zeros count only in the interval"] if ends else []
+    return finding_of(
+        measure.question, name, scope, test, quantity, as_told(measure, interval), numbers.size,
+        family=f"{measure.question} compared", notes=notes,
+    )  # fmt: skip
 
 
 def _factors(finger_condition: str, place: str) -> tuple[str, ...]:
