@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -269,6 +270,7 @@ def test_thresholds_of_several_labs_are_told_by_lab(results: Path, tmp_path: Pat
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert (tmp_path / "out" / "runs_sub-north-p01_ses-1.svg").is_file()
     assert "<p>Groups are labs: north, south.</p>" in report and '<td class="word">south</td>' in report
+    assert re.search(r"<strong>The mean threshold is .* \((north|south) one hand [AC]-[CE]\)", report)
     assert f"<code>modaltouch analyse {labs[0]} {labs[1]} --out FOLDER --mode simulated</code>" in report
 
 
