@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from modaltouch.analysis.association import association_test, joint_findings
+from modaltouch.analysis.consistency import effect_findings
 from modaltouch.analysis.counts import AnswerCounts, Pair
 from modaltouch.analysis.exact import sign_flip_test
+from modaltouch.analysis.statistics import cell_share_findings
 from modaltouch.protocol import AnswerList
 
 WORDS = AnswerList.of({"keys": ["rough", "smooth", "sharp"]})
@@ -96,4 +98,7 @@ def test_each_question_has_its_test_and_no_answer_is_passed_over(rng) -> None:
     expected += [association_test(counts[:, f].sum(axis=2)).p for f in (0, 1)]
     assert [row.p for row in found] == expected
     assert [word for word, _ in answers.effects(PAIRS[0])] == ["rough", "smooth", "sharp"]
+    cells = [row.quantity for row in cell_share_findings(answers)]
+    assert cells == ["P(rough)", "P(smooth)", "P(sharp)"] * 12
+    assert {row.quantity for row in effect_findings(answers)} == {"P(rough)", "P(smooth)", "P(sharp)"}
     assert not list(joint_findings(AnswerCounts(people, ("one_hand",), PAIRS, (80.0,), counts[:, :1, :, :1], 2)))

@@ -25,7 +25,7 @@ _SHUFFLES = 9_999
 
 def joint_findings(answers: AnswerCounts) -> Iterator[Finding]:
     """Yield tests of three or more unordered answers together, over levels, finger conditions and pairs of zones."""
-    if answers.compares or len(answers.answers) < 3:
+    if not answers.is_nominal:
         return
     counts, pairs = answers.counts, [pair.label for pair in answers.pairs]
     over_levels = counts.sum(axis=3)

@@ -40,7 +40,7 @@ def consistency_findings(answers: AnswerCounts) -> Iterator[Finding]:
 
 
 def effect_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield question f: every share over levels, and every paired difference, cell by cell."""
+    """Yield question f: every share over levels and, of an effect, every paired difference, cell by cell."""
     for f, q, scope in answers.pair_cells:
         labelled = answers.labelled(answers.pairs[q])
         own = answers.counts[:, f, q]
@@ -53,7 +53,8 @@ def effect_findings(answers: AnswerCounts) -> Iterator[Finding]:
             yield finding_of(
                 "f", SHARE, scope, None, f"P({label})", intervals[place], int(mean.n[place]), notes=notes
             )  # fmt: skip
-    yield from _paired_cells(answers)
+    if not answers.is_nominal:
+        yield from _paired_cells(answers)
 
 
 def _missing_notes(shares: Shares) -> list[str]:

@@ -144,6 +144,11 @@ class AnswerCounts:
         return self.answers.compares
 
     @property
+    def is_nominal(self) -> bool:
+        """Whether there are three answers or more, none of which is the effect by itself."""
+        return not self.compares and len(self.answers) > 2
+
+    @property
     def is_paper_design(self) -> bool:
         """Whether pairs and levels are those of the paper's experiment."""
         pairs = {pair.label for pair in self.pairs}
@@ -194,7 +199,7 @@ class AnswerCounts:
             One of `pairs`.
         """
         if not self.compares:
-            counted = self.answers if len(self.answers) > 2 else self.answers[:-1]
+            counted = self.answers if self.is_nominal else self.answers[:-1]
             return tuple((answer.name, place) for place, answer in enumerate(counted))
         place = self.both_place
         both = [] if place is None else [(self.answers[place].name, place)]

@@ -113,13 +113,12 @@ def _cells_of(answers: AnswerCounts) -> tuple[list[tuple[int, str]], IntArray]:
 
 
 def cell_share_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield the share of one answer in each cell, of participants by their most frequent answer."""
+    """Yield the share of the effect in each cell, or of each answer, of participants by their most frequent answer."""
     cells, kinds = _cells_of(answers)
     for (q, scope), own in zip(cells, kinds, strict=True):
-        label, place = answers.effects(answers.pairs[q])[0]
-        share = clopper_pearson(own[place], own.sum())
-        name, n = "share in a cell, exact interval", int(own.sum())
-        yield finding_of("a1", name, scope, None, f"P({label})", share, n)
+        for label, place in answers.effects(answers.pairs[q])[: None if answers.is_nominal else 1]:
+            share, n = clopper_pearson(own[place], own.sum()), int(own.sum())
+            yield finding_of("a1", "share in a cell, exact interval", scope, None, f"P({label})", share, n)
 
 
 def dominance(answers: AnswerCounts) -> Contrast | None:
