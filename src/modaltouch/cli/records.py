@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -207,7 +207,7 @@ def _write_page(file: Path, results: Path, shown: list[dict[str, Any]]) -> None:
     """Write the page; replace only an earlier one."""
     if not file.exists():
         record.prepare_file(file)
-    elif not _is_ours(file):
+    elif not (file.is_file() and _is_ours(file)):  # a pipe would keep us waiting
         raise record.RecordError(
             f"{file}: exists already and is not from `modaltouch study`; give another file with --html"
         )
@@ -221,13 +221,9 @@ def _write_page(file: Path, results: Path, shown: list[dict[str, Any]]) -> None:
 
 def _is_ours(file: Path) -> bool:
     """Return whether a file is an earlier page; one that cannot be read is not."""
-    if not file.is_file():  # a pipe would keep us waiting
-        return False
-    try:
-        with file.open(encoding="utf-8", errors="replace") as page:
-            return _MAKER in page.read(_HEAD)
-    except OSError:
-        return False
+    with suppress(OSError), file.open(encoding="utf-8", errors="replace") as page:
+        return _MAKER in page.read(_HEAD)
+    return False
 
 
 def _show(shown: dict[str, Any]) -> None:

@@ -175,11 +175,10 @@ def design_warnings(protocol: Protocol) -> list[str]:
     n_pairs, n_fingers = len(conditions.contacts), len(conditions.finger_conditions)
     # With a single kind of session that is analysed, the design is still crossed.
     n_kinds = len({each.name for each in kinds if each.analysed})
-    if protocol.adaptive is not None:
-        pass  # runs are compared with each other; no part is tested by itself
-    elif protocol.uncrossed_by and (protocol.uncrossed_by[0] != "schedule" or n_kinds > 1):
+    is_fixed = protocol.adaptive is None  # runs are compared with each other, and have no parts
+    if is_fixed and protocol.uncrossed_by and (protocol.uncrossed_by[0] != "schedule" or n_kinds > 1):
         said.append(_PARTS[protocol.uncrossed_by[0]].format(".".join(protocol.uncrossed_by)))
-    elif not protocol.uncrossed_by:
+    elif is_fixed and not protocol.uncrossed_by:
         numbers = {"level": len(protocol.scheduled_levels), "finger condition": n_fingers, "pair of zones": n_pairs}
         alone = " and one ".join(noun for noun, number in numbers.items() if number == 1)
         said += [f"there is only one {alone}: no test can show whether that matters"] if alone else []
