@@ -83,6 +83,15 @@ def test_the_smallest_p_is_that_of_the_most_extreme_data() -> None:
     assert association_test(three).p == pytest.approx(every_arrangement(three), abs=0.02)
 
 
+def test_thirty_conditions_have_a_smallest_p_too() -> None:
+    """30! is no number of a machine: all alike, p is 1; one odd condition each of four people, 30/30^4 or 1/10,000."""
+    alike = np.tile(np.array([2, 1, 1]), (4, 30, 1))
+    assert (association_test(alike).p, association_test(alike).p_min) == (1, pytest.approx(1))
+    odd = alike.copy()
+    odd[:, 7] = [0, 2, 2]
+    assert association_test(odd).p == association_test(odd).p_min == pytest.approx(1e-4)
+
+
 def test_each_question_has_its_test_and_no_answer_is_passed_over(rng) -> None:
     """Two hands, two pairs, three levels: four tests over levels, two between hands, two between pairs."""
     counts = rng.multinomial(2, [0.5, 0.3, 0.2], size=(6, 2, 2, 3))

@@ -84,10 +84,10 @@ def shuffle_conditions(values: NDArray[Any]) -> ExactTest:
         reached += ((sums**2).sum(axis=(1, 3)) >= least[:, np.newaxis]).sum(axis=-1)
     # The most extreme arrangement is one of at least as many as the freest participant has: the conditions renamed.
     alike = (rows[:, :, :, np.newaxis] == rows[:, :, np.newaxis]).all(axis=-1)
-    ways = math.factorial(k) / np.tril(alike).sum(axis=-1).prod(axis=-1)
-    p_min = np.maximum(1 / (_SHUFFLES + 1), np.exp(np.log(ways).max(axis=-1) - np.log(ways).sum(axis=-1)))
+    ways = math.lgamma(k + 1) - np.log(np.tril(alike).sum(axis=-1)).sum(axis=-1)  # logarithms
+    p_min = np.maximum(1 / (_SHUFFLES + 1), np.exp(ways.max(axis=-1) - ways.sum(axis=-1)))
     p = np.maximum((reached + 1) / (_SHUFFLES + 1), p_min)
-    return ExactTest(*(each.reshape(shape)[()] for each in (observed, p, p_min, (ways > 1).sum(axis=-1))))
+    return ExactTest(*(each.reshape(shape)[()] for each in (observed, p, p_min, (ways > 1e-9).sum(axis=-1))))
 
 
 def _shuffles(n: int, k: int, at_once: int) -> Iterator[NDArray[np.float32]]:
