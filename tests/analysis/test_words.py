@@ -96,6 +96,16 @@ def test_too_few_participants_for_the_cells_are_told(build) -> None:
     assert all("cannot pass Holm's correction" in row.note or row.p_min > 0.05 for row in rows if row.family == "a1")
 
 
+def test_tests_that_correction_puts_out_of_reach_are_not_called_not_shown(build) -> None:
+    """Six participants who all lean alike: 2/2^6 = 0.031 is below 0.05, but not below a sixth of it."""
+    told = paragraphs(build["tidy"](build["paper"](6)))
+    said = (
+        "The data cannot tell whether one zone is chosen more than the other for at least one participant: none of 6 "
+    )
+    assert said + "tests could reach p ≤ 0.05 after Holm's correction." in told["a2"]
+    assert "Not shown" not in told["a2"]
+
+
 def test_one_level_and_one_participant_are_said_plainly(build) -> None:
     """With one level no test of a trend, which would count in the correction; no agreement with one participant."""
     frame = build["tidy"](build["paper"](1))

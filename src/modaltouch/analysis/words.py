@@ -140,8 +140,10 @@ def _answer_family(tested: Sequence[Finding], claim: str, answers: AnswerCounts)
     clearest = min(tested, key=lambda row: (row.p_holm, row.p, -abs(row.estimate)))
     number = f"{_about(clearest, answers)}, p {format_p(clearest.p)}, Holm p {format_p(clearest.p_holm)}"
     none = f"none of {m} tests" if m > 1 else "no test"
-    if all(row.p_min > ALPHA for row in tested):
-        return f"The data cannot tell whether {claim}: {none} could reach p ≤ {ALPHA:g}. Estimate: {number}."
+    least = min(row.p_min for row in tested)
+    if m * least > ALPHA:
+        corrected = "" if least > ALPHA else " after Holm's correction"
+        return f"The data cannot tell whether {claim}: {none} could reach p ≤ {ALPHA:g}{corrected}. Estimate: {number}."
     if not shown:
         return f"Not shown: {none} finds that {claim}. Smallest p: {number}."
     all_of = "both" if m == 2 else f"all {m}"
