@@ -17,6 +17,9 @@ from modaltouch.analysis.intervals import Interval
 ALPHA = 0.05
 """Significance level that `note` refers to."""
 
+OUT_OF_REACH = "cannot pass Holm's correction"
+"""Beginning of the note on a test whose smallest p is too large for the number of tests in its family."""
+
 COLUMNS = (
     "question",
     "name",
@@ -123,7 +126,7 @@ def correct(findings: Iterable[Finding]) -> list[Finding]:
         for i, p in zip(members, adjusted, strict=True):
             row = rows[i]
             out_of_reach = p > ALPHA and row.p_min <= ALPHA < row.p_min * len(members)
-            reach = f"cannot pass Holm's correction as smallest p of {len(members)}: p is at least {row.p_min:.2g}"
+            reach = f"{OUT_OF_REACH} as smallest p of {len(members)}: p is at least {row.p_min:.2g}"
             note = "; ".join(part for part in (reach if out_of_reach else "", row.note) if part)
             rows[i] = replace(row, p_holm=p, note=note)
     return rows

@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 
 from modaltouch.analysis.counts import AnswerCounts, Pair
-from modaltouch.analysis.findings import ALPHA, Finding
+from modaltouch.analysis.findings import ALPHA, OUT_OF_REACH, Finding
 from modaltouch.analysis.statistics import STATISTICS, questions
 from modaltouch.report import format_number
 
@@ -140,9 +140,8 @@ def _answer_family(tested: Sequence[Finding], claim: str, answers: AnswerCounts)
     clearest = min(tested, key=lambda row: (row.p_holm, row.p, -abs(row.estimate)))
     number = f"{_about(clearest, answers)}, p {format_p(clearest.p)}, Holm p {format_p(clearest.p_holm)}"
     none = f"none of {m} tests" if m > 1 else "no test"
-    least = min(row.p_min for row in tested)
-    if m * least > ALPHA:
-        corrected = "" if least > ALPHA else " after Holm's correction"
+    if all(row.p_min > ALPHA or row.note.startswith(OUT_OF_REACH) for row in tested):
+        corrected = "" if all(row.p_min > ALPHA for row in tested) else " after Holm's correction"
         return f"The data cannot tell whether {claim}: {none} could reach p ≤ {ALPHA:g}{corrected}. Estimate: {number}."
     if not shown:
         return f"Not shown: {none} finds that {claim}. Smallest p: {number}."
