@@ -24,9 +24,7 @@ _SHUFFLES = 9_999
 
 
 def joint_findings(answers: AnswerCounts) -> Iterator[Finding]:
-    """Yield tests of three or more unordered answers together, over levels, finger conditions and pairs of zones."""
-    if not answers.is_nominal:
-        return
+    """Yield tests of unordered answers together, over levels, finger conditions and pairs of zones."""
     counts, pairs = answers.counts, [pair.label for pair in answers.pairs]
     over_levels = counts.sum(axis=3)
     for question, scopes, own in (

@@ -19,7 +19,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from modaltouch.analysis.association import joint_findings
 from modaltouch.analysis.consistency import consistency_findings, effect_findings
 from modaltouch.analysis.contrasts import Contrast, FamilyResult, MeanScores, equivalence_of, means_of, signs_of
 from modaltouch.analysis.counts import AnswerCounts
@@ -367,7 +366,10 @@ def _choice_findings(answers: AnswerCounts) -> Iterator[Finding]:
             yield from cell_share_findings(answers)
         if family == "a2" and answers.compares:
             yield from leaning_findings(answers)
-    yield from joint_findings(answers)
+    if answers.is_nominal:
+        from modaltouch.analysis.association import joint_findings
+
+        yield from joint_findings(answers)
     yield from consistency_findings(answers)
     yield from effect_findings(answers)
 
