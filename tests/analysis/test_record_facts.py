@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from modaltouch.analysis.provenance import describe_record, form_rows, summarise_form, take_facts
+from modaltouch.analysis.provenance import describe_record, form_files, summarise_form, take_facts
 from modaltouch.record.session import Session
 
 
@@ -97,8 +97,8 @@ def test_the_form_is_summarised_over_participants_and_not_over_sessions() -> Non
     told = [tired[name] for name in ("quartile_low", "median", "quartile_high")]
     assert told == np.quantile([1, 2, 5, 8], [0.25, 0.5, 0.75]).tolist()
     assert (again["n"], again["median"], again["answers"]) == (3, None, {"yes": 3, "no": 1})
-    assert [row["again"] for row in form_rows(sessions)] == ["yes", "no", None, "yes", "yes"]
-    assert form_rows([take_facts(session("p1"))]) == []
+    assert [row["again"] for row in form_files(sessions)["form.csv"]] == ["yes", "no", None, "yes", "yes"]
+    assert form_files([take_facts(session("p1"))]) == {}
 
 
 def test_groups_and_kinds_of_session_have_forms_apart() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from modaltouch.analysis.gallery import FIGURES, draw_all
-from modaltouch.analysis.provenance import form_rows
+from modaltouch.analysis.provenance import form_files
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.scale import Speed
 from modaltouch.protocol import InputError
@@ -85,9 +85,7 @@ def analyse(
     folder = Path(out) if out is not None else default_folder(Path(path), responses.stimulus)
     asked |= {"--speed": speed != "nominal"} if responses.scheduled is not None else {}
     found, files = _results(responses, path, asked)
-    if rows := form_rows(responses.sessions):
-        files["form.csv"] = rows
-    return replace(found, files=write_files(folder, files, _about(responses.source)))
+    return replace(found, files=write_files(folder, files | form_files(responses.sessions), _about(responses.source)))
 
 
 def _about(source: AnswerSource) -> dict[str, str]:

@@ -170,15 +170,16 @@ def _describe_people(sessions: Sequence[SessionFacts]) -> Iterator[str]:
         yield f"{name}: {said} (n = {len(values)})"
 
 
-def form_rows(sessions: Sequence[SessionFacts]) -> list[dict[str, Any]]:
-    """Return the form at the end of each session as a row of ``form.csv``, empty at a time-out; none without a form."""
+def form_files(sessions: Sequence[SessionFacts]) -> dict[str, list[dict[str, Any]]]:
+    """Return ``form.csv``, a row for each session, empty at a time-out; no file without a form."""
     names = dict.fromkeys(name for session in sessions for name in session.form)
-    return [
+    rows = [
         {"participant": each.participant, "session": each.number, "group": each.occasion[0],
          "session_kind": each.occasion[1]}
         | {name: said if (said := each.form.get(name)) != TIME_OUT else None for name in names}
-        for each in (sessions if names else ())
+        for each in sessions
     ]  # fmt: skip
+    return {"form.csv": rows} if names else {}
 
 
 def summarise_form(sessions: Sequence[SessionFacts]) -> Iterator[dict[str, Any]]:

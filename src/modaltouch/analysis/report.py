@@ -123,9 +123,7 @@ def design_limits(analysis: Analysis) -> list[str]:
             not answers.compares and len(answers.answers) > 1,
             f"The answers ({', '.join(answers.answers.names)}) do not name each of two fingers alone, so no zone is "
             "dominant: there is no net dominance (a2), no prevalence of it, no side bias, no drift of it and no fit to "
-            "the ratio of speeds. The tests are of each answer by itself"
-            + ", and of all together." * (len(answers.answers) > 2)
-            + "." * (len(answers.answers) == 2),
+            f"the ratio of speeds. The tests are of each answer alone{', and of all together' * answers.is_nominal}.",
         ),
         *((answers.compares and not answers.mirrored, words) for words in _aliases(answers.pairs)),
         (
