@@ -13,7 +13,7 @@ from typer.testing import CliRunner, Result
 
 from modaltouch.analysis import analyse
 from modaltouch.analysis.outcome import Analysis
-from modaltouch.analysis.preregistration import find_departures, read_preregistration
+from modaltouch.analysis.preregistration import read_preregistration
 from modaltouch.cli.commands import app
 from modaltouch.protocol import InputError
 from modaltouch.session import simulate_session
@@ -86,7 +86,7 @@ def test_every_departure_is_said(analysis: Analysis, page: Path) -> None:
     """Another number of participants, family of tests, margin and protocol, and sessions that came first."""
     terms = read_preregistration(page)
     other = terms | {"participants": 12, "equivalence margin": 0.1, "protocol (SHA-256)": "0", "date": "2999-01-01"}
-    departures = find_departures(other, replace(analysis, findings=analysis.findings[:6]))
+    departures = replace(analysis, findings=analysis.findings[:6]).departures_from(other)
     said = " | ".join(departures)
     assert "participants: 12 preregistered, 3 analysed" in said
     assert " preregistered, a1 (6) analysed" in said
@@ -185,7 +185,7 @@ def test_adaptive_runs_and_designs_that_are_not_crossed_are_simulated_in_session
     assert found.registration.departures == ()
     assert "None from <code>" in found.files["report.html"].read_text(encoding="utf-8")
     terms = read_preregistration(file) | {"participants": 12}
-    assert find_departures(terms, found) == ("participants: 12 preregistered, 2 analysed",)
+    assert found.departures_from(terms) == ("participants: 12 preregistered, 2 analysed",)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pandas as pd
 
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding, plain_row, to_frame
-from modaltouch.analysis.preregistration import RegisteredAnalysis, Registration, terms_of
+from modaltouch.analysis.registration import RegisteredAnalysis, Registration
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.tables import tabulate
 from modaltouch.protocol import InputError
@@ -89,6 +89,8 @@ class Analysis(RegisteredAnalysis):
 
     def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
         """Return the terms that a preregistration fixes, by name."""
+        from modaltouch.analysis.preregistration import terms_of
+
         return terms_of(self.answers, tests)
 
     @property

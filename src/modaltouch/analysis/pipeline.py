@@ -143,10 +143,11 @@ def _hold_against(prereg: Path | str | None, analysis: Held) -> Held:
         if not beside.is_file():
             return analysis
         prereg = beside
-    from modaltouch.analysis.preregistration import Registration, find_departures, read_preregistration
+    from modaltouch.analysis.preregistration import read_preregistration
+    from modaltouch.analysis.registration import Registration
 
     path = Path(prereg)
-    departures = find_departures(read_preregistration(path), analysis)
+    departures = analysis.departures_from(read_preregistration(path))
     return replace(analysis, registration=Registration(path, departures))
 
 

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import json
 import re
-from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.analysis.covariates import ANTICIPATION
 from modaltouch.analysis.findings import ALPHA, Finding
+from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.protocol import InputError
 
 if TYPE_CHECKING:
@@ -24,26 +23,6 @@ ALL_PARTS = "all parts"
 
 _UNKNOWN = ("protocol (SHA-256)", "equivalence margin")
 """Terms that a table of answers does not contain."""
-
-
-@dataclass(frozen=True)
-class Registration:
-    """The preregistration that an analysis was checked against.
-
-    Attributes
-    ----------
-    path : Path or None
-        Its file; None without one.
-    departures : tuple of str
-        Departures of the analysis from it, in words.
-    """
-
-    path: Path | None = None
-    departures: tuple[str, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return both as plain values for ``--json``."""
-        return {"preregistration": str(self.path) if self.path else None, "departures": list(self.departures)}
 
 
 def terms_of(answers: AnswerCounts, tests: Mapping[str, int]) -> dict[str, Any]:
@@ -72,64 +51,34 @@ def terms_of_tests(tests: Mapping[str, int]) -> dict[str, Any]:
     return {"tests by family": dict(tests), "level of significance": ALPHA, "shortest reaction time [s]": ANTICIPATION}
 
 
-class RegisteredAnalysis(ABC):
-    """An analysis as a preregistration sees it."""
+def describe_families(confirmatory: Iterable[tuple[str, AnswerCounts, Finding]]) -> list[dict[str, Any]]:
+    """Return the families of confirmatory tests of an analysis, as `RegisteredAnalysis.describe_families` does."""
+    from modaltouch.analysis.measures import claim_of
+    from modaltouch.analysis.words import headings, scope_in_words
 
-    responses: Responses
-
-    @property
-    @abstractmethod
-    def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
-        """The tests that are corrected in families: part of the design (or empty), counts, and test."""
-
-    @abstractmethod
-    def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
-        """Return the terms fixed beforehand, by name, as plain values; `tests` counts the tests of each family."""
-
-    def design_in_words(self) -> list[tuple[str, str]]:
-        """Return the terms of a design without counts of its own, in words, by name."""
-        return []
-
-    def describe_families(self) -> list[dict[str, Any]]:
-        """Return the families of confirmatory tests.
-
-        Returns
-        -------
-        list of dict
-            ``name``, ``asks``, ``test``, ``scopes``, and ``significant``: whether any test is, after correction.
-        """
-        from modaltouch.analysis.measures import claim_of
-        from modaltouch.analysis.statistics import STATISTICS
-        from modaltouch.analysis.words import headings, scope_in_words
-
-        families: dict[str, list[tuple[str, AnswerCounts, Finding]]] = {}
-        for each in self.confirmatory:
-            families.setdefault(each[2].family, []).append(each)
-        asks = {name: statistic.asks for name, statistic in STATISTICS.items()}
-        described = []
-        for name, rows in families.items():
-            _, counts, first = rows[0]
-            scopes = [
-                (
-                    part,
-                    row.scope.replace("_", " ")
-                    if part == ALL_PARTS
-                    else scope_in_words(row.scope, own.finger_conditions, own.pairs),
-                    # Only the data can tell which answer will be the most frequent.
-                    "P(most frequent answer)" if name == "a1" else row.quantity,
-                )
-                for part, own, row in rows
-            ]
-            described.append(
-                {
-                    "name": name,
-                    "asks": asks.get(name) or claim_of(name, headings(counts)[first.question][1]),
-                    "test": "; ".join(dict.fromkeys(row.name for *_, row in rows)),
-                    "scopes": [": ".join(filter(None, scope)) for scope in scopes],
-                    "significant": any(row.p_holm <= ALPHA for *_, row in rows),
-                }
-            )
-        return described
+    families: dict[str, list[tuple[str, AnswerCounts, Finding]]] = {}
+    for each in confirmatory:
+        families.setdefault(each[2].family, []).append(each)
+    asks = {name: statistic.asks for name, statistic in STATISTICS.items()}
+    described = []
+    for name, rows in families.items():
+        _, counts, first = rows[0]
+        scopes = []
+        for part, own, row in rows:
+            said = scope_in_words(row.scope, own.finger_conditions, own.pairs)
+            # Only the data can tell which answer will be the most frequent.
+            quantity = "P(most frequent answer)" if name == "a1" else row.quantity
+            scopes.append((part, row.scope.replace("_", " ") if part == ALL_PARTS else said, quantity))
+        described.append(
+            {
+                "name": name,
+                "asks": asks.get(name) or claim_of(name, headings(counts)[first.question][1]),
+                "test": "; ".join(dict.fromkeys(row.name for *_, row in rows)),
+                "scopes": [": ".join(filter(None, scope)) for scope in scopes],
+                "significant": any(row.p_holm <= ALPHA for *_, row in rows),
+            }
+        )
+    return described
 
 
 def read_preregistration(path: Path) -> dict[str, Any]:
@@ -155,33 +104,36 @@ def read_preregistration(path: Path) -> dict[str, Any]:
     return terms
 
 
-def find_departures(terms: Mapping[str, Any], analysis: RegisteredAnalysis) -> tuple[str, ...]:
+def find_departures(
+    terms: Mapping[str, Any],
+    found: Callable[[Mapping[str, int]], dict[str, Any]],
+    confirmatory: Iterable[tuple[str, AnswerCounts, Finding]],
+    responses: Responses,
+) -> tuple[str, ...]:
     """Return the departures of an analysis from a preregistration, in words.
 
     Parameters
     ----------
     terms : mapping
         As `read_preregistration` returns them.
-    analysis : RegisteredAnalysis
-        The analysis.
+    found, confirmatory, responses
+        The terms of the analysis, its tests and its answers, as `RegisteredAnalysis` has them.
     """
-    from modaltouch.analysis.statistics import STATISTICS
-
-    start = analysis.responses.start
+    start = responses.start
     known = {}
     if start.get("sources"):
         margin = (start.get("design", {}).get("analysis") or {}).get("equivalence_margin")
         known = dict(zip(_UNKNOWN, (start["sources"]["protocol"]["sha256"], margin), strict=True))
     counted = {*STATISTICS, *terms.get("tests by family", ())}
-    found = analysis.terms(Counter(row.family for *_, row in analysis.confirmatory if row.family in counted)) | known
+    analysed = found(Counter(row.family for *_, row in confirmatory if row.family in counted)) | known
     said = [
-        f"{name}: {term_in_words(terms.get(name))} preregistered, {term_in_words(found[name])} analysed"
-        for name in found
-        if found[name] != terms.get(name)
+        f"{name}: {term_in_words(terms.get(name))} preregistered, {term_in_words(analysed[name])} analysed"
+        for name in analysed
+        if analysed[name] != terms.get(name)
     ]
-    early = [each.name for each in analysis.responses.sessions if each.day < str(terms.get("date", ""))]
+    early = [each.name for each in responses.sessions if each.day < str(terms.get("date", ""))]
     if early:
-        n = len(analysis.responses.sessions)
+        n = len(responses.sessions)
         said.append(f"{len(early)} of {n} sessions began before the day of the preregistration, {terms['date']}")
     return tuple(said)
 

@@ -77,10 +77,8 @@ def check(
     with reporting(json_output=json_output):
         checked = preflight.check_legibility(preflight.examine(protocol, calibration, marked=with_marked_calibration))
         asked: dict[str, Any] = {}
-        if not checked.problems and (sensitivity or designs or contrast or tolerance):
-            asked = checked.explore(
-                sensitivity=sensitivity, designs=designs, contrast=contrast, tolerance=tolerance or 0.0
-            )
+        if not checked.problems and (sensitivity or designs or contrast or tolerance is not None):
+            asked = checked.explore(sensitivity=sensitivity, designs=designs, contrast=contrast, tolerance=tolerance)
         if export is not None and not checked.problems:
             _export(checked, export)
         if json_output:

@@ -301,39 +301,13 @@ class Preflight:
 
         return drive_arrays({name: part.sound for name, part in self.designs.items()})
 
-    def explore(
-        self, *, sensitivity: bool = False, designs: bool = False, contrast: bool = False, tolerance: float = 0.0
-    ) -> dict[str, Any]:
-        """Return what is asked for besides the check, by name, each as the function of `preflight.exploration` says.
+    def explore(self, **asked: Any) -> dict[str, Any]:
+        """Return what is asked for besides the check, of a single stimulus, as `exploration.explore` does."""
+        from modaltouch.preflight.exploration import explore
 
-        Parameters
-        ----------
-        sensitivity, designs, contrast : bool
-            Whether it is asked for.
-        tolerance : float
-            Allowed change of the field, if the fewest ``samples`` are asked for; else 0 [1].
-
-        Raises
-        ------
-        InputError
-            If the protocol has several stimuli, or with every problem.
-        """
-        from modaltouch.preflight import exploration
-
-        inputs, stimulus = self.of_one_stimulus().sound
-        asked: dict[str, Any] = {}
-        if sensitivity:
-            found = exploration.sensitivity_figures(inputs, stimulus)
-            asked["sensitivity"] = ({"placement": next(iter(self.placed))} if self.placed else {}) | found
-        if designs:
-            asked["designs"] = exploration.design_figures(stimulus)
-        if contrast:
-            placed = {name: part.sound for name, part in self.placed.items()}
-            pairs = map("-".join, self.experiment.protocol.conditions.contacts)
-            asked["contrast"] = exploration.contrast_figures(placed or dict.fromkeys(pairs, self.sound))
-        if tolerance:
-            asked["samples"] = exploration.sample_figures(inputs, stimulus, tolerance)
-        return asked
+        placed = {name: part.sound for name, part in self.of_one_stimulus().placed.items()}
+        pairs = map("-".join, self.experiment.protocol.conditions.contacts)
+        return explore(self.sound, placed, tuple(pairs), **asked)
 
     def as_dict(self, *, compare: bool = False, fingers: str | None = None) -> dict[str, Any]:
         """Return everything as plain values, as ``modaltouch check --json`` prints it.

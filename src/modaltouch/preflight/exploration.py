@@ -25,6 +25,41 @@ SPREAD: dict[str, Any] = {"natural_frequency": 0.001, "damping_ratio": 0.02, "mo
 """Relative standard deviations of randomly drawn beams [1]."""
 
 
+def explore(
+    sound: Design,
+    placed: dict[str, Design],
+    pairs: tuple[str, ...],
+    *,
+    sensitivity: bool = False,
+    designs: bool = False,
+    contrast: bool = False,
+    tolerance: float | None = None,
+) -> dict[str, Any]:
+    """Return what is asked for, by name; nothing else is computed.
+
+    Parameters
+    ----------
+    sound, placed : (DesignInputs, Stimulus), dict of str to (DesignInputs, Stimulus)
+        The design, or the first; those for the fingers of each placement.
+    pairs : tuple of str
+        The pairs of zones that are touched.
+    sensitivity, designs, contrast : bool
+        Whether to return `sensitivity_figures`, `design_figures` and `contrast_figures`.
+    tolerance : float, optional
+        If given, that of `sample_figures`, which are returned as ``samples`` [1].
+    """
+    asked: dict[str, Any] = {}
+    if sensitivity:
+        asked["sensitivity"] = {**({"placement": next(iter(placed))} if placed else {}), **sensitivity_figures(*sound)}
+    if designs:
+        asked["designs"] = design_figures(sound[1])
+    if contrast:
+        asked["contrast"] = contrast_figures(placed or dict.fromkeys(pairs, sound))
+    if tolerance is not None:
+        asked["samples"] = sample_figures(*sound, tolerance)
+    return asked
+
+
 def sensitivity_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
     """Return how well the beam must be identified: what errors of its parameters do to the field at the focus.
 

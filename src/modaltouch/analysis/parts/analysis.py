@@ -13,8 +13,9 @@ import pandas as pd
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import ALPHA, Finding, correct, plain_row, to_frame
 from modaltouch.analysis.models import model_table, tidy_files, zone_files
-from modaltouch.analysis.preregistration import ALL_PARTS, RegisteredAnalysis, Registration, terms_of_tests
+from modaltouch.analysis.preregistration import ALL_PARTS, terms_of_tests
 from modaltouch.analysis.ratings import questions_of
+from modaltouch.analysis.registration import RegisteredAnalysis, Registration
 from modaltouch.analysis.responses import Responses, cell_of
 from modaltouch.analysis.statistics import uncorrected
 from modaltouch.analysis.tables import tabulate, zone_table

@@ -11,7 +11,7 @@ from typing import Any
 from modaltouch.analysis.certificates import certificates_in_words
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.findings import Finding, plain_row, to_frame
-from modaltouch.analysis.preregistration import RegisteredAnalysis, Registration, term_in_words
+from modaltouch.analysis.registration import RegisteredAnalysis, Registration
 from modaltouch.analysis.responses import Responses
 from modaltouch.analysis.scale import scale_of
 from modaltouch.analysis.thresholds.runs import Run, compare_runs, find_runs, in_words, is_forced, over_participants
@@ -62,6 +62,8 @@ class ThresholdAnalysis(RegisteredAnalysis):
 
     def design_in_words(self) -> list[tuple[str, str]]:
         """Return runs, levels and method in words, by name."""
+        from modaltouch.analysis.preregistration import term_in_words
+
         terms = self.terms({})
         return [(name, term_in_words(terms[name])) for name in ("runs", "levels [mm/s]", "method", "trials a run")]
 

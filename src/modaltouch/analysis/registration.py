@@ -1,0 +1,71 @@
+"""What a preregistration sees of an analysis, and which one it was checked against."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from modaltouch.analysis.counts import AnswerCounts
+    from modaltouch.analysis.findings import Finding
+    from modaltouch.analysis.responses import Responses
+
+
+@dataclass(frozen=True)
+class Registration:
+    """The preregistration that an analysis was checked against.
+
+    Attributes
+    ----------
+    path : Path or None
+        Its file; None without one.
+    departures : tuple of str
+        Departures of the analysis from it, in words.
+    """
+
+    path: Path | None = None
+    departures: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return both as plain values for ``--json``."""
+        return {"preregistration": str(self.path) if self.path else None, "departures": list(self.departures)}
+
+
+class RegisteredAnalysis(ABC):
+    """An analysis as a preregistration sees it."""
+
+    responses: Responses
+
+    @property
+    @abstractmethod
+    def confirmatory(self) -> list[tuple[str, AnswerCounts, Finding]]:
+        """The tests that are corrected in families: part of the design (or empty), counts, and test."""
+
+    @abstractmethod
+    def terms(self, tests: Mapping[str, int]) -> dict[str, Any]:
+        """Return the terms fixed beforehand, by name, as plain values; `tests` counts the tests of each family."""
+
+    def design_in_words(self) -> list[tuple[str, str]]:
+        """Return the terms of a design without counts of its own, in words, by name."""
+        return []
+
+    def describe_families(self) -> list[dict[str, Any]]:
+        """Return the families of confirmatory tests.
+
+        Returns
+        -------
+        list of dict
+            ``name``, ``asks``, ``test``, ``scopes``, and ``significant``: whether any test is, after correction.
+        """
+        from modaltouch.analysis.preregistration import describe_families
+
+        return describe_families(self.confirmatory)
+
+    def departures_from(self, terms: Mapping[str, Any]) -> tuple[str, ...]:
+        """Return the departures from a preregistration with these terms, in words."""
+        from modaltouch.analysis.preregistration import find_departures
+
+        return find_departures(terms, self.terms, self.confirmatory, self.responses)
