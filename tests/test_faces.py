@@ -23,6 +23,12 @@ def test_a_face_offers_what_it_says(room):
 
 
 @pytest.mark.parametrize("room", FACES)
+def test_a_face_is_small_enough_to_know_by_heart(room):
+    """Twelve names; twice as many for protocol and stimulus, whose values every room speaks of."""
+    assert len(import_module(f"modaltouch.{room}").__all__) <= (24 if room in ("protocol", "stimulus") else 12)
+
+
+@pytest.mark.parametrize("room", FACES)
 def test_no_module_hides_what_the_face_offers(room):
     """Importing a submodule binds its name in the face: a function of that name would be gone."""
     inside = {path.stem for path in (PACKAGE / room).iterdir() if path.suffix == ".py" or path.is_dir()}

@@ -35,15 +35,15 @@ import time
 from pathlib import Path
 from modaltouch.protocol import Findings
 from modaltouch.protocol.trial import Condition, Trial
-from modaltouch.window import open_window
+from modaltouch.window import WindowOptions
 class Shown(Exception): pass
 experiment = Findings.read(Path("protocols/demo.yaml")).experiment()
 polls = []
 def tick():
     polls.append(time.time())
     raise Shown
-window = open_window("window", experiment.protocol, experiment.texts, zones=experiment.apparatus.zone_spans,
-                     tick=tick, log=lambda event, **facts: None)
+window = WindowOptions().open(experiment.protocol, experiment.texts, zones=experiment.apparatus.zone_spans,
+                              tick=tick, log=lambda event, **facts: None)
 try:
     window.welcome(Trial(1, 0, Condition("one_hand", "A", "C", 80.0), practice=True))
 except Shown:
@@ -145,7 +145,7 @@ def silence() -> Iterator[Any]:
 def count_idle_frames() -> int:
     """Return how many frames are drawn while a question waits for its answer and nothing changes."""
     from modaltouch.protocol import Findings
-    from modaltouch.window import open_window
+    from modaltouch.window import WindowOptions
 
     experiment = Findings.read(ROOT / "protocols" / "demo.yaml").experiment()
     frames: list[float] = []
@@ -155,8 +155,7 @@ def count_idle_frames() -> int:
         if end[0] and time.perf_counter() > end[0]:
             raise TimeoutError
 
-    with open_window(
-        "window",
+    with WindowOptions().open(
         experiment.protocol,
         experiment.texts,
         zones=experiment.apparatus.zone_spans,

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from modaltouch.cli import records as doctor
 from modaltouch.system import versions
 from modaltouch.window import environment, machine
 from modaltouch.window.interface import WindowError
@@ -28,13 +27,14 @@ def test_each_missing_library_is_named_with_its_package(monkeypatch: pytest.Monk
     assert found.state == "fault"
     assert found.found == "missing: libGLU.so.1 (libglu1-mesa), libfontconfig.so.1 (libfontconfig1)"
     assert found.remedy == "apt install libglu1-mesa libfontconfig1"
-    assert doctor.missing_packages()[:3] == ["libglu1-mesa", "libfontconfig1", "libportaudio2"]
+    packages = [package for check in machine.examine_machine(quick=True) for package in check.packages]
+    assert packages[:3] == ["libglu1-mesa", "libfontconfig1", "libportaudio2"]
 
 
 def test_a_missing_python_package_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each package whose version a record states is needed, pyglet too, which draws the window."""
-    monkeypatch.setattr(doctor.system, "versions", lambda: versions() | {"pyglet": "absent"})
-    found = doctor._packages()
+    monkeypatch.setattr(machine, "versions", lambda: versions() | {"pyglet": "absent"})
+    found = machine._packages()
     assert (found.state, found.found, found.remedy) == ("fault", "missing: pyglet", "reinstall modaltouch")
 
 
@@ -80,7 +80,7 @@ def test_a_user_who_may_not_go_before_others_is_told_how(
     """The limit `rtprio` of an ordinary user; root has none."""
     monkeypatch.setattr("os.geteuid", lambda: 1000)
     monkeypatch.setattr(resource, "getrlimit", lambda which: (limit, limit))
-    assert doctor._precedence().state == state
+    assert machine._precedence().state == state
 
 
 def test_the_makefile_asks_doctor() -> None:

@@ -10,13 +10,15 @@ import pytest
 
 from modaltouch.preflight import Preflight, check_legibility, examine
 from modaltouch.protocol import Findings, Schedule
-from modaltouch.window import Fonts, smallest_type
+from modaltouch.window import WindowOptions
+from modaltouch.window.fonts import Fonts
+from modaltouch.window.legibility import smallest_type
 
 Edit = Callable[..., Path]
 TEXTS, BEAM = "texts/english.yaml", "apparatus/beam_100x6x2.yaml"
 
 
-def faults(preflight: Preflight, file: Path, window: tuple[int, int] | None = None) -> list[str]:
+def faults(preflight: Preflight, file: Path, window: WindowOptions | None = None) -> list[str]:
     """Return what cannot be read, with its place."""
     problems = check_legibility(preflight, window).problems
     return [str(problem).replace(f"{file.parent}/", "") for problem in problems]
@@ -58,7 +60,7 @@ def test_the_smallest_type_is_20_arcmin_at_the_stated_distance(edit: Edit) -> No
     file = edit(BEAM, ("\ntwin:", screen)).parents[1] / "demo.yaml"
     preflight = examine(file)
     assert faults(preflight, file) == []
-    (fault,) = faults(preflight, file, (1280, 800))
+    (fault,) = faults(preflight, file, WindowOptions((1280, 800)))
     assert fault.endswith(
         f"in which a capital of '11 of 99' is {20.5 * 800 / 1080:.1f} arcmin high; allowed: at least 20 arcmin; "
         "shorten the text, take a larger window (--fullscreen), or sit nearer"

@@ -13,7 +13,7 @@ import pytest
 from modaltouch.planning.observer import Participant
 from modaltouch.protocol.trial import Condition, Response, Trial
 from modaltouch.window.display_loop import DisplayLoop, WindowUser
-from modaltouch.window.interface import Event, Intervention, Progress, SessionStopped, TrialInterrupted, WindowError
+from modaltouch.window.interface import Event, EventKind, Progress, SessionStopped, TrialInterrupted, WindowError
 from modaltouch.window.robot import Robot
 from modaltouch.window.shapes import Picture
 from modaltouch.window.simulated import Answerer
@@ -240,9 +240,9 @@ def test_a_cut_trial_is_offered_again_with_time_for_the_fingers(
     assert room.clock.now() - pressed == pytest.approx(0.2, abs=0.002)
 
 
-def intervention(room: Any, what: Intervention) -> Callable[[], None]:
+def intervention(room: Any, what: EventKind | Event) -> Callable[[], None]:
     """Return a step that lets the experimenter wish something now."""
-    return lambda: room.requests.append(what)
+    return lambda: room.requests.append(what if isinstance(what, Event) else Event(0.0, what))
 
 
 @pytest.mark.parametrize("screen", ["feel", "question"])

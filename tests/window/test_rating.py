@@ -139,7 +139,7 @@ def test_a_number_is_typed_at_the_console(paper_room: Callable[..., Any], trial:
 
     def type_it() -> None:
         now = room.clock.now()
-        room.requests = [Event(now, "answer", sign, answer=sign) for sign in "42"] + ["continue"]
+        room.requests = [Event(now, "answer", sign, answer=sign) for sign in "42"] + [Event(0.0, "continue")]
 
     room.script = [("question", 0.3, type_it)]
     response = rate(room, trial)

@@ -209,7 +209,7 @@ def test_a_session_opens_in_either_theme(display: str, experiment: Experiment, t
     """Expected: the theme's ground in the corner of the first screen, and a window whose record can open it again."""
     from PIL import Image
 
-    from modaltouch.window import WindowOptions, open_window
+    from modaltouch.window import WindowOptions
 
     class LeaveError(Exception):
         """Ends the first screen."""
@@ -218,14 +218,12 @@ def test_a_session_opens_in_either_theme(display: str, experiment: Experiment, t
         if (tmp_path / "welcome.png").exists():
             raise LeaveError
 
-    window = open_window(
-        "window",
+    window = WindowOptions(size=(800, 600), theme=theme, screenshots=tmp_path).open(
         experiment.protocol,
         experiment.texts,
         zones=experiment.apparatus.zone_spans,
         tick=tick,
         log=lambda event, **facts: None,
-        options=WindowOptions(size=(800, 600), theme=theme, screenshots=tmp_path),
     )
     assert WindowOptions.recorded(window.describe()) == WindowOptions(size=(800, 600), theme=theme)
     with window, pytest.raises(LeaveError):

@@ -8,7 +8,6 @@ import pytest
 from modaltouch.planning.observer import Observer, Participant
 from modaltouch.protocol.trial import Condition, Trial
 from modaltouch.system.clock import VirtualClock
-from modaltouch.window import open_window
 from modaltouch.window.interface import Presentation, Progress
 from modaltouch.window.simulated import Answerer, SimulatedParticipant
 
@@ -117,10 +116,3 @@ def test_a_generator_without_a_seed_sequence_is_refused() -> None:
     answerer = Answerer(Participant(), lambda trial: (0.1, 0.1), bare)
     with pytest.raises(ValueError, match="allowed: one with a SeedSequence"):
         answerer.answer(make_trial(1))
-
-
-def test_an_observer_is_needed_to_simulate(experiment: object) -> None:
-    """Expected: the message names the missing argument."""
-    protocol, texts = experiment.protocol, experiment.texts  # type: ignore[attr-defined]
-    with pytest.raises(ValueError, match="given answers by 'robot' and no observer; give `answerer`"):
-        open_window("robot", protocol, texts, zones={}, tick=lambda: None, log=lambda event, **facts: None)

@@ -2,12 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import os
-import shutil
-import sys
-import tempfile
-import time
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
@@ -105,9 +99,9 @@ def doctor(
             _measure(rig, apparatus, json_output=json_output)
             return
         if packages:
-            print(*missing_packages())
+            print(*(package for check in window.examine_machine(quick=True) for package in check.packages))
             return
-        findings = examine_machine(results)
+        findings = window.examine_machine(results)
         if json_output:
             named = "subject", "state", "found", "remedy"
             print_json({"findings": [dict(zip(named, finding, strict=False)) for finding in findings]})
@@ -145,7 +139,7 @@ def _measure(address: str, apparatus: Path, *, json_output: bool) -> None:
     verdicts: dict[str, str] = {}
     faults: dict[str, str] = {}
     for subject, measure in (
-        ("window", window.measure_timing),
+        ("window", window.WindowOptions().measure_timing),
         ("generator", lambda: _measure_generator(address, apparatus)),
         ("clock", system.measure_clock),
     ):
@@ -293,80 +287,3 @@ def _order(row: dict[str, Any]) -> str:
     placed = "" if row["placement"] == "normal" else f" ({row['placement']})"
     named = ", ".join(row[key] for key in ("group", "session_kind") if key in row)
     return (f"{named}: " if named else "") + " then ".join(row["finger_conditions"]) + placed
-
-
-def examine_machine(results: Path) -> tuple[window.MachineCheck, ...]:
-    """Check everything a session needs, and draw a letter in the window; no instrument is opened."""
-    return (
-        _python(),
-        _packages(),
-        *window.examine_environment(),
-        _usb(),
-        _precedence(),
-        _disk(results),
-    )
-
-
-def missing_packages() -> list[str]:
-    """Return the Debian packages that this machine lacks for a session, a test or the demonstration."""
-    return [package for check in window.examine_environment(quick=True) for package in check.packages]
-
-
-def _python() -> window.MachineCheck:
-    found = f"Python {system.versions()['python']} on {system.versions()['system']}"
-    if (3, 11) <= sys.version_info[:2] <= (3, 12):
-        return window.MachineCheck("python", "ok", found)
-    return window.MachineCheck(
-        "python", "fault", found, "use Python 3.11 or 3.12: PsychoPy does not support 3.13 or later"
-    )
-
-
-def _packages() -> window.MachineCheck:
-    found = {
-        name: version for name, version in system.versions().items() if name not in ("modaltouch", "python", "system")
-    }
-    if missing := [name for name, version in found.items() if version == "absent"]:
-        return window.MachineCheck("packages", "fault", f"missing: {', '.join(missing)}", "reinstall modaltouch")
-    return window.MachineCheck("packages", "ok", ", ".join(f"{name} {version}" for name, version in found.items()))
-
-
-def _usb() -> window.MachineCheck:
-    if importlib.util.find_spec("usb") is not None:
-        from importlib.metadata import version
-
-        return window.MachineCheck("USB", "ok", f"pyusb {version('pyusb')}")
-    return window.MachineCheck(
-        "USB", "warning", "pyusb is absent: a generator on USB is not found", "connect it by LAN, or install pyusb"
-    )
-
-
-def _precedence() -> window.MachineCheck:
-    """Check whether `modaltouch.rig.watchdog_process`, which triggers bursts, may have real-time priority."""
-    if sys.platform != "linux":
-        return window.MachineCheck("real time", "ok", "left to the system's scheduler")
-    import resource
-
-    if os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] > 0:
-        return window.MachineCheck("real time", "ok", "bursts are triggered before all other work")
-    user = os.environ.get("USER", "NAME")
-    remedy = f"put `{user} - rtprio 10` into /etc/security/limits.d/modaltouch.conf and log in again"
-    found = "not allowed: on a busy machine bursts may be late or left out, and their trials are repeated"
-    return window.MachineCheck("real time", "warning", found, remedy)
-
-
-def _disk(results: Path) -> window.MachineCheck:
-    folder = next(path for path in (results, *results.resolve().parents) if path.is_dir())
-    try:
-        with tempfile.NamedTemporaryFile(dir=folder, buffering=0) as file:
-            start = time.perf_counter()
-            file.write(b"x" * 512)
-            system.sync_file(file.fileno())
-            elapsed = time.perf_counter() - start
-    except OSError as error:
-        remedy = "give a folder you may write to with --results"
-        return window.MachineCheck("disk", "fault", f"{folder}: {error.strerror}", remedy)
-    free = shutil.disk_usage(folder).free / 1e9
-    found = f"{folder}: {free:.1f} GB free, a durable write takes {elapsed * 1e3:.1f} ms"
-    if free < 0.1:
-        return window.MachineCheck("disk", "fault", found, "free some space: a session needs a few megabytes")
-    return window.MachineCheck("disk", "ok", found)

@@ -144,7 +144,7 @@ def run(
         window_options = window.WindowOptions(**chosen)
         checked = preflight.examine(protocol, calibration, marked=with_marked_calibration)
         if answers != "simulated":
-            checked = preflight.check_legibility(checked, None if fullscreen else window_options.size)
+            checked = preflight.check_legibility(checked, window_options)
         checked.require()
         mode = sessions.mode_of(rig := rig or ask_rig(may_ask), answers, pilot=pilot)
         dataset = record.SessionFolder.dataset_of(results, mode, checked.experiment.protocol.protocol)

@@ -14,9 +14,8 @@ from modaltouch.system import lazily
 if TYPE_CHECKING:
     from modaltouch.preflight.checked import Preflight
     from modaltouch.preflight.design_inputs import DesignInputs, design
-    from modaltouch.preflight.examination import design_to_fit, examine, examine_findings
+    from modaltouch.preflight.examination import check_legibility, design_to_fit, examine, examine_findings
     from modaltouch.preflight.figures import estimated_duration, finite
-    from modaltouch.preflight.legibility import check_legibility
     from modaltouch.preflight.measured import delivered_figures, has_drifted, with_measured
 else:
     __getattr__ = lazily(
@@ -24,9 +23,8 @@ else:
         {
             "checked": "Preflight",
             "design_inputs": "DesignInputs design",
-            "examination": "design_to_fit examine examine_findings",
+            "examination": "check_legibility design_to_fit examine examine_findings",
             "figures": "estimated_duration finite",
-            "legibility": "check_legibility",
             "measured": "delivered_figures has_drifted with_measured",
         },
     )

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,9 @@ from modaltouch.preflight.design_inputs import DesignInputs, design, find_design
 from modaltouch.protocol import Apparatus, Findings, Problem, Schedule
 from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Burst, Release, Stimulus
+
+if TYPE_CHECKING:
+    from modaltouch.window import WindowOptions
 
 _POINTS_PER_ZONE = 5
 """Points at which a zone's speed is computed, a quarter of the shortest wavelength of Table I apart."""
@@ -255,6 +259,23 @@ def examine(
     return examine_findings(Findings.read(path, calibration, uncalibrated=uncalibrated, marked=marked))
 
 
+def check_legibility(preflight: Preflight, window: WindowOptions | None = None) -> Preflight:
+    """Return the preflight with texts that cannot be read among its problems.
+
+    Parameters
+    ----------
+    preflight : Preflight
+        The examined protocol.
+    window : WindowOptions, optional
+        How the answer window is opened; by default over the whole screen.
+    """
+    from modaltouch.window import WindowOptions
+
+    options = window or WindowOptions(fullscreen=True)
+    found = options.check_texts(preflight.findings, letters_only=bool(preflight.problems))
+    return replace(preflight, problems=tuple(sorted((*preflight.problems, *found))))
+
+
 def examine_findings(findings: Findings) -> Preflight:
     """Return the whole check of files that have been read.
 
@@ -420,18 +441,7 @@ def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> St
 def _check_masking_level(findings: Findings) -> Iterator[Problem]:
     """Yield a problem if the peaks of the masking noise would exceed full scale."""
     experiment = findings.experiment()
-    section, sound = experiment.protocol.masking, experiment.apparatus.sound
-    level = None if section is None else section.level(sound)
-    if section is None or level is None:
-        return
-    from modaltouch.window import highest_level
+    if experiment.protocol.masking is not None:
+        from modaltouch.window import MaskingNoise
 
-    highest = highest_level(section.noise, sound.sampling_rate_Hz)
-    if level <= highest:
-        return
-    unit = section.level_key.removeprefix("level_").replace("_", " ")
-    shift = 0.0 if section.level_dB_FS is not None else sound.full_scale_dB_SPL or 0.0
-    given = f"{level + shift:g} {unit}, at which the peaks of the {section.noise} noise pass full scale"
-    # Rounded down, so that the level named as allowed is allowed.
-    allowed = f"at most {math.floor((highest + shift) * 10) / 10:g} {unit}"
-    yield findings.problem(("masking", section.level_key), given, allowed, "lower it, and turn up the amplifier")
+        yield from MaskingNoise(experiment.protocol.masking, experiment.apparatus).check_level(findings)

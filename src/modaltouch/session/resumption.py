@@ -22,9 +22,9 @@ from modaltouch.record import (
 )
 from modaltouch.session.events import PRACTICE_FAILED, boot_id, how_to_continue
 from modaltouch.session.setup import Setup, sit
-from modaltouch.session.wiring import SessionParts, mode_of
+from modaltouch.session.wiring import AnswersBy, SessionParts, mode_of
 from modaltouch.system import SYSTEM_CLOCK, Clock
-from modaltouch.window import AnswersBy, WindowOptions
+from modaltouch.window import WindowOptions
 
 CLOCK_TOLERANCE = 60.0
 """A clock off by no more than this is being adjusted by the network, not set back [s]."""

@@ -23,7 +23,7 @@ from modaltouch.session.console.experimenter import Experimenter
 from modaltouch.session.events import boot_id, describe_ending, describe_start, how_to_continue
 from modaltouch.session.loop import SessionRun, conduct
 from modaltouch.system import SYSTEM_CLOCK, Clock, Interruption, commit, versions
-from modaltouch.window import AnswerWindow, Intervention, Masking, Tick
+from modaltouch.window import AnswerWindow, Event, Masking
 
 if TYPE_CHECKING:
     from modaltouch.lab import Prober
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
 """Opens the instrument as a context, given a function that takes each exchange with it."""
 
-OpenWindow = Callable[[Tick, Callable[..., None]], AnswerWindow]
+OpenWindow = Callable[[Callable[[], Event | None], Callable[..., None]], AnswerWindow]
 """Opens the answer window, given the tick it must call while it waits and a function that takes its events."""
 
 OpenMasking = Callable[[Callable[..., None]], Masking]
@@ -198,7 +198,7 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
         if prober is None:
             rig.load(*setup.preflight.bursts)
 
-        def tick() -> Intervention | None:
+        def tick() -> Event | None:
             interruption.check()
             rig.heartbeat()
             return experimenter.attend()
@@ -289,7 +289,7 @@ def _sitting(
     window: AnswerWindow,
     log: SessionLog,
     buffer: EventBuffer,
-    tick: Tick,
+    tick: Callable[[], Event | None],
     prober: Prober | None,
 ) -> SessionRun:
     done, schedule, preflight = log.session.answered, setup.schedule, setup.preflight

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from modaltouch import planning, window
+from modaltouch import planning
 from modaltouch.planning import Observer, read_observer, usual_observer
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError, Protocol, Schedule, Trial, Turn
@@ -18,12 +18,15 @@ from modaltouch.record import RecordInputError, Session, SessionFolder
 from modaltouch.rig import Generator, Rig
 from modaltouch.session.setup import Setup, begin
 from modaltouch.system import SYSTEM_CLOCK, Clock, VirtualClock
-from modaltouch.window import Answerer, AnswersBy, AnswerWindow, Masking, Tick, WindowOptions, open_window
+from modaltouch.window import Answerer, AnswerWindow, Event, Masking, WindowOptions
 
 if TYPE_CHECKING:
     from modaltouch.lab import Prober
     from modaltouch.rig import Simulator
     from modaltouch.session.markers import Markers
+
+AnswersBy = Literal["window", "simulated", "robot"]
+"""A person at the window; an observer model without a window; an observer model typing into the real window."""
 
 SETTLING_TIME = 0.5
 """Time from the start of a probe's sines until a real beam vibrates periodically [s]."""
@@ -237,20 +240,15 @@ class SessionParts:
                 scope = stack.enter_context(Scope.open(apparatus))
                 yield Prober(Laboratory(apparatus, rig, scope, "real", settling_time=SETTLING_TIME), expected)
 
-    def open_window(self, tick: Tick, log: Callable[..., None]) -> AnswerWindow:
+    def open_window(self, tick: Callable[[], Event | None], log: Callable[..., None]) -> AnswerWindow:
         """Open the answer window, with a simulated participant if no person answers."""
-        experiment = self.preflight.experiment
-        return open_window(
-            self.answers,
-            experiment.protocol,
-            experiment.texts,
-            zones=experiment.apparatus.zone_spans,
-            tick=tick,
-            log=log,
-            answerer=None if self.answers == "window" else self._answerer(),
-            options=self.window_options,
-            clock=self.clock,
-        )
+        experiment, answerer = self.preflight.experiment, None if self.answers == "window" else self._answerer()
+        if answerer is not None and self.answers == "simulated":
+            return answerer.open(experiment.protocol.answers, tick=tick, log=log, clock=self.clock)
+        return (self.window_options or WindowOptions()).open(
+            experiment.protocol, experiment.texts, zones=experiment.apparatus.zone_spans,
+            tick=tick, log=log, answerer=answerer, clock=self.clock,
+        )  # fmt: skip
 
     def open_markers(self) -> Markers | None:
         """Open the stream of markers if the protocol wants it and time is real."""
@@ -272,7 +270,9 @@ class SessionParts:
         section = experiment.protocol.masking
         if section is None:
             return Masking()
-        return window.open_masking(section, experiment.apparatus, log, is_heard=self.answers == "window")
+        from modaltouch.window import MaskingNoise
+
+        return MaskingNoise(section, experiment.apparatus).open(log, is_heard=self.answers == "window")
 
     def _answerer(self) -> Answerer:
         who = self.seed, self.place.participant, self.place.session

@@ -1,7 +1,8 @@
 """The PsychoPy window that asks the participant, a simulated participant with the same interface, and masking noise.
 
-Takes a protocol, its texts and, trial by trial, the stimulus; returns the answers and their times.
-``examine_surroundings`` and ``measure_timing`` say whether a machine is fit for a session.
+Takes a protocol, its texts and, trial by trial, the stimulus; returns the answers and their times. `WindowOptions`
+opens the window, checks whether texts can be read in it and measures how accurately it keeps time; `Answerer` opens a
+simulated participant, `MaskingNoise` the noise. `examine_machine` says whether a machine is fit for a session.
 """
 
 from __future__ import annotations
@@ -12,36 +13,28 @@ from modaltouch.system import lazily
 
 if TYPE_CHECKING:
     from modaltouch.window.environment import some_display
-    from modaltouch.window.fonts import Fonts, find_font
     from modaltouch.window.interface import (
         AnswerWindow,
         Event,
-        Intervention,
         Masking,
         Presentation,
         SessionStopped,
-        Tick,
         TrialInterrupted,
         WindowError,
     )
-    from modaltouch.window.legibility import smallest_type
-    from modaltouch.window.machine import MachineCheck, examine_environment, measure_timing
-    from modaltouch.window.masking import highest_level, open_masking
-    from modaltouch.window.opening import AnswersBy, WindowOptions, open_window
+    from modaltouch.window.machine import examine_machine
+    from modaltouch.window.masking import MaskingNoise
+    from modaltouch.window.opening import WindowOptions
     from modaltouch.window.simulated import Answerer
 else:
     __getattr__ = lazily(
         __name__,
         {
             "environment": "some_display",
-            "fonts": "Fonts find_font",
-            "interface": (
-                "AnswerWindow Event Intervention Masking Presentation SessionStopped Tick TrialInterrupted WindowError"
-            ),
-            "legibility": "smallest_type",
-            "machine": "MachineCheck examine_environment measure_timing",
-            "masking": "highest_level open_masking",
-            "opening": "AnswersBy WindowOptions open_window",
+            "interface": "AnswerWindow Event Masking Presentation SessionStopped TrialInterrupted WindowError",
+            "machine": "examine_machine",
+            "masking": "MaskingNoise",
+            "opening": "WindowOptions",
             "simulated": "Answerer",
         },
     )
@@ -49,24 +42,14 @@ else:
 __all__ = [
     "AnswerWindow",
     "Answerer",
-    "AnswersBy",
     "Event",
-    "Fonts",
-    "Intervention",
-    "MachineCheck",
     "Masking",
+    "MaskingNoise",
     "Presentation",
     "SessionStopped",
-    "Tick",
     "TrialInterrupted",
     "WindowError",
     "WindowOptions",
-    "examine_environment",
-    "highest_level",
-    "find_font",
-    "measure_timing",
-    "open_masking",
-    "open_window",
-    "smallest_type",
+    "examine_machine",
     "some_display",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -161,13 +161,14 @@ class DisplayLoop:
         SessionStopped
             At an emergency key, even one that was read by `poll_quietly`.
         """
-        intervention = self._tick()
+        asked = self._tick()
         self._window_user.act(self.clock.now(), self._display.type_key)
         events = self.poll_quietly()
         if self._is_emergency:
             raise SessionStopped("emergency stop")
-        if intervention is not None:
-            events.append(intervention if isinstance(intervention, Event) else Event(self.clock.now(), intervention))
+        if asked is not None:
+            # Only the key of an answer is stamped where it is read.
+            events.append(asked if asked.kind == "answer" else replace(asked, time=self.clock.now()))
         self._refresh()
         if not events:
             self.clock.sleep(POLL_INTERVAL)

@@ -62,8 +62,8 @@ class Event:
     time : float
         When it was received, by the window's clock [s].
     kind : str
-        ``key``, ``release``, ``click``, ``close``, ``focus``, ``blur`` or ``expose``; or ``pause``,
-        ``continue`` and ``answer``, which the experimenter asks for.
+        ``key``, ``release``, ``click``, ``close``, ``focus``, ``blur`` or ``expose``; or what the experimenter asks
+        for: ``pause``, ``continue`` or ``answer``, typed at the console.
     key : str
         Name of the key, for ``key``, ``release`` and ``answer``.
     digit : str
@@ -83,10 +83,7 @@ class Event:
     answer: str | None = None
 
 
-Intervention = typing.Literal["pause", "continue"] | Event
-"""What the experimenter asks of the window; an event is an answer that was typed at the console."""
-
-Tick = Callable[[], Intervention | None]
+Tick = Callable[[], Event | None]
 """Called about every millisecond while the window waits; may raise, and returns what the experimenter asks for."""
 
 Log = Callable[..., None]

@@ -1,7 +1,8 @@
-"""Whether this machine has what window and noise need, and how accurately it times pictures and keys."""
+"""Whether this machine has what a session needs, and how accurately it times pictures and keys."""
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import shutil
 import sys
@@ -14,6 +15,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from modaltouch.system import sync_file, versions
 from modaltouch.window.display_loop import POLL_INTERVAL
 from modaltouch.window.environment import LIBRARIES, is_loadable, missing_libraries, some_display
 from modaltouch.window.fonts import Fonts
@@ -58,16 +60,19 @@ class MachineCheck(NamedTuple):
     packages: Sequence[str] = ()
 
 
-def examine_environment(*, quick: bool = False) -> tuple[MachineCheck, ...]:
-    """Return whether this machine has what window and noise need.
+def examine_machine(results: Path = Path("results"), *, quick: bool = False) -> tuple[MachineCheck, ...]:
+    """Check everything a session needs, and draw a letter in the window; no instrument is opened.
 
     Parameters
     ----------
+    results : Path
+        Where sessions shall be recorded.
     quick : bool
-        Whether to check only what is installed, and open neither window nor sound device.
+        Whether to check only what is installed, and use neither window nor sound device nor disk.
     """
-    window = () if quick else (_window(),)
-    return (_display(), _libraries(), _virtual_display(), _fonts(), *window, _sound(quick=quick))
+    window, disk = ((), ()) if quick else ((_window(),), (_disk(results),))
+    display = (_display(), _libraries(), _virtual_display(), _fonts(), *window, _sound(quick=quick))
+    return (_python(), _packages(), *display, _usb(), _precedence(), *disk)
 
 
 def _display() -> MachineCheck:
@@ -144,16 +149,60 @@ def _sound(*, quick: bool) -> MachineCheck:
     return MachineCheck("sound", "ok", found)
 
 
-def measure_timing() -> tuple[dict[str, Any], str]:
-    """Return how accurately a window on this machine times pictures and keys (`time_window`); takes some seconds.
+def _python() -> MachineCheck:
+    found = f"Python {versions()['python']} on {versions()['system']}"
+    if (3, 11) <= sys.version_info[:2] <= (3, 12):
+        return MachineCheck("python", "ok", found)
+    return MachineCheck("python", "fault", found, "use Python 3.11 or 3.12: PsychoPy does not support 3.13 or later")
 
-    Raises
-    ------
-    WindowError
-        If no window can be opened.
-    """
-    with some_display() as display, closing(Screen(title="modaltouch doctor")) as screen:
-        return time_window(screen, display=display)
+
+def _packages() -> MachineCheck:
+    found = {name: version for name, version in versions().items() if name not in ("modaltouch", "python", "system")}
+    if missing := [name for name, version in found.items() if version == "absent"]:
+        return MachineCheck("packages", "fault", f"missing: {', '.join(missing)}", "reinstall modaltouch")
+    return MachineCheck("packages", "ok", ", ".join(f"{name} {version}" for name, version in found.items()))
+
+
+def _usb() -> MachineCheck:
+    if importlib.util.find_spec("usb") is not None:
+        from importlib.metadata import version
+
+        return MachineCheck("USB", "ok", f"pyusb {version('pyusb')}")
+    return MachineCheck(
+        "USB", "warning", "pyusb is absent: a generator on USB is not found", "connect it by LAN, or install pyusb"
+    )
+
+
+def _precedence() -> MachineCheck:
+    """Check whether `modaltouch.rig.watchdog_process`, which triggers bursts, may have real-time priority."""
+    if sys.platform != "linux":
+        return MachineCheck("real time", "ok", "left to the system's scheduler")
+    import resource
+
+    if os.geteuid() == 0 or resource.getrlimit(resource.RLIMIT_RTPRIO)[0] > 0:
+        return MachineCheck("real time", "ok", "bursts are triggered before all other work")
+    user = os.environ.get("USER", "NAME")
+    remedy = f"put `{user} - rtprio 10` into /etc/security/limits.d/modaltouch.conf and log in again"
+    found = "not allowed: on a busy machine bursts may be late or left out, and their trials are repeated"
+    return MachineCheck("real time", "warning", found, remedy)
+
+
+def _disk(results: Path) -> MachineCheck:
+    folder = next(path for path in (results, *results.resolve().parents) if path.is_dir())
+    try:
+        with tempfile.NamedTemporaryFile(dir=folder, buffering=0) as file:
+            start = time.perf_counter()
+            file.write(b"x" * 512)
+            sync_file(file.fileno())
+            elapsed = time.perf_counter() - start
+    except OSError as error:
+        remedy = "give a folder you may write to with --results"
+        return MachineCheck("disk", "fault", f"{folder}: {error.strerror}", remedy)
+    free = shutil.disk_usage(folder).free / 1e9
+    found = f"{folder}: {free:.1f} GB free, a durable write takes {elapsed * 1e3:.1f} ms"
+    if free < 0.1:
+        return MachineCheck("disk", "fault", found, "free some space: a session needs a few megabytes")
+    return MachineCheck("disk", "ok", found)
 
 
 def time_window(

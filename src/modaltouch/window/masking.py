@@ -12,14 +12,15 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from modaltouch.protocol import Apparatus, MaskingSection
+from modaltouch.protocol import Apparatus, Findings, MaskingSection, Problem
 from modaltouch.window.interface import Log, Masking, MaskingError
 
 Kind = Literal["pink", "white"]
@@ -185,39 +186,64 @@ _HURRY = 0.1
 """Longest fade where something went wrong [s]."""
 
 
-def open_masking(section: MaskingSection, apparatus: Apparatus, log: Log, *, is_heard: bool = True) -> Masking:
-    """Return the masking that a protocol wants, silent until `Masking.start`.
+@dataclass(frozen=True)
+class MaskingNoise:
+    """The masking noise that a protocol wants.
 
-    Parameters
+    Attributes
     ----------
     section : MaskingSection
         What the protocol wants.
     apparatus : Apparatus
         What plays it.
-    log : callable
-        Takes its events for the record.
-    is_heard : bool
-        Whether a person answers; for a simulated participant no noise is played.
-
-    Raises
-    ------
-    MaskingError
-        If it cannot be played and the protocol demands it.
     """
-    if not is_heard:
-        return SimulatedMasking(section, apparatus)
-    try:
-        return NoiseMasking(section, apparatus, log)
-    except MaskingError as error:
-        if section.required:
-            raise
-        log("masking_lost", reason=str(error))
-        return Masking(str(error))
 
+    section: MaskingSection
+    apparatus: Apparatus
 
-def highest_level(kind: Kind, sampling_rate: float) -> float:
-    """Return the level at which the highest peak of a noise just reaches full scale [dB FS]."""
-    return SINE_DB - 20 * math.log10(float(abs(make_noise(kind, sampling_rate)).max()))
+    @property
+    def highest_level(self) -> float:
+        """Level at which the highest peak of the noise just reaches full scale [dB FS]."""
+        noise = make_noise(self.section.noise, self.apparatus.sound.sampling_rate_Hz)
+        return SINE_DB - 20 * math.log10(float(abs(noise).max()))
+
+    def check_level(self, findings: Findings) -> Iterator[Problem]:
+        """Yield a problem of the protocol's files if the peaks of the noise would exceed full scale."""
+        section, sound = self.section, self.apparatus.sound
+        level = section.level(sound)
+        if level is None or level <= (highest := self.highest_level):
+            return
+        unit = section.level_key.removeprefix("level_").replace("_", " ")
+        shift = 0.0 if section.level_dB_FS is not None else sound.full_scale_dB_SPL or 0.0
+        given = f"{level + shift:g} {unit}, at which the peaks of the {section.noise} noise pass full scale"
+        # Rounded down, so that the level named as allowed is allowed.
+        allowed = f"at most {math.floor((highest + shift) * 10) / 10:g} {unit}"
+        yield findings.problem(("masking", section.level_key), given, allowed, "lower it, and turn up the amplifier")
+
+    def open(self, log: Log, *, is_heard: bool = True) -> Masking:
+        """Return the masking, silent until `Masking.start`.
+
+        Parameters
+        ----------
+        log : callable
+            Takes its events for the record.
+        is_heard : bool
+            Whether a person answers; for a simulated participant no noise is played.
+
+        Raises
+        ------
+        MaskingError
+            If it cannot be played and the protocol demands it.
+        """
+        if not is_heard:
+            return SimulatedMasking(self.section, self.apparatus)
+        try:
+            return PlayedMasking(self.section, self.apparatus, log)
+        except MaskingError as error:
+            if self.section.required:
+                raise
+            log("masking_lost", reason=str(error))
+            return Masking(str(error))
 
 
 class _Noise(Masking):
@@ -258,7 +284,7 @@ class SimulatedMasking(_Noise):
         return self._is_wanted
 
 
-class NoiseMasking(_Noise):
+class PlayedMasking(_Noise):
     """Noise on a sound device; PortAudio is loaded with the first."""
 
     def __init__(self, section: MaskingSection, apparatus: Apparatus, log: Log) -> None:

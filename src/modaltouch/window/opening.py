@@ -1,23 +1,21 @@
-"""Opens the answer window: for a person, for a robot that types into it, or none for a simulated participant."""
+"""How the answer window is opened: for a person, or for a robot that types into it."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from modaltouch.system import SYSTEM_CLOCK, Clock
-from modaltouch.window.interface import AnswerWindow, Log, Tick
 
 if TYPE_CHECKING:
-    from modaltouch.protocol import Protocol, Texts
+    from modaltouch.protocol import Findings, Problem, Protocol, Texts
+    from modaltouch.window.interface import AnswerWindow, Log, Tick
     from modaltouch.window.layout import Spans
+    from modaltouch.window.screen import Screen
     from modaltouch.window.simulated import Answerer
-
-AnswersBy = Literal["window", "simulated", "robot"]
-"""A person at the window; an observer model without a window; an observer model typing into the real window."""
 
 
 @dataclass(frozen=True)
@@ -65,64 +63,77 @@ class WindowOptions:
             screen=int(window.get("monitor", usual.screen)),
         )
 
+    def open(
+        self,
+        protocol: Protocol,
+        texts: Texts,
+        *,
+        zones: Spans,
+        tick: Tick,
+        log: Log,
+        answerer: Answerer | None = None,
+        clock: Clock = SYSTEM_CLOCK,
+    ) -> AnswerWindow:
+        """Return the open window.
 
-def open_window(
-    answers: AnswersBy,
-    protocol: Protocol,
-    texts: Texts,
-    *,
-    zones: Spans,
-    tick: Tick,
-    log: Log,
-    answerer: Answerer | None = None,
-    options: WindowOptions | None = None,
-    clock: Clock = SYSTEM_CLOCK,
-) -> AnswerWindow:
-    """Return an open answer window.
+        Parameters
+        ----------
+        protocol, texts, zones, tick, log, clock
+            As for `participant.ParticipantWindow`.
+        answerer : Answerer, optional
+            The observer that types into the window in place of a person.
 
-    Parameters
-    ----------
-    answers : str
-        As `AnswersBy`: ``window``, ``robot`` or ``simulated``.
-    protocol, texts, zones, tick, log, clock
-        As for `participant.ParticipantWindow`.
-    answerer, options
-        The observer, for ``robot`` and ``simulated``; how the window is opened, if there is one.
+        Raises
+        ------
+        WindowError
+            If the window cannot be opened.
+        """
+        from modaltouch.window.buttons import typesetter_of
+        from modaltouch.window.participant import ParticipantWindow
+        from modaltouch.window.robot import Robot
 
-    Raises
-    ------
-    WindowError, ValueError
-        If the window cannot be opened, or an observer is missing.
-    """
-    if answers == "window":
-        answerer = None
-    elif answerer is None:
-        raise ValueError(f"given answers by {answers!r} and no observer; give `answerer`, or answers by 'window'")
-    elif answers == "simulated":
-        from modaltouch.window.simulated import SimulatedParticipant
+        robot = None if answerer is None else Robot(answerer, protocol, texts=texts)
+        display = self._screen(title=protocol.title, typesetter=typesetter_of(texts), clock=clock)
+        try:
+            return ParticipantWindow(
+                display, protocol, texts, zones=zones, theme=self.theme, tick=tick, log=log,
+                screenshots=self.screenshots, robot=robot, clock=clock,
+            )  # fmt: skip
+        except BaseException:
+            display.close()
+            raise
 
-        section = protocol.answers
-        before = section.question_delay_s if section.stimulus_until == "answer" else 0.0
-        return SimulatedParticipant(
-            answerer, tick=tick, log=log, stimulus_until=section.stimulus_until, after_longest=section.after_longest,
-            time_out=before + (section.time_out_s or math.inf), clock=clock,
-        )  # fmt: skip
-    from modaltouch.window.buttons import typesetter_of
-    from modaltouch.window.participant import ParticipantWindow
-    from modaltouch.window.robot import Robot
-    from modaltouch.window.screen import Screen
-    from modaltouch.window.theme import THEMES
+    def _screen(self, **options: Any) -> Screen:
+        from modaltouch.window.screen import Screen
+        from modaltouch.window.theme import THEMES
 
-    options, robot = options or WindowOptions(), None if answerer is None else Robot(answerer, protocol, texts=texts)
-    display = Screen(
-        size=options.size, fullscreen=options.fullscreen, monitor=options.screen, ground=THEMES[options.theme].ground,
-        title=protocol.title, typesetter=typesetter_of(texts), clock=clock,
-    )  # fmt: skip
-    try:
-        return ParticipantWindow(
-            display, protocol, texts, zones=zones, theme=options.theme, tick=tick, log=log,
-            screenshots=options.screenshots, robot=robot, clock=clock,
-        )  # fmt: skip
-    except BaseException:
-        display.close()
-        raise
+        ground = THEMES[self.theme].ground
+        return Screen(size=self.size, fullscreen=self.fullscreen, monitor=self.screen, ground=ground, **options)
+
+    def measure_timing(self) -> tuple[dict[str, Any], str]:
+        """Return how accurately the window times pictures and keys (`machine.time_window`); takes some seconds.
+
+        Raises
+        ------
+        WindowError
+            If no window can be opened.
+        """
+        from modaltouch.window.environment import some_display
+        from modaltouch.window.machine import time_window
+
+        with some_display() as display, closing(self._screen(title="modaltouch doctor")) as screen:
+            return time_window(screen, display=display)
+
+    def check_texts(self, findings: Findings, *, letters_only: bool = False) -> Iterator[Problem]:
+        """Yield what the participant cannot read in the window (`legibility.check_texts`).
+
+        Parameters
+        ----------
+        findings : Findings
+            The protocol's files.
+        letters_only : bool
+            Whether only to look for letters that no font has: type is measured only on sound files.
+        """
+        from modaltouch.window.legibility import check_texts
+
+        return check_texts(findings, None if self.fullscreen else self.size, letters_only=letters_only)

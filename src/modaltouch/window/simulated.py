@@ -122,6 +122,14 @@ class Answerer:
             return listed[0], scale.at(share), reaction_time
         return listed[int(share * len(listed))], None, reaction_time
 
+    def open(self, section: AnswersSection, *, tick: Tick, log: Log, clock: Clock) -> AnswerWindow:
+        """Return what stands for the answer window: this observer, who answers as a protocol's section says."""
+        before = section.question_delay_s if section.stimulus_until == "answer" else 0.0
+        return SimulatedParticipant(
+            self, tick=tick, log=log, stimulus_until=section.stimulus_until, after_longest=section.after_longest,
+            time_out=before + (section.time_out_s or math.inf), clock=clock,
+        )  # fmt: skip
+
     def _feel(self, trial: Trial) -> tuple[float, ...]:
         """Return what the fingers feel now, and remember it for this trial only."""
         self._remembered.clear()
@@ -254,14 +262,18 @@ class SimulatedParticipant(AnswerWindow):
 
     def _tick(self) -> bool:
         """Tick, hold if the experimenter asks for a pause, and return whether that was so."""
-        if self._ticks() != "pause":
+        if not self._is_asked("pause"):
             return False
         began = self._clock.now()
         self._log("pause", trial=None, by="experimenter")
-        while self._ticks() != "continue":
+        while not self._is_asked("continue"):
             time.sleep(1e-3)
         self._log("continued", paused_s=round(self._clock.now() - began, 3))
         return True
+
+    def _is_asked(self, kind: str) -> bool:
+        event = self._ticks()
+        return event is not None and event.kind == kind
 
 
 def _respond(answer: str, value: float | None, reaction_time: float, limit: float, onset: str) -> Response:

@@ -144,7 +144,7 @@ def test_a_typed_answer_reaches_the_window_with_its_key_and_its_time() -> None:
         experimenter.tell(event)
     assert experimenter.attend() == Event(12.5, "answer", "up", answer="both")
     console.asked = [Request("go_on")]
-    assert experimenter.attend() == "continue"
+    assert experimenter.attend() == Event(0.0, "continue")
     assert recorded == ["experimenter"]
 
 

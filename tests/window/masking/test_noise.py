@@ -10,7 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import welch
 
-from modaltouch.window.masking import HIGHEST, LOWEST, LoopedNoise, amplitude_at, highest_level, make_noise
+from modaltouch.protocol import Apparatus, MaskingSection
+from modaltouch.protocol.apparatus import Sound
+from modaltouch.window.masking import HIGHEST, LOWEST, LoopedNoise, MaskingNoise, amplitude_at, make_noise
 
 RATE = 48_000.0
 
@@ -68,7 +70,8 @@ def test_the_noise_is_the_same_in_every_session() -> None:
 @pytest.mark.parametrize("kind", ["pink", "white"])
 def test_at_its_highest_level_the_peak_just_reaches_full_scale(kind: str) -> None:
     """Crest factors of Gaussian noise of this length are about 5: at most some -11 dB FS (0 dB FS is a sine's)."""
-    level = highest_level(kind, RATE)  # type: ignore[arg-type]
+    apparatus = Apparatus.model_construct(sound=Sound(sampling_rate_Hz=RATE))
+    level = MaskingNoise(MaskingSection(noise=kind, level_dB_FS=-20.0), apparatus).highest_level  # type: ignore[arg-type]
     peak = np.abs(make_noise(kind, RATE)).max() * amplitude_at(level)  # type: ignore[arg-type]
     assert peak == pytest.approx(1, rel=1e-6)
     assert -12.5 < level < -9.5

@@ -16,7 +16,7 @@ from modaltouch.protocol import MaskingSection
 from modaltouch.protocol.apparatus import Apparatus, Sound
 from modaltouch.window import masking as player
 from modaltouch.window.interface import Masking, MaskingError
-from modaltouch.window.masking import NoiseMasking, amplitude_at, make_noise
+from modaltouch.window.masking import PlayedMasking, amplitude_at, make_noise
 
 SECTION = MaskingSection(noise="pink", level_dB_FS=-20.0, fade_s=0.05)
 ALSA = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="ALSA is Linux's")
@@ -29,13 +29,13 @@ def test_the_device_gets_the_noise_faded_in_and_out(in_a_process: Any, null_devi
 import json
 import numpy as np
 from modaltouch.protocol.apparatus import Apparatus, Sound
-from modaltouch.window.masking import NoiseMasking, amplitude_at, make_noise
+from modaltouch.window.masking import PlayedMasking, amplitude_at, make_noise
 from modaltouch.protocol import MaskingSection
 
 events, blocks = [], []
 section = MaskingSection(noise="pink", level_dB_FS=-20.0, fade_s=0.05)
 apparatus = Apparatus.model_construct(sound=Sound())
-masking = NoiseMasking(section, apparatus, lambda event, **facts: events.append((event, facts)))
+masking = PlayedMasking(section, apparatus, lambda event, **facts: events.append((event, facts)))
 fill = masking._playback.fill
 def spy(out):
     fill(out)
@@ -80,13 +80,13 @@ def test_without_a_device_masking_is_refused_or_recorded_as_lacking(in_a_process
     script = """
 import json
 from modaltouch.protocol.apparatus import Apparatus, Sound
-from modaltouch.window.masking import MaskingError, open_masking
+from modaltouch.window.masking import MaskingError, MaskingNoise
 from modaltouch.protocol import MaskingSection
 said = {}
 for required in (True, False):
     section = MaskingSection(noise="white", level_dB_FS=-20.0, required=required)
     try:
-        masking = open_masking(section, Apparatus.model_construct(sound=Sound()), lambda event, **facts: None)
+        masking = MaskingNoise(section, Apparatus.model_construct(sound=Sound())).open(lambda event, **facts: None)
         said[str(required)] = [masking.describe(), masking.is_on]
     except MaskingError as error:
         said[str(required)] = str(error)
@@ -118,7 +118,7 @@ def test_the_doctor_says_whether_there_is_a_sound_device(
     script = """
 import json
 from pathlib import Path
-from modaltouch.cli.records import examine_machine
+from modaltouch.window import examine_machine
 (sound,) = [finding for finding in examine_machine(Path(".")) if finding.subject == "sound"]
 print(json.dumps(sound._asdict()))
 """
@@ -151,10 +151,10 @@ def events_of(log: list[tuple[str, dict[str, Any]]]) -> list[str]:
     return [f"{name} {facts.get('state', '')}".strip() for name, facts in log]
 
 
-def make(section: MaskingSection) -> tuple[NoiseMasking, list[tuple[str, dict[str, Any]]]]:
+def make(section: MaskingSection) -> tuple[PlayedMasking, list[tuple[str, dict[str, Any]]]]:
     """Return masking and what it tells."""
     log: list[tuple[str, dict[str, Any]]] = []
-    return NoiseMasking(
+    return PlayedMasking(
         section,
         Apparatus.model_construct(sound=Sound(full_scale_dB_SPL=100.0)),
         lambda event, **facts: log.append((event, facts)),

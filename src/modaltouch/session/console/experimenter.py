@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from modaltouch.session.console import Console
-from modaltouch.window import Event, Intervention, SessionStopped
+from modaltouch.window import Event, SessionStopped
 
 if TYPE_CHECKING:
     from modaltouch.session.console.status import Status
@@ -61,7 +61,7 @@ class Experimenter:
         if event["event"] == "practice_round" or (event["event"] == "trial_next" and not event["trial"]["practice"]):
             self._leave_practice()
 
-    def attend(self) -> Intervention | None:
+    def attend(self) -> Event | None:
         """Take in requests, and return what they ask of the window; cheap, called about every millisecond.
 
         Raises
@@ -69,7 +69,7 @@ class Experimenter:
         SessionStopped
             If the session is to end now.
         """
-        intervention: Intervention | None = None
+        asked: Event | None = None
         status = self._status
         if status is None:
             return None
@@ -80,17 +80,15 @@ class Experimenter:
             if request.command == "answer":
                 # The answer's own line records it; nothing is written while a question is open.
                 answer = status.answer_by(request.text)
-                intervention = (
-                    intervention if answer is None else Event(request.at, "answer", request.text, answer=answer)
-                )
+                asked = asked if answer is None else Event(request.at, "answer", request.text, answer=answer)
                 continue
             self._record("experimenter", asks=request.command, **({"text": request.text} if request.text else {}))
             if request.command == "stop":
                 raise SessionStopped("experimenter")
             if request.command == "pause":
-                intervention = "continue" if status.paused else "pause"
+                asked = Event(request.at, "continue" if status.paused else "pause")
             elif request.command == "go_on":
-                intervention = "continue"
+                asked = Event(request.at, "continue")
             elif request.command == "end_after_block":
                 self.ends_after_block = not self.ends_after_block
                 self._show_requests()
@@ -98,7 +96,7 @@ class Experimenter:
                 is_refused = self._repeats is None and self._last is None
                 self._repeats = None if self._repeats is not None else self._last
                 self._show_requests(nothing_to_repeat=is_refused)
-        return intervention
+        return asked
 
     def take_repeat(self) -> dict[str, Any] | None:
         """Return the event of the trial to be repeated, and clear the request; None if there is none."""
