@@ -18,7 +18,7 @@ from modaltouch.analysis.counts import count_answers
 from modaltouch.analysis.reading import read_responses
 from modaltouch.analysis.statistics import find
 from modaltouch.cli.commands import app
-from modaltouch.planning.observer.file import read_observer
+from modaltouch.planning.observer.population import Observer
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
 from modaltouch.record.audit import audit_session
@@ -112,7 +112,7 @@ def kinds(tmp_path_factory):
         of("apparatus", folder / "protocols" / "apparatus" / "beam_100x6x2.yaml", *checked),
         of("texts", folder / "protocols" / "texts" / "english.yaml", *checked),
         of(
-            "observer", observer, [read_observer], "simulate", protocol, "--observer", observer, "--results", os.devnull
+            "observer", observer, [Observer.read], "simulate", protocol, "--observer", observer, "--results", os.devnull
         ),
         of("session log", session, [read_session, survey, verified, analysed], "verify", session),
         of("table of answers", table, [analysed], "analyse", table, "--out", folder / "out"),

@@ -28,7 +28,7 @@ from threadpoolctl import threadpool_limits
 from modaltouch.analysis.counts import AnswerCounts
 from modaltouch.analysis.statistics import STATISTICS
 from modaltouch.planning.experiments import Job, Study, divide, run_job, simulate
-from modaltouch.planning.observer.file import read_observer
+from modaltouch.planning.observer.population import Observer
 from modaltouch.planning.presented import designs_for
 from modaltouch.preflight import examine
 
@@ -121,7 +121,7 @@ def largest_difference(answers: AnswerCounts, by_libraries: list[dict[str, list[
 
 def main() -> None:
     """Time both ways and write the figures."""
-    observer = read_observer("paper")
+    observer = Observer.read("paper")
     preflight = examine(ROOT / "protocols" / "differentiated_stimulation.yaml").require()
     study = Study(designs_for(preflight, observer)[""], observer, CONFIRMED, null=False, seed=1)
     sweep(study, [(N_PARTICIPANTS, 1)])

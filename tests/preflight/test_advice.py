@@ -9,7 +9,7 @@ import pytest
 
 from modaltouch.analysis import ALPHA
 from modaltouch.analysis.statistics import STATISTICS
-from modaltouch.planning import designs_for, read_observer
+from modaltouch.planning import Observer, designs_for
 from modaltouch.planning.power import find_floor
 from modaltouch.preflight import advice, examine
 from modaltouch.preflight.advice import design_warnings
@@ -71,7 +71,7 @@ def test_what_no_test_can_tell_is_what_the_analysis_cannot_reach(
     """Families whose smallest p stays above 0.05 however many take part; and the fewest for whom dominance can show."""
     preflight = examine(edit(PAPER, *changes)).require()
     said = " ".join(design_warnings(preflight.experiment.protocol))
-    design = designs_for(preflight, read_observer("paper"))[""]
+    design = designs_for(preflight, Observer.read("paper"))[""]
     floors = {name: find_floor(design, name, 1) for name in STATISTICS}
     reached = {STATISTICS[name].question for name, each in floors.items() if each.n_tests and each.least_participants}
     assert {"b", "c", "d"} - reached == silent

@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 
 from modaltouch.analysis import TableFormat, analyse, read_responses
 from modaltouch.analysis.zones import label_zones
-from modaltouch.planning import designs_for, usual_observer
+from modaltouch.planning import Observer, designs_for
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError
 from modaltouch.record import Session, audit_session
@@ -164,4 +164,4 @@ def test_what_only_knows_two_fingers_refuses_others(tmp_path: Path, name: str) -
     """`power`, `prereg` and `fit` simulate a comparison of two fingers; a made-up number would be worse than none."""
     preflight = examine(protocol_with(tmp_path, name)).require()
     with pytest.raises(InputError, match="finger_conditions: given (tip|spread), but no observer knows"):
-        designs_for(preflight, usual_observer(preflight.experiment.protocol))
+        designs_for(preflight, Observer.usual_name(preflight.experiment.protocol))

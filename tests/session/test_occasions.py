@@ -15,7 +15,7 @@ from outside import call
 
 from modaltouch.analysis import analyse
 from modaltouch.cli.check import show
-from modaltouch.planning import designs_for, read_observer
+from modaltouch.planning import Observer, designs_for
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError
 from modaltouch.record import RecordInputError, Session, audit_session, read_session
@@ -229,7 +229,7 @@ def test_a_group_that_is_given_stays_that_of_the_participant(preflight: Prefligh
 def test_power_refuses_a_design_that_is_not_crossed(preflight: Preflight) -> None:
     """An observer's design has every pair at every level for all."""
     with pytest.raises(InputError, match="given a design that is not crossed"):
-        designs_for(preflight, read_observer("paper"))
+        designs_for(preflight, Observer.read("paper"))
 
 
 def test_simulate_gives_every_participant_all_kinds_of_session(preflight: Preflight, tmp_path: Path) -> None:

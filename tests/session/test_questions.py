@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from modaltouch.analysis import analyse
-from modaltouch.planning import designs_for, read_observer
+from modaltouch.planning import Observer, designs_for
 from modaltouch.preflight import examine
 from modaltouch.protocol import InputError
 from modaltouch.protocol.questions import RESERVED_COLUMNS, ScaleSection
@@ -273,4 +273,4 @@ def test_power_refuses_a_scale_in_its_place() -> None:
         InputError,
         match="answers.scale: given a scale, .* analyse those, as `modaltouch prereg` does",
     ):
-        designs_for(examine("magnitude").require(), read_observer("paper"))
+        designs_for(examine("magnitude").require(), Observer.read("paper"))

@@ -66,7 +66,7 @@ def power(
     sizes_n = parse_sizes(participants, "--participants", _MOST_PARTICIPANTS)
     sizes_r = parse_sizes(reps, "--reps", _MOST_ANSWERS) if reps is not None else None
     with reporting(json_output=json_output):
-        model = planning.read_observer(observer)
+        model = planning.Observer.read(observer)
         checked = preflight.examine(protocol, uncalibrated=True).require()
         repetitions = sizes_r or (checked.experiment.protocol.schedule.all_repetitions,)
         designs = planning.designs_for(checked, model)
@@ -312,7 +312,7 @@ def prereg(
         source = checked.experiment.sources.protocol.path
         file = out or (source if protocol.is_file() else Path(source.name)).with_suffix(".prereg.md")
         record.prepare_file(file)
-        population = planning.read_observer(observer or planning.usual_observer(checked.experiment.protocol))
+        population = planning.Observer.read(observer or planning.Observer.usual_name(checked.experiment.protocol))
         with progress("experiments") as on_progress:
             text = planning.preregister(
                 checked, population, participants, n_experiments=experiments, seed=seed, threshold_mm_s=threshold,
@@ -344,14 +344,14 @@ def fit(
     observer is fitted to the answers to all of them.
     """
     with reporting(json_output=json_output):
-        prior = planning.read_observer(observer)
+        prior = planning.Observer.read(observer)
         checked = preflight.examine(protocol, uncalibrated=True).require()
         if out is not None:
             record.prepare_file(out)
         fitted = planning.fit_answers(checked, answers, prior, mode=mode)
         n_answers = f"{fitted.fit.n_answers} answers of {participants(fitted.n_participants)}"
         if out is not None:
-            text = planning.write_observer(fitted.fit.observer, "fitted", f"Fitted to {n_answers} in {answers.name}")
+            text = fitted.fit.observer.as_file("fitted", f"Fitted to {n_answers} in {answers.name}")
             record.replace_file(out, text.encode(), "give another file with --out")
         if json_output:
             print_json({**fitted.as_dict(), "file": None if out is None else str(out)})

@@ -28,9 +28,9 @@ def simulate(
     """
     with reporting(json_output=json_output):
         # An observer that does not exist is reported before the protocol's stimuli are designed.
-        given = None if observer is None else planning.read_observer(observer)
+        given = None if observer is None else planning.Observer.read(observer)
         checked = preflight.examine(protocol, calibration, marked=with_marked_calibration).require()
-        population = given or planning.read_observer(planning.usual_observer(checked.experiment.protocol))
+        population = given or planning.Observer.read(planning.Observer.usual_name(checked.experiment.protocol))
         sessions, schedule = [], checked.experiment.protocol.schedule
         with progress("participants") as on_progress:
             for number in range(1, participants + 1):

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from modaltouch.planning.files import write_power
     from modaltouch.planning.fitting import fit_answers
     from modaltouch.planning.observer.felt import FeltSpeeds
-    from modaltouch.planning.observer.file import read_observer, usual_observer, write_observer
     from modaltouch.planning.observer.population import Observer
     from modaltouch.planning.power import Power, plan
     from modaltouch.planning.preregistration import preregister
@@ -29,7 +28,6 @@ else:
             "files": "write_power",
             "fitting": "fit_answers",
             "observer.felt": "FeltSpeeds",
-            "observer.file": "read_observer usual_observer write_observer",
             "observer.population": "Observer",
             "power": "Power plan",
             "preregistration": "preregister",
@@ -46,8 +44,5 @@ __all__ = [
     "fit_answers",
     "plan",
     "preregister",
-    "read_observer",
-    "usual_observer",
-    "write_observer",
     "write_power",
 ]

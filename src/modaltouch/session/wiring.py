@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from modaltouch import planning
-from modaltouch.planning import Observer, read_observer, usual_observer
+from modaltouch.planning import Observer
 from modaltouch.preflight import Preflight, examine
 from modaltouch.protocol import InputError, Protocol, Schedule, Trial, Turn
 from modaltouch.record import RecordInputError, Session, SessionFolder
@@ -307,8 +307,8 @@ class SessionParts:
 
 def _usual(protocol: Protocol, answers: AnswersBy) -> Observer:
     """Return the observer that is simulated by default; `Observer()` is the shipped `paper`."""
-    name = usual_observer(protocol)
-    return Observer() if name == "paper" or answers == "window" else read_observer(name)
+    name = Observer.usual_name(protocol)
+    return Observer() if name == "paper" or answers == "window" else Observer.read(name)
 
 
 def mode_of(rig: str, answers: AnswersBy, *, pilot: bool) -> Literal["real", "pilot", "simulated"]:

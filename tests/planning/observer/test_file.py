@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.observer.file import read_observer, usual_observer, write_observer
 from modaltouch.preflight import examine
 from modaltouch.protocol.problems import InputError
 from modaltouch.protocol.source import Source
@@ -20,7 +19,7 @@ PEAKS = {"A": 0.123, "B": 0.115, "C": 0.2, "D": 0.115, "E": 0.123}
 
 def test_the_paper_observer_shows_the_papers_pattern() -> None:
     """Expected: V-C, nearly all C in (A,C) and (C,E), 38 to 40 of 40; a majority of both in (B,D)."""
-    crowd = read_observer("paper").draw_participants(np.random.default_rng(1), (20_000,))
+    crowd = Observer.read("paper").draw_participants(np.random.default_rng(1), (20_000,))
     speeds = [[PEAKS[left], PEAKS[right]] for left, right in ("AC", "BD", "CE")]
     for condition in ("one_hand", "two_hands"):
         left, right = (share.mean(axis=0) for share in crowd.shares(speeds, [condition] * 3))
@@ -31,7 +30,7 @@ def test_the_paper_observer_shows_the_papers_pattern() -> None:
 
 def test_the_paper_observer_is_the_default_one() -> None:
     """Expected: sessions simulated without a file answer by the same model, to the file's three digits."""
-    shipped, default = read_observer("paper"), Observer()
+    shipped, default = Observer.read("paper"), Observer()
     assert shipped.typical.noise == pytest.approx(default.typical.noise, rel=1e-3)
     assert shipped.typical.criterion == default.typical.criterion
     assert shipped.side_bias_spread == default.side_bias_spread
@@ -40,10 +39,10 @@ def test_the_paper_observer_is_the_default_one() -> None:
 
 def test_only_the_fingertip_has_internal_noise() -> None:
     """All others answer as before there was such a key; what the paper's says at 80 mm/s, the fingertip says too."""
-    noisy = [name for name in Source.shipped("observer") if read_observer(name).typical.internal_noise]
+    noisy = [name for name in Source.shipped("observer") if Observer.read(name).typical.internal_noise]
     assert noisy == ["fingertip"]
     crowds = [
-        read_observer(name).draw_participants(np.random.default_rng(1), (5_000,)) for name in ("paper", "fingertip")
+        Observer.read(name).draw_participants(np.random.default_rng(1), (5_000,)) for name in ("paper", "fingertip")
     ]
     named = [crowd.shares([[0.4 * PEAKS["A"], 0.4 * PEAKS["C"]]], ["one_hand"])[1].mean() for crowd in crowds]
     assert named[0] > 0.94
@@ -53,14 +52,14 @@ def test_only_the_fingertip_has_internal_noise() -> None:
 def test_where_thresholds_matter_the_fingertip_is_simulated(shipped: Path) -> None:
     """Adaptive runs, levels that follow from what they found, and felt or not; other levels are the paper's."""
     names = ("demo", "with_catch_trials", "threshold", "sensation_levels", "detection_with_confidence")
-    usual = [usual_observer(examine(shipped / f"{name}.yaml").experiment.protocol) for name in names]
+    usual = [Observer.usual_name(examine(shipped / f"{name}.yaml").experiment.protocol) for name in names]
     assert usual == ["paper", "paper", "fingertip", "fingertip", "fingertip"]
 
 
 def test_guessing_is_a_third_of_each_answer() -> None:
     """Expected: 1/3, whatever is felt."""
     left, right = (
-        read_observer("guessing").draw_participants(np.random.default_rng(1), (3,)).shares([[0, 1]], ["one_hand"])
+        Observer.read("guessing").draw_participants(np.random.default_rng(1), (3,)).shares([[0, 1]], ["one_hand"])
     )
     assert left == pytest.approx(np.full((3, 1), 1 / 3))
     assert right == pytest.approx(left)
@@ -70,7 +69,7 @@ def test_every_shipped_observer_can_be_read_by_its_name() -> None:
     """Expected: the file's name is the observer's."""
     names = list(Source.shipped("observer"))
     assert {"paper", "near_miss", "envelope", "below_1_khz", "guessing"} <= set(names)
-    assert [read_observer(name).name for name in names] == names
+    assert [Observer.read(name).name for name in names] == names
 
 
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:
@@ -81,8 +80,8 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
         noise_spread=0.33,
     )
     file = tmp_path / "mine.yaml"
-    file.write_text(write_observer(observer, "mine", "a \"quoted\": 80 % 'word'"), encoding="utf-8")
-    read = read_observer(file)
+    file.write_text(observer.as_file("mine", "a \"quoted\": 80 % 'word'"), encoding="utf-8")
+    read = Observer.read(file)
     assert read.typical.noise == pytest.approx(0.31, rel=1e-3)
     assert (read.typical.side_bias, read.typical.near_miss) == (-0.07, 0.2)
     assert read.typical.internal_noise == pytest.approx(0.0042)
@@ -93,7 +92,7 @@ def test_all_faults_of_a_file_come_at_once_with_their_place(edit: Callable[..., 
     """Expected: file, line and column of each, what was given and what is allowed."""
     file = edit("observers/paper.yaml", ("front_end: peak", "front_end: peek"), ("lapse_rate: 0.005", "lapse_rate: 5"))
     with pytest.raises(InputError, match="did you mean 'peak'") as caught:
-        read_observer(file)
+        Observer.read(file)
     first, second = caught.value.problems
     assert (first.line, first.path) == (5, "front_end")
     assert (second.line, second.path, second.given) == (11, "typical.lapse_rate", "5")
@@ -102,4 +101,4 @@ def test_all_faults_of_a_file_come_at_once_with_their_place(edit: Callable[..., 
 def test_an_observer_that_does_not_exist_is_refused_with_the_shipped_names() -> None:
     """Expected: the likely name, and all of them."""
     with pytest.raises(InputError, match=r"one of below_1_khz, envelope, .*; did you mean 'paper'\?"):
-        read_observer("papr")
+        Observer.read("papr")

@@ -13,7 +13,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from modaltouch.planning.observer import Observer, Participant
-from modaltouch.planning.observer.file import read_observer
 from modaltouch.protocol import AnswerList
 
 N = 4000
@@ -82,7 +81,7 @@ def test_without_internal_noise_nothing_is_drawn_for_it() -> None:
 
 def test_internal_noise_is_a_threshold_of_two_intervals() -> None:
     """75 % right at 0.954 sigma_0; `fingertip` has 4 mm/s: 0.4 um at 500 Hz as a speed, and 10 dB for short bursts."""
-    sigma = read_observer("fingertip").typical.internal_noise
+    sigma = Observer.read("fingertip").typical.internal_noise
     rng = np.random.default_rng(3)
     with_it, without = 0.954 * sigma + sigma * rng.standard_normal(200_000), sigma * rng.standard_normal(200_000)
     assert (with_it > without).mean() == pytest.approx(0.75, abs=0.005)
@@ -91,7 +90,7 @@ def test_internal_noise_is_a_threshold_of_two_intervals() -> None:
 
 def test_internal_noise_hides_what_is_faint_and_feels_what_is_not_there() -> None:
     """Nothing moves: felt in 1 trial of 80, one finger's tail beyond 2.5 sigma_0 for each; far above, as without it."""
-    person = read_observer("fingertip").typical
+    person = Observer.read("fingertip").typical
     sharp = replace(person, noise=1e-9, lapse_rate=0.0)
     rng = np.random.default_rng(7)
     given = Counter(sharp.answer(0.0, 0.0, "one_hand", rng, WITH_NONE)[0] for _ in range(20_000))

@@ -20,7 +20,7 @@ from scipy.special import ndtr
 
 from modaltouch.analysis.thresholds.psychometric import fit_psychometric
 from modaltouch.planning.observer import Participant
-from modaltouch.planning.observer.file import read_observer
+from modaltouch.planning.observer.population import Observer
 from modaltouch.preflight import examine
 from modaltouch.protocol.adaptive import AdaptiveSection
 from modaltouch.protocol.answers import AnswerList
@@ -89,7 +89,7 @@ def recover(
     n_participants: int,
 ) -> Recovery:
     """Return what comes of a run of each of many participants of `fingertip` on (A, C)."""
-    observer = read_observer("fingertip")
+    observer = Observer.read("fingertip")
     errors, covered, inside = [], 0, 0
     for seed in range(n_participants):
         person, rng = observer.draw(np.random.default_rng(seed)), np.random.default_rng([seed, 1])
@@ -156,8 +156,8 @@ def test_quest_plus_gives_back_the_thresholds_of_its_observers(
 
 def test_the_papers_observer_has_no_threshold_within_the_levels(speeds: tuple[float, float]) -> None:
     """Why adaptive runs are simulated by another: at 2 mm/s it names C in more than half of the trials."""
-    paper = read_observer("paper").typical
+    paper = Observer.read("paper").typical
     assert chance_of_c(paper, speeds, 2e-3) > 0.5
-    fingertip = read_observer("fingertip").typical
+    fingertip = Observer.read("fingertip").typical
     assert chance_of_c(fingertip, speeds, 2e-3) < 0.05
     assert chance_of_c(fingertip, speeds, 0.08) > 0.9

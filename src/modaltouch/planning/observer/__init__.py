@@ -1,9 +1,8 @@
 """Psychophysical observers: from what two fingers feel to an answer, left, right or both, and its reaction time.
 
 ``participant``  one participant: comparison, criterion, lapses, reaction time; probabilities of answers in closed form
-``population``   Observer: a typical participant, the spread between participants, and the front end
+``population``   Observer: a typical participant, the spread between participants, and the front end; its YAML file
 ``felt``         what a finger feels of the velocity under it, as one number; at the zones, once for all levels
-``file``         observers in YAML files, shipped or the user's own
 ``fit``          an observer fitted to recorded answers by maximum likelihood, and what such a fit cannot determine
 """
 
