@@ -341,8 +341,7 @@ class Preflight:
             return values
         from modaltouch.preflight import advice
 
-        inputs, _ = self.sound
-        protocol, apparatus = self.experiment.protocol, inputs.apparatus
+        protocol, apparatus = self.experiment.protocol, self.sound[0].apparatus
         values |= {
             "warnings": [
                 *([f"the calibration misses its limits: {self.calibration_mark}"] if self.calibration_mark else []),
