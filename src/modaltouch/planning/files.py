@@ -50,7 +50,7 @@ def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Pa
         "power.json": values,
     }
     about = {"version": version(), "seed": power.study.seed}
-    return write_files(folder, files, about, "power", {"power": draw_power(power, target)})
+    return write_files(folder, files, about, "power", power=draw_power(power, target))
 
 
 def draw_power(power: Power, target: float = 0.8) -> Figure:

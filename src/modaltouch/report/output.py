@@ -25,11 +25,7 @@ _REMEDY = "give a folder you may write to with --out"
 
 
 def write_files(
-    folder: Path,
-    contents: Mapping[str, Any],
-    about: dict[str, Any],
-    command: str = "analyse",
-    figures: Mapping[str, Figure] | None = None,
+    folder: Path, contents: Mapping[str, Any], about: dict[str, Any], command: str = "analyse", **figures: Figure
 ) -> dict[str, Path]:
     """Write files into a folder, with a manifest that lists them and their hashes.
 
@@ -46,7 +42,7 @@ def write_files(
         What the manifest says about how they were made; plain values.
     command : str
         The command that made them; a folder belongs to one command.
-    figures : mapping of str to Figure, optional
+    **figures : Figure
         Figures by name; each is written as SVG and PNG.
 
     Returns
@@ -61,11 +57,7 @@ def write_files(
         was written, or cannot be written.
     """
     refuse_other(folder, command)
-    files = {name: _encode(name, content) for name, content in contents.items()}
-    if figures is not None:
-        from modaltouch.report.style import figure_files
-
-        files |= figure_files(figures)
+    files = {name: _encode(name, content) for name, content in contents.items()} | _drawn(figures)
     about = {"generated_by": _MAKER + command, **about}
     _, known = _read_manifest(folder)
     for name in files:
@@ -91,6 +83,14 @@ def write_files(
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
     return {name: folder / name for name in files}
+
+
+def _drawn(figures: Mapping[str, Figure]) -> dict[str, bytes]:
+    if not figures:
+        return {}
+    from modaltouch.report.style import figure_files
+
+    return figure_files(figures)
 
 
 def _encode(name: str, content: Any) -> bytes:

@@ -179,7 +179,7 @@ class IdentificationReport:
             name, files[name] = self.apparatus
             table = {"table_modes": list(self.labels), "apparatus_file": str(self.folder / name)}
         about = {"version": version(), "sources": self.sources}
-        written = write_files(self.folder, files, about, COMMAND, draw_all(self.found))
+        written = write_files(self.folder, files, about, COMMAND, **draw_all(self.found))
         if self.export is not None:
             export(self.found, self.export)
             written[self.export.name] = self.export
