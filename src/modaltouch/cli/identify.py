@@ -103,12 +103,12 @@ def identify(
     Each point is on disk as soon as it is measured. To continue an interrupted scan, run the same command again. The
     result is an apparatus file that `modaltouch check` reads, with a table and figures next to it.
     """
+    form = lab.ResponseFormat(quantity, conjugated, spacing_Hz, averages, use_clipped)
     options = lab.IdentifyOptions(
         apparatus, tuple(files or ()), rig, out, points=points, averages=averages, rows=rows, voltage=drive_V,
         excitation=excitation, lowest=lowest_Hz, highest=None if highest_kHz is None else highest_kHz * 1e3,
-        margin=margin_mm * 1e-3, sets=tuple(sets or ()), modes=modes, quantity=quantity, conjugated=conjugated,
-        spacing=spacing_Hz, seed=seed, export=export, leave_out=tuple(place * 1e-3 for place in leave_out or ()),
-        use_clipped=use_clipped,
+        margin=margin_mm * 1e-3, sets=tuple(sets or ()), modes=modes, form=form, seed=seed, export=export,
+        leave_out=tuple(place * 1e-3 for place in leave_out or ()),
     )  # fmt: skip
     carry_out(partial(lab.identify, options), lambda _, values: _show(values), json_output=json_output)
 

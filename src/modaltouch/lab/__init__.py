@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from modaltouch.lab.calibration.command import calibrate
     from modaltouch.lab.comparison.command import compare
     from modaltouch.lab.identification.command import IdentifyOptions, identify
+    from modaltouch.lab.identification.responses import ResponseFormat
     from modaltouch.lab.laboratory import Laboratory, MeasurementProgress
     from modaltouch.lab.probe.command import probe_fingers
     from modaltouch.lab.probe.prober import Prober
@@ -26,6 +27,7 @@ else:
             "calibration.command": "calibrate",
             "comparison.command": "compare",
             "identification.command": "IdentifyOptions identify",
+            "identification.responses": "ResponseFormat",
             "laboratory": "Laboratory MeasurementProgress",
             "probe.command": "probe_fingers",
             "probe.prober": "Prober",
@@ -38,6 +40,7 @@ __all__ = [
     "Laboratory",
     "MeasurementProgress",
     "Prober",
+    "ResponseFormat",
     "calibrate",
     "compare",
     "identify",

@@ -31,7 +31,6 @@ from modaltouch.lab.identification.report import (
 )
 from modaltouch.lab.identification.responses import (
     FrequencyResponses,
-    Quantity,
     ResponseFormat,
     along,
     responses_of,
@@ -62,7 +61,7 @@ class IdentifyOptions:
     out : Path
         Folder for scans, apparatus file, table and figures.
     points, averages : int
-        Evenly spaced points of the scan and records at each; for files, the records behind each response.
+        Evenly spaced points of the scan, and records at each.
     voltage : float
         Peak of the excitation at the beam [V].
     excitation : str
@@ -78,20 +77,14 @@ class IdentifyOptions:
         Actuator sets; all those of the apparatus if empty.
     modes : str
         Modes of the new table: ``listed`` in the apparatus file, ``all``, or labels such as ``1,3,5``.
-    quantity : str or None
-        ``velocity``, ``displacement`` or ``acceleration``: what the responses are, for a file that does not say.
-    conjugated : bool
-        Whether the files follow exp(-i w t).
-    spacing : float or None
-        Bin spacing of a file of bare numbers [Hz].
+    form : ResponseFormat
+        How files are to be read, and what they do not state.
     seed : int or None
         Seed of the simulated rig, instead of its own.
     export : Path or None
         File to which the responses and shapes are written for other programs.
     leave_out : tuple of float
         Positions whose responses are not used [m].
-    use_clipped : bool
-        Whether the free decay after the last saturated sample of a record is used.
     rows : int
         Rows of points across the width to measure, an odd number; three or more reveal torsion. Of earlier scans, every
         row is read.
@@ -110,13 +103,10 @@ class IdentifyOptions:
     margin: float = 0.5e-3
     sets: tuple[str, ...] = ()
     modes: str = "listed"
-    quantity: Quantity | None = None
-    conjugated: bool = False
-    spacing: float | None = None
+    form: ResponseFormat = ResponseFormat()
     seed: int | None = None
     export: Path | None = None
     leave_out: tuple[float, ...] = ()
-    use_clipped: bool = False
     rows: int = 1
 
 
@@ -183,8 +173,7 @@ def identify(options: IdentifyOptions, progress: MeasurementProgress = SILENT_PR
 
 def _read(options: IdentifyOptions) -> FrequencyResponses:
     """Return the responses in the files, within the requested band."""
-    how = ResponseFormat(options.quantity, options.conjugated, options.spacing, options.averages, options.use_clipped)
-    responses = read_responses(options.files, how)
+    responses = read_responses(options.files, options.form)
     if options.lowest is None and options.highest is None:
         return responses
     end = float(responses.frequency[-1]) if options.highest is None else options.highest
