@@ -1,10 +1,10 @@
-"""The physics of the stimulus, with NumPy alone: from a target field to codes, and from codes to the beam's motion.
+"""Physics of the stimulus, in NumPy alone: from a target field to codes, and from codes to the motion of the beam.
 
-Input: the modes of a beam (`ModalModel`), a velocity field at an instant (`TargetField`), the clock (`Timing`) and the
-`Amplifier`. `design_stimulus` returns a `Stimulus`: voltages, codes and amplitudes (`Burst`), and the motion that they
-cause at every level. `focus_sensitivity`, `scatter` and `cheapest_samples` say how accurately the beam must be
-identified and how few samples suffice. `DiagonalSystem`, `BlockKernel` and `BlockStates` compute the response to any
-voltages, for the simulated rig. A `Probe` identifies the beam, with fingers on it, from measured responses.
+`design_stimulus` takes the modes of a beam (`ModalModel`), the velocity field at one instant (`TargetField`), the clock
+(`Timing`) and the `Amplifier`, and returns a `Stimulus`: voltages, codes and amplitudes (`Burst`), and the resulting
+motion at every level. `focus_sensitivity`, `scatter` and `cheapest_samples` tell how accurately the beam must be
+identified and how few samples are enough. `DiagonalSystem`, `BlockKernel` and `BlockStates` compute the response to
+arbitrary voltages for the simulated rig. `Probe` identifies the beam, with fingers on it, from measured responses.
 """
 
 from __future__ import annotations

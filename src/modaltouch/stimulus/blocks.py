@@ -1,8 +1,8 @@
-"""A response block by block: matrix products within a block, a recursion of the states from block to block.
+"""Block-wise response: matrix products within a block, a recursion of the states from block to block.
 
-Over a sample each state decays, and the sample's inputs then push it: they add to it. The outputs of a block are one
-matrix product of its inputs and the states at its start; those states follow from the blocks' pushes by the same method
-one level up. If only the peak of a long response is wanted, an upper bound rules out most of its blocks.
+Over a sample each state decays, and the inputs of the sample add to it (the push). The outputs of a block are one
+matrix product of its inputs and the states at its start; those states follow from the pushes of the blocks by the same
+recursion one level up. If only the peak of a long response is needed, an upper bound rules out most of the blocks.
 """
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import decay
 
 SHORT = 16
-"""Samples per block, chosen for the least work per sample."""
+"""Samples per block; this number needs the least work per sample."""
 
 LEVELS = 3
 """Blocks, groups of blocks, groups of groups: three levels step over 16^4 samples, twice the longest chunk."""
 
 Sides = dict[tuple[tuple[int, ...], int], tuple[tuple[int, ...], FloatArray]]
-"""Left factors of the products by inputs and number of states, with the states written into them last."""
+"""Left factors of the products, keyed by inputs and number of states, each with the states last written into it."""
 
 _CHUNK = 32_768
-"""Samples per chunk: bounds the memory, and keeps a chunk of voltages in the second-level cache."""
+"""Samples per chunk: bounds the memory and keeps a chunk of voltages in the second-level cache."""
 
 _LIKELIEST = 64
-"""Blocks that are computed first in the search for a peak: what they reach rules out most of the others."""
+"""Blocks computed first in the search for a peak; their peak rules out most of the others."""
 
 
 @dataclass(frozen=True, eq=False)
 class BlockRecursion:
-    """Follows states from block to block, x[j + 1] = ratio x[j] + pushed[j], by groups of SHORT blocks.
+    """Recursion of the states from block to block, x[j + 1] = ratio x[j] + pushed[j], in groups of SHORT blocks.
 
     Attributes
     ----------
     power : (n_states, LEVELS, SHORT + 1) complex array
         Decays over 0 to SHORT blocks, groups of blocks, and so on [1].
     triangle : (LEVELS, n_states, SHORT, SHORT) complex array
-        What each push of a group (rows) contributes to the states before its later members (columns).
+        Contribution of each push of a group (rows) to the states before the later blocks of the group (columns).
     """
 
     power: ComplexArray
@@ -81,7 +81,7 @@ class BlockRecursion:
         return begin, state
 
     def total(self, groups: ComplexArray, level: int = 0) -> ComplexArray:
-        """Return what groups of blocks, (n_states, n_groups, SHORT) array, add to the states at their ends."""
+        """Return the push of each group of blocks, (n_states, n_groups, SHORT) array, on the states at its end."""
         return np.asarray(np.matmul(groups, self.power[:, level, SHORT - 1 :: -1, None])[:, :, 0])
 
     def within(self, pushed: ComplexArray, starts: ComplexArray, out: ComplexArray, level: int = 0) -> None:
@@ -92,7 +92,7 @@ class BlockRecursion:
 
 @dataclass(frozen=True, eq=False)
 class PeakBound:
-    """Bounds of the outputs within each block, from the states, the mean inputs and the deviations from them.
+    """Upper bounds of the outputs in each block, from the initial states, the mean inputs and their deviations.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class PeakBound:
     mean : (n_inputs, n_blocks) array
         Magnitudes of the mean inputs.
     swing : (n_inputs, n_blocks) array
-        Root of the sum of squares of the inputs less their mean.
+        Root of the sum of squared deviations of the inputs from their mean.
     """
 
     size: FloatArray
@@ -129,16 +129,16 @@ class PeakBound:
 
 @dataclass(frozen=True, eq=False)
 class BlockKernel:
-    """Effect of a block of inputs, and of the states at its start, on the outputs and on the states at its end.
+    """Effect of a block of inputs and of its initial states on its outputs and final states.
 
-    Tables are computed when first needed.
+    Tables are computed on first use.
 
     Attributes
     ----------
     exponent : (n_states,) complex array
         Exponents [1/s].
     push : (n_states, n_inputs) complex array
-        What a unit of each input adds to the states at the end of its sample.
+        Contribution of a unit of each input to the states at the end of its sample.
     output : (n_outputs, n_states) complex array
         The outputs are the real part of ``output @ state``.
     hold : float
@@ -152,7 +152,7 @@ class BlockKernel:
 
     @classmethod
     def of(cls, system: DiagonalSystem, output: ComplexArray, hold: float) -> BlockKernel:
-        """Return the kernel for held voltages and outputs that are the real part of ``output @ state``.
+        """Return the kernel for sample-and-hold voltages and the outputs ``Re(output @ state)``.
 
         Parameters
         ----------
@@ -167,7 +167,7 @@ class BlockKernel:
 
     @staticmethod
     def blocks(inputs: FloatArray) -> FloatArray:
-        """Return samples as blocks, the last padded with zeros, (n_inputs, n_blocks, SHORT) array."""
+        """Split samples into blocks, the last padded with zeros, (n_inputs, n_blocks, SHORT) array."""
         beyond = -inputs.shape[1] % SHORT
         filled = np.pad(inputs, ((0, 0), (0, beyond))) if beyond else inputs
         return filled.reshape(len(inputs), -1, SHORT)
@@ -184,7 +184,7 @@ class BlockKernel:
 
     @cached_property
     def _into_state(self) -> list[tuple[NDArray[np.intp], ComplexArray]]:
-        """For each input the states that it pushes, and what the samples of a block add to them."""
+        """For each input, the states that it drives and the contribution of each sample of a block to them."""
         pushes = []
         for column in self.push.T:
             pushed = np.flatnonzero(column)
@@ -193,7 +193,7 @@ class BlockKernel:
 
     @cached_property
     def _tables(self) -> list[tuple[tuple[int, ...], tuple[int, ...], FloatArray]]:
-        """For each output, the inputs and states that affect it, and the right factor of its matrix product.
+        """For each output, the inputs and states that affect it and the right factor of its matrix product.
 
         The rows of a right factor are the samples of the inputs, then the real and the imaginary parts of the states.
         """
@@ -211,7 +211,7 @@ class BlockKernel:
         return tables
 
     def write(self, inputs: Callable[[int, int], FloatArray], out: FloatArray) -> None:
-        """Write the outputs at the starts of the samples, from rest, in chunks: memory does not grow with their number.
+        """Write the outputs at the starts of the samples, from rest, in chunks of bounded memory.
 
         Parameters
         ----------
@@ -235,7 +235,7 @@ class BlockKernel:
         blocks : (n_inputs, n_groups, SHORT**2) array
             Inputs of groups of SHORT blocks.
         pushed : (n_states, n_groups, SHORT) complex array
-            What each block adds to the states at its end.
+            Push of each block on the states at its end.
         starts : (n_states, n_groups) complex array
             States at the start of each group.
         """
@@ -270,7 +270,7 @@ class BlockKernel:
         return self.scan.follow(self.pushed(blocks), state)
 
     def pushed(self, blocks: FloatArray) -> ComplexArray:
-        """Return what each block of inputs adds to the states at its end, (n_states, n_blocks) array."""
+        """Return the push of each block of inputs on the states at its end, (n_states, n_blocks) array."""
         together = np.zeros((self.exponent.size, blocks.shape[1]), dtype=complex)
         for (states, column), rows in zip(self._into_state, blocks, strict=True):
             parts = np.concatenate([column.real, column.imag]) @ rows.T
@@ -288,9 +288,9 @@ class BlockKernel:
         begin : (n_states, n_blocks) complex array
             From `states`.
         out : (n_outputs, n_samples) array
-            Receives the outputs, for at most the samples of the blocks; each row contiguous.
+            Receives the outputs of the samples, at most as many as the blocks hold; each row contiguous.
         sides : dict, optional
-            Left factors of the products, from an earlier call with the same blocks and states; new ones are added.
+            Left factors from earlier calls with the same blocks and states; new ones are added.
         """
         n_whole, rest = divmod(out.shape[1], SHORT)
         sides = {} if sides is None else sides
@@ -338,7 +338,7 @@ class BlockKernel:
 
 
 def _inputs_beside(blocks: FloatArray, inputs: tuple[int, ...], n_states: int) -> FloatArray:
-    """Return the left factor of a product: the samples of the inputs, and room for the states."""
+    """Return the left factor of a product: the samples of the inputs, and free columns for the states."""
     side = np.empty((blocks.shape[1], SHORT * len(inputs) + 2 * n_states))
     for place, which in enumerate(inputs):
         side[:, place * SHORT : (place + 1) * SHORT] = blocks[which]

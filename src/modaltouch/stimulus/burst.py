@@ -1,4 +1,4 @@
-"""A burst as the generator plays it: its clock and converter, the codes of both channels, and their amplitudes."""
+"""A burst as the generator plays it: clock, converter, codes and amplitudes of both channels."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from modaltouch.stimulus.quantities import FloatArray, require_positive
 
 _LONGEST_STRETCH = 1.05
-"""Largest ratio of full scale to the peak, which costs a fifteenth of a bit [1]."""
+"""Largest ratio of full scale to peak; it costs a fifteenth of a bit [1]."""
 
 
 @dataclass(frozen=True)
@@ -29,12 +29,11 @@ class Converter:
     clock_rate : float
         Rate of its clock [Hz].
     amplitude_digits, amplitude_decimals : int
-        Most significant digits and most decimals of an amplitude in volts peak to peak.
+        Largest number of significant digits and of decimals of an amplitude in volts peak to peak.
     of_record : bool
-        Whether an amplitude spans the record, from its lowest code to its highest; else it spans all codes, the full
-        scale.
+        Whether an amplitude spans the record, from its lowest to its highest code, rather than the full scale.
     any_rate : bool
-        Whether its clock adapts to the sampling rate, so that no sample begins late.
+        Whether the clock adapts to the sampling rate, so that no sample begins late.
     """
 
     mid_code: int
@@ -65,7 +64,7 @@ class Converter:
         return tuple(self.round_amplitude(full * velocity / reference * share) for full, share in each)
 
     def full_scale(self, least: float, shares: tuple[float, ...]) -> float:
-        """Return a full scale, at or above the least, for which the amplitudes of all levels are close to the grid.
+        """Return a full scale, at or slightly above the least, that puts the amplitudes of all levels near the grid.
 
         Parameters
         ----------
@@ -78,7 +77,7 @@ class Converter:
         -------
         float
             Of the amplitudes up to 5 % above the least, the one whose products with `shares` are closest to the grid;
-            the smallest, if several are [V peak to peak].
+            the smallest of several that are equally close [V peak to peak].
         """
         if least <= 0:
             return 0.0
@@ -88,7 +87,7 @@ class Converter:
         best, smallest_miss = self.round_amplitude(first * step), np.inf
         for count in range(first, last + 1):
             candidate = self.round_amplitude(count * step)
-            # Above a power of ten the grid is coarser than `step`: rounding may leave the range at either end.
+            # Above a power of ten the grid is coarser than `step`, and rounding may leave the range.
             if not least * (1 - 1e-12) <= candidate <= max(least * _LONGEST_STRETCH, first * step) * (1 + 1e-12):
                 continue
             miss = max((abs(self.round_amplitude(candidate * s) / (candidate * s) - 1) for s in shares), default=0.0)
@@ -99,7 +98,7 @@ class Converter:
         return best
 
     def round_to_codes(self, voltage: FloatArray, volts_per_code: FloatArray) -> FloatArray:
-        """Return the nearest signed codes; the first and the last are 0, where the generator idles.
+        """Return the nearest signed codes; the first and the last are 0, the level at which the generator idles.
 
         Parameters
         ----------
@@ -111,7 +110,7 @@ class Converter:
         Returns
         -------
         (n_channels, n_samples) array
-            Whole numbers from minus to plus `mid_code` [1].
+            Integers from ``-mid_code`` to ``mid_code`` [1].
 
         Raises
         ------
@@ -133,17 +132,17 @@ class Converter:
         return steps
 
     def unsigned(self, signed: FloatArray) -> NDArray[np.uint16]:
-        """Return codes for the generator from codes relative to mid-scale, array of the same shape."""
+        """Convert codes relative to mid-scale to the generator's codes, array of the same shape."""
         codes = np.empty(signed.shape, dtype=np.uint16)
         return np.add(signed, self.mid_code, out=codes, casting="unsafe")
 
     def signed(self, codes: NDArray[np.uint16]) -> FloatArray:
-        """Return codes relative to mid-scale from codes for the generator, array of the same shape."""
+        """Convert the generator's codes to codes relative to mid-scale, array of the same shape."""
         return np.subtract(codes, self.mid_code, dtype=float)
 
 
 _ON_GRID = 1e-6
-"""Distance from the sample grid, in samples, below which an instant counts as on it [1]."""
+"""Tolerance for an instant to lie on the sample grid [samples]."""
 
 
 @dataclass(frozen=True)
@@ -229,7 +228,7 @@ class Timing:
         Returns
         -------
         n_samples : int
-            Number of whole samples that end by then, at most all of them.
+            Number of whole samples that end by then, at most `Timing.n_samples`.
         remainder : float
             Time from the end of the last of them to the instant [s]; 0 on the grid.
         """
@@ -242,7 +241,7 @@ class Timing:
 
     @cached_property
     def clock_error(self) -> FloatArray | None:
-        """Delay with which the clock begins each sample, (n_samples + 1,) array [s], or None if it is never late.
+        """Delay of the start of each sample on the clock, (n_samples + 1,) array [s], or None if it is never late.
 
         A clock that adapts to any rate is never late. A phase accumulator plays sample
         ``floor(clock * n_samples / n_clocks)``: if the number of clock cycles in a burst is not a multiple of the
@@ -257,12 +256,12 @@ class Timing:
 
 
 LevelCorrections = tuple[tuple[float, float], ...]
-"""Levels [m/s], each with its amplitude factor [1]."""
+"""Pairs of level [m/s] and amplitude factor [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """Corrected targets of the exact law, with which the real beam reaches the target field.
+    """Corrected targets of the exact law, for which the real beam reaches the target field.
 
     Attributes
     ----------
@@ -287,10 +286,10 @@ class Correction:
 
 
 def corrected(velocity: float, corrections: LevelCorrections) -> float:
-    """Return the level to set so that a level is reached [m/s].
+    """Return the level to set in order to reach a level [m/s].
 
-    Between two levels with factors, as in adaptive runs, the factor is interpolated linearly over the logarithm of the
-    level; beyond them the level is set unchanged.
+    Between two calibrated levels, as in adaptive runs, the factor is interpolated linearly in the logarithm of the
+    level; outside their range the level is set unchanged.
     """
     own = next((factor for level, factor in corrections if math.isclose(level, velocity)), None)
     if own is not None:
@@ -305,7 +304,7 @@ def corrected(velocity: float, corrections: LevelCorrections) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Burst:
-    """Codes common to all levels; a level changes only the amplitudes.
+    """Codes shared by all levels, and the amplitudes that set the level.
 
     Attributes
     ----------
@@ -322,7 +321,7 @@ class Burst:
     converter : Converter
         Converter that turns the codes into voltages.
     corrections : tuple of (float, float)
-        Levels [m/s], each with the amplitude factor that a calibration measured [1].
+        Levels [m/s], each with its measured amplitude factor [1].
     """
 
     codes: NDArray[np.uint16]
@@ -343,7 +342,7 @@ class Burst:
         duration: float,
         repetition_rate: float,
     ) -> Burst:
-        """Return the burst of given voltages, each channel's full scale as small as holds its peak.
+        """Return the burst that plays given voltages, with the smallest full scale that holds each channel's peak.
 
         Parameters
         ----------
@@ -354,7 +353,7 @@ class Burst:
         velocity : float
             Level at which they are played [m/s].
         converter : Converter
-            The generator's.
+            Converter of the generator.
         duration, repetition_rate : float
             Length of the burst [s], and bursts per second [Hz].
         """
@@ -370,7 +369,7 @@ class Burst:
         to_beam : float
             Voltage at the beam per open-circuit voltage of the generator [V/V].
         velocity : float, optional
-            Level [m/s]; the burst's own if not given.
+            Level [m/s]; `Burst.velocity` if not given.
         """
         full_scale = self.amplitude if velocity is None else self.full_scale_for(velocity)
         unit = np.array(full_scale) * (to_beam / 2 / self.converter.mid_code)
@@ -378,7 +377,7 @@ class Burst:
 
     @cached_property
     def content_hash(self) -> str:
-        """SHA-256 of the codes as they are sent: big-endian, channel after channel."""
+        """SHA-256 of the codes in transfer format: big-endian, channel after channel."""
         return hashlib.sha256(self.codes.astype(">u2").tobytes()).hexdigest()
 
     @cached_property
@@ -388,7 +387,7 @@ class Burst:
 
     @cached_property
     def ends(self) -> tuple[float, ...]:
-        """Larger magnitude of the first and last value of each channel's record, relative to half of full scale [1]."""
+        """Larger magnitude of the first and the last sample of each channel, relative to half of full scale [1]."""
         return self._highest(self.codes[:, [0, -1]])
 
     @cached_property

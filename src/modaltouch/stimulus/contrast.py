@@ -1,11 +1,11 @@
-r"""The drive with the highest contrast between the focus and another zone, and a bound of that contrast.
+r"""The drive with the highest contrast between the focus and another zone, and an upper bound of that contrast.
 
-The highest speed s of the other zone over the whole burst is minimised, while the focus reaches its level at the
+The highest speed s of the other zone over the whole burst is minimised while the focus reaches its level at the
 focusing instant: a linear programme in the drive, :math:`\min s` subject to :math:`v_{focus}(t_F) = level`,
-:math:`|v_{zone}(t)| \le s` and :math:`|u(t)| \le limit`. The drives are of one family: oscillations at each mode's
-frequency under raised cosines that become longer away from the focusing instant. The programme is solved by a barrier
-and Newton's method (Boyd and Vandenberghe 2004, sec. 11.3), whose duality gap bounds what any drive of the family can
-reach.
+:math:`|v_{zone}(t)| \le s` and :math:`|u(t)| \le limit`. The drives are drawn from one family: oscillations at the
+frequency of each mode, windowed by raised cosines that lengthen away from the focusing instant. The programme is solved
+by a barrier and Newton's method (Boyd and Vandenberghe 2004, sec. 11.3); its duality gap bounds the contrast of every
+drive of the family.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ HOLD = 2e-6
 """Approximate length of a sample [s]: six per cycle of the highest mode of the paper's Table I."""
 
 _NEAR, _SPARSE = 1.5e-3, 10
-"""Time around the focusing instant in which every sample is bounded [s]; elsewhere one in so many is [1]."""
+"""Time around the focusing instant within which every sample is bounded [s], and the stride elsewhere [samples]."""
 
 _GROWTH, _FORGOTTEN = 3.0, 6.0
 """Ratio of successive lags of the raised cosines; time constants after which a mode has decayed [1]."""
 
 _GAP = 0.15
-"""Duality gap, relative to the highest speed of the zone, at which the programme counts as solved [1]."""
+"""Duality gap at convergence, relative to the highest speed of the zone [1]."""
 
 _KEPT = 0.95
-"""Fraction of the amplifier's limit for the bounded samples: those between them may exceed their bound a little [1]."""
+"""Fraction of the amplifier's limit allowed at the bounded samples; those in between may exceed it slightly [1]."""
 
 _NEWTON_STEPS = 30
 
@@ -39,7 +39,7 @@ _NEWTON_STEPS = 30
 def contrast_drive(
     model: ModalModel, amplifier: Amplifier, timing: Timing, places: FloatArray, level: float
 ) -> tuple[FloatArray, float]:
-    """Return the drive with which the focus reaches its level while the highest speed of other points is least.
+    """Return the drive that takes the focus to its level with the least peak speed at other points.
 
     Parameters
     ----------
@@ -55,14 +55,14 @@ def contrast_drive(
     voltage : (n_channels, n_samples) array
         Voltages at the beam [V].
     bound : float
-        Upper bound, for all drives of the family, of the level over the highest speed of the other points [1].
+        Upper bound, over all drives of the family, of the level over the highest speed of the other points [1].
     """
     focused = timing.focusing_instant - amplifier.delay
     time = np.asarray((np.arange(timing.n_samples) + 0.5) * timing.hold - focused, dtype=float)
     waves = _family(model, time)
     bounded = np.flatnonzero((np.abs(time) < _NEAR) | (np.arange(time.size) % _SPARSE == 0))
     speeds = _speeds(DiagonalSystem.of(model, amplifier), model.shapes(places), timing, waves)
-    # Voltages relative to the limit, speeds to the level; the least-energy solution and the directions normal to it.
+    # Voltages are scaled by the limit, speeds by the level: the least-energy solution and the directions normal to it.
     limit = _KEPT * amplifier.limit
     speeds *= limit / level
     focus = speeds[0, :, int((time < 0).sum())]
@@ -107,7 +107,7 @@ def _speeds(system: DiagonalSystem, shapes: FloatArray, timing: Timing, waves: F
 
 
 def least_peak(offset: FloatArray, rows: FloatArray, slack: FloatArray) -> tuple[FloatArray, float]:
-    """Return weights of least s, |offset + rows @ weights| <= s where `slack` is 1, else <= 1, and a bound of s."""
+    """Minimise s subject to |offset + rows @ weights| <= s where `slack` is 1, else <= 1; return weights and bound."""
     n, n_sides = rows.shape[1], 2 * len(rows)
     point = np.append(np.zeros(n), 1.2 * np.abs(offset[slack > 0]).max())
     sharpness = n_sides / point[n] / 2

@@ -1,10 +1,10 @@
 r"""The drive laws: voltages that bring every modelled mode from rest to its target, as the generator plays them.
 
-The exact law takes the voltages of least weighted energy that bring all modes to (velocity = target, displacement = 0)
-at the focusing instant. It accounts for the hold of the samples, the amplifier's pole and delay, and the gain of every
-channel for every mode. After the focusing instant the voltages brake the modes to rest, or are zero.
+The exact law finds the voltages of least weighted energy that bring all modes to (velocity = target, displacement = 0)
+at the focusing instant. It accounts for the sample-and-hold, the amplifier's pole and delay, and the gain of every
+channel for every mode. After the focusing instant the voltages either brake the modes to rest or are zero.
 
-The law of the paper, equations (6) and (7), is kept to show why the exact law is needed. These errata are corrected:
+The law of the paper, equations (6) and (7), shows why the exact law is needed. These errata are corrected:
 
 1. the gain of section III-B is printed with :math:`\omega^2`; at resonance
    :math:`|\dot\eta| = G|v|/(2\xi\omega)`;
@@ -13,7 +13,7 @@ The law of the paper, equations (6) and (7), is kept to show why the exact law i
 4. equation (6) has :math:`e^{ct}`, equation (7) :math:`e^{a(t-t_F)}` with the same amplitude; the latter is
    meant;
 
-and one is kept, since it is the reason for the exact law:
+and one is kept because it is the reason for the exact law:
 
 3. the orbit (6) does not start at rest; started from rest, mode 1 ends 4 % short.
 """
@@ -45,7 +45,7 @@ Design = Literal["least_energy", "norm_4", "norm_8", "least_peak"]
 Priority = Literal["field", "level"]
 
 MEANT = "the paper has 0.08 to 0.2 m/s"
-"""Typical levels, for messages that refuse one."""
+"""Typical levels, for the error messages on levels."""
 
 RISE = 1.0e-3
 """Length of the taper at the start of the drive, and at both ends of the braking after the focusing instant [s]."""
@@ -55,13 +55,13 @@ FALL = 0.4e-3
 
 _REFINEMENTS = 8
 _POLISHED = 9e-13
-"""Residual of coupled modes, relative to the largest target, above which it is corrected once more [1]."""
+"""Residual of coupled modes, relative to the largest target, above which a second correction is made [1]."""
 
 _NEARLY = 1e-6
-"""The same for coupled modes with ill-conditioned eigenvectors, whose residual is then corrected separately [1]."""
+"""The same for ill-conditioned eigenvectors, for which the residual is corrected separately [1]."""
 
 _ROUNDING = 16 * float(np.finfo(float).eps)
-"""Residual, relative to the largest target, that is due to rounding, so that no refinement reduces it [1]."""
+"""Rounding error of the residual, relative to the largest target; refinement cannot reduce it further [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,9 +73,9 @@ class Drive:
     voltage : (n_channels, n_samples) array
         Voltages at the beam [V].
     condition_number : float
-        Condition number of the scaled Gramian [1]; 1 if nothing is solved (`paper`).
+        Condition number of the scaled Gramian [1]; 1 for the law of the paper, which solves no equations.
     residual : float
-        Largest deviation of a state at the focusing instant from its target [m/s], for these voltages unrounded.
+        Largest deviation of a state from its target at the focusing instant, before rounding [m/s].
     n_before : int
         Number of samples played before the focusing instant; later voltages do not affect it.
     """
@@ -92,7 +92,7 @@ class Drive:
 
 
 def check_options(law: str, release: str, rounding: str, design: str, priority: str) -> None:
-    """Refuse unknown options, and options that exclude each other."""
+    """Reject unknown options and options that exclude each other."""
     for name, given, kind in (
         ("drive law", law, Law),
         ("release", release, Release),
@@ -111,7 +111,7 @@ def check_options(law: str, release: str, rounding: str, design: str, priority: 
 
 
 def check_levels(levels: tuple[float, ...], reference: float) -> None:
-    """Refuse levels above the reference, for which the codes fill the generator's range [m/s]."""
+    """Reject levels above the reference level, at which the codes fill the generator's range [m/s]."""
     if not levels:
         raise ValueError("no velocity level is given; give at least one")
     for level in levels:
@@ -124,7 +124,7 @@ def check_levels(levels: tuple[float, ...], reference: float) -> None:
 
 
 def check_drivable(model: ModalModel, target: FloatArray, timing: Timing) -> None:
-    """Refuse modes that cannot be driven to their targets [m/s], or that the samples cannot follow.
+    """Reject modes that cannot be driven to their targets [m/s] or that are too fast for the sampling rate.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def check_drivable(model: ModalModel, target: FloatArray, timing: Timing) -> Non
 
 @dataclass(frozen=True, eq=False)
 class Steering:
-    """Conditions that the voltages must meet for the driven modes; modes without a gain stay at rest and are left out.
+    """Conditions on the voltages, for the driven modes only; modes without a gain stay at rest.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ class Steering:
     velocity : (n_modes,) array
         Target modal velocities at the focusing instant [m/s].
     displacement : (n_modes,) array
-        Target modal displacements times angular frequency at that instant; 0 unless a calibration corrects them [m/s].
+        Target modal displacements times angular frequency at that instant; 0 unless corrected by a calibration [m/s].
     amplifier : Amplifier, optional
         The amplifier of `system`, needed for fingers with ill-conditioned eigenvectors.
     """
@@ -178,7 +178,7 @@ class Steering:
 
     @cached_property
     def driven(self) -> NDArray[np.intp]:
-        """Indices of the modes that a channel drives, and of those that fingers couple to them."""
+        """Indices of the modes driven by a channel and of those coupled to them by fingers."""
         driven = np.asarray(self.model.modal_gain.any(axis=1))
         if self.model.fingers:
             from modaltouch.stimulus.fingers import coupled_with
@@ -188,7 +188,7 @@ class Steering:
 
     @cached_property
     def read(self) -> ComplexArray:
-        """Output matrix of the conditions, the real part of ``read @ state``: velocities, then displacements [m/s]."""
+        """Output matrix of the conditions, ``Re(read @ state)``: velocities, then displacements [m/s]."""
         return np.concatenate([self.system.velocity[self.driven], self.system.displacement[self.driven]])
 
     @cached_property
@@ -221,7 +221,7 @@ class Steering:
         return self.timing.samples_until(self.timing.focusing_instant - self.system.delay)
 
     def _reach(self, read: ComplexArray, n_samples: int, fall: float, remainder: float = 0.0) -> ReachabilityGramian:
-        """Return the effect of `n_samples` samples on the outputs `read`, a time `remainder` [s] after their end."""
+        """Return the effect of `n_samples` samples on the outputs `read`, at a time `remainder` [s] after their end."""
         held = self.system.held_gain(self.timing.hold) * np.exp(self.system.exponent * remainder)[:, None]
         rate = self.timing.sampling_rate
         return ReachabilityGramian(
@@ -233,14 +233,14 @@ class Steering:
 
     @cached_property
     def solver(self) -> GramianSolver:
-        """Solves for the multipliers of the conditions."""
+        """Solver for the multipliers of the conditions."""
         return self._solver(self.reach)
 
     def _solver(self, reach: ReachabilityGramian) -> GramianSolver:
         return GramianSolver.of(reach.gramian(), [self.model.label[i] for i in self.driven])
 
     def short(self, voltage: FloatArray) -> tuple[FloatArray, ComplexArray]:
-        """Return the goal less what voltages from the start of the burst reach, and the state that they reach."""
+        """Return the shortfall (goal minus value reached) of voltages from the burst's start, and the state reached."""
         state = self.system.state_at(voltage, self.timing, self.timing.focusing_instant)
         if self._real is None:
             return self.goal - (self.read @ state).real, state
@@ -249,7 +249,7 @@ class Steering:
 
     @cached_property
     def _real(self) -> RealSystem | None:
-        """The true equations if `system` has fingers a few parts in 1e9 off their values; else None."""
+        """The true equations if the fingers of `system` are a few parts in 1e9 off their values; else None."""
         if self.system.exact:
             return None
         from modaltouch.stimulus.real_form import RealSystem
@@ -257,7 +257,7 @@ class Steering:
         return RealSystem.of(self.model, self.amplifier)
 
     def end(self, voltage: FloatArray, state: ComplexArray) -> None:
-        """Write the voltages after the focusing instant into those of the burst, given the state at that instant."""
+        """Write the voltages after the focusing instant, given the state at that instant."""
         if self.release == "braked":
             start, timing = self.braked_from, self.timing
             # Nothing reaches the beam between the focusing instant and the arrival of the first braking sample.
@@ -265,9 +265,9 @@ class Steering:
             self.brake(voltage, start, state * np.exp(self.system.exponent * ahead))
 
     def brake(self, voltage: FloatArray, start: int, state: ComplexArray) -> None:
-        """Write the least-energy voltages from a sample on that leave every driven mode at rest at the burst's end.
+        """Write the least-energy voltages, from sample `start` on, that bring every driven mode to rest by burst end.
 
-        `state` is the one when sample `start` reaches the beam, after the amplifier's delay.
+        `state` is the state when sample `start` reaches the beam, after the amplifier's delay.
 
         Raises
         ------
@@ -277,7 +277,7 @@ class Steering:
         timing, driven = self.timing, self.driven
         n_left = timing.n_samples - start
         self._check_enough(n_left, "after the focusing instant, or release it `free`")
-        # Only the beam's own states must be at rest: the amplifier's decay by themselves in the silence that follows.
+        # Only the states of the beam must be at rest: those of the amplifier decay in the silence that follows.
         read = np.zeros((2 * driven.size, self.system.exponent.size), dtype=complex)
         if self.model.fingers:
             n_beam = self.system.n_beam
@@ -291,7 +291,7 @@ class Steering:
         reach.write(weight, voltage[:, start:])
 
     def _check_enough(self, n_samples: int, where: str) -> None:
-        """Refuse fewer free samples than conditions; the first and the last sample are zero, so not free."""
+        """Reject fewer free samples than conditions; the first and the last sample are fixed at zero."""
         driving = self.model.modal_gain[self.driven] != 0
         alone = driving & (driving.sum(axis=1, keepdims=True) == 1)
         n_conditions = 2 * self.driven.size
@@ -308,8 +308,8 @@ class Steering:
 def exact_drive(steering: Steering) -> Drive:
     """Return the least-energy voltages that meet every condition, from rest.
 
-    The residual is computed forward, from the voltages as written and the true clock, and solved for again. This
-    removes the rounding of the closed-form Gramian and the unevenness of the clock from the result.
+    The residual is computed by forward simulation of these voltages on the true clock, and corrected. This removes the
+    rounding error of the closed-form Gramian and the unevenness of the clock from the result.
     """
     reach, solver, goal = steering.reach, steering.solver, steering.goal
     voltage = np.zeros((steering.model.n_channels, steering.timing.n_samples))
@@ -331,16 +331,16 @@ def exact_drive(steering: Steering) -> Drive:
     if kept is not weight:
         reach.write(kept, before)
     if steering.system.coupled and best > _POLISHED * float(np.abs(goal).max()):
-        # The residual is small compared with exponentials that nearly cancel: corrected separately, it is not lost.
+        # Exponentials that nearly cancel would swamp the small residual, so it is corrected separately.
         return polished(steering, before, _POLISHED)
     steering.end(voltage, kept_state)
     return Drive(voltage, solver.condition_number, best, reach.taper.n_samples)
 
 
 def polished(steering: Steering, voltage: FloatArray, enough: float = 0.0) -> Drive:
-    """Return the drive of voltages until the focusing instant, after a least-energy correction of their residual.
+    """Return the drive after a least-energy correction of the residual of voltages up to the focusing instant.
 
-    A residual of `enough`, relative to the largest target, is left as it is.
+    A residual up to `enough`, relative to the largest target, is not corrected.
     """
     change, residual = np.empty_like(voltage), np.inf
     for _ in range(3):

@@ -1,17 +1,17 @@
-r"""The modal equations, with the amplifier, as uncoupled complex first-order equations.
+r"""The modal equations with the amplifier, as uncoupled complex first-order equations.
 
 With :math:`s = -a + ib` the state :math:`z = \dot\eta - \bar s \eta` of a mode obeys
 :math:`\dot z = s z + \psi`, from which :math:`\dot\eta = \mathrm{Re}[(1 + ia/b) z]` and
-:math:`\omega\eta = \mathrm{Re}[-i (\omega/b) z]`. Nothing cancels, whereas a second-order section suffers from the
-cancellation in :math:`1 - \cos(b\,dt)`.
+:math:`\omega\eta = \mathrm{Re}[-i (\omega/b) z]`. A second-order section would suffer from the cancellation in
+:math:`1 - \cos(b\,dt)`; this form does not.
 
-An amplifier of first order, :math:`\dot u = p (v - u)`, leaves the equations uncoupled: the state
+A first-order amplifier, :math:`\dot u = p (v - u)`, leaves the equations uncoupled: the state
 :math:`y = z + \sum_c G_c u_c / (p + s)` obeys
 :math:`\dot y = s y + \frac{p}{p+s} \sum_c G_c v_c`.
 
-A voltage step that the clock plays late by d contributes :math:`e^{-sd}` instead of 1 to a state of exponent s. The
-series of this factor in d becomes further inputs, the steps times powers of d. A few terms suffice: between two edges
-of a 250 MHz clock the phase of a 90 kHz mode advances by only 0.002 rad.
+A voltage step played late by d contributes :math:`e^{-sd}` instead of 1 to a state of exponent s. The power series of
+this factor in d becomes further inputs, the steps times powers of d. A few terms suffice: between two edges of a
+250 MHz clock the phase of a 90 kHz mode advances by only 0.002 rad.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from modaltouch.stimulus.fingers import Load
 
 _SERIES_REST = 1e-12
-"""Remainder of the series in d relative to its first term: four terms for 90 kHz and a 250 MHz clock [1]."""
+"""Remainder of the series in d relative to its first term [1]; four terms reach it at 90 kHz and 250 MHz."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Amplifier:
     limit : float
         Highest voltage at the beam [V].
     bandwidth : float or None
-        Corner frequency of the amplifier's first-order pole [Hz]; None if it does not matter.
+        Corner frequency of the amplifier's first-order pole [Hz]; None if negligible.
     delay : float
         Delay from the generator's output to the beam [s].
     """
@@ -58,7 +58,7 @@ class Amplifier:
     delay: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse values that no amplifier has."""
+        """Reject unphysical values."""
         require_positive("the gain of the amplifier", self.gain, "V/V", "measure it")
         require_positive("the limit of the amplifier", self.limit, "V", "read it off its data sheet")
         if self.bandwidth is not None:
@@ -69,7 +69,7 @@ class Amplifier:
 
 @dataclass(frozen=True, eq=False)
 class DiagonalSystem:
-    """Uncoupled first-order equations x' = exponent * x + input_gain @ voltage, and their outputs.
+    """Uncoupled first-order equations x' = exponent * x + input_gain @ voltage and their outputs.
 
     Attributes
     ----------
@@ -78,15 +78,15 @@ class DiagonalSystem:
     input_gain : (n_states, n_channels) complex array
         Rate of each state per volt [m/s^2 per V; V/s per V for the amplifier's states].
     velocity : (n_modes, n_states) complex array
-        Modal velocities [m/s] are the real part of `velocity @ state`.
+        Modal velocities [m/s] are ``Re(velocity @ state)``.
     displacement : (n_modes, n_states) complex array
-        Modal displacements times angular frequency [m/s] are the real part of `displacement @ state`.
+        Modal displacements times angular frequency [m/s] are ``Re(displacement @ state)``.
     delay : float
         Delay from the generator's output to the beam [s].
     n_poles : int
         Number of states of the amplifier, which come last.
     exact : bool
-        False if fingers were moved slightly off their values because the eigenvectors are ill-conditioned.
+        False if fingers were perturbed slightly because the eigenvectors are ill-conditioned.
     """
 
     exponent: ComplexArray
@@ -106,7 +106,7 @@ class DiagonalSystem:
         model : ModalModel
             The modes.
         amplifier : Amplifier, optional
-            Its pole and delay are used, but not its gain, since voltages are those at the beam. None for neither.
+            Its pole and delay are used, but not its gain, since voltages are those at the beam. None: no pole or delay.
         """
         given = model.angular_frequency, model.damping_ratio, model.modal_gain
         return cls.of_modes(*given, model.loads, amplifier)
@@ -120,7 +120,7 @@ class DiagonalSystem:
         loads: Sequence[Load] = (),
         amplifier: Amplifier | None = None,
     ) -> DiagonalSystem:
-        """Return the equations of modes, which fingers may couple.
+        """Return the equations of modes, coupled by fingers if there are loads.
 
         Parameters
         ----------
@@ -151,7 +151,7 @@ class DiagonalSystem:
         velocity: ComplexArray,
         displacement: ComplexArray,
     ) -> DiagonalSystem:
-        """Return the uncoupled equations of a beam with an amplifier before it; they remain uncoupled.
+        """Return the equations of a beam behind an amplifier, uncoupled like those of the beam alone.
 
         Parameters
         ----------
@@ -182,24 +182,24 @@ class DiagonalSystem:
 
     @property
     def n_beam(self) -> int:
-        """Number of the beam's states, which come first: one per mode, more if fingers add states or overdamp it."""
+        """Number of states of the beam, which come first: one per mode, more if fingers add states or overdamp it."""
         return self.exponent.size - self.n_poles
 
     @property
     def coupled(self) -> bool:
-        """Whether fingers make several modes move with one state."""
+        """Whether fingers couple modes, so that several modes respond to one state."""
         return bool(np.count_nonzero(self.velocity[:, : self.n_beam]) > self.n_modes)
 
     def held_gain(self, hold: float) -> ComplexArray:
-        """Return what one volt held for a time [s] adds to each state, (n_states, n_channels) array."""
+        """Return the contribution of one volt held for a time [s] to each state, (n_states, n_channels) array."""
         return np.asarray((np.expm1(self.exponent * hold) / self.exponent)[:, None] * self.input_gain)
 
     def clock_gain(self, timing: Timing) -> ComplexArray:
-        """Return what `clock_inputs` of 1 add to the states at the end of a sample, (n_states, n_inputs) array."""
+        """Return the contribution of unit `clock_inputs` to the states at the sample's end, (n_states, n_inputs)."""
         return np.concatenate([self.held_gain(timing.hold), *self._late_gains(timing)], axis=1)
 
     def _late_gains(self, timing: Timing) -> list[ComplexArray]:
-        """Return the gains of ``step * d**k`` for steps late by d, k from 1; none if the clock is never late."""
+        """Return the gains of ``step * d**k``, k from 1, for steps late by d; empty if the clock is never late."""
         if timing.clock_error is None:
             return []
         s = self.exponent
@@ -227,7 +227,7 @@ class DiagonalSystem:
         return np.asarray(moments(voltage, self.exponent, hold) * self.held_gain(hold).T)
 
     def states_by_channel(self, voltage: FloatArray, timing: Timing, instant: float) -> ComplexArray:
-        """Return the states that each channel alone causes at an instant, from rest, on the generator's clock.
+        """Return the states due to each channel alone at an instant, from rest, on the generator's clock.
 
         Parameters
         ----------
@@ -241,7 +241,7 @@ class DiagonalSystem:
         Returns
         -------
         (n_channels, n_states) complex array
-            States, whose sum over the channels is the state of the beam.
+            States; their sum over the channels is the state of the beam.
         """
         if instant <= self.delay:
             # Nothing has arrived yet.
@@ -261,7 +261,7 @@ class DiagonalSystem:
                 begun = self.held_gain(remainder - wait)
                 states = states + voltage[:, n_whole, None] * begun.T
                 if wait and n_whole:
-                    # Until the clock begins this sample, the one before it is held.
+                    # The previous sample is held until the clock begins this one.
                     states = states + voltage[:, n_whole - 1, None] * (self.held_gain(remainder) - begun).T
         return np.asarray(states)
 
@@ -279,7 +279,7 @@ def moments(
 ) -> ComplexArray:
     """Return sums of voltage * exp(exponent * time until the end of the last sample), (n_channels, n_states) array [V].
 
-    If `driven`, (n_channels, n_states) array, is given, only the sums that it selects are computed; the others are 0.
+    If `driven`, (n_channels, n_states) array, is given, only the selected sums are computed; the others are 0.
     """
     n_samples = voltage.shape[1]
     sums = np.zeros((voltage.shape[0], exponent.size), dtype=complex)
@@ -310,7 +310,7 @@ def _chunk_moments(
 
 
 def clock_inputs(voltage: FloatArray, timing: Timing, start: int, stop: int, n_inputs: int) -> FloatArray:
-    """Return the voltages of some samples and, in the rows below, the inputs that represent late steps of the clock.
+    """Return the voltages of a range of samples, followed by the rows of inputs that represent late clock steps.
 
     Parameters
     ----------
@@ -343,7 +343,7 @@ def late_steps(voltage: FloatArray, timing: Timing, start: int, stop: int) -> It
     """Yield the steps times their delay on the clock [s], times its square, and so on, each time in the same array."""
     if timing.clock_error is None:
         return
-    # After the last sample of the record there is silence, which is never late.
+    # The silence after the last sample of the record is never late.
     late = np.zeros(stop - start)
     playing = timing.clock_error[start : min(stop, timing.n_samples)]
     late[: playing.size] = playing

@@ -1,4 +1,4 @@
-r"""Fingertips on the beam: what each adds to the modal equations, and how the coupled equations are uncoupled.
+r"""Fingertips on the beam: their terms in the modal equations, and the decoupling of the coupled equations.
 
 A finger with the impedance :math:`Z(s) = m s + c + k/s + \sum_j k_j \tau_j / (1 + s \tau_j)` along its contact
 couples the modes; a second mass behind a spring adds :math:`k_2 (m_2 s + c_2) / (m_2 s^2 + c_2 s + k_2)`. With the mean
@@ -7,10 +7,10 @@ couples the modes; a second mass behind a spring adds :math:`k_2 (m_2 s + c_2) /
 .. math:: \left(I + \frac{m}{m_b} W\right)\ddot\eta + \left(2\xi\omega + \frac{c}{m_b} W\right)\dot\eta
    + \left(\omega^2 + \frac{k}{m_b} W\right)\eta = G v.
 
-The complex eigenvectors of the state :math:`(\omega\eta, \dot\eta)` uncouple these equations, so that everything that
-holds for free modes holds for them. If two eigenvalues coincide (critical damping), the eigenvectors are
-ill-conditioned: the fingers are then moved a few parts in 1e9 off their values, and the resulting error is computed
-with the true equations (`RealSystem`).
+The complex eigenvectors of the state :math:`(\omega\eta, \dot\eta)` uncouple these equations, which can then be treated
+like those of free modes. If two eigenvalues coincide (critical damping), the eigenvectors are ill-conditioned: the
+fingers are then perturbed by a few parts in 1e9, and the resulting error is computed with the true equations
+(`RealSystem`).
 """
 
 from __future__ import annotations
@@ -26,19 +26,19 @@ from numpy.typing import NDArray
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray, require_finite, require_positive
 
 _NODES = 12
-"""Quadrature points per tenth of the beam in a contact: exact for products of shapes with six changes of sign there."""
+"""Quadrature points of a contact per tenth of the beam: exact for products of shapes with six sign changes there."""
 
 _WORST_CONDITION = 1e5
 """Largest acceptable condition number of the eigenvectors [1]."""
 
 _OFF = (0.0, 1e-9, 1e-8, 1e-7)
-"""Relative deviations of the fingers, tried until the condition number is acceptable [1]."""
+"""Relative perturbations of the fingers, tried until the condition number is acceptable [1]."""
 
 _ALIKE = 1e-9
 """Distance of eigenvalues, relative to the largest, below which their eigenvectors cannot be separated [1]."""
 
 _THIN = 1e-12
-"""Magnitude, relative to the largest, below which a direction of a contact, or a coupling, is due to rounding [1]."""
+"""Magnitude, relative to the largest, below which an eigenvalue of a contact or a coupling is rounding error [1]."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Finger:
     second_mass: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        """Refuse values that no fingertip has."""
+        """Reject unphysical values."""
         require_finite("the place of a finger", self.position, "m", "give a point of the beam")
         require_positive("the width of a contact", self.width, "m", "a fingertip has 10 mm")
         for name, unit in (("mass", "kg"), ("damping", "N s/m"), ("stiffness", "N/m")):
@@ -88,15 +88,15 @@ class Finger:
 
     @property
     def loads_beam(self) -> bool:
-        """Whether it loads the beam at all."""
+        """Whether the finger loads the beam at all."""
         return bool(self.mass or self.damping or self.stiffness or self.maxwell or self.second_mass)
 
     def impedance(self, s: ComplexArray) -> ComplexArray:
-        """Return force per velocity at nonzero complex frequencies s [1/s], array of their shape [N s/m]."""
+        """Return the impedance (force per velocity) at complex frequencies s != 0 [1/s], same shape [N s/m]."""
         total = self.mass * s + self.damping + self.stiffness / s
         for stiffness, time in self.maxwell:
             decaying = 1 + s * time
-            # At the pole of the term, s = -1/time, the state belongs to the term alone and the beam is at rest.
+            # At the pole of the term, s = -1/time, only the term moves and the beam is at rest.
             alone = np.abs(decaying) < _THIN
             total = total + np.where(alone, 0, stiffness * time / np.where(alone, 1, decaying))
         if self.second_mass is not None:
@@ -110,7 +110,9 @@ class Finger:
         return replace(self, damping=self.damping * factor, stiffness=self.stiffness * factor**2)
 
     def contact(self, shapes: Callable[[FloatArray], FloatArray], length: float) -> FloatArray:
-        """Return the mean of shape times shape over the contact within the beam, (n_modes, n_modes) array [1].
+        """Return the mean of the products of mode shapes over the contact, (n_modes, n_modes) array [1].
+
+        A part of the contact beyond the end of the beam is ignored.
 
         Parameters
         ----------
@@ -140,7 +142,7 @@ class Finger:
 def _gauss(n: int) -> tuple[FloatArray, FloatArray]:
     """Return nodes and weights of the Gauss-Legendre rule, two (n,) arrays, after Golub and Welsch (1969).
 
-    NumPy's own rule would load all its polynomials, which takes as long as the check of a finger.
+    NumPy's rule would import all its polynomials, which takes as long as the check of a finger.
     """
     order = np.arange(1, n)
     beside = order / np.sqrt(4.0 * order**2 - 1)
@@ -195,7 +197,7 @@ class CoupledModes:
             damping = damping + finger.damping * contact
             stiffness = stiffness + finger.stiffness * contact / omega
             if finger.maxwell or finger.second_mass:
-                # For each direction in which the contact moves, a Maxwell term has one state, a second mass two.
+                # For each eigenvector of the contact, a Maxwell term has one state and a second mass two.
                 size, direction = np.linalg.eigh(contact)
                 kept = size > _THIN * size[-1]
                 along = direction[:, kept] * np.sqrt(size[kept])
@@ -236,7 +238,7 @@ class CoupledModes:
 def eigenvectors(matrix: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     """Return eigenvalues and eigenvectors, refined by one Newton step in extended precision if that step is small.
 
-    LAPACK finds each eigenvalue to 1e-16 of the largest, a phase error of 1e-12 within a burst even for slow modes.
+    LAPACK computes each eigenvalue to 1e-16 of the largest: a phase error of 1e-12 over a burst, even for slow modes.
     """
     exponent, vectors = (np.asarray(each).astype(np.complex128) for each in np.linalg.eig(matrix))
     long, inverse = vectors.astype(np.clongdouble), np.linalg.inv(vectors).astype(np.clongdouble)
@@ -246,7 +248,7 @@ def eigenvectors(matrix: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     apart = np.abs(gap) > _ALIKE * np.abs(found).max()
     turn = np.where(apart, (across - unit * found) / np.where(apart, gap, 1), 0)
     if np.abs(turn).max() > _ALIKE:
-        return exponent, vectors  # for nearly parallel vectors the step would be no improvement
+        return exponent, vectors  # for nearly parallel vectors the step would not improve them
     real = exponent.imag == 0
     found, long = np.where(real, found.real, found), long + long @ turn
     return found.astype(complex), np.where(real, long.real, long).astype(complex)
@@ -258,7 +260,7 @@ def uncouple(
     """Return the uncoupled equations of modes with fingers on the beam, and whether they are exact.
 
     Arguments as in `CoupledModes.of`. If the eigenvectors are ill-conditioned, the equations are those of fingers
-    moved a few parts in 1e9 off their values.
+    perturbed by a few parts in 1e9.
     """
     tried: list[tuple[float, Uncoupled, bool]] = []
     for off in _OFF:
@@ -272,7 +274,7 @@ def uncouple(
 
 
 def coupled_with(driven: NDArray[np.bool_], loads: Sequence[Load]) -> NDArray[np.bool_]:
-    """Return whether each mode moves: the driven ones, and those that fingers couple to them, (n_modes,) array."""
+    """Return a mask of the modes that move: the driven ones and those coupled to them by fingers, (n_modes,) array."""
     size = sum((np.abs(contact) for contact, _ in loads), np.zeros((driven.size, driven.size)))
     linked = size > _THIN * size.max(initial=0.0)
     moves = driven.copy()

@@ -1,10 +1,10 @@
-r"""The highest speed if fingers are lifted off the beam within a burst, at the worst instant.
+r"""The highest speed if fingers are lifted off the beam during a burst, at the worst instant.
 
-From that instant on, the beam moves without those fingers, starting from the state that it has. Its motion is the
-response as if the fingers had never been there, plus the free decay of the difference between the two states,
+From that instant on, the beam moves without those fingers, from its current state. Its motion is the response as if the
+fingers had never been there, plus the free decay of the difference between the two states,
 :math:`y(t) = y_{left}(t) + \mathrm{Re} \sum_j c_j \delta_j(\tau) e^{s_j (t - \tau)}`. The moduli of its terms bound
-the decay, which rules out most pairs of blocks of instants. The Maxwell terms of fingers that stay are assumed to be in
-the state that they have on the beam without the lifted fingers.
+the decay, which rules out most pairs of blocks of instants. The Maxwell terms of the remaining fingers are assumed to
+be in the state that they have without the lifted fingers.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from modaltouch.stimulus.dynamics import DiagonalSystem
 from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 
 FINE = 0.4e-6
-"""Approximate time between instants at which speeds are computed [s]; fingers are lifted at every sixteenth."""
+"""Approximate time between the instants at which speeds are computed [s]; lifting is tried at every sixteenth."""
 
 _BLOCK = 16 * SHORT
-"""Number of instants in a block, for which a bound is computed."""
+"""Number of instants in a block, each of which has one upper bound."""
 
 _BETWEEN = 1.1
-"""Factor on bounds for instants between those of lifting: for fingers up to 0.3 g and 30 N s/m, moduli rise by 8 %
-between them within a block, by 0.5 % over a burst [1]."""
+"""Factor on the bounds that covers lifting between the instants tried: for fingers up to 0.3 g and 30 N s/m, moduli
+rise by 8 % between them within a block, by 0.5 % over a burst [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class LiftedBeam:
-    """A beam off which fingers are lifted while a burst is played.
+    """A beam from which fingers are lifted while a burst is played.
 
     Attributes
     ----------
     loaded, left : DiagonalSystem
-        The beam with all fingers, and with those that stay; behind the amplifier.
+        The beam with all fingers, and with the remaining ones; behind the amplifier.
     beam : DiagonalSystem
         The latter without the amplifier.
     voltage : (n_channels, n_instants) array
-        Voltages, held from one instant to the next, about `FINE` apart [V].
+        Voltages, held between instants about `FINE` apart [V].
     hold : float
         Time between instants [s].
     """
@@ -51,16 +51,16 @@ class LiftedBeam:
     hold: float
 
     def peaks(self, shapes: FloatArray, known: FloatArray, floor: float) -> FloatArray:
-        """Return the highest speed at points for the worst instant of lifting, (n_points,) array [m/s].
+        """Return the highest speed at each point for the worst instant of lifting, (n_points,) array [m/s].
 
         Parameters
         ----------
         shapes : (n_modes, n_points) array
             Mode shapes at the points [1].
         known : (2, n_points) array
-            Peaks with all fingers, and with those that stay [m/s].
+            Peaks with all fingers, and with the remaining ones [m/s].
         floor : float
-            Least value returned: lower peaks are not resolved [m/s].
+            Smallest value returned; lower peaks are not resolved [m/s].
         """
         peak: FloatArray = np.maximum(known.max(axis=0), floor)
         output = shapes.T @ self.beam.velocity

@@ -13,7 +13,7 @@ from modaltouch.stimulus.quantities import FloatArray
 from modaltouch.stimulus.shapes import mode_shapes
 
 WORST_CONDITION = 1e6
-"""Condition number beyond which shapes on their grid count as linearly dependent [1]."""
+"""Condition number above which shapes on their grid count as linearly dependent [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class MeasuredShapes:
     length: float
 
     def __post_init__(self) -> None:
-        """Refuse shapes that do not span a basis, and scale the others."""
+        """Reject shapes that are linearly dependent; scale the others."""
         position = np.array(self.position, dtype=float)
         shape = np.array(self.shape, dtype=float)
         if shape.shape != (len(self.label), position.size) or position.ndim != 1:
@@ -57,24 +57,24 @@ class MeasuredShapes:
             still = self.label[int(np.flatnonzero(np.abs(shape).max(axis=1) == 0)[0])]
             raise ValueError(f"mode {still} is zero at every point: measure it again, or leave it out")
         object.__setattr__(self, "position", position)
-        # Unit mean square over the beam, by their smooth fit, not by a sum over a few points: the fitting shapes are
-        # orthonormal over the beam, so that the mean square is the sum of the squares.
+        # The mean square over the beam is that of the smooth fit, more accurate than a sum over a few points. Since the
+        # theoretical shapes are orthonormal, it is the sum of the squared coefficients.
         size = np.sqrt((self._fit(position, shape) ** 2).sum(axis=1))
         end = np.sign(shape[:, -1])
         object.__setattr__(self, "shape", shape / (size * np.where(end == 0, 1.0, end))[:, None])
         self._check_rank()
 
     def _fit(self, position: FloatArray, shape: FloatArray) -> FloatArray:
-        """Return the coefficients of the shapes in theoretical shapes, (n_modes, n_fitted) array."""
+        """Return the coefficients of the shapes in the theoretical shapes, (n_modes, n_fitted) array."""
         theory = mode_shapes(self._fitted(position), position, self.length)
         return np.asarray(np.linalg.lstsq(theory.T, shape.T, rcond=None)[0].T)
 
     def _fitted(self, position: FloatArray) -> range:
-        """Return the labels of the theoretical shapes that the grid resolves."""
+        """Return the labels of the theoretical shapes resolved by the grid."""
         return range(1, max(2, min(max(self.label) + 4, position.size * 2 // 3)) + 1)
 
     def _check_rank(self) -> None:
-        """Refuse modes that the grid cannot distinguish, naming the closest pair."""
+        """Reject modes that the grid cannot distinguish; the message names the closest pair."""
         if self.condition_number <= WORST_CONDITION:
             return
         size = np.linalg.norm(self.shape, axis=1)
@@ -88,7 +88,7 @@ class MeasuredShapes:
 
     @cached_property
     def condition_number(self) -> float:
-        """Condition number of the shapes on their grid, by which least squares may amplify noise [1]."""
+        """Condition number of the shapes on their grid, the largest noise amplification of least squares [1]."""
         if self.position.size < len(self.label):
             return math.inf
         singular = np.linalg.svd(self.shape, compute_uv=False)
@@ -107,7 +107,7 @@ class MeasuredShapes:
     def at(self, position: ArrayLike) -> FloatArray:
         """Return the shapes at positions between the points of the grid, (n_modes, n_positions) array [1].
 
-        They are interpolated by the theoretical shapes that fit them on the grid: straight lines would lose a third of
+        Interpolation uses the theoretical shapes fitted to them on the grid: linear interpolation would lose a third of
         a mode sampled at two and a half points per half wave.
         """
         coefficient = self._fit(self.position, self.shape)

@@ -1,4 +1,4 @@
-"""The modelled modes of a beam: shapes from theory or measurement, parameters from identification."""
+"""Modes of a beam: shapes from theory or measurement, parameters from identification."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
     from modaltouch.stimulus.timoshenko import TimoshenkoBeam
 
 _POINTS = 4096
-"""Number of points at which the modes are summed at a time."""
+"""Number of points per batch when modes are summed."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModalModel:
-    """The modelled modes of a beam, those with known parameters.
+    """The modelled modes of a beam, that is, those with known parameters.
 
     Attributes
     ----------
@@ -40,11 +40,11 @@ class ModalModel:
     length : float
         Length of the beam [m].
     basis : MeasuredShapes, optional
-        Measured shapes of every mode, in the order of the labels, instead of those of a slender beam.
+        Measured shapes of every mode, in the order of the labels; by default those of a slender beam.
     beam : TimoshenkoBeam, optional
-        The bare beam, whose shear and rotary inertia affect the bending modes, instead of a slender one.
+        The bare beam, if shear and rotary inertia affect its bending modes; by default a slender one.
     fingers : tuple of Finger
-        Fingertips on the beam, which couple the modes; all other attributes are those of the untouched beam.
+        Fingertips on the beam, which couple the modes; the other attributes describe the untouched beam.
     mass : float, optional
         Moving mass of the beam [kg], needed with fingers.
     """
@@ -60,7 +60,7 @@ class ModalModel:
     mass: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse values that no vibrating beam has."""
+        """Reject unphysical values."""
         label = tuple(int(k) for k in self.label)
         object.__setattr__(self, "label", label)
         for name in ("natural_frequency", "damping_ratio", "modal_gain"):
@@ -139,7 +139,7 @@ class ModalModel:
 
     @cached_property
     def exponent(self) -> NDArray[np.complex128]:
-        """Complex exponent -a + ib of each mode's free decay, (n_modes,) array [1/s]."""
+        """Complex exponent -a + ib of the free decay of each mode, (n_modes,) array [1/s]."""
         damped = np.sqrt((1 - self.damping_ratio) * (1 + self.damping_ratio))
         return self.angular_frequency * (-self.damping_ratio + 1j * damped)
 
@@ -150,13 +150,13 @@ class ModalModel:
             return ()
         mass, fingers = self.mass, self.fingers
         if self.basis is None and all(k % 2 for k in self.label):
-            # For symmetric modes alone, a finger and its mirror image are made identical to the last bit: one design.
+            # With symmetric modes only, a finger and its mirror image are made bit-identical, to share one design.
             fingers = tuple(replace(finger, position=-abs(finger.position)) for finger in fingers)
         ordered = sorted(fingers, key=lambda finger: finger.position)
         return tuple((finger.contact(self.shapes, self.length) / mass, finger) for finger in ordered)
 
     def patch_gains(self, patches: Sequence[tuple[float, float]]) -> FloatArray:
-        """Return the relative modal gains of patches wired together, by theory; see `modaltouch.stimulus.shapes`."""
+        """Return the theoretical relative modal gains of patches wired together; see `modaltouch.stimulus.shapes`."""
         return patch_gains(self.label, patches, self.length)
 
     def touched(self, fingers: tuple[Finger, ...]) -> ModalModel:
@@ -178,7 +178,7 @@ class ModalModel:
     def field(self, modal_velocity: FloatArray, position: ArrayLike) -> FloatArray:
         """Return the velocity at positions on the beam [m] for modal velocities [m/s], (n_points,) array [m/s].
 
-        Points are taken in groups, to avoid an array of all modes at all points.
+        Points are processed in batches, to avoid an array of all modes at all points.
         """
         place = np.atleast_1d(np.asarray(position, dtype=float))
         field = np.empty(place.size)
@@ -189,7 +189,7 @@ class ModalModel:
 
 
 def _check_mode(label: int, frequency: float, ratio: float, gain: FloatArray) -> None:
-    """Refuse parameters that no vibration mode has, and gains too small or too large to compute with."""
+    """Reject unphysical parameters of a mode, and gains too small or too large to compute with."""
     require_positive(f"the natural frequency of mode {label}", frequency, "Hz", "identify the mode, or leave it out")
     if not (math.isfinite(ratio) and 0 < ratio < 1):
         raise ValueError(

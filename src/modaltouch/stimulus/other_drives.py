@@ -1,8 +1,8 @@
-r"""Drives other than the exact law of least energy: with less peak voltage, with priority of the level, of the paper.
+r"""Drives other than the least-energy exact law: with lower peak voltage, with priority of the level, of the paper.
 
 The least p-norm subject to :math:`R v = x_F` is :math:`v = D\,\mathrm{sign}(g)|g|^{1/(p-1)}` with :math:`g =
-R^T\lambda`; the dual problem in the few multipliers is smooth and convex, and is solved by Newton's method. The least
-peak is a linear programme. A least-energy correction then removes the remaining residual from either.
+R^T\lambda`; the dual problem in the few multipliers is smooth and convex and is solved by Newton's method. The least
+peak is a linear programme. In both cases a least-energy correction removes the remaining residual.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from modaltouch.stimulus.reachability import ReachabilityGramian
 from modaltouch.stimulus.synthesis import decay, synthesise
 
 _HELD_STEPS = 1024
-"""Most steps of the linear programme: more would take minutes and gain nothing."""
+"""Largest number of steps of the linear programme; more would take minutes without any gain."""
 
 _CONVERGED = 1e-12
 _FLOOR = 1e-9
-"""Least |g|, relative to the largest, for the curvature, which for p > 2 is infinite at g = 0 [1]."""
+"""Lower bound of |g|, relative to the largest, in the curvature, which for p > 2 is infinite at g = 0 [1]."""
 
 
 def least_norm(steering: Steering, p: float) -> Drive:
-    """Return the voltages of least weighted p-norm, p from 2 (the exact law) to about 8: higher p, lower peaks."""
+    """Return the voltages of least weighted p-norm, p from 2 (the exact law) to about 8; higher p, lower peaks."""
     reach = steering.reach
     rows = _rows(reach)
     weight = np.ones((1, reach.taper.n_samples))
@@ -44,7 +44,7 @@ def _multiplier(rows: FloatArray, weight: FloatArray, goal: FloatArray, p: float
 
     q = p / (p - 1)
     start = np.linalg.solve((rows * weight) @ rows.T, goal)
-    # From the solution for p = 2, scaled so that the dual is largest along it.
+    # Start from the solution for p = 2, scaled to maximise the dual along its direction.
     start = start * (float(goal @ start) / float((weight * np.abs(start @ rows) ** q).sum())) ** (p - 1)
     unit, total = float(np.abs(start).max()), float(goal @ start)
 
@@ -63,9 +63,9 @@ def _multiplier(rows: FloatArray, weight: FloatArray, goal: FloatArray, p: float
 
 
 def least_peak(steering: Steering) -> Drive:
-    """Return the voltages of least peak that meet every condition: a linear programme over steps of several samples.
+    """Return the voltages of least peak that meet every condition, by a linear programme over multi-sample steps.
 
-    They jump between the peak and its negative, which excites modes that are not modelled.
+    They switch between the positive and negative peak, which excites unmodelled modes.
     """
     from scipy.optimize import linprog
     from scipy.sparse import bmat, csr_matrix, eye
@@ -81,7 +81,7 @@ def least_peak(steering: Steering) -> Drive:
     flat = held.reshape(goal.size, -1) * scale[:, None]
     n = flat.shape[1]
     unit = float(np.abs(exact_drive(steering).voltage).max())
-    # The unknowns are the steps v and their peak t: v - t <= 0 and -v - t <= 0.
+    # The unknowns are the steps v and their peak t, with v - t <= 0 and -v - t <= 0.
     ones = csr_matrix(np.ones((n, 1)))
     solved = linprog(
         np.append(np.zeros(n), 1.0),
@@ -101,7 +101,7 @@ def least_peak(steering: Steering) -> Drive:
 
 
 def _rows(reach: ReachabilityGramian) -> FloatArray:
-    """Return R, unweighted, (n_conditions, n_channels, n_samples) array."""
+    """Return the unweighted reachability matrix R, (n_conditions, n_channels, n_samples) array."""
     ago = np.arange(reach.taper.n_samples - 1, -1, -1)
     powers = decay(reach.exponent, reach.hold, ago)
     rows = (reach.row.reshape(-1, reach.exponent.size) @ powers).real
@@ -132,18 +132,18 @@ def compare_designs(steering: Steering, amplifier: Amplifier, unmodelled: ModalM
 
 
 _HALVINGS = 14
-"""Bisections of the logarithm of mu over sixteen decades, which determine mu to 0.2 %."""
+"""Bisections of log10(mu) over sixteen decades, which determine mu to 0.2 %."""
 
 _BRACKET = -10.0, 6.0
 """Bracket of log10 of mu relative to the mean of the Gramian's diagonal."""
 
 
 def level_first_drive(steering: Steering, shape: FloatArray, limit: float) -> Drive:
-    r"""Return voltages that meet the level at the focus exactly, within the voltage limit if any field allows it.
+    r"""Return voltages that meet the level at the focus exactly, within the voltage limit if possible.
 
-    Minimise :math:`v^T D^{-1} v + \mu^{-1} |x(t_F) - x_F|^2` over all modal states, subject to the level: with the
-    level as a further row of the reachability matrix, :math:`(W + \mu\,\mathrm{diag}(0, 1, \ldots)) y = b`. The larger
-    :math:`\mu`, the lower the voltage and the larger the error of the field; :math:`\mu` is bisected until the peak
+    They minimise :math:`v^T D^{-1} v + \mu^{-1} |x(t_F) - x_F|^2` over all modal states, subject to the level: with the
+    level as an additional row of the reachability matrix, :math:`(W + \mu\,\mathrm{diag}(0, 1, \ldots)) y = b`. A
+    larger :math:`\mu` lowers the voltage and increases the error of the field; :math:`\mu` is bisected until the peak
     voltage meets the limit.
 
     Parameters
@@ -187,14 +187,14 @@ def level_first_drive(steering: Steering, shape: FloatArray, limit: float) -> Dr
 def paper_drive(steering: Steering) -> Drive:
     r"""Return the voltages of the paper, :math:`v = \sum_k 4 a_k \dot\eta_k(t) / G_k` until the focusing instant.
 
-    With :math:`\dot\eta_k = \dot\eta_k(t_F) e^{a_k (t - t_F)} \cos b_k (t - t_F)`, each mode on the channel
-    that drives it best, sampled at the middle of each hold. Sample 0 is set to 0 V, where the generator idles.
+    Here :math:`\dot\eta_k = \dot\eta_k(t_F) e^{a_k (t - t_F)} \cos b_k (t - t_F)`; each mode is driven on its
+    strongest channel, and sampled at the middle of each hold. Sample 0 is 0 V, the level at which the generator idles.
     The amplifier is not taken into account.
 
     Parameters
     ----------
     steering : Steering
-        Conditions; modes with a target velocity of 0 are not driven, and target displacements are ignored.
+        Conditions; modes with a target velocity of 0 are not driven, target displacements are ignored.
 
     References
     ----------

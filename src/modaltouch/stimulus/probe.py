@@ -1,14 +1,14 @@
 r"""Identification of a beam and the fingers on it from a probe: frequencies, damping, gains, impedances, positions.
 
-A probe is the velocity of one point per volt at single frequencies. With the impedance :math:`Z` of each finger,
+A probe is the velocity of one point per volt at discrete frequencies. With the impedance :math:`Z` of each finger,
 
 .. math:: H_c = e^{-s\tau}\,\varphi(x_0)^T Y G_c, \qquad
    Y = \left[s + 2\xi\omega + \omega^2/s + \sum Z W / m_b\right]^{-1}, \qquad
    dH_c = -e^{-s\tau}\,\varphi^T Y\, d(Y^{-1})\, Y G_c.
 
-It is fitted by least squares over the parameters of the beam and, for each finger, the logarithms of mass, damping and
-stiffness, and the position, all with wide priors. The estimates for the untouched beam, with their covariance, are the
-prior of the next fit, so that the covariance of any prediction with fingers on the beam includes every uncertainty.
+It is fitted by least squares over the parameters of the beam and, for each finger, the position and the logarithms of
+mass, damping and stiffness, all with wide priors. The estimates for the untouched beam, with their covariance, are the
+prior of the fit with fingers, so that the covariance of any prediction with fingers includes every uncertainty.
 """
 
 from __future__ import annotations
@@ -34,49 +34,50 @@ _RELAXATION = (1e-5, 1e-4, 1e-3)
 """Relaxation times of the Maxwell terms [s]."""
 
 _TERM_DAMPING, _TERM_SPREAD = 0.1, 2.5
-"""Prior of a Maxwell term: stiffness times relaxation time [N s/m], and the standard deviation of its logarithm."""
+"""Prior of a Maxwell term: stiffness times relaxation time [N s/m] and the standard deviation of its logarithm."""
 
 _SHIFT = 3e-3
-"""Offset from the expected positions, to either side, at which further fits start until one is good [m]."""
+"""Offset from the expected positions, to either side, of the starts of further fits until one is good [m]."""
 
 _MODEL_ERROR = 1e-3
-"""Least error of the model, relative to each response [1]."""
+"""Smallest assumed model error, relative to each response [1]."""
 
 _STEP = 1e-3
-"""Step of a finger's parameter for its numerical derivative [unit of the parameter]."""
+"""Step of a finger parameter for numerical derivatives [unit of the parameter]."""
 
 _FINGER_DRIFT, _TERM_DRIFT = (0.3, 0.3, 0.5, 1.0), 0.5
 """Standard deviations of the change of a finger between a probe and a burst, in the units of the priors."""
 
 _GAIN_DRIFT, _DELAY_DRIFT = 0.03, 1.0
-"""The same for a channel's gain [1], and for the instant of a record relative to its trigger [us]."""
+"""The same for the gain of a channel [1], and for the instant of a record relative to its trigger [us]."""
 
 _DELAYS = np.arange(0.0, 60e-6, 0.25e-6)
-"""Delays of the velocity that are tried [s]."""
+"""Grid of delays of the velocity [s]."""
 
 _MOST_EVALUATIONS, _MORE_EVALUATIONS, _PROMISING = 40, 160, 50.0
-"""Most evaluations of a fit (a good one takes 5 to 15); further ones without Maxwell terms below a misfit [1]."""
+"""Largest number of evaluations of a fit (a good one takes 5 to 15); additional ones for a fit without Maxwell terms if
+its misfit is below the last value [1]."""
 
 _GOOD, _FAIR, _WORST = 2.0, 5.0, 10.0
-"""Misfits: up to the first no Maxwell terms, up to the second no other start are tried; above the last, refused [1]."""
+"""Misfits up to which no Maxwell terms and no other starts are tried, and above which the fit is rejected [1]."""
 
 _FELT = 3.0
-"""Ratio of the misfit without a finger to that with it up to which it counts as absent; 0.02 g with 0.1 N s/m: 190."""
+"""Ratio of the misfits without and with a finger up to which it counts as absent; 190 for 0.02 g with 0.1 N s/m."""
 
 _TERMS_MUST_GAIN = 1.5
-"""Ratio of the misfit of plain fingers to that with Maxwell terms from which the terms are used [1]."""
+"""Smallest ratio of the misfits without and with Maxwell terms for which the terms are used [1]."""
 
 _OUTLIER, _MOST_OUTLIERS = 4.0, 0.1
-"""Deviation above which the listed modes do not explain a line [standard deviations]; most such lines left out [1]."""
+"""Deviation above which a line is an outlier [standard deviations], and largest fraction of outliers excluded [1]."""
 
 _WEAK = 0.1
 """Median ratio of noise to response above which a probe is too weak [1]."""
 
 _MOVED = 3.0
-"""Ratio of the variance between records to that of their noise above which something moved [1]."""
+"""Ratio of the variance between records to the noise variance above which something moved [1]."""
 
 _SHRUNK = 0.05
-"""Step of a parameter for `slopes`, relative to its standard deviation, small enough to be linear [1]."""
+"""Step of a parameter for `slopes`, relative to its standard deviation; small enough to be linear [1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,15 +89,15 @@ class ProbedBeam:
     model : ModalModel
         The beam, with its fingers.
     delay : float
-        Delay of the velocity relative to the drive, in addition to the vibrometer's low-pass [s].
+        Delay of the velocity relative to the drive, in addition to that of the vibrometer's low-pass [s].
     covariance : (n_parameters, n_parameters) array
         Covariance of natural frequencies and damping ratios (logarithms), gains (relative to the strongest of each
-        mode), delay [us]; then for each finger of mass, damping, stiffness (logarithms), position [mm] and Maxwell
-        terms (logarithms).
+        mode) and delay [us]; then, for each finger, of mass, damping and stiffness (logarithms), position [mm] and
+        Maxwell terms (logarithms).
     misfit : float
         Mean square of the residuals of the fit, relative to that of the noise [1].
     trusted : (n_lines,) array of bool
-        Lines of the probe that the listed modes explain.
+        Mask of the lines that the listed modes explain.
     """
 
     model: ModalModel
@@ -111,10 +112,10 @@ class ProbedBeam:
         return self.model.n_modes * (2 + self.model.n_channels) + 1
 
     def slopes(self, figures: Callable[[ModalModel], FloatArray], known: FloatArray | None = None) -> FloatArray:
-        """Return the derivatives of figures of the beam by the parameters, (n_parameters, n_figures) array.
+        """Return the derivatives of figures with respect to the parameters, (n_parameters, n_figures) array.
 
-        If `known`, the derivatives with other fingers on the beam, is given, those by the parameters of the untouched
-        beam are taken from it.
+        Derivatives with respect to parameters of the untouched beam are taken from `known`, if given: the derivatives
+        with other fingers on the beam.
         """
         middle, steps = figures(self.model), np.diag(_SHRUNK * np.sqrt(np.diag(self.covariance)))
         start = 0 if known is None else self.n_beam
@@ -122,7 +123,7 @@ class ProbedBeam:
         return np.array(own) if known is None else np.concatenate([known[:start], own])
 
     def spread(self, slopes: FloatArray) -> FloatArray:
-        """Return the standard deviations of figures with these derivatives, (n_figures,) array."""
+        """Return the standard deviations of figures from their derivatives, (n_figures,) array."""
         return np.asarray(np.sqrt(((np.linalg.cholesky(self.covariance).T @ slopes) ** 2).sum(axis=0)))
 
     def moved(self, step: FloatArray) -> ProbedBeam:
@@ -144,7 +145,7 @@ class ProbedBeam:
         return replace(self, model=moved, delay=self.delay + float(step[self.n_beam - 1]) * 1e-6)
 
     def under(self, fingers: Sequence[Finger]) -> ProbedBeam:
-        """Return the same beam under other fingers, with their wide priors."""
+        """Return the same beam with other fingers, which have wide priors."""
         spreads = [[*_FINGER_SPREAD, *[_TERM_SPREAD] * len(finger.maxwell)] for finger in fingers]
         n, sizes = self.n_beam, np.concatenate(spreads)
         covariance = np.diag(np.append(np.zeros(n), sizes**2))
@@ -152,7 +153,7 @@ class ProbedBeam:
         return replace(self, model=self.model.touched(tuple(fingers)), covariance=covariance)
 
     def with_drift(self) -> ProbedBeam:
-        """Return the beam some time later: with more uncertain fingers, channel gains and trigger."""
+        """Return the beam some time later, with more uncertain fingers, channel gains and trigger."""
         model, n, covariance = self.model, self.n_beam, self.covariance.copy()
         gains = model.modal_gain / _strongest(model)
         of_channel = (gains[:, :, None] * np.eye(model.n_channels)).reshape(-1, model.n_channels) * _GAIN_DRIFT
@@ -195,7 +196,7 @@ class Probe:
         Raises
         ------
         ValueError
-            If they differ by more than their noise, as when a finger moves.
+            If they differ by more than their noise, for instance because a finger moved.
         """
         response = np.array([probe.response for probe in probes])
         mean, n = response.mean(axis=0), len(probes)
@@ -209,12 +210,12 @@ class Probe:
 
     @staticmethod
     def check_table(model: ModalModel) -> None:
-        """Refuse a table of modes that is not sufficient to identify fingers.
+        """Reject a mode table with too few modes to identify fingers.
 
         Raises
         ------
         ValueError
-            If it lacks modes.
+            If modes are missing.
         """
         lacking = sorted(set(range(1, max(model.label) + 1)) - set(model.label))
         if lacking:
@@ -230,12 +231,12 @@ class Probe:
         Parameters
         ----------
         model : ModalModel
-            The beam as identified, with all its modes.
+            The identified beam, with all its modes.
 
         Raises
         ------
         ValueError
-            If the table lacks modes or does not describe the beam, or the probe is too weak.
+            If the mode table lacks modes or does not describe the beam, or the probe is too weak.
         """
         self.check_table(model)
         noise = float(np.median(self.deviation / np.abs(self.response)))
@@ -253,7 +254,7 @@ class Probe:
         found = self._fitted(start)
         trusted = self._missed(found) <= _OUTLIER
         if 1 - _MOST_OUTLIERS <= trusted.mean() < 1:
-            # Only here: with fingers, such a line may show that their impedance has another form.
+            # Only for the untouched beam: with fingers, outliers may show that their impedance has another form.
             found = self._fitted(replace(start, trusted=trusted))
         if found.misfit > _WORST:
             raise ValueError(
@@ -271,7 +272,7 @@ class Probe:
         free : ProbedBeam
             The same beam untouched, from a probe of the same lines.
         fingers : sequence of Finger
-            The expected fingers, where the fit starts.
+            The expected fingers, the start of the fit.
 
         Raises
         ------
@@ -304,12 +305,12 @@ class Probe:
         return found
 
     def later(self, known: ProbedBeam) -> ProbedBeam:
-        """Return the beam and its fingers while a burst was played, fitted to this record of it.
+        """Return the beam and its fingers during a burst, fitted to this record of the burst.
 
         Parameters
         ----------
         known : ProbedBeam
-            The same from a probe, at this placement.
+            The same beam and fingers from a probe, at this placement.
 
         Raises
         ------
@@ -392,7 +393,7 @@ class Probe:
 def _slopes(
     model: ModalModel, finger: Finger, s: ComplexArray, left: ComplexArray, right: ComplexArray
 ) -> Iterator[ComplexArray]:
-    """Yield the derivatives by each parameter of a finger, each an (n_lines, 1) array."""
+    """Yield the derivatives with respect to each parameter of a finger, (n_lines, 1) arrays."""
     n = 4 + len(finger.maxwell)
     contact = model.touched((finger,)).loads[0][0]
     by_impedance = -((left @ contact) * right).sum(axis=1)[:, None]
@@ -420,11 +421,11 @@ def _moved(finger: Finger, step: FloatArray, length: float) -> Finger:
 
 
 def _rank(beam: ProbedBeam) -> float:
-    """Return the misfit, increased for Maxwell terms: they are used only if they explain much more."""
+    """Return the misfit, penalised for Maxwell terms, which are used only if they improve the fit considerably."""
     return beam.misfit * (_TERMS_MUST_GAIN if any(finger.maxwell for finger in beam.model.fingers) else 1.0)
 
 
 def _strongest(model: ModalModel) -> FloatArray:
-    """Return the largest gain of each mode, (n_modes, 1) array; for a mode without a gain, the median of the others."""
+    """Return the largest gain of each mode, (n_modes, 1) array; the median of the others for a mode without a gain."""
     size = np.abs(model.modal_gain).max(axis=1, keepdims=True)
     return np.asarray(np.where(size > 0, size, np.median(size[size > 0])))

@@ -1,10 +1,10 @@
-"""Codes as the generator plays them: the motion that they cause, and how single codes are changed for the focus.
+"""Codes as the generator plays them: the resulting motion, and code changes that cancel rounding errors at the focus.
 
-Rounding leaves an error in the states at the focusing instant. Which codes to change to cancel it is a lattice problem:
-small integer steps whose effects add up to the error. It is solved backwards in time. The effect of one code on a fast
-mode is large just before the focusing instant and smaller the earlier it is. Samples are therefore visited from the
-focusing instant backwards, and a code is changed if that reduces the error, where each mode's error is measured in
-units of what a code can still do to it. The error of every mode then decreases with the effect of the remaining codes.
+Rounding leaves an error in the states at the focusing instant. The choice of codes to change to cancel it is a lattice
+problem: small integer steps whose effects add up to the error. It is solved backwards in time. The effect of one code
+on a fast mode is large just before the focusing instant and decays towards earlier times. Samples are therefore visited
+from the focusing instant backwards, and a code is changed if that reduces the error, with the error of each mode
+relative to the effect that the remaining codes can still have on it. Each error thus shrinks together with that effect.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ if TYPE_CHECKING:
     from modaltouch.stimulus.fingers import Finger
 
 GOAL = 3e-8
-"""Error, relative to the largest target, below which a mode is no longer urgent [1]."""
+"""Error, relative to the largest target, below which a mode needs no further reduction [1]."""
 
 _VISITS = (300, 600, 1000, 2000)
-"""Numbers of samples visited on each channel; the next is tried if the error is not small enough."""
+"""Numbers of samples visited on each channel, tried in turn until the error is small enough."""
 
 _SETTLED = 3e-7
 """Error, relative to the largest target, at which no more samples are visited [1]."""
@@ -39,14 +39,14 @@ _FEW = 1024
 """Largest number of points for which mode shapes are cached."""
 
 _TOGETHER = 64
-"""Number of moves whose mutual effects are computed at once."""
+"""Number of moves per batch of mutual effects."""
 
 
 @dataclass(frozen=True, eq=False)
 class QuantisedStimulus:
-    """The codes of a burst played on a beam: that of the design, or the same with other fingers.
+    """The codes of a burst played on a beam, with the fingers of the design or others.
 
-    Results that are proportional to the level are computed once.
+    Results proportional to the level are computed once.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class QuantisedStimulus:
 
     @cached_property
     def system(self) -> DiagonalSystem:
-        """The beam behind its amplifier."""
+        """The beam behind the amplifier."""
         return DiagonalSystem.of(self.model, self.amplifier)
 
     @cached_property
@@ -83,17 +83,17 @@ class QuantisedStimulus:
 
     @cached_property
     def _states_per_volt(self) -> ComplexArray:
-        """States at the focusing instant for codes worth a volt each, (n_channels, n_states) array."""
+        """States at the focusing instant for codes of 1 V each, (n_channels, n_states) array."""
         return self.system.states_by_channel(self.codes, self.timing, self.timing.focusing_instant)
 
     @cached_property
     def _left_per_volt(self) -> ComplexArray:
-        """States when the burst's end reaches the beam, for codes worth a volt each, (n_channels, n_states) array."""
+        """States when the end of the burst reaches the beam, for codes of 1 V each, (n_channels, n_states) array."""
         end = self.timing.duration + self.system.delay
         return self.system.states_by_channel(self.codes, self.timing, end)
 
     def states_at_focus(self, unit: FloatArray) -> ComplexArray:
-        """Return the states at the first burst's focusing instant for codes worth `unit` volts, (n_states,) array."""
+        """Return the states at the focusing instant of the first burst for codes of `unit` volts, (n_states,) array."""
         return np.asarray(unit @ self._states_per_volt)
 
     def states_steady(self, unit: FloatArray) -> ComplexArray:
@@ -106,14 +106,14 @@ class QuantisedStimulus:
         return np.asarray(self.states_at_focus(unit) + left * carried)
 
     def _response(self, unit: FloatArray) -> tuple[BlockStates, dict[float, float], float]:
-        """Return the states, the known peaks by position, and the factor [V per code] by which both are multiplied.
+        """Return the states, the known peaks by position, and the factor [V per code] that applies to both.
 
         Levels with the same ratio of the channels share one response.
         """
         largest = float(unit.max()) or 1.0
         ratio = tuple(round(float(u), 12) for u in unit / largest)
         if ratio not in self._responses:
-            # The value of a code goes into the gains, so that no array of voltages is needed.
+            # Gains include the volts per code, so that no array of voltages is needed.
             gain = self.system.input_gain * (unit / largest)
             self._responses[ratio] = BlockStates.of(replace(self.system, input_gain=gain), self.codes, self.timing), {}
         return *self._responses[ratio], largest
@@ -134,14 +134,14 @@ class QuantisedStimulus:
         return np.asarray(velocity @ self._shapes_at(positions))
 
     def _shapes_at(self, positions: ArrayLike) -> FloatArray:
-        """Return the mode shapes at points, from the cache if they are there, (n_modes, n_positions) array."""
+        """Return the mode shapes at points, cached, (n_modes, n_positions) array."""
         place = np.atleast_1d(np.asarray(positions, dtype=float))
         if place.tobytes() not in self._shapes:
             self._shapes[place.tobytes()] = self.model.shapes(place)
         return self._shapes[place.tobytes()]
 
     def passes(self, positions: ArrayLike, unit: FloatArray, limit: float) -> bool:
-        """Return whether the speed at any of the points exceeds a limit [m/s]; most blocks need not be computed."""
+        """Test whether the speed at any of the points exceeds a limit [m/s]; most blocks need not be computed."""
         response, _, scale = self._response(unit)
         floor = limit / scale
         # Compared unscaled: with rounding, `floor` times `scale` might exceed the limit.
@@ -162,7 +162,7 @@ class QuantisedStimulus:
         return np.asarray(response.peak(self.system.velocity) * scale)
 
     def velocity_at(self, positions: ArrayLike, instants: ArrayLike, unit: FloatArray) -> FloatArray:
-        """Return the velocity at points, each at its own instant of the burst [s], (n_positions,) array [m/s]."""
+        """Return the velocity at points, each at a separate instant of the burst [s], (n_positions,) array [m/s]."""
         shapes, codes, system = self.model.shapes(positions), self.codes * unit[:, None], self.system
         states = [system.state_at(codes, self.timing, instant) for instant in np.asarray(instants).tolist()]
         return np.array([shape @ system.read(state)[0] for shape, state in zip(shapes.T, states, strict=True)])
@@ -174,7 +174,7 @@ class QuantisedStimulus:
         return np.asarray(speed.argmax(axis=1) * self.timing.hold + self.system.delay)
 
     def peak_below(self, frequency: float, position: float, unit: FloatArray) -> float:
-        """Return the highest speed at a point [m] due to states with |exponent| below a frequency [Hz], [m/s]."""
+        """Return the highest speed [m/s] at a point [m] due to states with |exponent| below a frequency [Hz]."""
         response, _, scale = self._response(unit)
         slow = np.abs(self.system.exponent) < 2 * np.pi * frequency
         return float(response.peak((self.model.shapes([position]).T @ self.system.velocity) * slow)[0]) * scale
@@ -187,11 +187,11 @@ class QuantisedStimulus:
         Parameters
         ----------
         left : QuantisedStimulus
-            The same burst on the beam with the fingers that stay.
+            The same burst on the beam with the remaining fingers.
         positions, unit
             As in `velocity_at_focus`.
         floor : float
-            Least value returned: lower peaks are not resolved [m/s].
+            Smallest value returned; lower peaks are not resolved [m/s].
         """
         from modaltouch.stimulus.lifted import FINE, LiftedBeam
 
@@ -203,7 +203,7 @@ class QuantisedStimulus:
         return lifted.peaks(left.model.shapes(positions), known, floor)
 
     def highest_contrast(self, focus: float, points: FloatArray, level: float) -> tuple[QuantisedStimulus, float]:
-        """Return the beam under the drive with the highest contrast, and its bound (see `stimulus.contrast`).
+        """Return the beam under the drive of highest contrast, and the upper bound (see `stimulus.contrast`).
 
         Parameters
         ----------
@@ -217,7 +217,7 @@ class QuantisedStimulus:
         played : QuantisedStimulus
             The beam under that drive; its codes are volts at the beam.
         bound : float
-            Upper bound, for all drives of the family, of the level over the highest speed of the other points [1].
+            Upper bound, over all drives of the family, of the level over the highest speed of the other points [1].
         """
         from modaltouch.stimulus.contrast import HOLD, contrast_drive
 
@@ -228,14 +228,14 @@ class QuantisedStimulus:
     def pull(self, unit: FloatArray) -> FloatArray:
         """Return the largest tension in the contact of each finger, (n_fingers,) array [N].
 
-        The impedance assumes a contact that can pull, which skin cannot: if this force exceeds the force with which the
-        finger presses, skin and beam separate, and the linear model does not hold.
+        The impedance assumes a bonded contact. Skin cannot pull: if this tension exceeds the contact force of the
+        finger, skin and beam separate, and the linear model does not hold.
         """
         if not self.model.fingers:
             return np.zeros(0)
         rows = [_force(self.model, finger, self.system) for finger in self.model.fingers]
         at_once, voltage = np.stack([direct for _, direct in rows]), self.codes * unit[:, None]
-        # The inertial force follows the acceleration, on which a voltage step acts at once.
+        # The inertial force follows the acceleration, on which a voltage step acts immediately.
         force = history(self.system, np.stack([row for row, _ in rows]), voltage, self.timing) + at_once @ voltage
         return np.asarray(np.abs(force).max(axis=1))
 
@@ -248,9 +248,9 @@ def settle(
     error: FloatArray,
     largest: float,
 ) -> FloatArray:
-    """Return codes, each changed by one at most, that leave almost no rounding error at the focusing instant [1].
+    """Change codes by at most one so that almost no rounding error remains at the focusing instant; return them [1].
 
-    The given array is changed in place, if that reduces the error, and returned.
+    The array is changed in place, and only if that reduces the error.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def settle(
     timing : Timing
         Clock of the samples.
     error : (2 n_modes,) array
-        Values wanted less values reached: modal velocities, then displacements times angular frequency [m/s].
+        Target minus value reached: modal velocities, then displacements times angular frequency [m/s].
     largest : float
         Largest modal target [m/s].
     """
@@ -282,7 +282,7 @@ def settle(
 
 
 class _Walk:
-    """Samples visited from the focusing instant backwards, with the effect of one code of each on the modes."""
+    """Samples visited backwards from the focusing instant, and the effect of one code of each on the modes."""
 
     def __init__(
         self,
@@ -300,10 +300,10 @@ class _Walk:
         rate = -system.exponent.real[: system.n_beam] * timing.hold
         urgent = step > goal
         with np.errstate(over="ignore", divide="ignore"):
-            # A mode that hardly decays responds to every sample.
+            # An almost undamped mode responds to every sample.
             span = np.max(np.log(step[urgent] / goal) / rate[urgent], initial=float(n_visits))
         span = max(2, int(min(span, n_before - 2)))
-        # Equal neighbours after rounding down are dropped; the first sample keeps its code.
+        # Rounding down creates duplicates, which are dropped; the first sample keeps its code.
         ago = np.geomspace(1, span, n_visits).astype(np.int64)
         ago = ago[np.diff(ago, prepend=0) > 0]
         ago = ago[ago < n_before]
@@ -340,7 +340,7 @@ class _Walk:
 
 
 def _pull_of_coupled(move: FloatArray, goal: float) -> FloatArray:
-    """Return moves, each weighted by what it and the remaining moves together can do to the modes."""
+    """Return moves, each weighted by the combined effect of itself and the remaining moves on the modes."""
     pull, left = np.empty_like(move), goal**2 * np.eye(move.shape[1])
     for start in reversed(range(0, len(move), _TOGETHER)):
         some = slice(start, start + _TOGETHER)
@@ -350,7 +350,7 @@ def _pull_of_coupled(move: FloatArray, goal: float) -> FloatArray:
 
 
 def _changes(gain: FloatArray, together: FloatArray, half: list[float]) -> list[float]:
-    """Return the changes of codes, -1, 0 or 1, chosen one after the other to reduce the error."""
+    """Choose code changes of -1, 0 or 1, one after the other, to reduce the error."""
     changes = [0.0] * len(half)
     for i, least in enumerate(half):
         now = gain.item(i)
@@ -364,7 +364,7 @@ def _changes(gain: FloatArray, together: FloatArray, half: list[float]) -> list[
 
 
 def _on_clock(effect: ComplexArray, system: DiagonalSystem, timing: Timing, sample: NDArray[np.int64]) -> ComplexArray:
-    """Return the effect of a code held as long as the clock holds its sample, (n_states, n or 1) array."""
+    """Return the effect of a code held for its true duration on the clock, (n_states, n or 1) array."""
     if timing.clock_error is None:
         return effect[:, None]
     s = system.exponent[:, None]
@@ -377,6 +377,6 @@ def _force(model: ModalModel, finger: Finger, system: DiagonalSystem) -> tuple[C
     """Return the output row of a finger's force, (n_states,), and the direct force per volt, (n_channels,) arrays."""
     mean = finger.mean_shape(model.shapes, model.length)
     velocity = mean @ system.velocity
-    # Each state decays by its own exponent s, and the impedance at s turns its velocity into force.
+    # Each state decays with its exponent s, and the impedance at s converts its velocity to force.
     row = velocity * finger.impedance(system.exponent)
     return row, finger.mass * (velocity @ system.input_gain).real

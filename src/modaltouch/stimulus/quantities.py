@@ -11,11 +11,11 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 EXTREME = 1e30
-"""Largest magnitude, and inverse of the smallest, of any quantity in SI units; squares do not overflow."""
+"""Largest magnitude of any quantity in SI units, and inverse of the smallest; squares do not overflow."""
 
 
 def require_positive(name: str, value: float, unit: str, remedy: str) -> None:
-    """Refuse a quantity that is not a finite number above zero.
+    """Reject a quantity that is not a finite positive number.
 
     Raises
     ------
@@ -31,7 +31,7 @@ def require_positive(name: str, value: float, unit: str, remedy: str) -> None:
 
 
 def require_finite(name: str, value: float, unit: str, remedy: str) -> None:
-    """Refuse a quantity that is NaN or infinite.
+    """Reject a quantity that is NaN or infinite.
 
     Raises
     ------

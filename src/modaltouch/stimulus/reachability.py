@@ -1,8 +1,8 @@
-r"""The least-energy voltages that take the modes from rest to a given state: weights, Gramian, solution.
+r"""Least-energy voltages that take the modes from rest to a given state: weights, Gramian, solution.
 
 The weighted energy :math:`\sum v^2/D` subject to :math:`R v = x_F` is least for :math:`v = D R^T W^{-1} x_F` with the
-reachability Gramian :math:`W = R D R^T` (linear control). The rows of R, and the weight D, are sums of exponentials, so
-that every entry of W is a sum of geometric series: R itself, with a column per sample, is never built.
+reachability Gramian :math:`W = R D R^T`. The rows of R and the weight D are sums of exponentials, so that every entry
+of W is a sum of geometric series; R itself, with one column per sample, is never formed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from modaltouch.stimulus.synthesis import synthesise
 
 @dataclass(frozen=True)
 class Taper:
-    """Weight 1 with raised-cosine ends; the first and the last sample have the weight 0.
+    """Window of weight 1 with raised-cosine ends; the first and the last sample have weight 0.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Taper:
 
     @classmethod
     def fitting(cls, n_samples: int, rise: float, fall: float) -> Taper:
-        """Return the taper with these ends [samples], both shortened if they would take more than half."""
+        """Return the taper with these ends [samples], both shortened if they would exceed half of the samples."""
         shrink = min(1.0, 0.5 * n_samples / max(rise + fall, 1.0))
         return cls(n_samples, max(1, int(rise * shrink)), max(1, int(fall * shrink)))
 
@@ -72,7 +72,7 @@ class Taper:
 
 
 def raised_cosine(n: int) -> FloatArray:
-    """Return a raised cosine from 0, (n,) array [1]; sample n would be 1."""
+    """Return a raised cosine rising from 0, (n,) array [1]; it would reach 1 at sample n."""
     return np.asarray(np.sin(np.arange(n) * (np.pi / (2 * n))) ** 2)
 
 
@@ -99,7 +99,7 @@ def _turned(rate: ComplexArray, over_all: ComplexArray, n: int, shift: int) -> C
 
 @dataclass(frozen=True, eq=False)
 class ReachabilityGramian:
-    """The reachability matrix R of tapered samples, in factors, with its Gramian.
+    """Factored reachability matrix R of tapered samples, with its Gramian.
 
     Attributes
     ----------
@@ -128,13 +128,13 @@ class ReachabilityGramian:
         return np.asarray(0.5 * gram.real.sum(axis=0))
 
     def write(self, weight: FloatArray, voltage: FloatArray) -> None:
-        """Write the voltages D R^T weight, with one weight for each condition, into contiguous rows."""
+        """Write the voltages D R^T weight, one weight per condition, into contiguous rows."""
         self.taper.write(np.tensordot(weight, self.row, axes=1), self.exponent, self.hold, voltage)
 
 
 @dataclass(frozen=True, eq=False)
 class GramianSolver:
-    """Solves W x = b with W scaled to a unit diagonal.
+    """Solver of W x = b, with W scaled to unit diagonal.
 
     Attributes
     ----------
@@ -152,7 +152,7 @@ class GramianSolver:
 
     @classmethod
     def of(cls, gramian: FloatArray, label: Sequence[int]) -> GramianSolver:
-        """Return the solver of a Gramian; `label` has the modes of the conditions, repeated cyclically, for messages.
+        """Return the solver of a Gramian; messages name the modes `label` of the conditions, repeated cyclically.
 
         Raises
         ------
@@ -173,12 +173,12 @@ class GramianSolver:
 
     @property
     def condition_number(self) -> float:
-        """Largest over smallest eigenvalue of the scaled Gramian [1]; infinite if it is singular."""
+        """Ratio of the largest to the smallest eigenvalue of the scaled Gramian [1]; infinite if singular."""
         smallest = float(self.eigenvalue[0])
         return float(self.eigenvalue[-1]) / smallest if smallest > 0 else float("inf")
 
     def solve(self, value: FloatArray) -> FloatArray:
-        """Return the solution for a right-hand side; directions lost in rounding are left out."""
+        """Return the solution for a right-hand side, without eigenvectors lost to rounding."""
         lost = self.eigenvalue <= self.eigenvalue.size * np.finfo(float).eps * self.eigenvalue[-1]
         inverse = np.where(lost, 0.0, 1 / np.where(lost, 1.0, self.eigenvalue))
         return np.asarray(self.scale * (self.eigenvector @ (inverse * (self.eigenvector.T @ (self.scale * value)))))

@@ -1,4 +1,4 @@
-"""The coupled equations without eigenvectors, to compute the law's residual if the eigenvectors are ill-conditioned."""
+"""Coupled equations in real form, which give the residual of the law if the eigenvectors are ill-conditioned."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from modaltouch.stimulus.modes import ModalModel
 from modaltouch.stimulus.quantities import FloatArray
 
 _BLOCK = 256
-"""Samples whose effects are summed by one matrix product."""
+"""Samples per matrix product."""
 
 _TERMS = 5
-"""Number of powers of a step's delay on the clock: the remainder is below 1e-12 at 90 kHz with a 250 MHz clock."""
+"""Number of powers of the clock delay of a step; the remainder is below 1e-12 at 90 kHz with a 250 MHz clock."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,8 +27,8 @@ class RealSystem:
     Attributes
     ----------
     matrix : (n_states, n_states) array
-        System matrix; the state holds displacements times angular frequency, velocities, Maxwell terms and second
-        masses, amplifier.
+        System matrix; the state consists of displacements times angular frequency, velocities, Maxwell terms and
+        second masses, and the amplifier.
     force : (n_states, n_channels) array
         Rate of each state per volt.
     n_modes : int
@@ -88,7 +88,7 @@ class RealSystem:
         return np.concatenate([state[n : 2 * n], state[:n]])
 
     def _held(self, time: float) -> tuple[FloatArray, FloatArray]:
-        """Return the decay matrix over a time [s], and what a volt held for that time adds to the states."""
+        """Return the decay matrix over a time [s] and the contribution of 1 V held for that time to the states."""
         if time not in self._known:
             from scipy.linalg import expm
 
@@ -102,7 +102,7 @@ class RealSystem:
     def _inputs(
         self, voltage: FloatArray, timing: Timing, over: FloatArray, held: FloatArray
     ) -> Iterator[tuple[FloatArray, FloatArray]]:
-        """Yield effects and inputs: the voltages, then the steps times powers of their delay on the clock."""
+        """Yield effects and inputs: the voltages, then the steps times powers of their clock delay."""
         yield held, voltage
         effect = over @ self.force
         for term, steps in zip(range(1, _TERMS + 1), late_steps(voltage, timing, 0, voltage.shape[1]), strict=False):
@@ -116,7 +116,7 @@ def _summed(samples: FloatArray, over: FloatArray, effect: FloatArray) -> FloatA
     while len(rows) < _BLOCK:
         rows, power = np.concatenate([rows, power @ rows]), power @ power
     filled = np.pad(samples, ((0, 0), (-samples.shape[1] % _BLOCK, 0)))
-    # The small array is transposed, not the long one, and no channel is copied.
+    # Transpose the small array rather than the long one, and copy no channel.
     turned = np.ascontiguousarray(rows[::-1].transpose(2, 0, 1))
     state = np.zeros(len(over))
     for push in (filled.reshape(len(samples), -1, _BLOCK) @ turned).sum(axis=0):

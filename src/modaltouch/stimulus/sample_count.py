@@ -1,6 +1,6 @@
-"""The least number of samples with which the field around the focusing instant stays within a tolerance.
+"""The smallest number of samples that keeps the field around the focusing instant within a tolerance.
 
-The state at the focusing instant hardly depends on that number, since the law is exact for its own clock; more samples
+The state at the focusing instant hardly depends on that number, since the law is exact on any clock; more samples
 improve the field in the milliseconds around it.
 """
 
@@ -21,19 +21,19 @@ LEAST_SAMPLES_PER_CYCLE = 2.5
 """Fewest samples per cycle of the highest mode, whatever the tolerance [1]."""
 
 _AROUND = 1e-3
-"""Half width of the time around the focusing instant in which fields are compared [s]."""
+"""Half-width of the time window around the focusing instant in which fields are compared [s]."""
 
 
 @dataclass(frozen=True)
 class SampleCount:
-    """The least sufficient number of samples, and the errors of the numbers that were tried.
+    """The smallest sufficient number of samples, and the errors of the numbers tried.
 
     Attributes
     ----------
     stimulus : Stimulus
         The design with that number of samples.
     error : float
-        Largest deviation of the field around the focusing instant from that of the finest design, over the level [1].
+        Largest deviation from the field of the finest design around the focusing instant, over the level [1].
     tried : tuple of (int, float)
         Numbers of samples tried, and their errors [1].
     """
@@ -48,7 +48,7 @@ class SampleCount:
         return self.stimulus.timing.n_samples
 
     def __str__(self) -> str:
-        """Return the number chosen, and why."""
+        """Return a sentence with the number chosen and the reason."""
         finest = self.tried[-1][0]
         return (
             f"{self.n_samples} samples keep the field within {self.error:.1e} of that of {finest} samples; "
@@ -57,7 +57,7 @@ class SampleCount:
 
 
 def cheapest_samples(finest: Stimulus, tolerance: float, positions: ArrayLike) -> SampleCount:
-    """Return the least number of samples, each held for whole clock cycles, that keeps the field around the focus.
+    """Return the smallest number of samples, each an integer number of clock cycles, that keeps the field.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def cheapest_samples(finest: Stimulus, tolerance: float, positions: ArrayLike) -
     Returns
     -------
     SampleCount
-        Never fewer than 2.5 samples per cycle of the highest mode; the finest design if no other is sufficient.
+        At least 2.5 samples per cycle of the highest mode; the finest design if no other is sufficient.
 
     Raises
     ------
@@ -98,9 +98,9 @@ def cheapest_samples(finest: Stimulus, tolerance: float, positions: ArrayLike) -
 
 
 def _counts(finest: Stimulus) -> Iterator[int]:
-    """Yield, in increasing order, the even divisors of the finest number with samples of whole clock cycles.
+    """Yield, in increasing order, the even divisors of the finest number with an integer number of clocks per sample.
 
-    A protocol takes even numbers only.
+    A protocol accepts even numbers only.
     """
     timing = finest.timing
     highest = float(finest.model.natural_frequency.max())

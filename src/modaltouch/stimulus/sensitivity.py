@@ -1,8 +1,8 @@
-r"""How accurately a lab must identify its beam: the effect of an error of each parameter on the field at the focus.
+r"""Sensitivity of the field at the focus to errors of each beam parameter: how accurately a beam must be identified.
 
-The voltages stay as they were designed; the beam differs. An open loop is limited by the identification, not by the
-drive, whose residual of 1e-13 means nothing without this table. With fingers, which couple the modes, each parameter
-affects all modes.
+The designed voltages are applied to a different beam. Open-loop focusing is limited by the identification, not by the
+drive, whose residual of 1e-13 means nothing without this table. Fingers couple the modes, so that each parameter then
+affects all of them.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from modaltouch.stimulus.quantities import FloatArray
 from modaltouch.stimulus.stimulus import Stimulus
 
 _STEP = 1e-5
-"""Relative step of a parameter for its derivative [1]: 0.05 rad at 30 kHz until the focusing instant."""
+"""Relative step of a parameter for its derivative [1]: 0.05 rad of phase at 30 kHz by the focusing instant."""
 
 
 def focus_sensitivity(
@@ -29,9 +29,9 @@ def focus_sensitivity(
     damping_ratio: float = 0.05,
     modal_gain: float = 0.05,
 ) -> list[dict[str, float | int | str]]:
-    """Return the first-order effects of given relative errors at the focusing instant, the worst first.
+    """Return the first-order effects of given relative errors at the focusing instant, worst first.
 
-    Derivatives are central differences of the fourth order, at the reference level.
+    Derivatives are fourth-order central differences at the reference level.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def focus_sensitivity(
 
 
 def derivative(stimulus: Stimulus, name: str, place: int) -> FloatArray:
-    """Return the derivatives of modal velocities and w eta at the focusing instant by a parameter of a mode.
+    """Return the derivatives of modal velocities and w eta at the focusing instant with respect to one parameter.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def derivative(stimulus: Stimulus, name: str, place: int) -> FloatArray:
     Returns
     -------
     (2, n_modes) array
-        Derivatives by a relative change [m/s].
+        Derivatives with respect to a relative change [m/s].
     """
     change = np.zeros((2, stimulus.model.n_modes))
     for step, weight in ((-2, 1), (-1, -8), (1, 8), (2, -1)):
@@ -92,7 +92,7 @@ def _reached(stimulus: Stimulus, beam: ModalModel) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Scatter:
-    """Results of a design on randomly drawn beams.
+    """Response of randomly drawn beams to a design.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ def scatter(
     n_draws: int = 200,
     seed: int = 0,
 ) -> Scatter:
-    """Return the motion of beams drawn around the identified one under the designed voltages.
+    """Return the motion of beams drawn at random around the identified one under the designed voltages.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Theoretical mode shapes of a free-free beam, accurate to rounding at any label, and how patches drive them."""
+"""Theoretical mode shapes of a free-free beam, accurate to rounding at any label, and the modal gains of patches."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ _ASIN_ITERATIONS = 12
 def characteristic_root(bending: int) -> float:
     r"""Return the root of :math:`\cos\lambda\,\cosh\lambda = 1` of a bending mode [1].
 
-    The root is :math:`(2n+1)\pi/2 + d` with :math:`\sin d = (-1)^{n+1} \operatorname{sech} \lambda`, which is iterated
-    for the small `d`; cosh is never computed, so that no mode overflows.
+    The root is :math:`(2n+1)\pi/2 + d` with :math:`\sin d = (-1)^{n+1} \operatorname{sech} \lambda`, a fixed-point
+    iteration for the small `d`; cosh is never computed, so that no mode overflows.
 
     Parameters
     ----------
@@ -57,8 +57,8 @@ def mode_shapes(label: ArrayLike, position: ArrayLike, length: float, derivative
     .. math:: \frac{\cos \lambda y}{\cos \lambda/2}
        + \frac{e^{-\lambda(1/2-|y|)} + e^{-\lambda(1/2+|y|)}}{1 + e^{-\lambda}},
 
-    an antisymmetric one its sine analogue. Neither has a growing exponential, so both are accurate to rounding at any
-    label, whereas the textbook difference of cosh and sinh is meaningless from n = 12 on.
+    an antisymmetric one its sine analogue. Neither contains a growing exponential, so both are accurate to rounding at
+    any label, whereas the textbook difference of cosh and sinh loses all digits from n = 12 on.
 
     Parameters
     ----------
@@ -104,11 +104,11 @@ def mode_shapes(label: ArrayLike, position: ArrayLike, length: float, derivative
 
 
 def patch_gains(label: ArrayLike, patches: Sequence[tuple[float, float]], length: float) -> FloatArray:
-    """Return the relative modal gains of piezoelectric patches wired together, by theory, (n_modes,) array.
+    """Return the theoretical relative modal gains of piezoelectric patches wired together, (n_modes,) array.
 
-    A patch bends the beam by opposite moments at its two ends and drives a mode in proportion to the difference of its
-    slopes there. Theory gives the ratios among the modes; their common factor must be measured on one of them. A moment
-    pair does not drive the rigid modes: what drives them in practice, the tape under the beam, is not modelled.
+    A patch bends the beam by opposite moments at its two ends and drives a mode in proportion to the difference of the
+    mode's slopes there. Theory gives the ratios between modes; their common factor must be measured on one of them. A
+    moment pair does not drive the rigid modes; in practice the tape under the beam does, which is not modelled.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def patch_gains(label: ArrayLike, patches: Sequence[tuple[float, float]], length
     Raises
     ------
     ValueError
-        If a patch leaves the beam or has no length.
+        If a patch extends beyond the beam or has no length.
     """
     if not patches:
         raise ValueError("no patch is given; give at least one as (left end, right end)")
@@ -163,7 +163,7 @@ def _bending(labels: list[int], y: FloatArray, derivative: int) -> FloatArray:
     size = np.abs(y)
     near = np.exp(-root * (0.5 - size)) * side**derivative
     far = np.exp(-root * (0.5 + size)) * (-side) ** derivative
-    # The derivatives of a cosine are -sine, -cosine, sine; those of a sine begin a quarter turn later.
+    # The derivatives of a cosine are -sine, -cosine, sine; those of a sine lag by a quarter turn.
     turn = (derivative if symmetric else derivative + 3) % 4
     wave = (np.cos(root * y) if turn % 2 == 0 else np.sin(root * y)) * (1, -1, -1, 1)[turn]
     decay = np.exp(-root)

@@ -1,4 +1,4 @@
-"""Stimulus: from a target field to voltages, their codes, and the beam's response at every level."""
+"""Stimulus: from a target field to voltages, codes, and the response of the beam at every level."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ _SHARED = ("projection", "system")
 
 @dataclass(frozen=True, eq=False)
 class Stimulus:
-    """Voltages for a target field, their codes, and the beam's response at every level.
+    """Voltages for a target field, their codes, and the response of the beam at every level.
 
-    Everything is computed when first needed.
+    All results are computed on first use.
 
     Attributes
     ----------
     model : ModalModel
         The identified beam.
     target_field : TargetField
-        The target field; its velocity is the reference level, which is the highest.
+        The target field; its velocity is the reference level, the highest of all levels.
     timing : Timing
         Samples, clock and focusing instant.
     amplifier : Amplifier
@@ -59,21 +59,20 @@ class Stimulus:
     release : str
         ``braked`` (at rest at the end of the burst) or ``free`` (zero volts after the focusing instant).
     levels : tuple of float
-        Levels whose amplitudes should be close to the generator's grid [m/s].
+        Levels whose amplitudes should lie close to the generator's grid [m/s].
     load_factor : float
-        Fraction of the generator's open-circuit voltage at the amplifier's input: 1 into high impedance, 0.5 into
-        50 ohm [1].
+        Amplifier input voltage over the generator's open-circuit voltage: 1 into high impedance, 0.5 into 50 ohm [1].
     rounding : str
-        ``settled`` (single codes are changed so that rounding causes almost no error at the focusing instant; not with
-        the paper's law, whose own error is far larger) or ``plain``.
+        ``settled`` (single codes are changed so that rounding causes almost no error at the focusing instant; not for
+        the law of the paper, whose error is far larger) or ``plain``.
     correction : Correction, optional
-        Corrections, by a calibration, of the targets of the exact law and of the amplitudes.
+        Calibrated corrections of the amplitudes and of the targets of the exact law.
     design : str
-        Design of the exact law: ``least_energy``; ``norm_4`` or ``norm_8``, with less peak voltage but more energy; or
-        ``least_peak``, which switches between the extremes and excites modes that are not modelled.
+        Design of the exact law: ``least_energy``; ``norm_4`` or ``norm_8``, with lower peak voltage but more energy; or
+        ``least_peak``, which switches between the extremes and excites unmodelled modes.
     priority : str
-        ``field`` (the whole field, whatever its voltage) or ``level`` (the exact level at the focus, with the field as
-        close as the amplifier's limit allows).
+        ``field`` (the whole field, at any voltage) or ``level`` (the exact level at the focus, and the field as close
+        as the amplifier's limit allows).
     """
 
     model: ModalModel
@@ -96,7 +95,7 @@ class Stimulus:
 
     @property
     def selected(self) -> tuple[int, ...]:
-        """Labels of the modes that are excited, increasing."""
+        """Labels of the excited modes, increasing."""
         return self.projection.selected
 
     @property
@@ -111,7 +110,7 @@ class Stimulus:
 
     @cached_property
     def corrected_target(self) -> tuple[FloatArray, FloatArray]:
-        """Targets of the law at the reference level, corrected by a calibration if there is one.
+        """Targets of the law at the reference level, with any calibrated correction.
 
         Modal velocities, and displacements times angular frequency, two (n_modes,) arrays [m/s].
         """
@@ -156,10 +155,10 @@ class Stimulus:
         return np.asarray(np.maximum(self.voltage.max(axis=1), -self.voltage.min(axis=1)))
 
     def compare_designs(self, unmodelled: ModalModel) -> list[dict[str, float | str]]:
-        """Return voltage and energy of each design, and how strongly it excites modes that the model lacks.
+        """Compare the designs by voltage, energy and excitation of unmodelled modes.
 
-        Each is a dict of ``name``, ``peak_voltage`` [V], ``energy`` [V^2 s], ``residual`` [m/s] and
-        ``unmodelled_speed``, the largest ``|velocity|`` or ``|w eta|`` of those modes, which are driven by the same
+        Each design has a dict of ``name``, ``peak_voltage`` [V], ``energy`` [V^2 s], ``residual`` [m/s] and
+        ``unmodelled_speed``, the largest ``|velocity|`` or ``|w eta|`` of the unmodelled modes, driven by the same
         channels, at the focusing instant [m/s].
         """
         from modaltouch.stimulus.other_drives import compare_designs
@@ -168,7 +167,7 @@ class Stimulus:
 
     @cached_property
     def burst(self) -> Burst:
-        """The codes, common to all levels, and each channel's amplitude at the reference level."""
+        """The codes, shared by all levels, and the amplitude of each channel at the reference level."""
         return Burst(
             codes=self.timing.converter.unsigned(self._played.codes),
             duration=self.timing.duration,
@@ -192,7 +191,7 @@ class Stimulus:
 
     @cached_property
     def _played(self) -> QuantisedStimulus:
-        """The codes, and the motion that they cause."""
+        """The codes and the resulting motion."""
         converter = self.timing.converter
         volts_per_code = np.asarray(self._full_scale) * (self._to_beam / 2 / converter.mid_code)
         codes = converter.round_to_codes(self.voltage, volts_per_code)
@@ -206,22 +205,22 @@ class Stimulus:
 
     @property
     def _reached(self) -> FloatArray:
-        """Modal velocities, then w eta, that the voltages reach before rounding, (2 n_modes,) array [m/s]."""
+        """Modal velocities, then w eta, reached by the voltages before rounding, (2 n_modes,) array [m/s]."""
         if self.priority == "field":
             return np.concatenate(self.corrected_target)
         timing = self.timing
         return np.concatenate(self.system.read(self.system.state_at(self.voltage, timing, timing.focusing_instant)))
 
     def peak_drive(self, velocity: float) -> FloatArray:
-        """Return the highest magnitude of each channel's voltage played at a level [m/s], (n_channels,) array [V]."""
+        """Return the peak voltage of each channel played at a level [m/s], (n_channels,) array [V]."""
         return self._played.highest * self.volts_per_code(velocity)
 
     def touched(self, fingers: tuple[Finger, ...]) -> QuantisedStimulus:
-        """Return the codes played on the beam with fingers; the voltage of a code is `volts_per_code`."""
+        """Return the codes played on the beam with fingers; `volts_per_code` gives the voltage of a code."""
         return replace(self._played, model=self.model.touched(fingers))
 
     def under_law(self, law: Law) -> Stimulus:
-        """Return the same stimulus under another drive law, with results that do not depend on the law."""
+        """Return the same stimulus under another drive law, sharing cached results that do not depend on the law."""
         other = replace(self, law=law, design=self.design if law == "exact" else "least_energy", priority="field")
         vars(other).update({name: getattr(self, name) for name in _SHARED})
         return other
@@ -229,24 +228,24 @@ class Stimulus:
     def volts_per_code(self, velocity: float) -> FloatArray:
         """Return the voltage of one code at the beam at a level [m/s], amplitudes rounded, (n_channels,) array [V]."""
         require_positive("the velocity level", velocity, "m/s", MEANT)
-        # Without a calibration's amplitude factors, which only correct what the real generator gives at this level.
+        # Without calibrated amplitude factors, which only correct the output of the real generator at this level.
         burst = self.burst
         amplitude = burst.converter.amplitudes_at(burst.amplitude, velocity, burst.velocity, burst.shares)
         return np.asarray(amplitude) / burst.shares * (self._to_beam / 2 / self.timing.converter.mid_code)
 
     def voltage_played(self, velocity: float) -> FloatArray:
-        """Return the voltages at the beam of the codes played at a level [m/s], (n_channels, n_samples) array [V]."""
+        """Return the voltages at the beam when the codes are played at a level [m/s], (n_channels, n_samples) [V]."""
         return self._played.codes * self.volts_per_code(velocity)[:, None]
 
     def achieved(self, velocity: float, *, steady: bool = False) -> tuple[FloatArray, FloatArray]:
-        """Return the state of the modes that the rounded codes reach at the focusing instant.
+        """Return the modal state reached by the rounded codes at the focusing instant.
 
         Parameters
         ----------
         velocity : float
             Level [m/s].
         steady : bool
-            Whether in the steady state of the repeated burst; else in the first burst.
+            Whether in the steady state of the repeated burst rather than in the first burst.
 
         Returns
         -------
@@ -269,7 +268,7 @@ class Stimulus:
         return self._worst_error(self.achieved(velocity, steady=steady), velocity)
 
     def worst_modal_error_of(self, codes: NDArray[np.uint16], timing: Timing, velocity: float) -> float:
-        """Return the largest modal error if other codes are played, on another clock [m/s].
+        """Return the largest modal error when other codes are played on another clock [m/s].
 
         Parameters
         ----------
@@ -288,11 +287,11 @@ class Stimulus:
         return float(np.abs(np.concatenate(achieved) - corrected_target).max())
 
     def velocity_at_focus(self, positions: ArrayLike, velocity: float) -> FloatArray:
-        """Return the velocity at points [m] at the focusing instant, at a level [m/s], (n_positions,) array [m/s]."""
+        """Return the velocity at points [m] at the focusing instant for a level [m/s], (n_positions,) array [m/s]."""
         return self._played.velocity_at_focus(positions, self.volts_per_code(velocity))
 
     def passes(self, positions: ArrayLike, velocity: float, limit: float) -> bool:
-        """Return whether the speed at any of the points exceeds a limit.
+        """Test whether the speed at any of the points exceeds a limit.
 
         Far below the limit, only an upper bound is computed.
 
@@ -313,12 +312,12 @@ class Stimulus:
         positions, velocity
             As in `velocity_at_focus`.
         whole_period : bool
-            Whether to go on to the end of the period, with silence after the burst; else to the end of the burst.
+            Whether to continue to the end of the period, with silence after the burst.
 
         Returns
         -------
         (n_positions, n_samples) array
-            Velocity when each sample begins at the beam, at ``n * hold + delay`` [m/s].
+            Velocity at the instants ``n * hold + delay`` at which each sample begins at the beam [m/s].
         """
         voltage = self.voltage_played(velocity)
         if whole_period:
@@ -359,13 +358,12 @@ def design_stimulus(
     model, target_field, timing, amplifier, law, release, load_factor, rounding, design, priority, correction
         As in `Stimulus`.
     levels : tuple of float, optional
-        Every level that will be played [m/s]; the target field's own if not given.
+        Every level that will be played [m/s]; the velocity of the target field if not given.
 
     Raises
     ------
     ValueError
-        If a mode, the field, the timing or a level is out of bounds; the message names it, its bound and the
-        remedy.
+        If a mode, the field, the timing or a level is out of bounds; the message states the bound and a remedy.
     """
     played = (target_field.velocity,) if levels is None else tuple(levels)
     check_options(law, release, rounding, design, priority)

@@ -1,7 +1,7 @@
 """Fast sampling of sums of decaying sinusoids: coarse steps times fine steps, one matrix product per channel.
 
-Steps are counted back from an end, where each exponential is 1, so that nothing overflows however long the burst. Work
-is done in chunks from the end, so that memory does not grow with the number of samples.
+Steps are counted backwards from the end, where each exponential is 1, so that nothing overflows in bursts of any
+length. Chunks are processed from the end, so that memory does not grow with the number of samples.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ BLOCK = 256
 """Samples per block: rows of 2 kB keep the fine steps in the first-level cache."""
 
 CHUNK = 512
-"""Blocks per chunk: bounds the memory; one chunk holds the longest record of the generator."""
+"""Blocks per chunk, which bounds the memory; one chunk holds the generator's longest record."""
 
 _DEAD = 2.0**-53
-"""Fraction of a channel's largest exponential below which another is lost in its rounding [1]."""
+"""Magnitude of an exponential, relative to the channel's largest, below which it is lost to rounding [1]."""
 
 _WORTH = 64
-"""Number of blocks that must be saved to split a matrix product in two."""
+"""Smallest saving in blocks for which a matrix product is split in two."""
 
 _STEP = 8
-"""Granularity of lives in blocks: the number of rows that a matrix product takes at a time."""
+"""Granularity of lifetimes in blocks: the number of rows that a matrix product processes at a time."""
 
 _TWO_PI = np.longdouble("6.283185307179586476925286766559005768")
 
@@ -46,10 +46,10 @@ def decay(exponent: ComplexArray, hold: float, steps: NDArray[np.int64]) -> Comp
 
 
 def exponential_tables(exponent: ComplexArray, hold: float, n_blocks: int) -> tuple[ComplexArray, ComplexArray]:
-    """Return the decays towards an end, by samples within a block and by blocks.
+    """Return tables of the decays towards the end, by samples within a block and by blocks.
 
-    They run over BLOCK - 1 down to 0 samples, (n, BLOCK) array, and over `n_blocks` down to 0 blocks, (n_blocks + 1, n)
-    array. Each table is the product of two short ones, so that few exponentials are evaluated.
+    They cover BLOCK - 1 down to 0 samples, (n, BLOCK) array, and `n_blocks` down to 0 blocks, (n_blocks + 1, n) array.
+    Each table is the product of two short ones, so that few exponentials are evaluated.
     """
     return _exponential_tables(exponent.tobytes(), hold, n_blocks)
 
@@ -104,7 +104,7 @@ def synthesise(amplitude: ComplexArray, exponent: ComplexArray, hold: float, out
 def _write_chunk(
     amplitude: ComplexArray, exponent: ComplexArray, hold: float, threshold: list[float], out: FloatArray
 ) -> None:
-    """Write the sums of one chunk; block j from the end begins j blocks before it, the first may be short."""
+    """Write the sums of one chunk; block j from the end begins j blocks before the end, and the first may be short."""
     n_blocks = out.shape[1] // BLOCK
     order, fine, coarse, rate = _by_decay_time(exponent.tobytes(), hold, n_blocks)
     ordered = amplitude.take(order, axis=1)
@@ -112,7 +112,7 @@ def _write_chunk(
         [_life(size, least, fading, n_blocks + 1) for size, fading in zip(sizes, rate, strict=True)]
         for sizes, least in zip(np.abs(ordered).tolist(), threshold, strict=True)
     ]
-    # Exponentials that are zero on some channels are not left out there: that would save less than a tenth.
+    # Exponentials that are zero on some channels are computed there too: skipping them would save less than a tenth.
     if all(map(any, lives)):
         _write_rows(coarse, ordered, fine, list(map(max, zip(*lives, strict=True))), out)
         return
@@ -125,17 +125,17 @@ def _write_chunk(
 def _by_decay_time(
     exponents: bytes, hold: float, n_blocks: int
 ) -> tuple[NDArray[np.intp], ComplexArray, ComplexArray, list[float]]:
-    """Return the order of exponentials from the slowest decay on, and in it their ladders and decay rates per block."""
+    """Sort exponentials by increasing decay rate; return the order, the sorted tables and decay rates per block."""
     exponent = np.frombuffer(exponents, dtype=complex)
     fine, coarse = exponential_tables(exponent, hold, n_blocks)
     order = np.argsort(-exponent.real, kind="stable")
     rate = -exponent.real[order] * (hold * BLOCK)
-    # The real part of a product is that of one factor times the conjugate of the other, as vectors of two.
+    # The real part of a product is the dot product of one factor with the conjugate of the other, as real 2-vectors.
     return order, fine[order], np.ascontiguousarray(coarse[:, order].conj()), rate.tolist()
 
 
 def _life(size: float, threshold: float, rate: float, longest: int) -> int:
-    """Return the number of blocks before the end in which an exponential matters, rounded up to steps of `_STEP`."""
+    """Return the number of last blocks in which an exponential matters, rounded up to a multiple of `_STEP`."""
     if size <= threshold:
         return 0
     if threshold == 0.0:
@@ -147,9 +147,9 @@ def _life(size: float, threshold: float, rate: float, longest: int) -> int:
 def _write_rows(
     coarse: ComplexArray, amplitude: ComplexArray, fine: ComplexArray, alive_for: list[int], rows: FloatArray
 ) -> None:
-    """Write channels in stretches of blocks, each with only the exponentials that matter in it, which come first.
+    """Write channels in stretches of blocks, each computed with the leading exponentials that matter in it.
 
-    Stretches too short to be worth a matrix product are joined to the next, longer one.
+    Stretches too short for a separate matrix product are merged into the next, longer one.
     """
     if not any(alive_for):
         rows[:] = 0.0

@@ -1,4 +1,4 @@
-"""The target field, the velocity asked for at the focusing instant, and its projection on the modes of a beam."""
+"""The target field (the velocity to be reached at the focusing instant) and its projection on the modes of a beam."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _PHASE_PER_PANEL = 10.0
 """A 16-node Gauss rule integrates 10 rad of a sinusoid to 1e-22 of its own amplitude."""
 
 _NOTHING = 1e-9
-"""Fraction of the target field below which a projection is due to rounding [1]."""
+"""Fraction of the target field below which a projection is rounding error [1]."""
 
 
 @dataclass(frozen=True)
@@ -42,21 +42,20 @@ class TargetField:
     shape : str
         ``triangle``, ``box``, ``half_cosine``, ``raised_cosine``, ``gaussian``, or ``sampled`` (see `points`).
     base : float
-        Width of the base of the shape [m]; for a Gaussian, its full width at half maximum; not used for a sampled
-        field.
+        Width of the base of the shape [m]; for a Gaussian, the full width at half maximum; unused for a sampled field.
     centre : float
-        Position at which the level holds, the peak of a shape, origin at mid-beam [m].
+        Position at which the level is reached, the peak of a shape, origin at mid-beam [m].
     velocity : float
         Velocity at the centre at the focusing instant, for the highest level [m/s].
     n_decomposed : int
-        Number of modes on which the field is decomposed, those with the labels 1 to `n_decomposed`.
+        Number of modes in the decomposition of the field, labels 1 to `n_decomposed`.
     selection : int or tuple of int
         Number of strongest modelled modes to excite, or their labels.
     further_centres : tuple of float
-        Centres of further copies of the shape at the same time [m]; where shapes overlap, the higher one counts.
+        Centres of additional copies of the shape [m]; where shapes overlap, the higher value applies.
     points : tuple of (float, float)
-        Points of a sampled field: increasing positions [m] and relative velocities, with straight lines between them
-        and zero outside.
+        Points of a sampled field: increasing positions [m] and relative velocities, interpolated linearly, zero
+        outside.
     """
 
     shape: Shape = "triangle"
@@ -69,7 +68,7 @@ class TargetField:
     points: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        """Refuse a field that is not well defined."""
+        """Reject a field that is not well defined."""
         if self.shape not in get_args(Shape):
             raise ValueError(f"the field shape {self.shape!r} is unknown; allowed: {', '.join(get_args(Shape))}")
         require_positive("the base of the field", self.base, "m", "the shipped field has 56 mm")
@@ -107,7 +106,7 @@ class TargetField:
 
     @property
     def centres(self) -> tuple[float, ...]:
-        """The centres of all its shapes [m]."""
+        """Centres of all copies of the shape [m]."""
         return (self.centre, *self.further_centres)
 
     def profile(self, position: ArrayLike) -> FloatArray:
@@ -125,7 +124,7 @@ class TargetField:
         return np.where(offset <= 1, _PROFILES[self.shape](np.minimum(offset, 1.0)), 0.0)
 
     def _sampled(self, place: FloatArray) -> FloatArray:
-        """Return the points joined by straight lines."""
+        """Return the linear interpolation of the points."""
         at, value = np.asarray(self.points, dtype=float).T
         return np.asarray(np.interp(place, at, value, left=0.0, right=0.0))
 
@@ -133,7 +132,7 @@ class TargetField:
         return float(self._sampled(np.array([self.centre]))[0])
 
     def edges(self, length: float) -> list[float]:
-        """Return the points where the field or its slope jumps, with the ends of the beam, increasing [m]."""
+        """Return the discontinuities of the field and of its slope, and the ends of the beam, increasing [m]."""
         half = length / 2
         if self.shape == "sampled":
             inner = [at for at, _ in self.points]
@@ -146,7 +145,7 @@ class TargetField:
 
 @lru_cache(maxsize=1)
 def _gauss_rule() -> tuple[FloatArray, FloatArray]:
-    # From the eigenvalues of the Jacobi matrix (Golub and Welsch): importing numpy.polynomial takes longer than
+    # From the eigenvalues of the Jacobi matrix (Golub and Welsch), since importing numpy.polynomial takes longer than
     # designing the whole stimulus.
     k = np.arange(1, _NODES)
     beside = k / np.sqrt(4.0 * k**2 - 1)
@@ -157,7 +156,8 @@ def _gauss_rule() -> tuple[FloatArray, FloatArray]:
 def quadrature(edges: list[float], phase_rate: float) -> tuple[FloatArray, FloatArray]:
     """Return nodes and weights [m] that integrate products of smooth pieces and mode shapes to rounding accuracy.
 
-    The pieces end at `edges`, increasing [m]; `phase_rate` is the fastest phase of the integrand [rad/m].
+    The pieces are separated by `edges`, increasing [m]; `phase_rate` is the highest wave number of the integrand
+    [rad/m].
     """
     node, weight = _gauss_rule()
     borders: list[float] = []
@@ -187,7 +187,7 @@ class Projection:
     target_field: TargetField
 
     def __post_init__(self) -> None:
-        """Refuse a field that does not fit the modelled modes."""
+        """Reject a field that is incompatible with the modelled modes."""
         half = self.model.length / 2
         off = [centre for centre in self.target_field.centres if abs(centre) > half]
         if off:
@@ -234,13 +234,13 @@ class Projection:
     def coefficient(self) -> FloatArray:
         """Coefficients of the target field at unit velocity on the modelled modes, (n_modes,) array [1]."""
         if self.model.basis is not None:
-            # With few scan points, a sum over them would err by a quarter, but least squares does not.
+            # With few scan points a sum would be off by a quarter; least squares is not.
             return self.model.basis.project(self.target_field.profile(self.model.basis.position))
         phase_rate = (max(self.model.label) + 1) * 2 * np.pi / self.model.length
         position, weight = quadrature(self.target_field.edges(self.model.length), phase_rate)
         profile = self.target_field.profile(position)
         if self.model.beam is not None:
-            # With rotary inertia, deflections alone are not quite orthogonal.
+            # With rotary inertia, the deflections alone are not quite orthogonal.
             shapes = self.model.shapes(position)
             return np.asarray(np.linalg.solve((shapes * weight) @ shapes.T, shapes @ (weight * profile)))
         alive = profile != 0
@@ -259,7 +259,7 @@ class Projection:
     def target(self) -> FloatArray:
         """Modal velocities at the focusing instant, (n_modes,) array [m/s], 0 for modes not selected.
 
-        They are scaled so that they add up to the level at the centre of the field.
+        They are scaled so that the field at its centre equals the level.
         """
         chosen = np.isin(self.model.label, self.selected)
         kept = np.where(chosen, self.coefficient, 0.0)
@@ -277,19 +277,19 @@ class Projection:
         return self.model.field(self.target, position)
 
     def residual(self, position: ArrayLike) -> FloatArray:
-        """Return the target field less the field reached at positions on the beam [m], (n_points,) array [m/s]."""
+        """Return the target field minus the field reached at positions on the beam [m], (n_points,) array [m/s]."""
         return self.target_field.velocity * self.target_field.profile(position) - self.field(position)
 
     @cached_property
     def missing(self) -> tuple[int, ...]:
-        """Labels of unselected modes with over a tenth of the largest coefficient of the field, strongest first."""
+        """Labels of unselected modes above a tenth of the largest coefficient of the field, strongest first."""
         strength = np.abs(self.decomposition)
         order = np.argsort(-strength, kind="stable") + 1
         least = 0.1 * strength.max()
         return tuple(int(k) for k in order if strength[k - 1] > least and k not in self.selected)
 
     def unreached(self) -> str:
-        """Return a sentence on the part of the target field that the selected modes do not reach, and on missing modes.
+        """Return a sentence on the part of the target field out of reach of the selected modes, and on missing modes.
 
         Symmetric wiring, for example, mirrors every field about mid-beam.
         """
@@ -304,7 +304,7 @@ class Projection:
 
     @cached_property
     def reconstruction_error(self) -> float:
-        """Root mean square of the residual over that of the target field [1]."""
+        """Ratio of the root mean squares of the residual and of the target field [1]."""
         position, weight = self._nodes
         ideal = self.target_field.velocity * self.target_field.profile(position)
         return math.sqrt(float(weight @ self.residual(position) ** 2) / float(weight @ ideal**2))
@@ -315,7 +315,7 @@ class Projection:
         Raises
         ------
         ValueError
-            If the fraction does not lie above 0 and below 1.
+            If the fraction is not above 0 and below 1.
         """
         if not 0 < fraction < 1:
             raise ValueError(f"a width is asked for at {fraction} of the centre; give a fraction above 0 and below 1")
@@ -334,7 +334,7 @@ class Projection:
 
     @cached_property
     def _flanks(self) -> list[tuple[FloatArray, FloatArray]]:
-        """Positions from the centre to the left and to the right end [m], and the field there [m/s]."""
+        """Positions from the centre to the left and to the right end [m], each with the field there [m/s]."""
         half = self.model.length / 2
         # At least eight points per half wave of the highest mode.
         sides = [np.linspace(self.target_field.centre, end, 8 * max(self.selected) + 13) for end in (-half, half)]

@@ -1,4 +1,4 @@
-r"""Bending of a short beam: Timoshenko's theory, with shear and rotary inertia.
+r"""Bending modes of a short beam by Timoshenko theory, with shear and rotary inertia.
 
 With y = x/L from mid-beam and the frequency parameter :math:`b^2 = \rho A L^4 \omega^2 / EI`, the deflection is a sum
 of :math:`\cosh b\alpha y` and :math:`\cos b\beta y`, or of their odd counterparts, with
@@ -6,7 +6,7 @@ of :math:`\cosh b\alpha y` and :math:`\cos b\beta y`, or of their odd counterpar
 .. math:: \alpha^2, \beta^2 = \tfrac12 [\mp (r^2 + s^2) + \sqrt{(r^2 - s^2)^2 + 4/b^2}],
 
 :math:`r^2 = I/AL^2` (rotary inertia) and :math:`s^2 = EI/kAGL^2` (shear). Above the cut-off frequency
-:math:`b r s = 1` alpha is imaginary and the hyperbolic branch becomes trigonometric; everything is written in
+:math:`b r s = 1` alpha is imaginary and the hyperbolic branch becomes trigonometric; all expressions use
 :math:`\alpha^2`, :math:`\cosh` and :math:`\sinh/\alpha`, which are real and smooth there. Symmetric and antisymmetric
 modes are solved separately, so that close roots of the two kinds are never confused.
 """
@@ -24,12 +24,12 @@ from modaltouch.stimulus.quantities import FloatArray, require_positive
 from modaltouch.stimulus.shapes import scaled_position
 
 _STEP = 0.05
-"""Step of the phase of the trigonometric branch in the search for roots [rad]."""
+"""Step of the phase of the trigonometric branch in the root search [rad]."""
 
 
 @dataclass(frozen=True)
 class TimoshenkoBeam:
-    """A uniform free-free beam of rectangular section.
+    """A uniform free-free beam of rectangular cross-section.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class TimoshenkoBeam:
     poissons_ratio : float
         Poisson's ratio [1].
     shear_factor : float
-        Fraction of the section that carries shear [1]; 5/6 for a rectangle.
+        Shear coefficient of the cross-section [1]; 5/6 for a rectangle.
     """
 
     length: float
@@ -53,7 +53,7 @@ class TimoshenkoBeam:
     shear_factor: float = 5 / 6
 
     def __post_init__(self) -> None:
-        """Refuse values that no beam has."""
+        """Reject unphysical values."""
         for name, unit in (
             ("length", "m"),
             ("thickness", "m"),
@@ -74,11 +74,11 @@ class TimoshenkoBeam:
 
     @cached_property
     def shear(self) -> float:
-        """Bending over shear stiffness, s^2 [1]."""
+        """Ratio of bending to shear stiffness, s^2 [1]."""
         return self.rotary * 2 * (1 + self.poissons_ratio) / self.shear_factor
 
     def natural_frequency(self, bending: int) -> float:
-        """Return the natural frequency of a bending mode, from 1 [Hz].
+        """Return the natural frequency of bending mode `bending`, from 1 [Hz].
 
         Odd modes are symmetric; above the cut-off frequency the two kinds need not alternate.
         """
@@ -86,10 +86,10 @@ class TimoshenkoBeam:
         return self._root(bending) * math.sqrt(self.rotary) * wave_speed / (2 * math.pi * self.length)
 
     def shapes(self, bending: ArrayLike, position: ArrayLike) -> FloatArray:
-        """Return deflections of bending modes at positions on the beam [m], (n_modes, n_points) array [1].
+        """Return the deflections of bending modes at positions on the beam [m], (n_modes, n_points) array [1].
 
-        They have unit mean square and are positive at the right end. They are orthogonal only together with the
-        rotations of the section.
+        They have unit mean square, are positive at the right end, and are orthogonal only together with the rotations
+        of the cross-section.
         """
         y = scaled_position(position, self.length)
         node, weight = np.polynomial.legendre.leggauss(64 + 4 * int(np.max(bending)))
@@ -105,7 +105,7 @@ class TimoshenkoBeam:
         """Return alpha^2 and beta^2 at frequency parameters [1]."""
         r2, s2 = self.rotary, self.shear
         root = np.sqrt((r2 - s2) ** 2 + 4 / b**2)
-        # Not as half of a difference, which would cancel near the cut-off frequency.
+        # Half the difference would suffer from cancellation near the cut-off frequency.
         beta2 = ((r2 + s2) + root) / 2
         return (1 / b**2 - r2 * s2) / beta2, beta2
 
@@ -122,7 +122,7 @@ class TimoshenkoBeam:
         return even, np.where(alpha < 1e-12, b * y, odd)
 
     def _determinant(self, b: FloatArray, symmetric: bool) -> FloatArray:
-        """Return the characteristic determinant, zero if both free ends carry neither moment nor shear force."""
+        """Return the characteristic determinant, zero if moment and shear force vanish at both ends."""
         alpha2, beta2 = self.wave_numbers(b)
         even, odd = self._branches(b, alpha2, np.full_like(b, 0.5))
         beta = np.sqrt(beta2)
@@ -132,7 +132,7 @@ class TimoshenkoBeam:
         return (alpha2 + self.shear) * alpha2 * odd * cosine / beta - (beta2 - self.shear) * sine * even
 
     def _deflection(self, b: float, bending: int, y: FloatArray) -> FloatArray:
-        """Return the deflection with zero moment at the ends."""
+        """Return the deflection with zero moment at both ends."""
         parameter = np.array([b])
         alpha2, beta2 = self.wave_numbers(parameter)
         even, odd = self._branches(parameter, alpha2, y)
@@ -150,7 +150,7 @@ class TimoshenkoBeam:
         if bending < 1:
             raise ValueError(f"bending mode {bending} does not exist; they count from 1")
         symmetric, wanted = bool(bending % 2), (bending + 1) // 2
-        # The phase b beta of the n-th mode of a kind is about 2 pi n, less where both branches are trigonometric.
+        # The phase b beta of the n-th mode of one symmetry is about 2 pi n, less where both branches are trigonometric.
         phase = np.arange(1.0, (2 * wanted + 3) * math.pi, _STEP)
         grid = self._parameter(phase)
         value = self._determinant(grid, symmetric)
@@ -159,7 +159,7 @@ class TimoshenkoBeam:
         return float(brentq(lambda b: self._determinant(np.array([b]), symmetric)[0], *ends, xtol=1e-300))
 
     def _parameter(self, phase: FloatArray) -> FloatArray:
-        """Return the frequency parameters at which b beta has given values [1]."""
+        """Return the frequency parameters for given phases b beta [1]."""
         # b^2 beta^2 = q: r^2 s^2 B^2 - (1 + (r^2 + s^2) q) B + q^2 = 0 for B = b^2, the lower branch.
         q = phase**2
         r2, s2 = self.rotary, self.shear

@@ -1,9 +1,9 @@
-"""The response of the beam: from sampled voltages to velocity histories and peak speeds.
+"""Response of the beam: from sampled voltages to velocity histories and peak speeds.
 
 Each state has one pole, x' = exponent x + input_gain v, and the samples are held. Within a short block of samples,
-every output is one matrix product of the block's voltages and the state at its start; the states at the starts follow
-from a second level of blocks. Histories are written in chunks, so that memory does not grow with the burst. Peaks are
-searched for only in blocks whose upper bound exceeds the peak found so far.
+every output is one matrix product of the block's voltages and its initial state; the initial states follow from a
+second level of blocks. Histories are written in chunks, so that memory does not grow with the burst. Only blocks whose
+upper bound exceeds the peak found so far are searched for a higher one.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from modaltouch.stimulus.quantities import ComplexArray, FloatArray
 from modaltouch.stimulus.synthesis import BLOCK, decay, exponential_tables
 
 _OUTPUTS = 256
-"""Number of outputs whose peaks are searched for together, which bounds the memory."""
+"""Number of outputs per batch in the search for peaks, which bounds the memory."""
 
 _DENSE = 0.25
-"""Fraction of blocks with a possible peak above which computing all samples is cheaper than selecting blocks [1]."""
+"""Fraction of candidate blocks above which computing all samples is cheaper than selecting blocks [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class BlockStates:
-    """The states during a burst from rest, at the starts of long blocks; those of short ones only where a peak may be.
+    """States at the starts of long blocks during a burst from rest; short blocks are computed only to find peaks.
 
     Attributes
     ----------
@@ -38,9 +38,9 @@ class BlockStates:
     timing : Timing
         Clock of the samples.
     blocks : (n_inputs, n_blocks, BLOCK) array
-        Voltages, and the steps times powers of their delay on the clock; the last block is padded with zeros.
+        Voltages, then the steps times powers of their clock delay; the last block is padded with zeros.
     pushed : (n_states, n_blocks, SHORT) complex array
-        What each of the SHORT short blocks in a block adds to the states at its end.
+        Contribution of each of the SHORT short blocks in a block to the states at the end of the short block.
     begin : (n_states, n_blocks + 1) complex array
         States at the starts of the blocks, and after the last.
     """
@@ -53,7 +53,7 @@ class BlockStates:
 
     @classmethod
     def of(cls, system: DiagonalSystem, voltage: FloatArray, timing: Timing) -> BlockStates:
-        """Return the states under held samples at the beam, (n_channels, n_samples) array [V]."""
+        """Return the states for held samples at the beam, (n_channels, n_samples) array [V]."""
         push = system.clock_gain(timing)
         inputs = clock_inputs(voltage, timing, 0, voltage.shape[1], push.shape[1])
         beyond = -inputs.shape[1] % BLOCK
@@ -70,17 +70,17 @@ class BlockStates:
         return PeakBound.of(self.blocks, self.begin[:, :-1])
 
     def peak(self, output: ComplexArray, floor: float = 0.0) -> FloatArray:
-        """Return the largest magnitude of each output until the next burst would begin, (n_outputs,) array.
+        """Return the largest magnitude of each output until the start of the next burst, (n_outputs,) array.
 
-        The outputs are ``Re(output @ state)``. `floor` is the least value returned; the higher it is, the fewer blocks
-        are computed.
+        The outputs are ``Re(output @ state)``. `floor` is the smallest value returned; a higher floor means fewer
+        blocks to compute.
         """
         if len(output) > _OUTPUTS:
             starts = range(0, len(output), _OUTPUTS)
             return np.concatenate([self.peak(output[start : start + _OUTPUTS], floor) for start in starts])
         some, places = self._different(output)
         kernel = BlockKernel(self.system.exponent, self._push, some, self.timing.hold)
-        # The outputs at the starts of the blocks are a lower bound of the peaks, which rules out most blocks.
+        # The outputs at the starts of the blocks are lower bounds of the peaks, which rule out most blocks.
         peak = np.maximum(np.abs((some @ self.begin).real).max(axis=1), floor)
         fine, _ = exponential_tables(self.system.exponent, self.timing.hold, 1)
         bound = self._peak_bound.of_outputs(some, self._push, fine[:, ::-1])
@@ -95,11 +95,11 @@ class BlockStates:
 
     @cached_property
     def _push(self) -> ComplexArray:
-        """What a unit of each input adds to the states at the end of its sample, (n_states, n_inputs) array."""
+        """Contribution of a unit of each input to the states at the end of its sample, (n_states, n_inputs) array."""
         return self.system.clock_gain(self.timing)
 
     def _evaluate_blocks(self, which: NDArray[np.intp], kernel: BlockKernel, peak: FloatArray) -> None:
-        """Raise the peaks, in place, to what the outputs reach within some blocks."""
+        """Raise the peaks, in place, to the maxima of the outputs within some blocks."""
         if which.size == 0:
             return
         blocks = self.blocks[:, which].reshape(len(self.blocks), -1, SHORT)
@@ -112,7 +112,7 @@ class BlockStates:
             peak[place] = kernel.peak(place, blocks, short, bound, float(peak[place]))
 
     def _different(self, output: ComplexArray) -> tuple[ComplexArray, list[int]]:
-        """Return the outputs that differ in more than their sign, and the index of the one that represents each output.
+        """Return the outputs unique up to sign, and for each output the index of its representative.
 
         States that are not driven are ignored: symmetric zones share one output if only symmetric modes are driven.
         """
@@ -124,7 +124,7 @@ class BlockStates:
         return upright[[places.index(place) for place in range(len(seen))]], places
 
     def _peak_of_decay(self, amplitude: ComplexArray, n_samples: int, peak: FloatArray) -> FloatArray:
-        """Return the peaks, raised by the decay after the burst, which is computed only while it could be higher."""
+        """Return the peaks including the decay after the burst, computed only while it could exceed them."""
         exponent, hold = self.system.exponent, self.timing.hold
         for start in range(0, n_samples, BLOCK):
             now = amplitude * decay(exponent, hold, np.array([start]))[:, 0]
