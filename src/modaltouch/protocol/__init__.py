@@ -1,7 +1,7 @@
-"""YAML -> frozen values, or every error with its position; protocol + participant + seed -> schedule.
+"""Protocol files: validation of the YAML with line-accurate problems, and the schedule of a participant.
 
 Input: a protocol and the files that it names (apparatus, texts, calibration, points of a target field), or the copies
-in a record. Output: `Findings`, with each file as far as it is valid and every `Problem` with its line, and an
+in a record. Output: `Findings`, with the valid parts of each file and every `Problem` with its line, and an
 `Experiment` if there are no problems. A `Schedule` is drawn from the protocol; `Levels` sets the levels of an
 adaptive run.
 """

@@ -1,4 +1,4 @@
-"""Levels that depend on answers: the keys of adaptive runs, and of levels relative to a participant's threshold."""
+"""Keys of adaptive runs and of sensation levels, both of which depend on a participant's answers."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class AdaptiveSection(Section):
 
     @property
     def algorithm(self) -> dict[str, Any]:
-        """Algorithm that sets the levels, for the record."""
+        """Algorithm that sets the levels, as written to the record."""
         if self.method == "staircase":
             return {"algorithm": "modaltouch staircase 2", "target": round(self.staircase.target, 4)}
         from importlib.metadata import version
@@ -105,17 +105,17 @@ class SensationLevelsSection(Section):
         Parameters
         ----------
         threshold_mm_s : float
-            The participant's own threshold [mm/s].
+            Threshold of the participant [mm/s].
         """
         return tuple(float(f"{multiple * threshold_mm_s:.4g}") for multiple in self.multiples)
 
     def thresholds(self, lowest_mm_s: float, highest_mm_s: float) -> tuple[float, float]:
-        """Return the lowest and highest threshold for which all levels lie within bounds [mm/s].
+        """Return the lowest and highest thresholds for which all levels lie within bounds [mm/s].
 
         Parameters
         ----------
         lowest_mm_s, highest_mm_s : float
-            Lowest and highest level that any participant may get.
+            Bounds of the levels presented to any participant.
         """
         return lowest_mm_s / min(self.multiples), highest_mm_s / max(self.multiples)
 
@@ -124,7 +124,7 @@ _SECTION = ("conditions", "sensation_levels")
 
 
 def check_sensation_levels(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield the faults between the section ``sensation_levels`` and the others."""
+    """Yield a problem for each inconsistency between ``sensation_levels`` and the other sections."""
     if reading.keys(*_SECTION) is None:
         return
     if is_adaptive(reading):
@@ -149,7 +149,7 @@ def check_sensation_levels(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def _check_doubles(reading: Reading[Any], multiples: dict[int, float]) -> Iterator[Problem]:
-    """Yield multiples too close for the generator's amplitude, which has four digits."""
+    """Yield multiples too close for the four-digit resolution of the generator's amplitude."""
     seen: dict[int, float] = {}
     for index, value in multiples.items():
         like = next((at for at, other in seen.items() if math.isclose(value, other, rel_tol=2e-3)), None)
@@ -161,7 +161,7 @@ def _check_doubles(reading: Reading[Any], multiples: dict[int, float]) -> Iterat
 
 
 def check_adaptive(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield the faults between the section ``adaptive`` and the others, as far as its valid parts show them."""
+    """Yield a problem for each inconsistency between ``adaptive`` and the other sections, as far as they are valid."""
     if not is_adaptive(reading):
         return
     yield from _check_levels(reading)
@@ -186,12 +186,12 @@ def check_adaptive(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def is_adaptive(reading: Reading[Any]) -> bool:
-    """Return whether a protocol has a section ``adaptive``, valid or not."""
+    """Test whether a protocol has a section ``adaptive``, valid or not."""
     return reading.keys("adaptive") is not None
 
 
 def check_bounds(reading: Reading[Any], when: str, reached: str) -> Iterator[Problem]:
-    """Yield peak velocities that are not a pair of bounds, the lowest level and then the highest."""
+    """Yield a problem if the peak velocities are not the lowest and the highest level, in this order."""
     path = ("conditions", "peak_velocities_mm_s")
     levels = [level for _, level in reading.items(*path)]
     given = reading.length(*path)
@@ -215,7 +215,7 @@ def _check_levels(reading: Reading[Any]) -> Iterator[Problem]:
 def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
     success = reading.sound("adaptive", "success") or "focus_named"
     focus = reading.sound("stimulus", "focus")
-    # Several stimuli are checked one by one; the section that they share need not be a stimulus itself.
+    # Several stimuli are checked one by one; their shared section need not be a stimulus itself.
     if success == "focus_named" and focus is not None and not reading.sound("stimuli"):
         for path, zones in contacts(reading):
             if focus not in zones:
@@ -248,7 +248,7 @@ def _check_success(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def _check_correct(reading: Reading[Any], offered: AnswerList) -> Iterator[Problem]:
-    """Yield why success cannot be `correct`: no answer names an interval, or the rate of guessing does not fit."""
+    """Yield a problem if success cannot be `correct`: no answer names an interval, or the guess rate does not fit."""
     said = [answer.interval for answer in offered if answer.interval is not None]
     if reading.keys("intervals") is None or not said:
         given = "correct, but no answer refers to intervals"
@@ -267,13 +267,13 @@ def _check_correct(reading: Reading[Any], offered: AnswerList) -> Iterator[Probl
 
 
 def contacts(reading: Reading[Any]) -> list[tuple[tuple[str, str, int], tuple[str, ...]]]:
-    """Return the zones under the fingers with their paths, from whichever key holds them."""
+    """Return the zones under the fingers with their paths, from the key that lists them."""
     keys = ("zones", "zone_pairs")
     return [(("conditions", key, index), zones) for key in keys for index, zones in reading.items("conditions", key)]
 
 
 def offered_answers(reading: Reading[Any]) -> AnswerList:
-    """Return the answers that a protocol offers, as far as its valid parts show them."""
+    """Return the answers that a protocol offers, from its valid parts."""
     fingers, below = dict(reading.items("answers", "fingers")), [name for _, name in reading.items("answers", "below")]
     keys, scale = reading.keys("answers", "keys") or (), bool(reading.keys("answers", "scale"))
     section = {"keys": keys, "fingers": fingers, "below": below, "scale": scale}

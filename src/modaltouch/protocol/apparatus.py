@@ -1,4 +1,4 @@
-"""Apparatus: the beam, its zones and modes, the actuator sets, amplifier and generator, as the file gives them.
+"""Apparatus file: beam, zones, modes, actuator sets, amplifier and generator.
 
 Numbers keep the units of their keys (mm, Hz, mm/s, V); only `modal_model` and `amplifier_values` convert them to SI.
 """
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 
 _MEASURED = ("beam", "actuator_sets", "modes", "amplifier", "generator", "acquisition", "twin")
-"""Sections that invalidate a calibration when they change; names, zones and limits do not."""
+"""Sections whose change invalidates a calibration; names, zones and limits do not."""
 
 
 class Beam(Section):
@@ -145,18 +145,18 @@ class GeneratorSection(Section):
 
     @property
     def trigger_latency(self) -> tuple[float, float] | None:
-        """Shortest and longest time from a trigger to the first sample [s]; None if unknown."""
+        """Shortest and longest latency from a trigger to the first sample [s]; None if unknown."""
         latency = self.trigger_latency_ms
         return None if latency is None else (latency.low * 1e-3, latency.high * 1e-3)
 
     @property
     def repeats(self) -> Literal["single", "timer", "continuous", "wired"]:
-        """How bursts are repeated, under the current name."""
+        """Repetition mode of bursts, by its current name."""
         return "timer" if self.repetition == "burst" else self.repetition
 
     @property
     def load_factor(self) -> float:
-        """Voltage at the load over the open-circuit voltage, for an output of 50 ohm [1]."""
+        """Ratio of load voltage to open-circuit voltage, for an output of 50 ohm [1]."""
         return 1.0 if self.load == "high_impedance" else 0.5
 
 
@@ -234,8 +234,8 @@ class Apparatus(Section):
         Returns
         -------
         ModalModel
-            Modal gains of shape (n_modes, n_channels) [m/s^2 per V at the beam], zero where unknown; natural
-            frequencies [Hz], damping ratios [1], length [m].
+            Modal gains, (n_modes, n_channels) array [m/s^2 per V at the beam], 0 where unknown; natural frequencies
+            [Hz], damping ratios [1], length [m].
         """
         from modaltouch.stimulus import ModalModel
 
@@ -282,7 +282,7 @@ class Apparatus(Section):
         )
 
     def unknown_gains(self) -> tuple[tuple[int, str], ...]:
-        """Return mode label and actuator set of every gain that is unknown and taken as zero."""
+        """Return mode label and actuator set of each unknown gain, which is taken as zero."""
         return tuple(
             (mode.label, name)
             for mode in self.modes
@@ -291,14 +291,14 @@ class Apparatus(Section):
         )
 
     def assumed_gains(self) -> tuple[tuple[int, str], ...]:
-        """Return mode label and actuator set of every gain that is assumed, not measured."""
+        """Return mode label and actuator set of each assumed gain."""
         return tuple((mode.label, name) for mode in self.modes for name in mode.assumed)
 
     def offered_gains(self) -> tuple[tuple[int, str, float], ...]:
-        """Return mode label, actuator set and gain [mm/s^2 per V] that patches suggest for gains that are not measured.
+        """Return mode label, actuator set and gain [mm/s^2 per V] estimated from the patches for each unmeasured gain.
 
-        Theory gives the ratios among the bending modes (`patch_gains`). Their common factor is the median ratio of
-        measured to theoretical gain. A set without a measured gain, or without patches, offers nothing.
+        Theory gives the ratios between bending modes (`patch_gains`). Their common factor is the median ratio of
+        measured to theoretical gain. A set without a measured gain or without patches yields no estimate.
         """
         offered, model = [], self.modal_model()
         for name, actuators in self.actuator_sets.items():
@@ -322,20 +322,20 @@ class Apparatus(Section):
 
     @property
     def zone_spans(self) -> dict[str, tuple[float, float]]:
-        """Ends of each zone from mid-beam, from left to right, as fractions of the beam's length [1]."""
+        """Ends of each zone, from left to right, relative to mid-beam, as fractions of the beam length [1]."""
         length = self.beam.length_mm
         return {name: (zone.edges[0] / length, zone.edges[1] / length) for name, zone in self.ordered_zones.items()}
 
     @property
     def measured_hash(self) -> str:
-        """SHA-256 of the values that a calibration depends on, without keys at their default."""
+        """SHA-256 of the values on which a calibration depends, without keys at their default."""
         free = {"beam": {"mass_g"}}  # does not affect any measurement on the untouched beam
         values = self.model_dump(mode="json", include=set(_MEASURED), exclude=free, exclude_defaults=True)
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
     @classmethod
     def read(cls, given: Path | str | Source) -> Apparatus:
-        """Read an apparatus from YAML.
+        """Read an apparatus from a YAML file.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Calibration file: corrections that make a rig produce a protocol's stimuli, and whether the file fits them."""
+"""Calibration file: corrections for a rig to produce a protocol's stimuli, and checks that the file applies to them."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ class MissedLimit(Section):
     allowed: NotNegative = described("The limit.")
 
     def __str__(self) -> str:
-        """Return the limit in words."""
+        """Describe the missed limit."""
         return f"{self.limit} {self.reached:.3g} at {self.level_mm_s:g} mm/s (allowed {self.allowed:g})"
 
 
@@ -152,11 +152,11 @@ class Calibration(Section):
     @property
     @abstractmethod
     def by_stimulus(self) -> dict[str, CalibratedStimulus]:
-        """Results for each stimulus, by name; the name is empty if the protocol has only one."""
+        """Results by name of the stimulus; the name is empty if the protocol has only one."""
 
     @property
     def mark(self) -> str:
-        """The limits that it misses, and why; empty if it misses none."""
+        """The missed limits and the reasons; empty if there are none."""
         own = [
             (f"stimulus {name}: " if name else "") + f"{', '.join(map(str, each.missed))}: {'; '.join(each.causes)}"
             for name, each in self.by_stimulus.items()
@@ -165,7 +165,7 @@ class Calibration(Section):
         return "; ".join(own)
 
     def alone(self, name: str) -> CalibrationFile | None:
-        """Return the calibration of one stimulus alone; None if there is none of that name.
+        """Return the calibration of a single stimulus; None for an unknown name.
 
         Parameters
         ----------
@@ -180,7 +180,7 @@ class Calibration(Section):
 
     @staticmethod
     def of(values: Mapping[str, Any]) -> Calibration:
-        """Return a calibration from plain values; one of several stimuli if they have the key ``stimuli``.
+        """Return the calibration with given keys and values, for several stimuli if these include ``stimuli``.
 
         Parameters
         ----------
@@ -206,7 +206,7 @@ class CalibratedStimulus(Section):
 
     @property
     def worst_error_mm_s(self) -> float:
-        """Largest remaining error of a modal velocity, or of w eta, at the reference level [mm/s]."""
+        """Largest residual error of a modal velocity or of w eta at the reference level [mm/s]."""
         return max(abs(each) for mode in self.modes for each in mode.error_after_mm_s)
 
 
@@ -223,16 +223,16 @@ class CalibrationFile(CalibratedStimulus, Calibration):
 
     @property
     def by_stimulus(self) -> dict[str, CalibratedStimulus]:
-        """The file itself, under the empty name."""
+        """The file itself, with an empty name."""
         return {"": self}
 
     def applied(self, apparatus: Apparatus) -> Apparatus:
-        """Return an apparatus with modes and amplifier as the calibration found them.
+        """Return an apparatus with the calibrated modes and amplifier.
 
         Parameters
         ----------
         apparatus : Apparatus
-            The apparatus, as in its file, with which the calibration was made.
+            The apparatus, as in its file, on which the calibration was made.
         """
         found = {mode.label: mode.model_dump(include=_REFINED) for mode in self.modes}
         modes = tuple(mode.model_copy(update={**found[mode.label], "assumed": ()}) for mode in apparatus.modes)
@@ -249,7 +249,7 @@ class CalibrationOfSeveral(Calibration):
 
     @property
     def by_stimulus(self) -> dict[str, CalibratedStimulus]:
-        """Results for each stimulus, by name."""
+        """Results by name of the stimulus."""
         return self.stimuli
 
 
@@ -261,7 +261,7 @@ AGAIN = "calibrate again with `modaltouch calibrate`"
 
 
 def examine_calibration(source: Source) -> Reading[Calibration]:
-    """Read a calibration file of one stimulus or of several, with its faults."""
+    """Read and check a calibration file of one or several stimuli."""
     of_several = re.search(r"""^["']?stimuli["']?\s*:""", source.text, re.MULTILINE) is not None
     model: type[Calibration] = CalibrationOfSeveral if of_several else CalibrationFile
     return read(source, model)
@@ -270,10 +270,10 @@ def examine_calibration(source: Source) -> Reading[Calibration]:
 def check_calibration(
     calibration: Reading[Calibration], protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None
 ) -> list[Problem]:
-    """Return why a calibration does not fit this protocol and apparatus, as far as their valid parts show it.
+    """Check a calibration against the valid parts of a protocol and apparatus; return the problems.
 
-    If the protocol has several stimuli, only whether the calibration covers them all and is of this apparatus: its
-    part for each stimulus is checked with the protocol of that stimulus alone.
+    For a protocol with several stimuli, only the names and the apparatus are checked here: the part for each stimulus
+    is checked with the protocol of that stimulus alone.
     """
     if calibration.value is None:
         return []
@@ -288,7 +288,7 @@ def check_calibration(
 
 
 def check_mark(calibration: Reading[Calibration]) -> list[Problem]:
-    """Return why a calibration is marked: the limits that each stimulus missed when it was made."""
+    """Return a problem for each limit that a stimulus missed, for which the calibration is marked."""
     if calibration.value is None:
         return []
     remedy = "remove the cause and calibrate again, or accept it with --with-marked-calibration"
@@ -305,7 +305,7 @@ def check_mark(calibration: Reading[Calibration]) -> list[Problem]:
 
 
 def calibration_alone(reading: Reading[Calibration], name: str) -> Reading[Calibration]:
-    """Return the part of a calibration file for one stimulus, as if it were a file of that stimulus alone.
+    """Return the part of a calibration file for one stimulus, in the form of a file of that stimulus alone.
 
     Parameters
     ----------
@@ -324,7 +324,7 @@ def calibration_alone(reading: Reading[Calibration], name: str) -> Reading[Calib
 def _check_names(
     reading: Reading[Calibration], calibration: Calibration, protocol: Reading[Protocol]
 ) -> Iterator[Problem]:
-    """Yield the fault that a calibration does not cover the protocol's stimuli."""
+    """Yield a problem if a calibration does not cover the protocol's stimuli."""
     wanted, made = tuple(protocol.sound("stimuli") or ("",)), tuple(calibration.by_stimulus)
     if set(wanted) <= set(made):
         return
@@ -363,7 +363,7 @@ def _check_stimulus(
     if section is None:
         return
     made, now = calibration.stimulus.model_dump(), section.model_dump()
-    # What follows the focusing instant cannot affect it.
+    # The release follows the focusing instant and cannot affect it.
     different = [key for key in now if key != "release" and made[key] != now[key]]
     for key in different:
         given = f"{_words(made[key])}, from a calibration of another stimulus"
@@ -388,7 +388,7 @@ def _check_levels(calibration: CalibrationFile, protocol: Reading[Protocol]) -> 
 def check_age(
     calibration: Reading[Calibration], protocol: Reading[Protocol], now: datetime | None = None
 ) -> list[Problem]:
-    """Return why a calibration is too old for a protocol, or lies in the future.
+    """Return a problem if a calibration is too old for a protocol or dated in the future.
 
     Parameters
     ----------
@@ -397,7 +397,7 @@ def check_age(
     protocol : Reading
         The protocol file, which may give ``calibration.max_age_days``.
     now : datetime, optional
-        The present, with its offset from UTC.
+        Current time with its UTC offset.
     """
     made_text = calibration.sound("made")
     if made_text is None:

@@ -1,4 +1,4 @@
-"""Places of the catch trials in a block, drawn uniformly from all that keep the limit on runs of a pair."""
+"""Positions of the catch trials in a block, drawn uniformly subject to the limit on runs of a pair."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Pair = tuple[str, ...]
 def place_catches(
     order: Sequence[Pair], n_catches: int, limit: int | None, stream: Stream, *, own_pair: bool = False
 ) -> list[tuple[int, Pair]]:
-    """Return the trial, from 0, that each catch trial follows, and its pair of zones."""
+    """Return, for each catch trial, the index of the trial that it follows and its pair of zones."""
     pairs = list(dict.fromkeys(order))
     if limit is None:
         places = sorted(stream.chosen(range(len(order)), n_catches))
@@ -40,10 +40,10 @@ def place_catches(
 def _moves(
     order: Sequence[Pair], pairs: Sequence[Pair], place: int, left: int, run: int, *, own_pair: bool
 ) -> Iterator[tuple[Pair | None, int, int, int]]:
-    """Yield what may follow the trial at a place, at which a run has the length `run`: nothing, or a catch trial.
+    """Yield the choices after the trial at a place, where a run has the length `run`: no catch trial, or one.
 
-    Each is its pair (None for nothing), the number of catch trials then left, the length of the run so far, and that
-    at the next trial (1 after the last trial).
+    Each choice consists of the pair of the catch trial (None for none), the number of catch trials left, the length of
+    the run so far, and the length at the next trial (1 after the last trial).
     """
     own = order[place]
     following = order[place + 1] if place + 1 < len(order) else None
@@ -58,8 +58,8 @@ def _moves(
 def _count_ways(
     order: Sequence[Pair], pairs: Sequence[Pair], n_catches: int, limit: int, *, own_pair: bool
 ) -> list[list[list[int]]]:
-    """Return the number of ways to continue, by place of a trial, catch trials left and the run that the trial ends."""
-    # Beyond the last trial, one way if no catch trial is left; runs count from 1.
+    """Count the ways to continue, by place of a trial, catch trials left and length of the run ending at the trial."""
+    # After the last trial there is one way if no catch trial is left; run lengths start at 1.
     table = [[[int(left == 0)] * (limit + 1) for left in range(n_catches + 1)]]
     for place in reversed(range(len(order))):
         after = table[-1]

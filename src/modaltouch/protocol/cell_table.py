@@ -1,4 +1,4 @@
-"""Listed cells in the tree of a protocol, including those of a table with their places there; and their faults."""
+"""Listed cells of a protocol, in its tree or in a separate table, and checks of them."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ DERIVED = ("zone_pairs", "peak_velocities_mm_s", "finger_conditions", "zones")
 
 _REQUIRED = ("zone_left", "zone_right", "peak_velocity_mm_s")
 COLUMNS = (*_REQUIRED, "zone_between", "finger_condition", "stimulus", "weight")
-"""Columns of a table of cells; the last four may be left out, and their fields and `zone_right` may be empty."""
+"""Columns of a table of cells; the last four are optional, and their fields and `zone_right` may be empty."""
 
 
 def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, list[Problem]]:
-    """Return the tree of a protocol with the cells of its table and the keys that follow from cells, and the faults.
+    """Add the cells of a table, and the keys derived from cells, to the tree of a protocol; return tree and problems.
 
-    Values from the table keep their place there, so that every later fault is reported where it was written.
+    Values from the table keep their position there, so that later problems refer to the table.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, 
     root : Node
         Its tree.
     table : Source or None
-        The table that it names, if any.
+        The table named in the protocol, if any.
     """
     conditions, problems = root.child("conditions"), list[Problem]()
     if conditions is None:
@@ -59,7 +59,7 @@ def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, 
         found = [node for row in rows if (node := row.child(own)) is not None]
         found = found if own == "pair" else [each for node in found for each in node.children]
         if found:
-            # 80 and 80.0 are one level.
+            # 80 and 80.0 are the same level.
             keys = [each if isinstance(each := node.plain(), (int, float)) else str(each) for node in found]
             unlike = [node for place, node in enumerate(found) if keys[place] not in keys[:place]]
             conditions = conditions.with_child(key, Node(unlike, cells.line, cells.column, file=cells.file))
@@ -67,7 +67,7 @@ def with_cells(source: Source, root: Node, table: Source | None) -> tuple[Node, 
 
 
 def at_own_levels(reading: Reading[Any]) -> Reading[Any]:
-    """Return a protocol whose tree contains only the levels of its value, each at its place."""
+    """Return a protocol whose tree contains only the levels of its value, with their positions."""
     root, levels = reading.root, reading.find(("conditions", "peak_velocities_mm_s"))
     conditions = None if root is None else root.child("conditions")
     if root is None or conditions is None or levels is None or reading.value is None:
@@ -78,14 +78,14 @@ def at_own_levels(reading: Reading[Any]) -> Reading[Any]:
 
 
 def without_derived(reading: Reading[Any]) -> tuple[Problem, ...]:
-    """Return the problems of a protocol without those of keys derived from its cells, which are reported there."""
+    """Return the problems of a protocol except those of keys derived from cells, which are reported at the cells."""
     follows = (*DERIVED[:2], "zones", *(DERIVED[2:3] if reading.find(("conditions", "table")) else ()))
     derived = tuple(f"conditions.{key}" for key in follows)
     return tuple(each for each in reading.problems if not each.path.startswith(derived))
 
 
 def _read_table(source: Source) -> tuple[Node, list[Problem]]:
-    """Return the rows of a table of cells as the list that a protocol would contain, and the table's faults."""
+    """Return the rows of a table of cells in the form of a protocol's list, and the problems of the table."""
     path, rows, problems = str(source.path), list[Node](), list[Problem]()
     lines = source.text.splitlines()
     header = lines[0] if lines else ""
@@ -123,7 +123,7 @@ def _read_table(source: Source) -> tuple[Node, list[Problem]]:
 
 
 def _fields(line: str, separator: str) -> list[tuple[str, int]]:
-    """Return the fields of a line with the columns at which they begin, from 1."""
+    """Split a line into fields, each with its start column, from 1."""
     found, end = [], 0
     for field in next(csv.reader([line], delimiter=separator, skipinitialspace=True), []):
         begin = max(end, line.find(field.replace('"', '""').strip(), end))
@@ -158,7 +158,7 @@ _NAME_IT = "add it there, or leave it out"
 
 
 def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield the faults of listed and excluded cells: unknown names, repeated or missing cells, blocks left empty."""
+    """Yield the problems of listed and excluded cells: unknown names, repeated or missing cells, empty blocks."""
     conditions = reading.sound("conditions")
     if conditions is None:
         return
@@ -192,7 +192,7 @@ def check_cells(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def check_excluded(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield excluded cells that are not in a design without other faults, and finger conditions without cells."""
+    """Yield excluded cells that are not in the design, and finger conditions without cells, if all else is valid."""
     protocol = reading.require()
     conditions = protocol.conditions
     every = [(name, cell) for name in conditions.finger_conditions for cell in protocol.cells(name, excluded=True)]

@@ -1,4 +1,4 @@
-"""Faults between the keys of a protocol, and between a protocol and its apparatus."""
+"""Consistency checks between the keys of a protocol, and between a protocol and its apparatus."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from modaltouch.protocol.stimulus_sections import check_target_field, is_elsewhe
 from modaltouch.protocol.trial import TIME_OUT
 
 TRIAL_LIMIT = 10_000
-"""Most trials of a session: a day of them."""
+"""Largest number of trials of a session, about a day's worth."""
 
 
 def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
-    """Yield the faults between the keys of the sections conditions and schedule, as far as valid parts show them."""
-    # Most designs list and exclude no cells, and need no code for it.
+    """Yield a problem for each inconsistency between keys of ``conditions`` and ``schedule``, as far as valid."""
+    # Most designs neither list nor exclude cells, so the code for it is imported only if needed.
     if any(reading.find(("conditions", key)) for key in ("table", "cells", "exclude")):
         from modaltouch.protocol.cell_table import check_cells
 
@@ -77,7 +77,7 @@ def check_schedule(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def _check_stimuli(reading: Reading[Protocol]) -> Iterator[Problem]:
-    """Yield the keys of single stimuli that have no effect in this protocol."""
+    """Yield the keys of individual stimuli that have no effect in this protocol."""
     until = reading.sound("answers", "stimulus_until")
     for name in reading.sound("stimuli") or ():
         path = ("stimuli", name, "presentation_bursts")
@@ -93,11 +93,11 @@ def _check_stimuli(reading: Reading[Protocol]) -> Iterator[Problem]:
 TAKEN_NAMES = frozenset(
     {"finger_condition", "pair", "zone_left", "zone_right", "velocity_mm_s", "multiple_of_threshold", "n"}
 )
-"""Columns of the table of counts, not allowed as names of answers, each of which has a column there too."""
+"""Fixed columns of the table of counts, reserved because each answer has a column of its name there."""
 
 
 def check_protocol(reading: Reading[Protocol]) -> list[Problem]:
-    """Return the faults between the keys of a protocol, as far as its valid parts show them."""
+    """Return a problem for each inconsistency between the valid keys of a protocol."""
     return [
         *_check_stimulus(reading),
         *check_target_field(reading),
@@ -162,7 +162,7 @@ def _check_stimulus(reading: Reading[Protocol]) -> Iterator[Problem]:
     if band is not None and band[0] >= band[1]:
         given = f"{band[0]:g} to {band[1]:g} Hz"
         yield reading.problem((*section, "equalise_band_Hz"), given, "the lower end first", "swap its ends")
-    # The velocity of a repeated burst has only multiples of the repetition rate, up to half the sampling rate.
+    # The spectrum of a repeated burst consists of multiples of the repetition rate, up to half the sampling rate.
     elif None not in (band, duration, rate, n_samples) and (
         math.floor(min(band[1], n_samples / duration * 500) / rate) < math.ceil(band[0] / rate)
     ):
@@ -215,7 +215,7 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
         path = ("answers", "emergency_keys", index)
         yield from check_key(reading, path, name)
         if name in places and not is_written:
-            # Reported at the key that is in the file, not at the default that is not.
+            # Report the key that is in the file rather than the default, which is not.
             given = f"'{name}', the emergency key that switches the outputs off unless `emergency_keys` names another"
             remedy = "choose another, or name another key under `answers.emergency_keys`"
             yield reading.problem(places[name], given, "a key with no other meaning", remedy)
@@ -225,7 +225,7 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
-    """Yield a finger that an answer names twice, and fingers that contradict the name of a shipped answer."""
+    """Yield fingers that an answer names twice, and fingers that contradict the name of a shipped answer."""
     path = ("answers", "fingers", name)
     fingers = [value for _, value in reading.items(*path)]
     if len(set(fingers)) < len(fingers):
@@ -237,7 +237,7 @@ def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
 
 
 def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Iterator[Problem]:
-    """Yield answers that are too few or too many, have no keys, or name the same fingers."""
+    """Yield a problem for too few or too many answers, answers without keys, and answers that name the same fingers."""
     path = ("answers", "keys")
     if names is not None and not 2 <= len(names) <= MOST_ANSWERS:
         given = f"{len(names)} answer{'s' * (len(names) != 1)}"
@@ -282,11 +282,11 @@ def _check_answers(reading: Reading[Protocol], names: list[str] | None) -> Itera
 
 
 LEAST_SAMPLES_PER_CYCLE = 2.5
-"""Fewest samples per cycle of the highest modelled mode: the 2 of the sampling theorem plus a quarter [1]."""
+"""Fewest samples per cycle of the highest modelled mode: the 2 of the sampling theorem plus 25 % [1]."""
 
 
 def check_fit(protocol: Reading[Protocol], apparatus: Reading[Apparatus]) -> list[Problem]:
-    """Return what a protocol needs and its apparatus lacks, as far as the valid parts of both show it."""
+    """Return a problem for each requirement of a protocol that its apparatus fails to meet, as far as valid."""
     return [
         *_check_zones(protocol, apparatus),
         *_check_modes(protocol, apparatus),
@@ -344,7 +344,7 @@ def _check_sampling(protocol: Reading[Protocol], apparatus: Reading[Apparatus], 
     highest: Any = max((value for value in known if value is not None), default=None)
     if n_samples is None or duration is None or highest is None:
         return
-    # n_samples is even; rounding error at an even bound must not demand two samples more.
+    # n_samples is even; rounding error at an even bound must not require two more samples.
     least = 2 * math.ceil(LEAST_SAMPLES_PER_CYCLE * highest * duration * 1e-3 / 2 * (1 - 1e-12))
     if n_samples < least:
         given = f"{n_samples} samples in {duration:g} ms, too few for the mode of {highest:g} Hz"

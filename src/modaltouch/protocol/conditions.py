@@ -1,4 +1,4 @@
-"""The section conditions of a protocol: fingers, zones and levels, and what follows from them."""
+"""The section ``conditions`` of a protocol: fingers, zones and levels, and the design that they define."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FingerName = Literal[
     "left little", "left ring", "left middle", "left index", "left thumb",
     "right thumb", "right index", "right middle", "right ring", "right little",
 ]  # fmt: skip
-"""From left to right, palms down."""
+"""Fingers from left to right, palms down."""
 Placement = Literal["normal", "mirrored", "swapped", "mirrored_swapped"]
 
 _UNIQUE = {"uniqueItems": True}
@@ -61,7 +61,7 @@ class ExcludedCells(Section):
     stimulus: Word | None = described("Name of a stimulus; null for any.", default=None)
 
     def holds(self, finger_condition: str, cell: Cell) -> bool:
-        """Return whether a cell of a finger condition is among them."""
+        """Test whether a cell of a finger condition is excluded."""
         wanted = (self.finger_condition, self.pair, self.peak_velocity_mm_s, self.stimulus)
         return all(want in (None, own) for want, own in zip(wanted, (finger_condition, *cell), strict=True))
 
@@ -154,7 +154,7 @@ class ConditionsSection(Section):
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Those of `contacts` with two zones."""
+        """The entries of `contacts` with two zones."""
         return tuple((zones[0], zones[1]) for zones in self.contacts if len(zones) == 2)
 
     def fingers_of(self, condition: Condition) -> tuple[str, ...]:
@@ -163,6 +163,6 @@ class ConditionsSection(Section):
 
     @property
     def fingers_used(self) -> list[str]:
-        """Every finger that rests on the beam in some condition."""
+        """All fingers that rest on the beam in any condition."""
         laid = (Condition(name, "", "", 0.0, place) for name in self.finger_conditions for place in self.placements)
         return sorted({finger for each in laid for finger in self.fingers_of(each)})

@@ -1,4 +1,4 @@
-"""Faults between fingers, zones and answers: as many zones as fingers, and answers that fit these fingers."""
+"""Checks between fingers, zones and answers: as many zones as fingers, and answers that match these fingers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FROM_LEFT: tuple[str, ...] = get_args(FingerName)
 
 
 def check_contacts(reading: Reading[Protocol]) -> Iterator[Problem]:
-    """Yield zones that are repeated or do not fit the fingers, and faults of finger conditions and answers."""
+    """Yield repeated zones, zones that do not match the fingers, and problems of finger conditions and answers."""
     yield from _check_zones(reading)
     known = {name: FINGERS[name, "right"] for name in _SHIPPED} | dict(reading.items("conditions", "fingers"))
     named = [*_SHIPPED, *(reading.keys("conditions", "fingers") or ())]
@@ -62,7 +62,7 @@ def _check_zones(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
-    """Yield a name that is taken, a repeated finger, and fingers of a hand that are not in anatomical order."""
+    """Yield a problem for a reserved name, a repeated finger, or fingers of a hand out of anatomical order."""
     path, fingers = ("conditions", "fingers", name), reading.sound("conditions", "fingers", name) or ()
     said = f"[{', '.join(fingers)}]"
     in_order = {hand: [each for each in _FROM_LEFT if each in fingers and each.startswith(hand)] for hand in ("l", "r")}
@@ -78,12 +78,12 @@ def _check_fingers(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
 
 
 def _check_number(reading: Reading[Protocol], used: dict[str, int]) -> Iterator[Problem]:
-    """Yield zones that differ in number from the fingers of a finger condition."""
+    """Yield zones whose number differs from that of the fingers of a finger condition."""
     own = [
         (("conditions", "cells", index, "pair"), each.pair, each.finger_conditions or used)
         for index, each in reading.items("conditions", "cells")
     ]
-    # Each of several stimuli is checked as a crossed design, but the file still contains the cells.
+    # Each of several stimuli is checked as a crossed design, although the file lists cells.
     is_listed = reading.find(("conditions", "cells")) is not None
     for path, zones, names in own if is_listed else [(*each, used) for each in contacts(reading)]:
         for number in dict.fromkeys(used[name] for name in names if used.get(name, len(zones)) != len(zones)):
@@ -94,7 +94,7 @@ def _check_number(reading: Reading[Protocol], used: dict[str, int]) -> Iterator[
 
 
 def _check_answers(reading: Reading[Protocol], names: list[str], number: int) -> Iterator[Problem]:
-    """Yield an answer that names an absent finger, or answers that name only some of three fingers alone."""
+    """Yield a problem for an answer that names an absent finger, or answers that name only some of three fingers."""
     offered = offered_answers(reading)
     if number == 1:
         odd = next((answer.name for answer in offered if answer.fingers), None)
@@ -103,7 +103,7 @@ def _check_answers(reading: Reading[Protocol], names: list[str], number: int) ->
         odd = next((answer.name for answer in offered if not set(answer.fingers or ()) <= set(SIDES[number])), None)
         allowed, remedy = "left, right or both of them", "leave `between` out"
         alone = [side for side in SIDES[3] if offered.naming(side) is not None]
-        # A fault of a finger's place is reported there.
+        # An invalid side of a finger is reported at its own key.
         is_sound = len(reading.items("answers", "fingers")) == len(reading.keys("answers", "fingers") or ())
         if number == 3 and 0 < len(alone) < 3 and is_sound:
             odd = next(answer.name for answer in offered if answer.fingers)
@@ -119,7 +119,7 @@ def _check_answers(reading: Reading[Protocol], names: list[str], number: int) ->
 
 
 def check_way(reading: Reading[Protocol], name: str) -> Iterator[Problem]:
-    """Yield a way to answer that needs a free hand when both hands are on the beam."""
+    """Yield a problem if the way to answer needs a free hand while both hands are on the beam."""
     way, is_misspelt = reading.sound("answers", "ways", name), reading.is_misspelt("answers", "ways")
     if reading.sound("answers", "given_by") != "experimenter" and way in (None, "free_hand") and not is_misspelt:
         path = ("answers", "ways", name) if way else ("answers",)

@@ -1,6 +1,6 @@
-"""Faults of a new protocol's durations: no whole number of bursts, bursts too close, a pause too short for a hand.
+"""Checks of the durations of a new protocol: whole bursts, gaps between bursts, pauses for a hand to settle.
 
-None is a fault of a record: what was begun with it continues.
+They do not apply to records, so that a session begun under older rules can be resumed.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from modaltouch.protocol.sections import AnswersSection, Protocol, whole_bursts
 from modaltouch.protocol.stimulus_sections import is_elsewhere
 
 WHOLE = 5e-3
-"""Tolerance of a duration, in bursts, for its rounding in the file [1]."""
+"""Tolerance of a duration for rounding in the file [bursts]."""
 
 MOST_OF_PERIOD = 0.95
 """Longest burst that leaves room for the jitter of the next trigger, as a fraction of the period [1]."""
 
 
 def check_timing(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None) -> list[Problem]:
-    """Return the durations with which no new session may begin."""
+    """Return a problem for each duration not allowed in a new session."""
     found = [*_check_settling(protocol), *_check_durations(protocol), *_check_written_once(protocol)]
     if apparatus is not None:
         found += [*_check_period(protocol, apparatus), *_check_catch_trials(protocol, apparatus)]
@@ -31,9 +31,9 @@ def check_timing(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | No
 
 
 def _check_settling(reading: Reading[Protocol]) -> Iterator[Problem]:
-    """Yield a free hand in two_hands, and a pause too short for a hand that answers to come back to the beam.
+    """Yield a free hand in ``two_hands``, and a pause too short for the answering hand to return to the beam.
 
-    Only for new files: a record that was begun with either continues, with `AnswersSection.settling_s`.
+    For new files only; a record with either is resumed with `AnswersSection.settling_s`.
     """
     answers = reading.sound("answers")
     if reading.sound("answers", "ways", "two_hands") == "free_hand":
@@ -50,7 +50,7 @@ def _check_settling(reading: Reading[Protocol]) -> Iterator[Problem]:
 
 
 def _stimuli(protocol: Reading[Protocol], key: str) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Yield path and value of a key of the stimulus, and of each of several stimuli that has its own value."""
+    """Yield path and value of a key of the stimulus, and of each of several stimuli that overrides it."""
     value = protocol.sound("stimulus", key)
     if value is not None:
         yield ("stimulus", key), value
@@ -71,7 +71,7 @@ def _check_durations(protocol: Reading[Protocol]) -> Iterator[Problem]:
             names = shared if path[0] == "stimulus" else [path[1]]
             counted = names and all(protocol.sound("stimuli", name, "presentation_bursts") for name in names)
             if counted and key == "presentation_s":
-                continue  # each has its own number of bursts
+                continue  # each has a separate number of bursts
             n_bursts = seconds * rate
             if n_bursts > 1 - WHOLE and abs(n_bursts - round(n_bursts)) <= WHOLE:
                 continue

@@ -1,4 +1,4 @@
-"""A protocol with the files that it names, their sources for the record, and all their faults."""
+"""A protocol with the files that it names, their sources for the record, and all problems."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ class Experiment:
     Attributes
     ----------
     protocol : Protocol
-        What is presented and asked, and how often.
+        The design: stimuli, questions and repetitions.
     apparatus : Apparatus
-        The equipment that presents it.
+        The equipment.
     texts : Texts
-        What the participant reads.
+        All text shown to the participant.
     sources : Sources
         The files, for the record.
     """
@@ -54,14 +54,14 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Findings:
-    """The files of a protocol as far as they are valid, and all their faults.
+    """The valid parts of a protocol's files, and all their problems.
 
     Attributes
     ----------
     protocol, apparatus, texts : Reading or None
         Each file; None if it cannot be opened.
     problems : tuple of Problem
-        Every fault of all files.
+        Problems of all files.
     calibration : Reading or None
         The calibration file, if any.
     field : Source or None
@@ -71,9 +71,9 @@ class Findings:
     table : Source or None
         The table of cells, if any.
     occasion : Occasion
-        The group of participants and the kind of session that these findings are for.
+        The group of participants and the kind of session to which these findings apply.
     others : tuple of Findings
-        The files on the other occasions; `problems` includes theirs.
+        Findings for the other occasions; `problems` includes theirs.
     """
 
     protocol: Reading[Protocol] | None
@@ -93,7 +93,7 @@ class Findings:
         Raises
         ------
         InputError
-            With every fault of all its files.
+            Lists every problem of all its files.
         """
         if self.problems or not (self.protocol and self.apparatus and self.texts):
             raise InputError(self.problems)
@@ -103,7 +103,7 @@ class Findings:
         return Experiment(protocol, apparatus, texts.fitted(protocol), sources)
 
     def problem(self, path: Iterable[str | int], given: str, allowed: str, remedy: str = "") -> Problem:
-        """Return a problem at a path of the protocol, which must have been opened.
+        """Return a problem at a path of an opened protocol.
 
         Parameters
         ----------
@@ -120,7 +120,7 @@ class Findings:
         return self.protocol.problem(path, given, allowed, remedy)
 
     def defaults(self) -> list[dict[str, Any]]:
-        """Return the keys that the protocol leaves out, with their defaults; without keys that each stimulus gives."""
+        """Return the keys that the protocol omits, with their defaults, except those given by each stimulus."""
         if self.protocol is None:
             return []
         named = [self.protocol.find(("stimuli", name)) for name in self.protocol.sound("stimuli") or ()]
@@ -130,21 +130,21 @@ class Findings:
 
     @property
     def levels(self) -> dict[tuple[str | int, ...], float]:
-        """Valid levels that the protocol presents, by their paths [mm/s]."""
+        """Valid levels in the protocol, by path [mm/s]."""
         return {} if self.protocol is None else presented_levels(self.protocol)
 
     def points(self) -> tuple[tuple[float, float], ...] | None:
-        """Return the points in the file of the target field, positions [mm] and relative velocities; None if faulty."""
+        """Return the points of the target field, positions [mm] and relative velocities; None if invalid."""
         points, faults = ((), []) if self.field is None else read_points(self.field)
         return None if faults else points
 
     def under(self, name: str) -> Findings:
-        """Return findings with the fingers of a file, or shipped ones, instead of those that the protocol names.
+        """Return findings with the fingers of a file, or shipped ones, in place of those that the protocol names.
 
         Raises
         ------
         InputError
-            With every fault of the file.
+            Lists every problem of the file.
         """
         from modaltouch.protocol.placements import read_fingers
 
@@ -160,7 +160,7 @@ class Findings:
 
     @cached_property
     def placements(self) -> Placements | None:
-        """Fingers on the beam in each condition; None for the untouched beam, or if a file is faulty."""
+        """Fingers on the beam in each condition; None for the untouched beam or if a file is invalid."""
         fingers = None if self.fingers is None else self.fingers.value
         protocol = None if self.protocol is None else self.protocol.value
         apparatus = None if self.apparatus is None else self.apparatus.value
@@ -171,12 +171,12 @@ class Findings:
         return Placements(fingers, protocol, apparatus)
 
     def with_true_fingers(self, rng: np.random.Generator) -> Apparatus:
-        """Return the apparatus; if the stimulus is designed for fingers and the twin has none, with a random person's.
+        """Return the apparatus with a random person's fingers, if the stimulus is for fingers and the twin has none.
 
         Parameters
         ----------
         rng : numpy.random.Generator
-            Draws the person, with the file's spread; ``twin`` may state other spreads between placements and trials.
+            Draws the person with the spread of the file; ``twin`` may give other spreads between placements and trials.
         """
         apparatus = self.experiment().apparatus
         fingers = None if self.placements is None else self.placements.drawn(rng)
@@ -188,19 +188,19 @@ class Findings:
         return apparatus.model_copy(update={"twin": apparatus.twin.model_copy(update={"fingers": fingers, **own})})
 
     def placement_of(self, finger_condition: str, left: str, right: str) -> str:
-        """Return the name of the placement of a finger condition on two zones of the unturned beam; empty for none."""
+        """Return the placement name of a finger condition on two zones of the unturned beam; empty for none."""
         from modaltouch.protocol.trial import Condition
 
         return self.placement(Condition(finger_condition, left, right, velocity_mm_s=0.0))
 
     def placement(self, condition: Condition) -> str:
-        """Return the name of the placement of a condition; empty if the stimulus is for the untouched beam."""
+        """Return the placement name of a condition; empty if the stimulus is for the untouched beam."""
         return "" if self.placements is None else self.placements.name(condition)
 
     def generator_problem(self, identity: str) -> Problem | None:
-        """Return the problem if the calibration was made with another generator than the open one, else None.
+        """Return a problem if the calibration was made with a generator other than the open one, else None.
 
-        Maker, model and serial number must agree; the firmware may differ.
+        Manufacturer, model and serial number must agree; the firmware may differ.
 
         Parameters
         ----------
@@ -216,7 +216,7 @@ class Findings:
         return self.calibration.problem(("instruments", "generator"), given, allowed, remedy)
 
     def each_stimulus(self) -> Iterator[tuple[str, Findings]]:
-        """Yield each of several stimuli by name with the findings of the files as if it were the only one."""
+        """Yield the name of each of several stimuli and the findings as if it were the only one."""
         if self.protocol is None or self.protocol.value is None or self.apparatus is None:
             return
         from modaltouch.protocol.cell_table import at_own_levels
@@ -239,14 +239,14 @@ class Findings:
             yield name, replace(self, protocol=alone, problems=tuple(problems), calibration=calibration)
 
     def at_stimulus(self, name: str, problems: Iterable[Problem]) -> Iterator[Problem]:
-        """Yield the problems of a stimulus with its name, each at the stimulus's own key if it has that key.
+        """Yield the problems of a stimulus with its name, at the key of the stimulus if it overrides the shared one.
 
         Parameters
         ----------
         name : str
             The stimulus.
         problems : iterable of Problem
-            Its problems, found as if it were the only one.
+            Its problems, found as if it were the only stimulus.
         """
         calibration = self.calibration
         in_calibration = calibration is not None and calibration.find(("stimuli", name)) is not None
@@ -263,12 +263,12 @@ class Findings:
 
     @classmethod
     def restored(cls, sources: Sources, occasion: tuple[str, str] = ("", "")) -> Findings:
-        """Return the findings in the copies that a record keeps, whatever became of the files.
+        """Return the findings for the copies in a record, independent of the original files.
 
         Parameters
         ----------
         sources : Sources
-            As `Sources.from_dict` reads them from the record.
+            The copies, read by `Sources.from_dict`.
         occasion : (str, str)
             The group and the kind of session.
         """
@@ -283,7 +283,7 @@ class Findings:
         if sources.calibration is not None:
             from modaltouch.protocol.calibration import check_calibration, examine_calibration
 
-            # Its age is not checked: a record keeps the calibration that it was begun with.
+            # Its age is not checked, since a record keeps the calibration with which it was begun.
             calibration = examine_calibration(sources.calibration)
             problems += [*calibration.problems, *check_calibration(calibration, protocol, apparatus)]
         if sources.field is not None:
@@ -299,7 +299,7 @@ class Findings:
 
     @classmethod
     def recorded(cls, start: dict[str, Any]) -> Findings:
-        """Return the findings in the copies that a session's start record keeps, on its occasion."""
+        """Return the findings for the copies in a session's start record, on its occasion."""
         own = start.get("schedule", {})
         occasion = str(own.get("group", "")), str(own.get("session_kind", ""))
         return cls.restored(Sources.from_dict(start["sources"]), occasion)
@@ -308,7 +308,7 @@ class Findings:
     def read(
         cls, path: Path | str, calibration: Path | None = None, *, uncalibrated: bool = False, marked: bool = False
     ) -> Findings:
-        """Return the findings in a protocol file and the files that it names.
+        """Read and check a protocol file and the files that it names.
 
         Parameters
         ----------
@@ -317,9 +317,9 @@ class Findings:
         calibration : Path, optional
             Calibration file to use instead of the one that the protocol names.
         uncalibrated : bool
-            Whether to ignore a calibration that the protocol names or requires: to make one, or to plan.
+            Whether to ignore a calibration that the protocol names or requires, for calibrating or planning.
         marked : bool
-            Whether to accept a calibration that is marked because it misses its limits.
+            Whether to accept a calibration that is marked for missing its limits.
         """
         try:
             source = Source.find("protocol", path)
@@ -336,7 +336,7 @@ class Findings:
         cls, source: Source, occasion: Occasion, calibration: Path | None, *, uncalibrated: bool, marked: bool
     ) -> Findings:
         """Return the findings of one occasion."""
-        # Only here: no duration is a fault of a record.
+        # Only here, since durations are not checked in records.
         from modaltouch.protocol.durations import check_timing
 
         problems: list[Problem] = []
@@ -366,7 +366,7 @@ class Findings:
 
             fingers = load_fingers(protocol, problems)
             problems += check_measured(protocol, apparatus)
-        # A name that is misspelt elsewhere would be missed among the cells as well.
+        # A name misspelt elsewhere would appear to be missing from the cells as well.
         others = any(each.path.startswith(("conditions", "adaptive", "stimuli")) for each in problems)
         if protocol.value is not None and protocol.value.uncrossed_by[:1] == ("conditions",) and not others:
             from modaltouch.protocol.cell_table import check_excluded
@@ -378,7 +378,7 @@ class Findings:
 
 
 def _read_protocol(source: Source, occasion: Occasion, table: Source | None = None) -> Reading[Protocol]:
-    """Return a protocol as it is on an occasion, with the cells of its table, if any."""
+    """Read a protocol for an occasion, with the cells of its table, if any."""
     root, problems = parse_tree(source)
     if root is not None and any(occasion):
         problems += check_groups(source, root)
@@ -401,7 +401,7 @@ def _serial(identity: str) -> tuple[str, ...]:
 def _examine_calibration(
     protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None, path: Path | None, problems: list[Problem]
 ) -> Reading[Calibration] | None:
-    """Return the calibration that is given, or that the protocol names; add its faults to `problems`."""
+    """Return the calibration given, or the one that the protocol names; add its problems to `problems`."""
     source = None
     if path is not None:
         try:
@@ -416,7 +416,7 @@ def _examine_calibration(
             problems.append(protocol.problem(("calibration", "required"), given, "a calibration", remedy))
     if source is None:
         return None
-    # Imported only here: most protocols name no calibration, and its models take time to build.
+    # Imported only here, since most protocols name no calibration and its models take time to build.
     from modaltouch.protocol.calibration import check_age, check_calibration, examine_calibration
 
     if protocol.sound("stimulus", "field", "file") is not None:
@@ -432,7 +432,7 @@ def _examine_calibration(
 
 
 def _load_named(protocol: Reading[Protocol], key: tuple[str, ...], problems: list[Problem]) -> Source | None:
-    """Return the source of the file that a key names; add what is wrong with it to `problems`."""
+    """Return the source of the file that a key names; add its problems to `problems`."""
     name = protocol.sound(*key)
     if name is None:
         return None

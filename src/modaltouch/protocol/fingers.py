@@ -1,4 +1,4 @@
-"""The keys of a file of fingers: what each fingertip adds to the beam where it touches."""
+"""The keys of a fingers file: the mechanical load of each fingertip on the beam."""
 
 from __future__ import annotations
 
@@ -151,7 +151,7 @@ class FingersFile(Section):
     )
 
     def of(self, name: str) -> FingerSection | None:
-        """Return the fingertip of a name such as ``left index``; None if the file has none."""
+        """Return the fingertip with a name such as ``left index``; None if the file has none."""
         if isinstance(self.fingers, FingerSection):
             return self.fingers
         hand, finger = name.split()
@@ -170,6 +170,6 @@ class FingersFile(Section):
         Raises
         ------
         InputError
-            With every fault of the file and its place; or with the shipped names, if there is no such file.
+            Lists every problem of the file with its line, or the shipped names if there is no such file.
         """
         return read(Source.find("fingers", name), cls).require()

@@ -1,4 +1,4 @@
-"""What an identification adds to an apparatus file: measured mode shapes, intervals, and the sources of numbers."""
+"""Results of an identification in an apparatus file: measured mode shapes, confidence intervals, sources of numbers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
 
 
 Interval = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
-"""Lower and upper end."""
+"""Lower and upper bounds."""
 
 
 class Intervals(Section):
@@ -86,7 +86,7 @@ class ShapeTable(Section):
     )
 
     def basis(self, labels: tuple[int, ...], length: float) -> MeasuredShapes:
-        """Return the shapes in the order of the labels.
+        """Return the shapes in the order of given labels.
 
         Parameters
         ----------
@@ -98,7 +98,7 @@ class ShapeTable(Section):
         Raises
         ------
         ValueError
-            If the shapes do not span a basis.
+            If the shapes are linearly dependent.
         """
         from modaltouch.stimulus import MeasuredShapes
 
@@ -108,7 +108,7 @@ class ShapeTable(Section):
 
 
 def check_shapes(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield the faults between shapes, theory and table of modes, as far as their valid parts show them."""
+    """Yield a problem for each inconsistency between shapes, theory and mode table, as far as they are valid."""
     theory, table = reading.sound("beam", "theory"), reading.sound("beam", "measured_shapes")
     here = ("beam", "measured_shapes")
     if theory == "measured" and reading.find(here) is None:

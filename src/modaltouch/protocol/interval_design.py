@@ -1,4 +1,4 @@
-"""Trials of several intervals: which interval holds the comparison, and which keys contradict each other."""
+"""Multi-interval trials: assignment of the comparison to intervals, and checks of the keys."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from modaltouch.protocol.trial import Condition
 
 
 def draw_intervals(section: IntervalsSection, conditions: Sequence[Condition], stream: Stream) -> list[int]:
-    """Return the interval of the comparison in each trial, balanced within each condition and over all trials.
+    """Draw the interval of the comparison in each trial, balanced within each condition and over all trials.
 
     Parameters
     ----------
     section : IntervalsSection
-        Intervals that may hold the comparison.
+        The section of the protocol, with the intervals that may hold the comparison.
     conditions : sequence of Condition
         Conditions of the trials, in order.
     stream : Stream
@@ -28,7 +28,7 @@ def draw_intervals(section: IntervalsSection, conditions: Sequence[Condition], s
     for place, condition in enumerate(conditions):
         of_condition.setdefault(condition, []).append(place)
     drawn, turns, n_dealt = [0] * len(conditions), stream.shuffled(section.places), 0
-    # Dealt in turn: within each condition, and over all, the counts of the intervals differ by at most one.
+    # Intervals are dealt in turn, so that their counts differ by at most one within each condition and over all trials.
     for places in stream.shuffled(of_condition.values()):
         dealt = [turns[(n_dealt + number) % len(turns)] for number in range(len(places))]
         n_dealt += len(places)
@@ -38,13 +38,13 @@ def draw_intervals(section: IntervalsSection, conditions: Sequence[Condition], s
 
 
 def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield the faults between the section ``intervals`` and the others, as far as its valid parts show them."""
+    """Yield a problem for each inconsistency between ``intervals`` and the other sections, as far as they are valid."""
     path = ("intervals",)
     if reading.keys(*path) is None and not reading.is_misspelt(*path):
         given = "meanings of answers, but a trial has a single stimulus"
         yield reading.problem(("answers", "intervals"), given, "a section intervals", "write it, or remove this")
     if reading.keys(*path) is None or (reading.value is not None and reading.value.intervals is None):
-        return  # one of several stimuli, and not the standard's
+        return  # one of several stimuli, but not that of the standard
     standard = reading.sound(*path, "standard")
     names = reading.keys("stimuli") or []
     if standard is not None and standard.stimulus is not None and standard.stimulus not in names:
@@ -102,7 +102,7 @@ def _check_numbers(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def _check_asked(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield answers to two different questions, intervals without an answer, and an ambiguous question about levels."""
+    """Yield a problem for answers to two questions, intervals without an answer, or an ambiguous question on levels."""
     levels = [level for _, level in reading.items("conditions", "peak_velocities_mm_s")]
     standard, number = reading.sound(*STANDARD_LEVEL), reading.sound("intervals", "number")
     meanings = reading.items("answers", "intervals")

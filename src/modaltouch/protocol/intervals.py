@@ -1,4 +1,4 @@
-"""Trials of several intervals: their keys, and which answer is correct."""
+"""Keys of multi-interval trials, and scoring of their answers."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from modaltouch.protocol.trial import Condition
 
 IntervalNumber = Annotated[int, Field(strict=True, ge=1, le=3)]
 Meaning = IntervalNumber | Literal["same", "different"]
-"""What an answer says: which interval it was, or whether all intervals were alike."""
+"""Meaning of an answer: an interval, or whether all intervals were alike."""
 
 STANDARD_LEVEL = ("intervals", "standard", "velocity_mm_s")
-"""Key of the standard's level."""
+"""Path of the standard's level."""
 
 
 class StandardSection(Section):
@@ -65,12 +65,12 @@ class IntervalsSection(Section):
         return replace(comparison, velocity_mm_s=velocity, stimulus=given.stimulus or comparison.stimulus)
 
     def is_correct(self, meaning: Meaning | None, comparison: Condition, interval: int) -> bool | None:
-        """Return whether an answer is correct; None if it says nothing about the intervals, or if any may be correct.
+        """Score an answer; None if it does not refer to the intervals, or if any of them may be correct.
 
         Parameters
         ----------
         meaning : int, str or None
-            The interval that the answer names, ``same`` or ``different``.
+            Interval named by the answer, ``same`` or ``different``.
         comparison : Condition
             Condition of the trial.
         interval : int
@@ -86,7 +86,7 @@ class IntervalsSection(Section):
 
 
 def presented_levels(reading: Reading[Any]) -> dict[tuple[Step, ...], float]:
-    """Return the valid levels of a protocol by path [mm/s], including the standard's if it is not one of them."""
+    """Return the valid levels of a protocol by path [mm/s], including that of the standard if not among them."""
     section = ("conditions", "peak_velocities_mm_s")
     levels: dict[tuple[Step, ...], float] = {(*section, index): level for index, level in reading.items(*section)}
     presented = reading.value is None or reading.value.intervals is not None

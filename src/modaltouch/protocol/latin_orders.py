@@ -12,8 +12,8 @@ from modaltouch.protocol.streams import Stream
 def latin_square(n_cells: int) -> list[list[int]]:
     """Return the rows of a balanced Latin square: Williams' design.
 
-    Every cell occurs equally often at each place and follows every other equally often, which takes `n_cells` rows
-    for an even number of cells and twice as many for an odd one.
+    Each cell occurs equally often at each position and follows each other cell equally often. This takes `n_cells` rows
+    for an even number of cells and twice as many for an odd number.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def latin_square(n_cells: int) -> list[list[int]]:
 
 
 def period_of_rows(protocol: Protocol) -> int:
-    """Return the number of turns after which the rows of a Latin square repeat; 1 if the protocol uses none."""
+    """Return the number of turns after which the rows of a Latin square repeat; 1 if there is no square."""
     if protocol.schedule.order not in ("latin_square", *_PLACES):
         return 1
     return math.lcm(*(_period(protocol, protocol.cells(name)) for name in protocol.conditions.finger_conditions))
@@ -44,8 +44,8 @@ def period_of_rows(protocol: Protocol) -> int:
 def order_by_square(protocol: Protocol, cells: list[Cell], turn: int, stream: Stream) -> list[Cell]:
     """Return the cells of a block in a participant's row of a Latin square.
 
-    Pairs or velocities come one after the other, the cells of each shuffled; or all cells, in the next row for each
-    repetition.
+    With a square of pairs or velocities, these are presented one after the other, the cells of each shuffled. With a
+    square of all cells, each repetition takes the next row.
     """
     order, repetitions = protocol.schedule.order, protocol.scheduled_repetitions
     kinds = _kinds(order, cells)
@@ -59,7 +59,7 @@ def order_by_square(protocol: Protocol, cells: list[Cell], turn: int, stream: St
 
 def _period(protocol: Protocol, cells: list[Cell]) -> int:
     n_rows = len(latin_square(len(_kinds(protocol.schedule.order, cells))))
-    # Each round begins one row later than the last, so it takes as many rounds as rows.
+    # Each round begins one row later than the last, so the period is as many rounds as rows.
     period = n_rows * n_rows
     taken = protocol.scheduled_repetitions if protocol.schedule.order == "latin_square" else 1
     return period // math.gcd(period, taken)
@@ -68,16 +68,16 @@ def _period(protocol: Protocol, cells: list[Cell]) -> int:
 def _row_of_turn(turn: int, n_rows: int) -> int:
     """Return the row of a square for a turn.
 
-    Each round of `n_rows` participants begins one row later than the last, so that rows are combined in every way with
-    the orders of finger conditions, which also alternate between participants.
+    Each round of `n_rows` participants begins one row later than the last, so that every row is combined with every
+    order of finger conditions, which also alternates between participants.
     """
     return (turn + turn // n_rows) % n_rows
 
 
 _PLACES = {"by_pair": 0, "by_velocity": 1}
-"""Index in a cell of what is presented one after the other, by the protocol's `order`."""
+"""Index, within a cell, of the factor ordered by the square, by the protocol's `order`."""
 
 
 def _kinds(order: str, cells: list[Cell]) -> list[object]:
-    """Return what the rows of a Latin square order: pairs, velocities or cells (each as often as its weight)."""
+    """Return the items ordered by a Latin square: pairs, velocities, or cells (each as often as its weight)."""
     return list(cells if order == "latin_square" else dict.fromkeys(cell[_PLACES[order]] for cell in cells))

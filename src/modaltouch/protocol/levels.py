@@ -1,4 +1,4 @@
-"""The level of a trial in an adaptive run, computed from the record alone: a resumed run continues as if never broken.
+"""Levels of adaptive runs, computed from the record alone, so that a resumed run continues as if uninterrupted.
 
 References
 ----------
@@ -30,7 +30,7 @@ Run = tuple[str, ...]
 
 
 class Levels:
-    """Sets the level of each trial of an adaptive protocol; trials of other protocols are left as they are.
+    """Levels of the trials of an adaptive protocol; trials of other protocols are unchanged.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Levels:
         self._bounds = to_dB(self._range[0]), to_dB(self._range[1])
         self._quests: dict[Run, Quest] = {}
         if adaptive is not None and adaptive.method == "quest_plus":
-            # Built now, so that the first trial need not wait for it.
+            # Built in advance, so that the first trial is not delayed.
             blank = Quest(self._bounds, to_dB(adaptive.start_mm_s), adaptive.guess_rate, adaptive.lapse_rate)
             fingers, contacts = protocol.conditions.finger_conditions, protocol.conditions.contacts
             for finger_condition, zones, name in product(fingers, contacts, protocol.stimulus_names):
@@ -53,17 +53,17 @@ class Levels:
                     self._quests[run] = copy.copy(blank)
 
     def settle(self, trial: Trial, answered: Iterable[Mapping[str, Any]], algorithm: str = "") -> Trial:
-        """Return a scheduled trial with the level at which it is presented.
+        """Return a scheduled trial with its actual level.
 
         Parameters
         ----------
         trial : Trial
-            As scheduled; practice and catch trials are left as they are.
+            The scheduled trial; practice and catch trials are returned unchanged.
         answered : iterable of mapping
-            The record's trial events that count (`Session.trials`), in any order; only those of the same run and
-            before this trial are used.
+            Trial events of the record that count (`Session.trials`), in any order; only earlier trials of the same run
+            are used.
         algorithm : str
-            The algorithm as recorded; version 1 of each took a time-out for "felt".
+            The recorded algorithm; version 1 of each treated a time-out as "felt".
         """
         adaptive = self._protocol.adaptive
         if adaptive is None or trial.practice or trial.condition.is_catch:
@@ -81,7 +81,7 @@ class Levels:
     def _history(
         self, run: Run, until: int, rule: str, answered: Iterable[Mapping[str, Any]], timed_out: str
     ) -> list[tuple[float, bool]]:
-        """Return level [dB] and success of the trials of a run before index `until` that were confirmed, in order."""
+        """Return level [dB] and success of the confirmed trials of a run before index `until`, in order."""
         found: list[tuple[int, float, bool]] = []
         offered = self._protocol.answers.offered
         for event in answered:
@@ -111,9 +111,9 @@ def from_dB(level: float, bounds: tuple[float, float]) -> float:  # noqa: N802
 
 
 def follow(rule: StaircaseSection, start: float, bounds: tuple[float, float], successes: Sequence[bool]) -> float:
-    """Return the next level of a staircase after some answers [dB], clipped to its bounds.
+    """Return the next level of a staircase after a series of answers [dB], clipped to its bounds.
 
-    The step changes to the next size at each reversal, before it is taken.
+    At each reversal the next step size is used for the step that reverses.
     """
     level, in_a_row, heading, n_reversals = start, 0, 0, 0
     for success in successes:
@@ -130,7 +130,7 @@ def follow(rule: StaircaseSection, start: float, bounds: tuple[float, float], su
 
 
 STEP = 2.0
-"""Spacing of the levels that may be presented [dB]."""
+"""Spacing of the possible levels [dB]."""
 
 MARGIN = 12.0
 """Range of possible thresholds beyond the lowest and highest level [dB]."""
@@ -143,7 +143,7 @@ _PARAMETERS = (0, 1, 2, 3)
 
 
 class Quest:
-    """A run of QUEST+, with likelihoods from the package questplus, a dependency of PsychoPy.
+    """A QUEST+ run, with likelihoods from the package questplus, a dependency of PsychoPy.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ class Quest:
     start : float
         Level of the first trial [dB].
     guess_rate, lapse_rate : float
-        Lower asymptote of the psychometric function, and largest possible lapse rate [1].
+        Lower asymptote of the psychometric function and upper bound of the lapse rate [1].
     """
 
     def __init__(self, bounds: tuple[float, float], start: float, guess_rate: float, lapse_rate: float) -> None:
@@ -176,7 +176,7 @@ class Quest:
         )
         self._levels: FloatArray = quest.stim_domain["intensity"]
         self._prior: FloatArray = quest.prior.values
-        # Plain arrays: the labelled ones of questplus take eight times as long at every answer.
+        # Plain arrays, since the labelled ones of questplus take eight times as long at each answer.
         self._likelihood: FloatArray = quest.likelihoods.transpose(*quest.prior.dims, "response", "intensity").values
         self._posterior, self._taken = self._prior, list[tuple[float, bool]]()
 
@@ -185,7 +185,7 @@ class Quest:
         if list(history[: len(self._taken)]) != self._taken:
             self._posterior, self._taken = self._prior, []
         for level, success in history[len(self._taken) :]:
-            # The record has the presented level to four digits.
+            # The record rounds the presented level to four digits.
             nearest = np.abs(self._levels - level).argmin()
             posterior = self._posterior * self._likelihood[..., 0 if success else 1, nearest]
             self._posterior = posterior / posterior.sum()
@@ -193,10 +193,10 @@ class Quest:
         return self._most_informative() if self._taken else self._start
 
     def _most_informative(self) -> float:
-        """Return the level with the least expected entropy after its answer: Watson (2017), equations (8) to (10)."""
+        """Return the level with the least expected posterior entropy: Watson (2017), equations (8) to (10)."""
         joint = self._posterior[..., None, None] * self._likelihood
         chance = joint.sum(axis=_PARAMETERS)
         after = joint / chance
-        with np.errstate(divide="ignore", invalid="ignore"):  # what is impossible contributes 0
+        with np.errstate(divide="ignore", invalid="ignore"):  # impossible outcomes contribute 0
             entropy = -np.nansum(after * np.log(after), axis=_PARAMETERS)
         return float(self._levels[(chance * entropy).sum(axis=0).argmin()])

@@ -1,7 +1,7 @@
-"""Uniform draws among the orders in which no kind comes more than n times in a row.
+"""Uniform random orders in which no kind occurs more than n times in a row.
 
-Three methods, each uniform over all valid orders: inserting one kind after the other, if none may follow itself;
-counting the ways to continue, if they are few enough to count; else rejection.
+Three methods, each uniform over all valid orders: insertion of one kind after the other, if no kind may follow itself;
+counting of the ways to continue, if these are few enough; otherwise rejection.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from math import comb
 from modaltouch.protocol.streams import Cuts, Stream
 
 STATE_LIMIT = 40_000
-"""Most states for which ways to continue are counted; takes half a second."""
+"""Largest number of states for which the ways to continue are counted, which takes half a second."""
 
 State = tuple[int, tuple[int, ...]]
-"""Number left of the kind that came last, and those of the other kinds in increasing order."""
+"""Remaining count of the last kind, and those of the other kinds in increasing order."""
 
 
 def n_states_at_most(counts: Sequence[int]) -> int:
@@ -30,7 +30,7 @@ def n_states_at_most(counts: Sequence[int]) -> int:
 
 @lru_cache(maxsize=8)
 def count_states(counts: tuple[int, ...], limit: int) -> dict[State, int]:
-    """Return the number of ways to continue from every state that can occur."""
+    """Return the number of ways to continue from every reachable state."""
     layers: dict[int, set[State]] = {}
     open_states = set(_next_states(tuple(sorted(counts)), None, limit))
     while open_states:
@@ -59,23 +59,23 @@ def _next_states(others: tuple[int, ...], last: int | None, limit: int) -> Itera
 
 
 def _without(others: tuple[int, ...], count: int, last: int | None) -> tuple[int, ...]:
-    """Return the others after a kind with `count` left has become the last, and the former last has joined them."""
+    """Return the counts of the other kinds after a kind with `count` left has replaced the last one."""
     position = others.index(count)
     rest = others[:position] + others[position + 1 :]
     return rest if last is None else tuple(sorted((*rest, last)))
 
 
 def moves(left: Sequence[int], last: int | None, limit: int, table: dict[State, int]) -> Iterator[tuple[int, int, int]]:
-    """Yield each possible next run: its kind, its length and the number of ways to continue after it.
+    """Yield each possible next run: kind, length and number of ways to continue after it.
 
     Parameters
     ----------
     left : sequence of int
-        Number left of each kind.
+        Remaining count of each kind.
     last : int or None
-        Kind that came last.
+        The last kind.
     limit : int
-        Most times in a row that a kind may come.
+        Maximum number of times in a row.
     table : dict
         Returned by `count_states`.
     """
@@ -88,7 +88,7 @@ def moves(left: Sequence[int], last: int | None, limit: int, table: dict[State, 
 
 
 def draw_counted(counts: Sequence[int], limit: int, stream: Stream) -> list[int]:
-    """Return an order drawn run by run, each with the probability that a valid order continues with it."""
+    """Draw an order run by run, each with the probability that a valid order continues with it."""
     table, left, order, last = count_states(tuple(counts), limit), list(counts), list[int](), None
     while any(left):
         choices = list(moves(left, last, limit, table))
@@ -100,7 +100,7 @@ def draw_counted(counts: Sequence[int], limit: int, stream: Stream) -> list[int]
 
 
 def draw_unlike_neighbours(counts: tuple[int, ...], stream: Stream) -> list[int]:
-    """Return an order drawn uniformly among those in which no kind follows itself."""
+    """Draw an order uniformly among those in which no kind follows itself."""
     order: list[int] = []
     for kind, count in enumerate(counts):
         like = [place for place, (one, other) in enumerate(pairwise(order), start=1) if one == other]
@@ -108,7 +108,7 @@ def draw_unlike_neighbours(counts: tuple[int, ...], stream: Stream) -> list[int]
         spreads = _spreads(counts, kind, len(like))
         n_groups, n_like = spreads[stream.weighted([weight for *_, weight in spreads])][:2]
         gaps = stream.chosen(like, n_like) + stream.chosen(unlike, n_groups - n_like)
-        # Group sizes: cut the row of items at random places, drawn without replacement.
+        # Group sizes: cut the row of items at random positions, drawn without replacement.
         cuts = [0, *sorted(stream.chosen(range(1, count), n_groups - 1)), count]
         sizes = dict(zip(sorted(gaps), (b - a for a, b in pairwise(cuts)), strict=True))
         grown: list[int] = []
@@ -119,7 +119,7 @@ def draw_unlike_neighbours(counts: tuple[int, ...], stream: Stream) -> list[int]
 
 
 def _spreads(counts: tuple[int, ...], kind: int, n_like: int) -> list[tuple[int, int, int]]:
-    """Return the ways to group a kind: number of groups, number of them between like neighbours, number of orders."""
+    """Return the groupings of a kind: number of groups, how many are between like neighbours, and number of orders."""
     count, after = counts[kind], _ways_to_finish(counts)[kind + 1]
     n_unlike = sum(counts[:kind]) + 1 - n_like
     spreads = []
@@ -155,16 +155,16 @@ def _ways_to_finish(counts: tuple[int, ...]) -> list[list[int]]:
 
 
 WORK_LIMIT = 4_000_000
-"""Most items placed in rejected orders before rejection is given up: a few seconds."""
+"""Largest number of items placed in rejected orders before rejection is abandoned, which takes a few seconds."""
 
 
 def draw_by_rejection(counts: Sequence[int], limit: int, stream: Stream) -> list[int] | None:
-    """Draw orders that keep either the limit or the counts, until one keeps both; None if these are too rare.
+    """Draw orders that keep either the limit or the counts until one keeps both; None if these are too rare.
 
-    Nothing is drawn if this would take more than about `WORK_LIMIT` items.
+    No order is drawn if this is expected to take more than about `WORK_LIMIT` items.
     """
     n_trials, n_kinds = sum(counts), len(counts)
-    # Estimated logarithms of the numbers of attempts choose the quicker way; both are uniform.
+    # Both ways are uniform; the one with the smaller estimated number of attempts (logarithms) is chosen.
     excess = n_trials * n_kinds ** -float(limit) * (1 - 1 / n_kinds)
     spread = (n_kinds - 1) / 2 * math.log(2 * math.pi * n_trials / n_kinds)
     by_counts = excess < spread
@@ -179,7 +179,7 @@ def draw_by_rejection(counts: Sequence[int], limit: int, stream: Stream) -> list
 
 
 def _draw_word(counts: tuple[int, ...], limit: int, stream: Stream) -> list[int]:
-    """Return a uniform draw among all orders that keep the limit, cut off where it exceeds a count."""
+    """Draw uniformly among all orders that keep the limit, truncated where a count is exceeded."""
     steps = _totals_of_runs(sum(counts), len(counts), limit)
     left, last, order, others = list(counts), -1, list[int](), len(counts)
     rest = len(steps)
@@ -201,7 +201,7 @@ def _draw_word(counts: tuple[int, ...], limit: int, stream: Stream) -> list[int]
 
 @lru_cache(maxsize=8)
 def _totals_of_runs(length: int, n_kinds: int, limit: int) -> list[Cuts]:
-    """Return the cumulative number of ways to continue with a run of 1, 2, ..., by the number of places left."""
+    """Return the cumulative number of ways to continue with a run of 1, 2, ..., by number of places left."""
     ways, rows = [1], list[Cuts]()
     for rest in range(1, length + 1):
         totals = list(accumulate((n_kinds - 1) * ways[rest - run] for run in range(1, min(limit, rest) + 1)))

@@ -1,4 +1,4 @@
-"""The section ``masking``: noise that keeps the participant from hearing the beam."""
+"""The section ``masking``: noise that masks the sound of the beam."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class MaskingSection(Section):
         Parameters
         ----------
         sound : Sound
-            The device that plays it.
+            The audio device.
         """
         if self.level_dB_FS is not None:
             return self.level_dB_FS
@@ -56,7 +56,7 @@ class MaskingSection(Section):
 
 
 def check_masking(protocol: Reading[Any], apparatus: Reading[Apparatus]) -> Iterator[Problem]:
-    """Yield the faults of the level of the masking noise, as far as the valid parts of both files show them."""
+    """Yield the problems of the level of the masking noise, as far as both files are valid."""
     if protocol.keys("masking") is None:
         return
     given = [key for key in ("level_dB_FS", "level_dB_SPL") if protocol.sound("masking", key) is not None]

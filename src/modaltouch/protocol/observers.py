@@ -100,6 +100,6 @@ class ObserverFile(Section):
         Raises
         ------
         InputError
-            With every fault of the file and its place; or with the shipped names, if there is no such file.
+            Lists every problem of the file with its line, or the shipped names if there is no such file.
         """
         return read(Source.find("observer", name), cls).require()

@@ -1,4 +1,4 @@
-"""Groups of participants and kinds of session: what differs for each, under the protocol's own keys."""
+"""Groups of participants and kinds of session: overrides of protocol keys for each."""
 
 from __future__ import annotations
 
@@ -63,14 +63,14 @@ class Occasion(NamedTuple):
 
 
 def occasions_of(root: Node | None) -> list[Occasion]:
-    """Return every combination of group and kind of session in the tree of a protocol; names it lacks are empty."""
+    """Return every combination of group and kind of session in the tree of a protocol; missing names are empty."""
     groups = list(_overrides(root, "groups")) or [""]
     kinds = list(_overrides(root, "schedule", "sessions")) or [""]
     return [Occasion(group, kind) for group in groups for kind in kinds]
 
 
 def at_occasion(root: Node, occasion: Occasion) -> Node:
-    """Return the tree of a protocol with the overrides of an occasion; every value keeps its place."""
+    """Return the tree of a protocol with the overrides of an occasion; every value keeps its position."""
     own = [_overrides(root, "groups").get(occasion.group), _overrides(root, "schedule", "sessions").get(occasion.kind)]
     for each in filter(None, own):
         for section in Overrides.model_fields:
@@ -81,7 +81,7 @@ def at_occasion(root: Node, occasion: Occasion) -> Node:
 
 
 def check_groups(source: Source, root: Node) -> list[Problem]:
-    """Return the faults of groups and kinds: sessions of their own, repeated names, a field `group` under people."""
+    """Return the problems of groups and kinds: separate sessions, repeated names, a field `group` under people."""
     problems = []
     people = root.child("people")
     if people is not None and "group" in people.keys and _overrides(root, "groups"):
@@ -127,7 +127,7 @@ def _overrides(root: Node | None, *path: str) -> dict[str, Node]:
 
 
 def _merged(base: Node | None, over: Node) -> Node:
-    """Return a mapping updated, at every depth, with the values of another; anything else is replaced."""
+    """Return a mapping recursively updated with the values of another; values of other types are replaced."""
     if base is None or not (isinstance(base.content, dict) and isinstance(over.content, dict)):
         return over
     for key, each in over.content.items():

@@ -1,4 +1,4 @@
-"""The keys that limit what may follow what in shuffled orders, and the error if no order keeps them."""
+"""Keys that limit the sequence of trials in shuffled orders, and the error raised if no order keeps them."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ LIMITS = (
     "max_same_side_running",
     "min_same_cell_distance",
 )
-"""Keys of the section schedule that limit what may follow what in shuffled orders."""
+"""Keys of the section schedule that limit the sequence of trials in shuffled orders."""
 
 
 class NoOrderError(ValueError):
-    """No order keeps a limit, or those that do are too rare to find.
+    """Raised if no order keeps a limit, or if such orders are too rare to find.
 
     Parameters
     ----------
@@ -38,11 +38,11 @@ def refuse_runs(counts: Sequence[int], limit: int, key: str, n_others: int = 0) 
     counts : sequence of int
         Number of trials of each kind.
     limit : int
-        Most times in a row that a kind may come.
+        Maximum number of times in a row.
     key : str
         Key of the limit, one of `LIMITS`.
     n_others : int
-        Number of trials of no kind, which may come anywhere.
+        Number of trials without a kind, which may be anywhere.
     """
     least = least_limit([*counts, *[1] * n_others])
     if limit < least:

@@ -1,8 +1,8 @@
-"""Orders under limits that cannot be counted: a random walk with a uniform distribution over the orders that keep them.
+"""Orders under limits too complex for counting: a random walk, uniform over the orders that keep the limits.
 
-A step reverses a stretch of the order. It is taken if it breaks no more limits than before, else with probability
-2**(-k m) for m more (Metropolis's rule, in whole numbers). The stationary distribution over all orders then has the
-weight 2**-k for each limit broken; restricted to orders that break none, it is uniform.
+A step reverses a segment of the order. It is accepted if it violates no more limits than before, else with probability
+2**(-k m) for m additional violations (the Metropolis rule, in integers). The stationary distribution over all orders
+then has the weight 2**-k for each violation; restricted to orders without any, it is uniform.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ from modaltouch.protocol.streams import Stream
 Item = TypeVar("Item", bound=Hashable)
 
 REPEATS = 10_000
-"""Most permutations that are drawn if only a repeated permutation of the cells keeps the distance."""
+"""Largest number of permutations drawn if only a repeated permutation of the cells keeps the distance."""
 
 SWEEPS = 100
-"""Steps per trial of the walk among orders that keep all limits; in most designs two forget the first order."""
+"""Steps per trial of the walk among orders that keep all limits; in most designs two suffice for mixing."""
 
 STEPS_OUTSIDE, SWEEPS_OUTSIDE = 200_000, 200
-"""Steps, plus steps per trial, among orders that break a limit, after which the search is given up."""
+"""Steps, plus steps per trial, among orders that violate a limit before the search is abandoned."""
 
 
 @dataclass(frozen=True)
 class Limit(Generic[Item]):
-    """A limit on what may follow what.
+    """A limit on the sequence of trials.
 
     Attributes
     ----------
     key : str
         Key of the section schedule that sets it.
     kind_of : callable
-        Kind of an item, such as its pair; None for an item that the limit does not concern.
+        Kind of an item, such as its pair; None for an item not subject to the limit.
     running : int
-        Most times in a row; 1 for a distance.
+        Maximum number of times in a row; 1 for a distance.
     distance : int
-        Least number of trials from one of a kind to the next; 1 if the limit is on runs.
+        Minimum number of trials from one of a kind to the next; 1 if the limit is on runs.
     """
 
     key: str
@@ -49,7 +49,7 @@ class Limit(Generic[Item]):
     distance: int = 1
 
     def refuse_impossible(self, items: Sequence[Item]) -> None:
-        """Raise NoOrderError if no order of these items keeps it."""
+        """Raise NoOrderError if no order of these items keeps the limit."""
         counts = Counter(map(self.kind_of, items))
         n_free = counts.pop(None, 0)
         most = max(counts.values(), default=0)
@@ -64,13 +64,13 @@ class Limit(Generic[Item]):
 
     @property
     def reach(self) -> int:
-        """Number of trials on each side of a place that matter for whether it is broken there."""
+        """Number of trials on each side of a place that determine whether the limit is violated there."""
         return max(self.running, self.distance - 1)
 
     def n_broken_between(self, before: Sequence[Item], after: Sequence[Item]) -> int:
-        """Return how often it is broken across a place, by the items just before and just after it.
+        """Count the violations across a place, given the items just before and just after it.
 
-        A run counts once for each item more than allowed, a distance once for each pair of items too near.
+        A run counts once for each item in excess, a distance once for each pair of items too close together.
         """
         if not before or not after:
             return 0
@@ -90,7 +90,7 @@ class Limit(Generic[Item]):
         return max(0, n_alike - self.running)
 
     def n_broken(self, order: Sequence[Item]) -> int:
-        """Return how often an order breaks it, each time counted at its last trial."""
+        """Count the violations in an order, each at its last trial."""
         places = range(1, len(order))
         return sum(self.n_broken_between(order[max(0, n - self.reach) : n], order[n : n + 1]) for n in places)
 
@@ -98,36 +98,36 @@ class Limit(Generic[Item]):
 def draw_by_walk(
     items: Sequence[Item], limits: Sequence[Limit[Item]], stream: Stream, effort: float = 1.0
 ) -> list[Item]:
-    """Return an order that keeps all limits; all are equally likely once the walk has forgotten its first order.
+    """Draw an order that keeps all limits; all are equally likely once the walk has mixed.
 
     Parameters
     ----------
     items, limits, stream
         Items to order, limits to keep, and source of random numbers.
     effort : float
-        Fraction of the usual work after which the search is given up [1].
+        Fraction of the usual work after which the search is abandoned [1].
 
     Raises
     ------
     NoOrderError
-        If no order keeps one of the limits, or the walk meets too few that keep all.
+        If no order keeps one of the limits, or the walk finds too few that keep all.
     """
     for limit in limits:
         limit.refuse_impossible(items)
-    # The kind of each item is looked up, not computed again.
+    # Look the kind of each item up instead of computing it again.
     limits = [replace(limit, kind_of={item: limit.kind_of(item) for item in items}.__getitem__) for limit in limits]
     if any(limit.distance == len(set(items)) for limit in limits):
         return _draw_repeated(items, limits, stream)
     order, n = stream.shuffled(items), len(items)
     reach = max(limit.reach for limit in limits)
-    # A weight below 1 / n: a random order breaks a few limits per ten trials, but the walk should mostly break none.
+    # A weight below 1 / n: a random order has a few violations per ten trials, but the walk should mostly have none.
     bits, n_steps = n.bit_length(), [0, 0]
     n_broken = sum(limit.n_broken(order) for limit in limits)
     while n_steps[True] < effort * (STEPS_OUTSIDE + SWEEPS_OUTSIDE * n):
         begin, last = sorted(divmod(stream.below(n * n), n))
         end = last + 1
         before, after = order[max(0, begin - reach) : begin], order[end : end + reach]
-        # Only the ends of a long stretch can break a limit with its neighbours; a short one matters as a whole.
+        # Only the ends of a long segment can violate a limit with its neighbours; a short one matters as a whole.
         head, tail = order[begin : min(end, begin + reach)], order[max(begin, end - reach) : end]
         new_head, new_tail = tail[::-1], head[::-1]
         if end - begin < reach:
@@ -146,9 +146,9 @@ def draw_by_walk(
 
 
 def _draw_repeated(items: Sequence[Item], limits: Sequence[Limit[Item]], stream: Stream) -> list[Item]:
-    """Return a repeated permutation of the kinds, the only order if the distance equals the number of kinds.
+    """Draw a repeated permutation of the kinds, the only order if the distance equals the number of kinds.
 
-    Kinds that come once more than the others are first in it, as the last repetition is not complete.
+    Kinds with one more trial than the others are first, as the last repetition is incomplete.
     """
     counts = Counter(items)
     most = max(counts.values())
@@ -156,7 +156,7 @@ def _draw_repeated(items: Sequence[Item], limits: Sequence[Limit[Item]], stream:
     broken = [0] * len(limits)
     for _ in range(REPEATS):
         order = ([*stream.shuffled(often), *stream.shuffled(others)] * most)[: len(items)]
-        # No run spans more than two permutations: limits that a single kind would break were refused before.
+        # No run spans more than two permutations: limits that a single kind would violate were rejected before.
         if not any(found := [limit.n_broken(order[: 3 * len(counts)]) for limit in limits]):
             return order
         broken = [n + more for n, more in zip(broken, found, strict=True)]
@@ -164,7 +164,7 @@ def _draw_repeated(items: Sequence[Item], limits: Sequence[Limit[Item]], stream:
 
 
 def _too_rare(limits: Sequence[Limit[Item]], broken: Sequence[int]) -> NoOrderError:
-    """Return the error that no order was found, which names the limit broken most."""
+    """Return the error that no order was found, with the key of the most violated limit."""
     worst = limits[broken.index(max(broken))]
     number, eased = (worst.distance, "lower it") if worst.distance > 1 else (worst.running, "raise it")
     given = f"{number}, but orders that keep it are too rare to find"

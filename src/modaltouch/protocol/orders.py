@@ -1,7 +1,7 @@
-"""Orders of the cells within a block: shuffled, blocked or by a balanced Latin square, with catch trials among them.
+"""Orders of the cells within a block: shuffled, blocked or by a balanced Latin square, with catch trials.
 
-Shuffled orders are drawn uniformly among all that keep the protocol's limits: exactly, if a single limit on runs is set
-and such orders can be counted or found by rejection; otherwise by a random walk.
+Shuffled orders are drawn uniformly among all that keep the protocol's limits: exactly, if the only limit is on runs
+and orders can be counted or found by rejection; otherwise by a random walk.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def order_cells(
     protocol: Protocol, finger_condition: str, turn: int, stream: Stream, effort: float = 1.0
 ) -> list[Cell]:
-    """Return the cells of one block in order, according to the protocol's `order`.
+    """Return the ordered cells of one block, according to the protocol's `order`.
 
     Parameters
     ----------
@@ -36,12 +36,12 @@ def order_cells(
     stream : Stream
         Source of random numbers.
     effort : float
-        Fraction of the usual work after which the search is given up [1].
+        Fraction of the usual work after which the search is abandoned [1].
 
     Raises
     ------
     NoOrderError
-        If no order keeps the protocol's limits, or those that do are too rare to find.
+        If no order keeps the protocol's limits, or if such orders are too rare to find.
     """
     cells, order = protocol.cells(finger_condition), protocol.schedule.order
     if order == "as_listed":
@@ -54,7 +54,7 @@ def order_cells(
 
 
 def are_certain(protocol: Protocol) -> bool:
-    """Return whether every draw finds an order, as far as can be said without a search: for a limit on pairs alone."""
+    """Test whether every draw is certain to find an order, known without a search only for a limit on pairs alone."""
     schedule, limit = protocol.schedule, protocol.schedule.max_same_pair_running
     others = schedule.catch_trials or protocol.intervals or any(getattr(schedule, key) for key in LIMITS[1:])
     if schedule.order != "shuffled" or others:
@@ -71,7 +71,7 @@ def are_certain(protocol: Protocol) -> bool:
 
 
 def insert_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> list[Cell]:
-    """Return the cells of a block with the protocol's catch trials among them, whose velocity is 0.
+    """Insert the protocol's catch trials, which have velocity 0, into the cells of a block.
 
     Raises
     ------
@@ -99,7 +99,7 @@ def insert_catches(protocol: Protocol, cells: list[Cell], stream: Stream) -> lis
 
 
 def _shuffled(protocol: Protocol, cells: list[Cell], stream: Stream, effort: float) -> list[Cell]:
-    """Draw the order of the kinds that a limit concerns, then shuffle the cells of each kind over its places."""
+    """Draw the order of the kinds under limits, then shuffle the cells of each kind over its places."""
     schedule, every = protocol.schedule, cells * protocol.scheduled_repetitions
     kind_of: Callable[[Cell], object] = itemgetter(0)
     running, key = schedule.max_same_pair_running, LIMITS[0]
@@ -141,14 +141,14 @@ def limits_of(protocol: Protocol) -> list[Limit[Cell]]:
 
 
 def draw_order(counts: Sequence[int], limit: int | None, stream: Stream, key: str = LIMITS[0]) -> list[int]:
-    """Return an order of kinds, drawn uniformly among those that keep the limit.
+    """Draw an order of kinds uniformly among those that keep the limit.
 
     Parameters
     ----------
     counts : sequence of int
         Number of trials of each kind, at least 1.
     limit : int or None
-        Most times in a row that a kind may come; None for no limit.
+        Maximum number of times in a row; None for no limit.
     stream : Stream
         Source of random numbers.
     key : str

@@ -1,4 +1,4 @@
-"""The section ``people``: what each participant is asked once, before the first session."""
+"""The section ``people``: questions asked once of each participant, before the first session."""
 
 from __future__ import annotations
 
@@ -63,11 +63,11 @@ class PersonField(Section):
 
     @property
     def allowed(self) -> str:
-        """What may be answered, in words."""
+        """Description of the allowed answers."""
         return describe(model_of({"answer": self}), ("answer",)).replace("null", "nothing")
 
     def read(self, words: str) -> float | str | None:
-        """Return the answer that was typed; None if the question was left out.
+        """Parse a typed answer; None if the question was skipped.
 
         Parameters
         ----------
@@ -90,7 +90,7 @@ class PersonField(Section):
         return answer
 
     def draw(self, rng: np.random.Generator) -> float | str | None:
-        """Return the answer of a simulated participant, drawn uniformly from what is allowed; consent is always given.
+        """Draw the answer of a simulated participant, uniform over the allowed answers; consent is always given.
 
         Parameters
         ----------
@@ -105,6 +105,6 @@ class PersonField(Section):
 
 
 def model_of(fields: Mapping[str, PersonField]) -> type[Section]:
-    """Return the model of a file of answers."""
+    """Return the pydantic model of a file of answers."""
     answers: dict[str, Any] = {name: (each.answer, ... if each.required else None) for name, each in fields.items()}
     return create_model("People", __base__=Section, **answers)

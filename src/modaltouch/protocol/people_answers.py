@@ -1,4 +1,4 @@
-"""Checks of the section ``people``, and the file that answers its questions; most protocols have neither."""
+"""Checks of the section ``people`` and of the file that answers its questions; most protocols have neither."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ IDENTIFYING = re.compile(
     "(first|last|sur|fore|full|nick)?names?|initials|born|birth.*|dob|e?mail|(tele)?phone|mobile|address|street|postcode|"
     "zip|passport|ssn|matriculation"
 )
-"""Words in the name of a field that identifies a person."""
+"""Words in the names of fields that would identify a person."""
 
 
 def check_people(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield fields that would identify a person, and one with the name of a fixed column of participants.tsv."""
+    """Yield fields that would identify a person, or that have the name of a fixed column of participants.tsv."""
     for name, asked in reading.items("people"):
         if not asked.identifies and any(map(IDENTIFYING.fullmatch, re.split(r"[_-]", name.casefold()))):
             given, allowed = (
@@ -34,7 +34,7 @@ def check_people(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def read_people(fields: Mapping[str, PersonField], path: Path) -> dict[str, float | str | None]:
-    """Return the answers in a YAML file, one line per field.
+    """Read the answers from a YAML file, one line per field.
 
     Parameters
     ----------
@@ -46,6 +46,6 @@ def read_people(fields: Mapping[str, PersonField], path: Path) -> dict[str, floa
     Raises
     ------
     InputError
-        With every fault of the file and its place.
+        Lists every problem of the file with its line.
     """
     return read(Source.load(path), model_of(fields)).require().model_dump()

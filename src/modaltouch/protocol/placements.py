@@ -1,4 +1,4 @@
-"""Placements of fingers on the beam in each condition, and their names, by which designs are kept."""
+"""Placements of fingers on the beam in each condition, and their names, the keys of stored designs."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Placements:
     apparatus: Apparatus
 
     def all(self) -> dict[str, tuple[Finger, ...]]:
-        """Return the fingers on the beam, from left to right, by name of the placement."""
+        """Return the fingers on the beam, from left to right, by placement name."""
         design, placed = self.protocol.conditions, {}
         for condition, place, zones in product(design.finger_conditions, design.placements, design.contacts):
             each = Condition.on(zones[::-1] if place.startswith("mirrored") else zones, condition, 0.0, place)
@@ -55,9 +55,9 @@ class Placements:
         return placed
 
     def name(self, condition: Condition) -> str:
-        """Return the name of a condition's placement: its zones from left to right, such as ``A-C``.
+        """Return the placement name of a condition: its zones from left to right, such as ``A-C``.
 
-        The fingers are added if each has its own values and they are not those of the first finger condition.
+        The fingers are appended if each has separate values and they are not those of the first finger condition.
         """
         laid = self._laid(condition)
         zones = "-".join(zone for zone, _ in laid)
@@ -75,13 +75,13 @@ class Placements:
     def expected(
         self, finger_condition: str, zones: tuple[str, ...], placement: str = "normal"
     ) -> dict[str, tuple[str, Finger]]:
-        """Return zone and values of each finger of a finger condition by its name, from the left end of the beam."""
+        """Return zone and values of each finger of a finger condition, by name, from the left end of the beam."""
         laid = self._laid(Condition.on(zones, finger_condition, 0.0, placement))
         found = [(name, zone, self.file.of(name)) for zone, name in laid]
         return {name: (zone, each.at(self._centre(zone))) for name, zone, each in found if each is not None}
 
     def measured(self, fingers: Mapping[str, Mapping[str, Any]]) -> dict[str, Finger]:
-        """Return fingers by zone, from the keys that each has in a file and its ``zone``."""
+        """Return fingers by zone, from the keys of each in a file, including ``zone``."""
         found = {}
         for values in fingers.values():
             own = FingerSection.model_validate({key: value for key, value in values.items() if key != "zone"})
@@ -93,15 +93,15 @@ class Placements:
 
     def _laid(self, condition: Condition) -> list[tuple[str, str]]:
         """Return zones and fingers on them, from the left end of the beam."""
-        # Not strict: the first finger condition, with which `name` compares, may have another number of fingers.
+        # Not strict, because `name` compares with the first finger condition, which may have fewer or more fingers.
         laid = zip(condition.zones, self.protocol.conditions.fingers_of(condition), strict=False)
         return sorted(laid, key=lambda each: self.apparatus.zones[each[0]].centre_mm)
 
 
 def load_fingers(protocol: Reading[Protocol], problems: list[Problem]) -> Reading[FingersFile] | None:
-    """Return the fingers that the protocol names; add their faults to `problems`."""
+    """Return the fingers that the protocol names; add their problems to `problems`."""
     name = protocol.sound("stimulus", "fingers")
-    # Until fingers are measured, typical ones are assumed.
+    # Typical fingers are assumed until they are measured.
     name = "typical" if name == MEASURED else name
     beside = protocol.source.path.parent / name
     own = beside.is_file()
@@ -118,7 +118,7 @@ def load_fingers(protocol: Reading[Protocol], problems: list[Problem]) -> Readin
 
 
 def check_measured(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | None) -> Iterator[Problem]:
-    """Yield why fingers cannot be measured, for a protocol that asks for measured fingers."""
+    """Yield the reasons why fingers cannot be measured, if the protocol requires measured fingers."""
     path = "stimulus", "fingers"
     if protocol.sound(*path) != MEASURED or apparatus is None or apparatus.value is None:
         return
@@ -137,7 +137,7 @@ def check_measured(protocol: Reading[Protocol], apparatus: Reading[Apparatus] | 
 
 
 def read_fingers(source: Source, protocol: Reading[Protocol] | None) -> tuple[Reading[FingersFile], list[Problem]]:
-    """Return fingers and their faults, including fingers of the design that are missing."""
+    """Return fingers and their problems, including missing fingers of the design."""
     reading = read(source, FingersFile)
     file, design = reading.value, None if protocol is None else protocol.value
     lacking = [] if file is None or design is None else [n for n in design.conditions.fingers_used if not file.of(n)]

@@ -1,4 +1,4 @@
-"""What is wrong in a file, where, and what to do about it."""
+"""Problems of input files: what is wrong, where, and what to do about it."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, order=True)
 class Problem:
-    """One fault of one file.
+    """A problem of an input file.
 
     Attributes
     ----------
     file : str
-        File, as the user named it.
+        File, as named by the user.
     line, column : int
-        Place of the fault, both from 1; 0 for a folder or file as a whole.
+        Position of the problem, both from 1; 0 for a folder or file as a whole.
     path : str
         Key within the file, as in ``conditions.zone_pairs[1]``; empty for the file as a whole.
     given, allowed, remedy : str
-        What is there, what is allowed, and what to do (empty if `allowed` says it).
+        The given value, what is allowed, and what to do (empty if obvious from `allowed`).
     written : str
-        Path where the user wrote it, below a group, a kind of session or a cell, or the column of a table; empty if
-        that is `path`.
+        Path at which the user wrote the value, below a group, a kind of session or a cell, or the column of a table;
+        empty if equal to `path`.
     """
 
     file: str
@@ -41,7 +41,7 @@ class Problem:
 
     @property
     def message(self) -> str:
-        """The fault without its place."""
+        """The problem without its position."""
         allowed = f"; allowed: {self.allowed}" if self.allowed else ""
         remedy = f"; {self.remedy}" if self.remedy else ""
         return f"given {self.given}{allowed}{remedy}"
@@ -52,13 +52,13 @@ class Problem:
         return f"{place}:{path} {self.message}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the problem as plain values for ``--json``."""
+        """Return the problem as a JSON-serialisable dict for ``--json``."""
         own = {"path": self.written or self.path, "message": self.message}
         return {key: value for key, value in (asdict(self) | own).items() if key != "written"}
 
 
 class InputError(Exception):
-    """Raised if files cannot be used; holds every fault of all of them, sorted by place.
+    """Raised if files cannot be used; lists all their problems, sorted by position.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class InputError(Exception):
 
 
 def fault(given: str, allowed: str, remedy: str = "") -> PydanticCustomError:
-    """Return an error for a model's validator to raise, with the three parts that `Problem` reports."""
+    """Return an error to be raised by a model's validator, with the three parts of a `Problem`."""
     from pydantic_core import PydanticCustomError
 
     return PydanticCustomError(
@@ -96,7 +96,7 @@ def fault(given: str, allowed: str, remedy: str = "") -> PydanticCustomError:
 
 
 def format_path(path: Iterable[str | int]) -> str:
-    """Return a path as it is printed.
+    """Format a path for messages.
 
     >>> format_path(("conditions", "zone_pairs", 1))
     'conditions.zone_pairs[1]'
@@ -108,9 +108,9 @@ def format_path(path: Iterable[str | int]) -> str:
 
 
 def suggest(word: str, known: Iterable[str]) -> str:
-    """Return the known word that `word` was probably meant to be, or an empty string.
+    """Return the known word most similar to `word`, or an empty string.
 
-    Words that differ only in their unit, as ``base_cm`` and ``base_mm``, match too.
+    Words that differ only in their unit, such as ``base_cm`` and ``base_mm``, match too.
 
     >>> suggest("peak_velocities_cm_s", ["zone_pairs", "peak_velocities_mm_s"])
     'peak_velocities_mm_s'

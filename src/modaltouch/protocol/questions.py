@@ -1,4 +1,4 @@
-"""Questions: a scale or a list of answers, in place of the protocol's list, after its answer, or at the end."""
+"""Questions: a scale or a list of answers, in place of the protocol's list, after each answer, or at the end."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ KEY_NAMES = frozenset(
         *(f"num_{name}" for name in [*string.digits, *_KEYPAD.split()]),
     ]
 )
-"""Names of the keys that can answer: those of the window's keyboard layer, in lower case."""
+"""Names of possible answer keys: those of the window's keyboard layer, in lower case."""
 
 KeyName = Annotated[Text, Field(json_schema_extra={"x-allowed": "the name of a key"})]
 Keys = Annotated[tuple[KeyName, ...], Field(min_length=1)]
 ScaleAction = Literal["lower", "higher", "confirm"]
 
 RATED = "rated"
-"""Recorded answer to a scale; its number is recorded with it."""
+"""Answer recorded for a scale, together with the number."""
 
 MOST_ANSWERS = 7
-"""Most answers that fit on a screen, and on the digits of a console."""
+"""Largest number of answers that fit on a screen and on the digit keys of a console."""
 
 _TAKEN = """
 participant session trial block practice group interval finger_condition zone_left zone_right zone_between
@@ -122,18 +122,18 @@ class ScaleSection(Section):
 
     @property
     def is_from_right(self) -> bool:
-        """Whether its lowest number is on the right, for a script written from right to left."""
+        """Whether the lowest number is on the right, for a right-to-left script."""
         return self._is_from_right
 
     def from_right(self) -> Self:
-        """Return the scale for a script written from right to left."""
+        """Return the scale for a right-to-left script."""
         turned = self.model_copy()
         turned._is_from_right = True
         return turned
 
     @property
     def low(self) -> float:
-        """Lowest number; 0 for an open scale, on which it is excluded."""
+        """Lowest number; 0 for an open scale, which excludes it."""
         return _BOUNDS.get(self.kind, (0.0, 0.0))[0] if self.lowest is None else self.lowest
 
     @property
@@ -143,7 +143,7 @@ class ScaleSection(Section):
 
     @property
     def points(self) -> tuple[float, ...]:
-        """Numbers at the points, or at the positions of the mark; none if a number is typed."""
+        """Numbers at the points or at the positions of the marker; empty if a number is typed."""
         if self.kind == "number":
             return ()
         step = self.step or 1.0
@@ -151,7 +151,7 @@ class ScaleSection(Section):
 
     @property
     def actions(self) -> dict[str, tuple[str, ...]]:
-        """Keys of each action on the scale; a terminal sends characters such as ``.`` instead of their names."""
+        """Keys of each action on the scale, including characters such as ``.``, which a terminal sends instead."""
         usual: dict[str, tuple[str, ...]] = {"confirm": ("enter", "num_enter", "space")}
         digits = {digit: (digit, f"num_{digit}") for digit in string.digits}
         if self.kind == "number":
@@ -165,21 +165,21 @@ class ScaleSection(Section):
 
     @property
     def allowed(self) -> str:
-        """What may be answered, in words."""
+        """Description of the allowed answers."""
         if self.points:
             return f"{self.low:g} to {self.high:g} by {self.step or 1.0:g}"
         least = "a number above 0" if self.lowest is None else f"a number of at least {self.lowest:g}"
         return least if math.isinf(self.high) else f"{least}, at most {self.high:g}"
 
     def takes(self, value: float) -> bool:
-        """Return whether a number can be answered on the scale."""
+        """Test whether a number is on the scale."""
         if self.points:
             return any(math.isclose(value, point, abs_tol=1e-9) for point in self.points)
         is_above = value > 0 if self.lowest is None else value >= self.lowest
         return is_above and value <= self.high and math.isfinite(value)
 
     def at(self, share: float) -> float:
-        """Return the number at a fraction of the scale, as a simulated participant answers.
+        """Return the number at a fraction of the scale, for a simulated participant.
 
         On an open scale the fraction is a saturating response s / (1 + s), and the number is proportional to s.
 
@@ -198,9 +198,9 @@ class AskedSection(Section):
     """A question and its possible answers."""
 
     PAUSE_KEY: ClassVar[str] = "escape"
-    """Key that pauses the session, reserved by the window."""
+    """Key that pauses the session; reserved by the window."""
     END_KEY: ClassVar[str] = "q"
-    """Key that ends the session from the pause screen; elsewhere it may be an answer."""
+    """Key that ends the session from the pause screen; may be an answer key elsewhere."""
     KEY_ALIASES: ClassVar[dict[str, str]] = {
         "return": "enter", "esc": "escape", "spacebar": "space",
         "num_home": "num_7", "num_up": "num_8", "num_page_up": "num_9",
@@ -209,7 +209,7 @@ class AskedSection(Section):
         "num_insert": "num_0", "num_delete": "num_decimal",
         "é": "2", "è": "7", "ç": "9", "à": "0",
     }  # fmt: skip
-    """Other names of keys: the number pad without NumLock; the French digit row, which types digits with Shift."""
+    """Alternative key names: number pad without NumLock; French digit row, which needs Shift for digits."""
 
     question: Text | None = described(
         "The question, written out, or the name of a text under `further` in the texts. Null for the one that follows "
@@ -243,11 +243,11 @@ class AskedSection(Section):
 
     @property
     def allowed(self) -> str:
-        """What may be answered, other than a time-out, in words."""
+        """Description of the allowed answers, other than a time-out."""
         return ", ".join(self.keys) if self.scale is None else self.scale.allowed
 
     def takes(self, answer: str, value: float | None) -> bool:
-        """Return whether an answer, with its number if it is on a scale, is possible."""
+        """Test whether an answer is possible, with its number if given on a scale."""
         if answer == TIME_OUT or self.scale is None:
             return value is None and (answer == TIME_OUT or answer in self.keys)
         return answer == RATED and isinstance(value, int | float) and self.scale.takes(value)
@@ -265,7 +265,7 @@ class QuestionSection(AskedSection):
 
 
 def check_key(reading: Reading[Any], path: tuple[str | int, ...], name: str) -> Iterator[Problem]:
-    """Yield the fault of a name that is not the name of a key, or of the key that pauses."""
+    """Yield a problem for a name that is not a key name, or is that of the pause key."""
     if name == AskedSection.PAUSE_KEY:
         yield reading.problem(path, f"'{name}', which pauses the session", "any other key", "choose another")
     elif name not in KEY_NAMES:
@@ -276,7 +276,7 @@ def check_key(reading: Reading[Any], path: tuple[str | int, ...], name: str) -> 
 
 
 def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield the faults of a scale in place of the answers, of further questions, and of the form."""
+    """Yield the problems of a scale in place of the answers, of further questions, and of the form."""
     answers, has_scale = ("answers",), bool(reading.keys("answers", "scale"))
     if reading.keys(*answers) is not None and not has_scale and reading.find((*answers, "keys")) is None:
         remedy = "add the missing key `keys`, or describe a `scale`"
@@ -300,7 +300,7 @@ def check_questions(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def _check_scale(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Problem]:
-    """Yield the faults of the keys of a scale, and emergency keys that a scale uses by default."""
+    """Yield the problems of the keys of a scale, and emergency keys that a scale uses by default."""
     yield from _check_used(reading, (*path, "keys"))
     scale, written = reading.sound(*path), reading.keys(*path, "keys") or ()
     usual = {} if scale is None else {key: act for act, keys in scale.actions.items() for key in keys}
@@ -312,7 +312,7 @@ def _check_scale(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Probl
 
 
 def _check_used(reading: Reading[Any], path: tuple[str, ...]) -> Iterator[Problem]:
-    """Yield the faults of keys: not the name of a key, two meanings, or an emergency key."""
+    """Yield the problems of keys: unknown name, two meanings, or emergency key."""
     taken = {name: "switches the outputs off" for _, name in reading.items("answers", "emergency_keys")}
     for answer in reading.keys(*path) or ():
         for index, name in reading.items(*path, answer):

@@ -1,4 +1,4 @@
-"""Tree + model -> valid values, and problems with their places."""
+"""Validation of a YAML tree by a pydantic model: valid values, and problems with their positions."""
 
 from __future__ import annotations
 
@@ -31,20 +31,20 @@ Entry = TypeVar("Entry")
 
 @dataclass(frozen=True, eq=False)
 class Reading(Generic[Model]):
-    """A file as far as it is valid.
+    """The valid parts of a file, and its problems.
 
     Attributes
     ----------
     source : Source
         The text.
     model : type
-        Model that it should fit.
+        Model of the file.
     root : Node or None
-        Its tree; None if the text is not a YAML mapping.
+        Tree of the text; None if the text is not a YAML mapping.
     value : Model or None
-        Its content; None if it has any fault.
+        Content; None if there is any problem.
     problems : tuple of Problem
-        Its faults.
+        Problems found.
     """
 
     source: Source
@@ -56,7 +56,7 @@ class Reading(Generic[Model]):
     def sound(self, *path: Step) -> Any:
         """Return the value at a path, or its default; None if it is missing or itself invalid.
 
-        Faults elsewhere in the file do not matter, so that one fault does not hide another.
+        Problems elsewhere in the file are ignored, so that one problem does not hide another.
         """
         if self.value is not None:
             return _descend(self.value, path)
@@ -77,9 +77,9 @@ class Reading(Generic[Model]):
             return None
 
     def salvage(self, *path: Step) -> Any:
-        """Return the section at a path without its unknown keys; None if it has any other fault.
+        """Return the section at a path without its unknown keys; None if it has any other problem.
 
-        An unknown key that is probably a misspelt key of the section counts as a fault, since its value is needed.
+        A probable misspelling of a key of the section is such a problem, since its value is needed.
         """
         value = self.sound(*path)
         section, node = annotation_at(self.model, path), self.find(path)
@@ -108,7 +108,7 @@ class Reading(Generic[Model]):
         return [(step, value) for step in steps if (value := self.sound(*path, step)) is not None]
 
     def require(self) -> Model:
-        """Return the content of the text; raise `InputError` with every fault if there is any."""
+        """Return the content of the text; raise `InputError` if there are problems."""
         if self.value is None:
             raise InputError(self.problems)
         return self.value
@@ -126,7 +126,7 @@ class Reading(Generic[Model]):
         return list(node.content) if node is not None and isinstance(node.content, dict) else None
 
     def is_misspelt(self, *path: str) -> bool:
-        """Return whether a key is absent because it is misspelt, which is reported where it is written."""
+        """Test whether a key is missing because it is misspelt, which is reported at the misspelt key."""
         known, written = keys_of(self.model, path[:-1]), self.keys(*path[:-1]) or []
         return path[-1] not in written and any(suggest(key, path[-1:]) for key in written if key not in known)
 
@@ -138,9 +138,9 @@ class Reading(Generic[Model]):
     def unknown(
         self, path: Iterable[Step], kind: str, known: Iterable[str], remedy: str = "", *, at_key: bool = False
     ) -> Problem:
-        """Return the problem of an unknown name, which is the value at a path or the last key of the path."""
+        """Return the problem of an unknown name: the value at a path, or the last key of the path."""
         *_, last = steps = tuple(path)
-        # For one of several stimuli the value is its own, while the text is that of the shared section.
+        # For one of several stimuli the value is that of the stimulus, the text that of the shared section.
         name, names = str(last if at_key else self.sound(*steps)), list(known)
         remedy = f"did you mean '{meant}'?" if (meant := suggest(name, names)) else remedy
         return self.problem(steps, f"'{name}', which is not {kind}", ", ".join(names) or "none", remedy, at_key=at_key)
@@ -156,7 +156,7 @@ class Reading(Generic[Model]):
     def problem(
         self, path: Iterable[Step], given: str, allowed: str, remedy: str = "", *, at_key: bool = False
     ) -> Problem:
-        """Return a problem with the place of the value (or key) at a path, or of its nearest existing parent."""
+        """Return a problem at the value (or key) at a path, or at its nearest existing parent."""
         steps = tuple(path)
         (file, line, column), written = self._place(steps, at_key=at_key)
         return Problem(
@@ -165,15 +165,15 @@ class Reading(Generic[Model]):
         )  # fmt: skip
 
     def faults(self, *known: tuple[object, Iterable[Step], str, str, str]) -> Iterator[Problem]:
-        """Yield a problem for each tuple (condition, path, given, allowed, remedy) whose condition is true."""
+        """Yield a problem for each tuple (condition, path, given, allowed, remedy) with a true condition."""
         yield from (self.problem(at, given, allowed, remedy) for holds, at, given, allowed, remedy in known if holds)
 
     def defaults(self) -> list[dict[str, Any]]:
-        """Return the keys that the file leaves out and their defaults, in the schema's order."""
+        """Return the keys that the file omits with their defaults, in the order of the schema."""
         return [] if self.root is None else list(_absent(self.model, self.root, ""))
 
     def _place(self, path: tuple[Step, ...], *, at_key: bool) -> tuple[tuple[str, int, int], tuple[Step, ...]]:
-        """Return file, line and column of the value (or key) at a path, and its path where it is written."""
+        """Return file, line and column of the value (or key) at a path, and its path as written in the file."""
         if self.root is None:
             return ("", 1, 1), path
         node = self.root
@@ -181,19 +181,19 @@ class Reading(Generic[Model]):
         while depth < len(path) and (child := node.child(path[depth])) is not None:
             step = path[depth]
             key_place = node.keys.get(step, place) if isinstance(step, str) else (child.line, child.column)
-            # A block mapping begins on the line below its key, but users look at the key.
+            # A block mapping begins on the line after its key, but users look at the key.
             is_section = isinstance(child.content, dict) or (at_key and depth == len(path) - 1)
             place = key_place if is_section else (child.line, child.column)
             node, depth = child, depth + 1
         if node.file and node.keys:
             return (node.file, *place), ("row" if isinstance(node.content, dict) else ", ".join(node.keys),)
-        # A missing key is reported where its section is named.
-        # A group's value, or a cell's, is in the tree twice: below its group or cell, and where it counts.
+        # A missing key is reported at the key of its section.
+        # A value of a group or cell is in the tree twice: below its group or cell, and where it applies.
         return (node.file, *place), (*max(self.root.paths_of(node), key=len, default=path[:depth]), *path[depth:])
 
 
 def repeats(entries: Iterable[tuple[Entry, Hashable]]) -> Iterator[tuple[Entry, Any, Entry]]:
-    """Yield each entry whose value an earlier one has: its place, the value, and the place of that one."""
+    """Yield each entry that repeats an earlier value: its place, the value, and the place of the earlier entry."""
     seen: dict[Hashable, Entry] = {}
     for place, value in entries:
         if value in seen:
@@ -202,27 +202,27 @@ def repeats(entries: Iterable[tuple[Entry, Hashable]]) -> Iterator[tuple[Entry, 
 
 
 def read(source: Source, model: type[Model]) -> Reading[Model]:
-    """Return the content of a text, as far as it is valid.
+    """Parse and validate a text.
 
     Parameters
     ----------
     source : Source
         The text.
     model : type
-        Model that it should fit.
+        Model of the file.
     """
     return read_tree(source, model, *parse_tree(source))
 
 
 def read_tree(source: Source, model: type[Model], root: Node | None, problems: Iterable[Problem]) -> Reading[Model]:
-    """Return the content of a tree, as `read` does; the tree may contain more than the text.
+    """Validate a tree, which may contain more than the text; see `read`.
 
     Parameters
     ----------
     source, model
         As in `read`.
     root, problems
-        The tree, and the faults found while building it.
+        The tree, and the problems found while building it.
     """
     problems = list(problems)
     if root is None:
@@ -238,7 +238,7 @@ def read_tree(source: Source, model: type[Model], root: Node | None, problems: I
 
 
 def _follows(details: Any, errors: Iterable[Any]) -> bool:
-    """Return whether a list is too short only by its invalid items, or a key is absent only by its misspelling."""
+    """Test whether a list is too short only because of invalid items, or a key missing only because it is misspelt."""
     loc, kind = details["loc"], details["type"]
     return any(
         (kind == "too_short" and len(other["loc"]) > len(loc) and other["loc"][: len(loc)] == loc)
@@ -252,7 +252,7 @@ def _follows(details: Any, errors: Iterable[Any]) -> bool:
 
 
 def _translate(reading: Reading[Any], details: Any) -> Problem:
-    """Return one error of pydantic as a problem."""
+    """Convert a pydantic error to a problem."""
     kind, path = str(details["type"]), _real_path(reading, details)
     context = details.get("ctx", {})
     if kind == "modaltouch":
@@ -278,14 +278,14 @@ def _translate(reading: Reading[Any], details: Any) -> Problem:
 
 
 def _home_of(model: type[BaseModel], path: tuple[Step, ...]) -> str:
-    """Return the section to which a misplaced key belongs, in words; empty if none has it."""
+    """Return a phrase with the section to which a misplaced key belongs; empty if there is none."""
     homes = ["the top of the file, not indented"] * (len(path) > 1 and path[-1] in model.model_fields)
     homes += [f"the section {name}" for name in model.model_fields if path[-1] in keys_of(model, (name,))]
     return f"it belongs to {' or '.join(homes[:2])}" if homes else ""
 
 
 def _beyond_all(value: object) -> str:
-    """Return, in words, the bound of all quantities if a value exceeds it; `describe` does not mention this bound."""
+    """Return a phrase with the general bound of quantities if a value exceeds it, since `describe` does not have it."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return ""
     if abs(value) > LARGEST:
@@ -294,7 +294,7 @@ def _beyond_all(value: object) -> str:
 
 
 def _real_path(reading: Reading[Any], details: Any) -> tuple[Step, ...]:
-    """Return the path of an error without what pydantic adds to it: branch tags, ``[key]``."""
+    """Return the path of an error without pydantic's additions (branch tags, ``[key]``)."""
     path: list[Step] = []
     node = reading.root
     loc = details["loc"]
@@ -309,7 +309,7 @@ def _real_path(reading: Reading[Any], details: Any) -> tuple[Step, ...]:
 
 
 def _in_words(node: Node | None) -> str:
-    """Return the content of a node in words."""
+    """Describe the content of a node."""
     if node is None or node.content is None:
         return "nothing"
     if isinstance(node.content, list):
@@ -326,7 +326,7 @@ def _shortened(text: str) -> str:
 
 
 def _remedy(reading: Reading[Any], path: tuple[Step, ...], node: Node | None) -> str:
-    """Return what to do about a value of the wrong kind."""
+    """Return the remedy for a value of the wrong kind."""
     allowed = describe(reading.model, path)
     if node is None:
         return ""
@@ -372,7 +372,7 @@ def _descend(value: Any, path: Iterable[Step]) -> Any:
 
 
 def _default(model: type[BaseModel], path: tuple[Step, ...], depth: int) -> Any:
-    """Return the default of what is absent from `path[depth]` on, or None if there is none."""
+    """Return the default of a path of which `path[depth]` is missing; None if there is none."""
     parent: Any = annotation_at(model, path[:depth])
     step = path[depth]
     if not (isinstance(parent, type) and issubclass(parent, BaseModel)) or step not in parent.model_fields:

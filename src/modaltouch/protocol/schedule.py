@@ -1,4 +1,4 @@
-"""Protocol + participant + seed -> Schedule."""
+"""Schedule of a session, drawn from protocol, participant and seed."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Turn:
-    """Number of the balanced order that a participant gets.
+    """Number of a participant's balanced order.
 
     Attributes
     ----------
     number : int
-        Taken modulo the number of orders, placements and rows.
+        Taken modulo the numbers of orders, placements and rows.
     reason : str
-        What decided it.
+        Origin of the number.
     group : str
         The participant's group; empty if the protocol has none.
     group_by : str
-        What decided the group.
+        Origin of the group.
     """
 
     number: int
@@ -50,10 +50,10 @@ class Turn:
 
     @staticmethod
     def of(participant: str, seed: int, session: int, groups: Iterable[str] = ()) -> Turn:
-        """Return the turn and group of a participant, from the number that ends the identifier or from a hash.
+        """Return the turn and group of a participant, from the number at the end of the identifier or from a hash.
 
-        Each further session of a participant takes the next turn. Groups alternate with every participant; the turn
-        advances once all groups have been used.
+        Each further session of a participant takes the next turn. Groups alternate between participants; the turn
+        advances after each cycle of groups.
 
         Parameters
         ----------
@@ -73,7 +73,7 @@ class Turn:
 
     @staticmethod
     def recorded(start: dict[str, Any]) -> Turn | None:
-        """Return the turn that a start record keeps; None if the participant's number or hash decided.
+        """Return the turn in a start record; None if it followed from the participant's number or hash.
 
         Parameters
         ----------
@@ -93,7 +93,7 @@ class Turn:
             The design.
         """
         orders, placements = _orders_of_finger_conditions(protocol), protocol.conditions.placements
-        # Orders alternate with every turn; the placement advances once all orders have been used.
+        # Orders alternate with every turn; the placement advances after each cycle of orders.
         return orders[self.number % len(orders)], placements[self.number // len(orders) % len(placements)]
 
     @staticmethod
@@ -118,7 +118,7 @@ class Block:
     Attributes
     ----------
     number : int
-        Place in the session, from 1.
+        Position in the session, from 1.
     finger_condition : str
         ``one_hand``, ``two_hands`` or a name of the protocol.
     trials : tuple of Trial
@@ -147,14 +147,14 @@ class Schedule:
     blocks : tuple of Block
         One for each finger condition, in this participant's order.
     finger_conditions_by : str
-        What decided the order of the finger conditions: ``number of the participant``, ``hash of the
-        participant``, the reason of a given turn, or ``protocol``.
+        Origin of the order of finger conditions: ``number of the participant``, ``hash of the participant``, the
+        reason of a given turn, or ``protocol``.
     is_adaptive : bool
         Whether the levels depend on the answers; all trials are then scheduled at the level of a run's first trial.
     turn : Turn or None
-        The turn, if it was given; None if participant, seed and session decide it.
+        The turn, if given; None if it follows from participant, seed and session.
     group, group_by : str
-        The participant's group and what decided it; empty if the protocol has none.
+        The participant's group and its origin; empty if the protocol has none.
     session_kind : str
         Kind of the session; empty if the protocol has only one.
     """
@@ -186,7 +186,7 @@ class Schedule:
 
     @property
     def seeds(self) -> dict[str, Any]:
-        """Seeds and algorithm from which the order was drawn, for the record."""
+        """Seeds and algorithm of the order, for the record."""
         return {
             "algorithm": ALGORITHM,
             "study_seed": self.seed,
@@ -205,7 +205,7 @@ class Schedule:
         return ["order of finger conditions", "practice", *orders, *catches, *intervals]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the schedule as plain values for the record."""
+        """Return the schedule as a JSON-serialisable dict for the record."""
         return {
             "order_hash": self.order_hash,
             "seeds": self.seeds,
@@ -242,16 +242,16 @@ class Schedule:
         seed : int
             Seed of the study, 0 or above.
         session : int
-            Number of the session, from 1; every session has its own order.
+            Number of the session, from 1; every session has a separate order.
         given : Turn, optional
-            The participant's turn, if the record decides it and not the participant's number.
+            The participant's turn, if set by the record rather than by the participant's number.
         effort : float
-            Fraction of the usual work after which the search for an order is given up [1].
+            Fraction of the usual work after which the search for an order is abandoned [1].
 
         Raises
         ------
         ValueError
-            If no order keeps the protocol's limits, or those that do are too rare to find.
+            If no order keeps the protocol's limits, or if such orders are too rare to find.
         """
         decided = given or Turn.of(participant, seed, session, protocol.groups)
         kind = protocol.schedule.kind_of(session)
@@ -293,12 +293,12 @@ class Schedule:
         given: Turn | None = None,
         **how: float,
     ) -> Schedule:
-        """Draw a participant's schedule from a file that is valid so far; arguments and `effort` as in `draw`.
+        """Draw a participant's schedule from a protocol file without problems; arguments and `effort` as in `draw`.
 
         Raises
         ------
         InputError
-            With the place of the limit that no order keeps, or that those that do are too rare to find.
+            If no order keeps a limit, or if such orders are too rare to find; with the position of the limit.
         """
         try:
             return cls.draw(findings.experiment().protocol, participant, seed, session, given=given, **how)
@@ -307,10 +307,10 @@ class Schedule:
 
     @classmethod
     def check(cls, findings: Findings) -> tuple[Problem, ...]:
-        """Return why no order can be drawn, if none can; nothing is drawn where that is certain beforehand."""
+        """Return a problem if no order can be drawn; draws one only if the outcome is not certain beforehand."""
         try:
             if not are_certain(findings.experiment().protocol):
-                # With a quarter of the effort, so that on the day an order is found for nearly every participant.
+                # A quarter of the effort, so that with full effort an order is found for nearly every participant.
                 cls.draw_from(findings, "p01", 0, effort=0.25)
         except InputError as error:
             return error.problems
@@ -325,14 +325,14 @@ class Schedule:
         seed, participant, session
             As in `draw`.
         purpose : str
-            What it is for; the streams of different purposes are independent.
+            Purpose of the numbers; streams of different purposes are independent.
         """
         return np.random.Generator(np.random.PCG64(seed_sequence(seed, participant, session, purpose)))
 
 
 _BY_HASH = "hash of the participant"
 _ORDER, _CATCHES, _INTERVALS = "order within ", "catch trials within ", "intervals within "
-"""Purposes of random streams, to be followed by the name of the finger condition."""
+"""Purposes of random streams, each followed by the name of the finger condition."""
 
 
 def _orders_of_finger_conditions(protocol: Protocol) -> list[tuple[str, ...]]:
@@ -341,13 +341,13 @@ def _orders_of_finger_conditions(protocol: Protocol) -> list[tuple[str, ...]]:
 
 
 def _place(finger_condition: str, cell: Cell, placement: Placement) -> Condition:
-    """Return the condition of a cell in a placement; on a beam turned end to end, left and right are exchanged."""
+    """Return the condition of a cell in a placement; left and right are exchanged on a beam turned end to end."""
     zones = cell[0][::-1] if placement.startswith("mirrored") else cell[0]
     return Condition.on(zones, finger_condition, cell[1], placement, cell[2])
 
 
 def _draw_practice(protocol: Protocol, finger_condition: str, stream: Stream) -> list[Cell]:
-    """Return the cells to practise; none is repeated before all others have been used."""
+    """Draw the practice cells; none is repeated before all others have been used."""
     cells, schedule, drawn = dict.fromkeys(protocol.cells(finger_condition)), protocol.schedule, list[Cell]()
     n_trials = schedule.practice_trials * (1 if schedule.practice_criterion is None else schedule.practice_rounds)
     while len(drawn) < n_trials:
@@ -358,7 +358,7 @@ def _draw_practice(protocol: Protocol, finger_condition: str, stream: Stream) ->
 def _number(
     protocol: Protocol, conditions: Sequence[Condition], stream: Stream, *, block: int, first: int
 ) -> tuple[Trial, ...]:
-    """Return the conditions as numbered trials, with repetitions counted in order; block 0 is practice."""
+    """Number the conditions as trials and count repetitions in order; block 0 is practice."""
     seen: Counter[Condition] = Counter()
     intervals = [0] * len(conditions)
     if protocol.intervals is not None:
@@ -381,32 +381,32 @@ def _brief(trial: Trial) -> list[Any]:
 
 @dataclass(frozen=True)
 class Round:
-    """One round of practice.
+    """Result of a round of practice.
 
     Attributes
     ----------
     n_judged : int
-        Trials with an expected answer.
+        Number of trials with an expected answer.
     n_agreed : int
-        Those of them answered as expected.
+        Number of these answered as expected.
     """
 
     n_judged: int
     n_agreed: int
 
     def passes(self, criterion: float | None) -> bool:
-        """Return whether the round meets a criterion.
+        """Test whether the round meets a criterion.
 
         Parameters
         ----------
         criterion : float or None
-            Least fraction of the judged trials that must be answered as expected [1]; None is always met.
+            Required fraction of judged trials answered as expected [1]; None is always met.
         """
         return criterion is None or self.n_agreed >= criterion * self.n_judged - 1e-9
 
 
 def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int, protocol: Protocol) -> Round:
-    """Return the result of a round of practice, from the session's log.
+    """Return the result of a round of practice from the session log.
 
     Parameters
     ----------
@@ -417,7 +417,7 @@ def judge_round(events: Iterable[Mapping[str, Any]], number: int, n_trials: int,
     n_trials : int
         Number of practice trials in a round.
     protocol : Protocol
-        The design, which gives the expected answers.
+        The design, which defines the expected answers.
     """
     first, last = (number - 1) * n_trials + 1, number * n_trials
     judged: dict[int, bool] = {}

@@ -105,7 +105,7 @@ class ScheduleSection(Section):
 
     @property
     def session_kinds(self) -> tuple[SessionKind, ...]:
-        """Kind of each of a participant's sessions, in order; empty if they are all alike."""
+        """Kinds of a participant's sessions, in order; empty if all are alike."""
         kinds = () if isinstance(self.sessions, int) else self.sessions
         return tuple(kind for kind in kinds for _ in range(kind.times))
 
@@ -116,9 +116,9 @@ class ScheduleSection(Section):
 
     @property
     def all_repetitions(self) -> int:
-        """Repetitions of a cell over all of a participant's sessions, if these are alike."""
+        """Repetitions of a cell over all sessions of a participant, if these are alike."""
         return self.repetitions * self.n_sessions
 
     def kind_of(self, session: int) -> SessionKind | None:
-        """Return the kind of a participant's session, counted from 1; beyond the last session, the kind of the last."""
+        """Return the kind of a participant's session, from 1; the kind of the last session for higher numbers."""
         return self.session_kinds[: max(session, 1)][-1] if self.session_kinds else None

@@ -33,7 +33,7 @@ def schema(name: str) -> dict[str, Any]:
 
 
 def write_schemas(folder: Path) -> tuple[Path, ...]:
-    """Write the JSON Schemas into a folder and return their files."""
+    """Write the JSON Schemas to a folder and return the files."""
     folder.mkdir(parents=True, exist_ok=True)
     files = tuple(folder / f"{name}.json" for name in SCHEMAS)
     for file, name in zip(files, SCHEMAS, strict=True):

@@ -1,4 +1,4 @@
-"""Types of the values in YAML files, and the words in which messages say what a key may contain."""
+"""Types of the values in YAML files, and descriptions of allowed values for messages."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field
 from modaltouch.protocol.problems import fault
 
 RESERVED_NAMES = frozenset({"simulated", "pilot", "reference", "benchmarks", "analysis", "derivatives"})
-"""Folders of the results tree, which cannot be names of protocols."""
+"""Folders of the results tree, not allowed as names of protocols."""
 
 DEVICE_NAMES = re.compile(r"(?i:con|prn|aux|nul|(com|lpt)[0-9])")
-"""Names that Windows does not allow for files."""
+"""File names not allowed by Windows."""
 
 
 class Section(BaseModel):
@@ -27,7 +27,7 @@ class Section(BaseModel):
 
 
 def described(text: str, **bounds: Any) -> Any:
-    """Return a field with a description, which editors show."""
+    """Return a field with a description, shown by editors."""
     return Field(description=text, **bounds)
 
 
@@ -44,7 +44,7 @@ def _plain_file_name(name: str) -> str:
 
 
 SMALLEST, LARGEST = 1e-9, 1e12
-"""Bounds of every quantity, in whatever unit: no value of this experiment lies beyond, and nothing overflows within."""
+"""Bounds of every quantity in any unit: wide enough for this experiment, narrow enough that nothing overflows."""
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=SMALLEST, le=LARGEST)]
@@ -78,14 +78,14 @@ def plain_word(name: object) -> str:
 
 
 NUMBER_OR_LIST = Discriminator(lambda value: "list" if isinstance(value, list | tuple) else "number")
-"""Chooses between branches tagged ``number`` and ``list``."""
+"""Discriminator of the branches tagged ``number`` and ``list``."""
 
 Step = str | int
 
 
 @lru_cache(maxsize=1024)
 def adapter(model: type[BaseModel], path: tuple[Step, ...]) -> TypeAdapter[Any] | None:
-    """Return the type adapter that validates the value at a path of a model; None if the model has no such path."""
+    """Return the type adapter for the value at a path of a model; None if the model has no such path."""
     annotation = annotation_at(model, path)
     return None if annotation is None else TypeAdapter(annotation)
 
@@ -112,7 +112,7 @@ def _step_into(annotation: Any, step: Step) -> Any:
 
 
 def describe(model: type[BaseModel], path: Iterable[Step]) -> str:
-    """Return in words what is allowed at a path of a model; empty if the model has no such path."""
+    """Describe what is allowed at a path of a model; empty if the model has no such path."""
     steps = tuple(path)
     known = adapter(model, steps)
     if known is None:
@@ -124,10 +124,10 @@ def describe(model: type[BaseModel], path: Iterable[Step]) -> str:
 
 
 def keys_of(model: type[BaseModel], path: Iterable[Step]) -> tuple[str, ...]:
-    """Return the keys that are allowed in the mapping at a path; empty if any are."""
+    """Return the keys allowed in the mapping at a path; empty if any key is allowed."""
     known = adapter(model, tuple(path))
     schema = {} if known is None else known.json_schema()
-    # An optional section is one branch of two, the other being null.
+    # An optional section is one of two branches; the other is null.
     branches = (_resolved(schema, branch) for branch in _branches(_resolved(schema, schema)))
     return tuple(dict.fromkeys(key for branch in branches for key in branch.get("properties", ())))
 
@@ -178,7 +178,7 @@ def _list_in_words(root: dict[str, Any], schema: dict[str, Any]) -> str:
 
 
 def _bounds(schema: dict[str, Any]) -> str:
-    # The bounds against overflow are of no interest in a message.
+    # The bounds against overflow do not belong in a message.
     schema = {key: value for key, value in schema.items() if value not in (LARGEST, -LARGEST)}
     if schema.get("minimum") == SMALLEST:
         schema = {**schema, "minimum": None, "exclusiveMinimum": 0}
@@ -216,7 +216,7 @@ _UNITS = {
 
 
 def unit_of(path: Iterable[Step]) -> str:
-    """Return the unit that ends the last key of a path, or an empty string.
+    """Return the unit at the end of the last key of a path, or an empty string.
 
     >>> [unit_of([key, 0]) for key in ("peak_velocities_mm_s", "gain_V_per_V", "sensitivity_mm_s_per_V", "zones")]
     ['mm/s', 'V/V', 'mm/s per V', '']
@@ -225,12 +225,12 @@ def unit_of(path: Iterable[Step]) -> str:
     return next((_UNITS[end] for n in range(1, len(words)) if (end := "_".join(words[n:])) in _UNITS), "")
 
 
-# A unit must follow, if anything: the 1 of 1_000, of 1/3 or of a date is not the number that was meant.
+# Only a unit may follow: the 1 of 1_000, of 1/3 or of a date is not the intended number.
 _WITH_UNIT = re.compile(r"\s*([-+]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+)(?:[eE][-+]?[0-9]+)?)\s*((?:[^\W\d_]|[%°]).*|)")
 
 
 def suggest_number(word: str) -> tuple[str, str]:
-    """Return the number in a word such as ``80 mm/s`` and what follows it; both are empty if it is no number.
+    """Split a word such as ``80 mm/s`` into number and unit; both are empty if it has no number.
 
     >>> suggest_number("80 mm/s"), suggest_number("0,5"), suggest_number("many")
     (('80', 'mm/s'), ('0.5', ''), ('', ''))

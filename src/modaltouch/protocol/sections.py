@@ -1,4 +1,4 @@
-"""Protocol file: what is presented and asked, and how often."""
+"""Protocol file: stimuli, questions and repetitions."""
 
 from __future__ import annotations
 
@@ -68,11 +68,11 @@ Seconds = Annotated[NotNegative, Field(le=600)]
 _UNIQUE = {"uniqueItems": True}
 
 USUAL_PRESENTATION, USUAL_LONGEST = 2.0, 60.0
-"""Default length of a stimulus that stops before the question, and of one that is not answered [s]."""
+"""Default duration of a stimulus that stops before the question, and of an unanswered one [s]."""
 
 
 def whole_bursts(seconds: float, rate: float) -> int:
-    """Return the number of bursts, at least one, nearest to a duration [s] at a repetition rate [Hz]."""
+    """Return the number of bursts, at least one, closest to a duration [s] at a repetition rate [Hz]."""
     return max(round(seconds * rate), 1)
 
 
@@ -159,17 +159,17 @@ class AnswersSection(AskedSection):
 
     @property
     def offered(self) -> AnswerList:
-        """The answers in the order of the screen."""
+        """The answers in screen order."""
         said = ("keys", "fingers", "below", "intervals", "scale")
         return AnswerList.of({name: getattr(self, name) for name in said})
 
     @property
     def further(self) -> dict[str, AnswersSection]:
-        """How each further question is asked, by name."""
+        """Answer settings of each further question, by name."""
         return self.asking(self.then)
 
     def asking(self, questions: Mapping[str, QuestionSection]) -> dict[str, AnswersSection]:
-        """Return how each question is asked: like the first one, except for its words, answers and time-out."""
+        """Return the settings of each question: those of the main one, except for text, answers and time-out."""
         none = {"fingers": {}, "below": (), "intervals": {}, "then": {}, "change_until_confirmed": False}
         return {
             name: self.model_copy(update=none | vars(asked) | {"question": asked.question or name})
@@ -182,19 +182,19 @@ class AnswersSection(AskedSection):
         return self.offered.naming() is not None
 
     def n_bursts(self, rate: float) -> int:
-        """Return the number of bursts of a stimulus, or the most until the answer, at a repetition rate [Hz]."""
+        """Return the number of bursts of a stimulus, or the maximum until the answer, at a repetition rate [Hz]."""
         if self.stimulus_until == "answer":
             return whole_bursts(self.longest_presentation_s or USUAL_LONGEST, rate)
         return self.presentation_bursts or whole_bursts(self.presentation_s or USUAL_PRESENTATION, rate)
 
     def way(self, finger_condition: str) -> AnswerWay:
-        """Return how answers are given in a finger condition."""
+        """Return the way in which answers are given in a finger condition."""
         if self.given_by == "experimenter":
             return "experimenter"
         return self.ways.get(finger_condition, "lifting" if finger_condition == "two_hands" else "free_hand")
 
     def settles(self, finger_condition: str) -> bool:
-        """Return whether a hand or finger on the beam presses the key, and so has to settle on the beam again."""
+        """Test whether a hand or finger leaves the beam to press the key, and so must settle on it again."""
         way = self.way(finger_condition)
         return way == "lifting" or (way == "free_hand" and finger_condition == "two_hands")
 
@@ -276,7 +276,7 @@ class Protocol(Section):
 
     @property
     def task(self) -> str:
-        """Name of the question: the protocol's own or, if it gives none, that of what its answers say."""
+        """Name of the question in the protocol, or one derived from the meaning of its answers."""
         answers, intervals = self.answers, self.intervals
         if answers.question is not None:
             return answers.question
@@ -300,11 +300,11 @@ class Protocol(Section):
 
     @property
     def closing(self) -> dict[str, AnswersSection]:
-        """How each question of the form at the end is asked, by name."""
+        """Answer settings of each question of the form at the end, by name."""
         return self.answers.asking(self.form)
 
     def read_people(self, path: Path) -> dict[str, float | str | None]:
-        """Return a participant's answers from a YAML file; raise InputError with every fault of it."""
+        """Read a participant's answers from a YAML file; raise InputError if it has problems."""
         from modaltouch.protocol.people_answers import read_people
 
         return read_people(self.people, path)
@@ -317,7 +317,7 @@ class Protocol(Section):
 
     @property
     def uncrossed_by(self) -> tuple[str, ...]:
-        """Path of the first key that makes the design not crossed; empty if it is crossed."""
+        """Path of the first key that makes the design uncrossed; empty for a crossed design."""
         conditions, kinds = self.conditions, self.schedule.session_kinds
         known: tuple[tuple[tuple[str, ...], object], ...] = (
             (("conditions", "table"), conditions.table),
@@ -336,7 +336,7 @@ class Protocol(Section):
         finger_condition : str
             Name of the finger condition.
         excluded : bool
-            Whether to include cells that the protocol leaves out.
+            Whether to include cells that the protocol excludes.
         """
         conditions = self.conditions
         listed = conditions.cells or [
@@ -356,10 +356,10 @@ class Protocol(Section):
 
     @property
     def scheduled_levels(self) -> tuple[float, ...]:
-        """Peak velocities with which trials are scheduled [mm/s].
+        """Peak velocities of scheduled trials [mm/s].
 
-        In adaptive runs, the level of the first trial. Sensation levels are those for the highest threshold that fits,
-        until the participant's own threshold is known (`with_levels`).
+        In adaptive runs, this is the level of the first trial. Sensation levels are those for the highest possible
+        threshold until the participant's threshold is known (`with_levels`).
         """
         if self.adaptive is not None:
             return (self.adaptive.start_mm_s,)
@@ -379,18 +379,18 @@ class Protocol(Section):
         return tuple(self.stimuli) or ("",)
 
     def stimulus_of(self, name: str) -> StimulusSection:
-        """Return the stimulus of a name; for a catch trial, which has none, the shared section."""
+        """Return the stimulus with a name; the shared section for a catch trial, which has none."""
         return self.stimuli[name].applied(self.stimulus) if name in self.stimuli else self.stimulus
 
     def presented(self, trial: Trial) -> tuple[Trial, ...]:
-        """Return the trial once for each interval, with the condition presented there; once if it has no intervals."""
+        """Return the trial once per interval, with the condition presented there; once if it has no intervals."""
         if self.intervals is None:
             return (trial,)
         standard = replace(trial, condition=self.intervals.standard_of(trial.condition))
         return tuple(trial if n == trial.interval else standard for n in range(1, self.intervals.number + 1))
 
     def expected(self, trial: Trial, speeds: Sequence[float]) -> str | None:
-        """Return the expected answer to a trial, from its intervals or else the speeds under the fingers; None if none.
+        """Return the expected answer to a trial, from its intervals or the speeds under the fingers; None if unclear.
 
         Parameters
         ----------
@@ -404,13 +404,13 @@ class Protocol(Section):
         return next((name for name in self.answers.offered.names if self.is_correct(trial, name)), None)
 
     def is_correct(self, trial: Trial, answer: str) -> bool | None:
-        """Return whether an answer about intervals is correct; None if it says nothing about them, or any may be."""
+        """Score an answer on intervals; None if it does not refer to them, or if any of them may be correct."""
         if self.intervals is None:
             return None
         return self.intervals.is_correct(self.answers.offered.named(answer).interval, trial.condition, trial.interval)
 
     def n_bursts(self, name: str) -> int:
-        """Return the number of bursts of a stimulus, or the most until the answer; an empty name for a catch trial."""
+        """Return the number of bursts of a stimulus, or the maximum until the answer; empty name for a catch trial."""
         own = self.stimuli[name].presentation_bursts if name in self.stimuli else None
         return own or self.answers.n_bursts(self.stimulus_of(name).repetition_rate_Hz)
 
@@ -420,21 +420,21 @@ class Protocol(Section):
         return (self.n_bursts(name) - 1) / stimulus.repetition_rate_Hz + stimulus.duration_ms * 1e-3
 
     def is_masked(self, name: str) -> bool:
-        """Return whether the masking noise, if any, is on with a stimulus."""
+        """Test whether the masking noise, if any, is on during a stimulus."""
         return name not in self.stimuli or self.stimuli[name].masked is not False
 
     def with_stimulus(self, name: str) -> Protocol:
-        """Return the protocol with one stimulus alone, crossed with its levels; no intervals if not its standard."""
+        """Return the protocol with one stimulus alone, crossed with its levels; no intervals unless standard."""
         levels = self.conditions.peak_velocities_mm_s
         standard = None if self.intervals is None else self.intervals.standard
-        # Those that differ in nothing but rate, masking and number of bursts share their records, hence their levels.
+        # Stimuli that differ only in rate, masking and number of bursts share their records and hence their levels.
         records = [
             self.stimulus_of(each).model_copy(update={"repetition_rate_Hz": 1}) for each in (name, *self.stimuli)
         ]
         alike = [each for each, own in zip(self.stimuli, records[1:], strict=True) if own == records[0]]
         fits = standard is not None and standard.stimulus in (None, *alike)
         at_every_level = standard is not None and standard.velocity_mm_s is None and standard.stimulus in alike
-        # Catch trials use the settings of the lowest level of all.
+        # Catch trials use the settings of the lowest level.
         if self.uncrossed_by[:1] == ("conditions",) and not (self.schedule.catch_trials or at_every_level):
             cells = [cell for fingers in self.conditions.finger_conditions for cell in self.cells(fingers)]
             own_levels = {level for _, level, stimulus in cells if stimulus in alike}
@@ -445,6 +445,6 @@ class Protocol(Section):
         return self.model_copy(update={**own, "conditions": crossed})
 
     def with_levels(self, levels_mm_s: tuple[float, ...]) -> Protocol:
-        """Return the protocol with a participant's own levels [mm/s] in place of sensation levels."""
+        """Return the protocol with a participant's levels [mm/s] in place of sensation levels."""
         update = {"peak_velocities_mm_s": levels_mm_s, "sensation_levels": None}
         return self.model_copy(update={"conditions": self.conditions.model_copy(update=update)})

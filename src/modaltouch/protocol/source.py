@@ -1,4 +1,4 @@
-"""The text of a file, as it is read and as the record keeps it; the shipped files."""
+"""Text of input files, as read and as kept in the record, and the shipped files."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from typing import Any, Literal
 from modaltouch.protocol.problems import InputError, Problem, suggest
 
 YAML_FILE = "a YAML file that exists and can be read"
-"""What may be named as a file, in words."""
+"""Description of a valid file name, for messages."""
 
 SIZE_LIMIT = 256 * 1024
-"""Largest file that is read [byte]: a hundred times the shipped ones."""
+"""Size of the largest file that is read, a hundred times that of the shipped files [byte]."""
 
 
 Kind = Literal["protocol", "apparatus", "observer", "fingers"]
@@ -25,14 +25,14 @@ _FOLDERS: dict[Kind, str] = {"protocol": ".", "apparatus": "apparatus", "observe
 
 @dataclass(frozen=True)
 class Source:
-    """A file's text and where it came from.
+    """Text and origin of a file.
 
     Attributes
     ----------
     path : Path
-        File, as the user named it.
+        File, as named by the user.
     text : str
-        Its text, without a byte order mark.
+        Text, without a byte order mark.
     """
 
     path: Path
@@ -40,7 +40,7 @@ class Source:
 
     @cached_property
     def sha256(self) -> str:
-        """Hash of the text in UTF-8."""
+        """SHA-256 of the text in UTF-8."""
         return hashlib.sha256(self.text.encode()).hexdigest()
 
     def as_dict(self) -> dict[str, str]:
@@ -49,7 +49,7 @@ class Source:
 
     @classmethod
     def load(cls, path: Path) -> Source:
-        """Return the text of a file.
+        """Read the text of a file.
 
         Parameters
         ----------
@@ -89,7 +89,7 @@ class Source:
 
     @classmethod
     def find(cls, kind: Kind, name: Path | str) -> Source:
-        """Return the text of a file given by path, or by the name of a shipped file.
+        """Read the text of a file given by path, or by the name of a shipped file.
 
         Parameters
         ----------
@@ -101,18 +101,18 @@ class Source:
         Raises
         ------
         InputError
-            If there is neither, with the shipped names; or if it cannot be read.
+            If there is neither (lists the shipped names), or the file cannot be read.
         """
         return cls.load(find(kind, name))
 
     @classmethod
     def shipped_text(cls, kind: Kind, name: str) -> Source:
-        """Return the text of a shipped file, with only its name as path, which does not depend on the installation.
+        """Read the text of a shipped file; the path is its name alone, independent of the installation.
 
         Raises
         ------
         InputError
-            If there is none of that name, with the shipped names.
+            If there is no such file; lists the shipped names.
         """
         known = cls.shipped(kind)
         if name not in known:
@@ -129,7 +129,7 @@ class Source:
             ``protocol``, ``apparatus``, ``observer`` or ``fingers``.
         """
         package = Path(__file__).parents[1]
-        # In the package once installed, beside the source in a checkout.
+        # In the package if installed, beside the source in a checkout.
         installed = package / "protocols"
         folder = installed if installed.is_dir() else package.parents[1] / "protocols"
         return {file.stem: file for file in sorted((folder / _FOLDERS[kind]).glob("*.yaml"))}
@@ -137,20 +137,20 @@ class Source:
 
 @dataclass(frozen=True)
 class Sources:
-    """The files of an experiment as they were read.
+    """The files of an experiment, as read.
 
     Attributes
     ----------
     protocol, apparatus, texts : Source
         Path, text and hash of each.
     calibration : Source or None
-        The same of the calibration, if any.
+        The calibration, if any.
     field : Source or None
-        The same of the points of the target field, if they are in a file.
+        The points of the target field, if in a file.
     fingers : Source or None
-        The same of the fingers that the stimulus is designed for, if any.
+        The fingers for which the stimulus is designed, if any.
     table : Source or None
-        The same of the table of cells, if any.
+        The table of cells, if any.
     """
 
     protocol: Source
@@ -167,7 +167,7 @@ class Sources:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Sources:
-        """Return the sources that `as_dict` described."""
+        """Restore sources from the output of `as_dict`."""
         return cls(**{name: Source(Path(each["path"]), str(each["text"])) for name, each in values.items()})
 
 
@@ -177,7 +177,7 @@ def find(kind: Kind, name: Path | str) -> Path:
     Raises
     ------
     InputError
-        If there is neither, with the shipped names.
+        If there is neither; lists the shipped names.
     """
     path, known = Path(name), Source.shipped(kind)
     try:

@@ -1,4 +1,4 @@
-"""The keys of the stimulus, and of several stimuli; the points of a sampled target field."""
+"""Keys of one or several stimuli, and the points of a sampled target field."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MEASURED = "measured"
 
 ZoneName = Annotated[Word, Field(json_schema_extra={"x-allowed": "the name of a zone of the beam"})]
 SampleCount = Annotated[int, Field(strict=True, ge=2, le=524_288, multiple_of=2)]
-"""Up to the memory of the largest known generator; that of the apparatus is checked with its other limits."""
+"""At most the memory of the largest known generator; that of the apparatus is checked with its other limits."""
 
 
 class FieldSection(Section):
@@ -137,7 +137,7 @@ class StimulusVariant(Section):
     )
 
     def applied(self, base: StimulusSection) -> StimulusSection:
-        """Return a stimulus with the keys that this variant gives."""
+        """Return a stimulus with the keys of this variant applied."""
         own = {key: getattr(self, key) for key in type(self).model_fields if key in StimulusSection.model_fields}
         return base.model_copy(update={key: value for key, value in own.items() if value is not None})
 
@@ -149,7 +149,7 @@ COLUMNS = ("position_mm", "velocity")
 
 
 def is_elsewhere(reading: Reading[Any], key: str) -> bool:
-    """Return whether a group, a kind of session or one of several stimuli gives a key of the section stimulus."""
+    """Test whether a group, a kind of session or one of several stimuli overrides a key of the section stimulus."""
     node, root, value = reading.find(("stimulus", key)), reading.root, reading.sound("stimulus", key)
     if node is None or root is None:
         return bool(value != StimulusSection.model_fields[key].default)
@@ -161,9 +161,9 @@ _FIELD = ("stimulus", "field")
 
 
 def check_target_field(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield the faults between the keys of the target field, as far as its valid parts show them."""
+    """Yield a problem for each inconsistency between the valid keys of the target field."""
     shape = reading.sound(*_FIELD, "shape")
-    # For one of several stimuli the value counts, not the section in the file.
+    # For one of several stimuli, the merged value counts rather than the section in the file.
     held = reading.sound if reading.value is not None else lambda *path: reading.find(path)
     named = [key for key in ("points", "file") if held(*_FIELD, key) is not None]
     if shape == "sampled" and len(named) != 1:
@@ -187,7 +187,7 @@ def check_target_field(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def read_points(source: Source) -> tuple[Points, list[Problem]]:
-    """Return the points in a file, positions [mm] and relative velocities, and its faults.
+    """Read the points in a file, positions [mm] and relative velocities; return points and problems.
 
     Parameters
     ----------

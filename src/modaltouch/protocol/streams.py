@@ -1,8 +1,8 @@
-"""A separate random stream for each purpose, so that a draw added to one does not change any other.
+"""Independent random streams, one per purpose, so that an additional draw from one does not change the others.
 
-A stream is numpy's PCG64 seeded by a SeedSequence of (study seed, participant, session, purpose). Only its raw 64-bit
-words are used: an order must be reproducible years later, and numpy guarantees these words, but not its distributions,
-to stay the same in every version.
+A stream is NumPy's PCG64 seeded by a SeedSequence of (study seed, participant, session, purpose). Only its raw 64-bit
+words are used: an order must be reproducible years later, and NumPy guarantees these words, but not its distributions,
+to be the same in every version.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from typing import Self, TypeVar
 import numpy as np
 
 ALGORITHM = "modaltouch order 1: raw words of numpy PCG64, seeded by SeedSequence(seed, participant, session, purpose)"
-"""Name and version of the algorithm that turns a seed into an order, for the record."""
+"""Name and version of the algorithm that derives an order from a seed, for the record."""
 
 Item = TypeVar("Item")
 
 
 def key_of(name: str) -> int:
-    """Return the number that represents a participant or a purpose in a seed: its SHA-256."""
+    """Return the integer that represents a participant or a purpose in a seed: the SHA-256 of its name."""
     return int.from_bytes(hashlib.sha256(name.encode()).digest(), "big")
 
 
@@ -39,23 +39,23 @@ def seed_sequence(seed: int, participant: str, session: int, purpose: str) -> np
     session : int
         Number of the session, from 1.
     purpose : str
-        What the stream is for.
+        Purpose of the stream.
     """
     return np.random.SeedSequence([seed, key_of(participant), session, key_of(purpose)])
 
 
 @dataclass(frozen=True, slots=True)
 class Cuts:
-    """Whole numbers that divide a range, and their first words, which nearly always suffice to place a drawn number.
+    """Integers that divide a range, with their leading words, which are nearly always enough to locate a drawn number.
 
     Attributes
     ----------
     totals : list of int
         Increasing; the last is the end of the range.
     n_words, n_spare : int
-        Number of words in a draw from the range, and number of their bits that are dropped.
+        Number of words in a draw from the range, and number of excess bits.
     words : list of int
-        First word of each total, aligned as in a draw.
+        Leading word of each total, aligned as in a draw.
     """
 
     totals: list[int]
@@ -73,7 +73,7 @@ class Cuts:
 
 
 class Stream:
-    """Uniform whole numbers and orders from one stream.
+    """Uniform integers and orders from one stream.
 
     Parameters
     ----------
@@ -83,11 +83,11 @@ class Stream:
 
     def __init__(self, seed: int, participant: str, session: int, purpose: str) -> None:
         self._source = np.random.PCG64(seed_sequence(seed, participant, session, purpose))
-        # A view of numpy's buffer: making a list of all words would take longer than most draws.
+        # A view of NumPy's buffer, since a list of all words would take longer than most draws.
         self._words, self._read, self._end = self._source.random_raw(0).data, 0, 0
 
     def below(self, bound: int) -> int:
-        """Return an exactly uniform whole number from 0 to `bound` - 1, however large the bound."""
+        """Return an exactly uniform integer from 0 to `bound` - 1, for bounds of any size."""
         n_bits = (bound - 1).bit_length()
         n_words = (n_bits + 63) // 64
         n_spare = 64 * n_words - n_bits
@@ -101,7 +101,7 @@ class Stream:
                 return value
 
     def among(self, cuts: Cuts) -> int:
-        """Return the place of a uniform whole number among totals, like `bisect_right(totals, below(totals[-1]))`."""
+        """Return the place of a uniform integer among totals, like `bisect_right(totals, below(totals[-1]))`."""
         n_words, words = cuts.n_words, cuts.words
         while True:
             if self._read + n_words > self._end:
@@ -121,14 +121,14 @@ class Stream:
         self._read, self._end = 0, len(self._words)
 
     def _number(self, begin: int) -> int:
-        """Return the number formed by the words from `begin` up to the last one read."""
+        """Return the integer formed by the words from `begin` to the last one read."""
         value = 0
         for word in self._words[begin : self._read]:
             value = value << 64 | word
         return value
 
     def shuffled(self, items: Iterable[Item]) -> list[Item]:
-        """Return the items in an order drawn uniformly among all orders (Fisher-Yates)."""
+        """Return the items in uniformly random order (Fisher-Yates)."""
         order = list(items)
         for last in range(len(order) - 1, 0, -1):
             other = self.below(last + 1)
@@ -140,6 +140,6 @@ class Stream:
         return self.shuffled(items)[:n_items]
 
     def weighted(self, weights: Sequence[int]) -> int:
-        """Return an index drawn with probabilities exactly proportional to whole-number weights."""
+        """Return an index drawn with probabilities exactly proportional to integer weights."""
         totals = list(accumulate(weights))
         return bisect_right(totals, self.below(totals[-1]))

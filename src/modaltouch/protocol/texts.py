@@ -1,4 +1,4 @@
-"""Texts: every word the participant reads, in one language."""
+"""Texts shown to the participant, in one language."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _PLACEHOLDERS: dict[str, frozenset[str]] = {
     "practice_was": frozenset({"answer"}),
     "confirm_rating": frozenset({"key"}),
 }
-"""Words in braces that a text must contain; every other text must contain none."""
+"""Placeholders that a text must contain; other texts must contain none."""
 
 _OPTIONAL: dict[str, frozenset[str]] = {
     "instructions": frozenset({"vibrates", "n_fingers", "asked"}),
@@ -43,11 +43,11 @@ _OPTIONAL: dict[str, frozenset[str]] = {
     "how_to_answer_or_none": frozenset({"n_answers", "nothing_felt"}),
     "lift_to_answer": frozenset({"hand"}),
 }
-"""Words in braces that a text may contain; older files lack them."""
+"""Placeholders that a text may contain; older files lack them."""
 
 
 def _check_text(text: str, wanted: frozenset[str] = frozenset(), optional: frozenset[str] = frozenset()) -> str:
-    """Return a text that is not empty and has all the wanted words in braces, and no others but the optional ones."""
+    """Validate a text: not empty, with all required placeholders, and no others except the optional ones."""
     if not text.strip():
         raise fault("an empty text", "at least one word", "write what the participant should read")
     needed = ", ".join(f"{{{name}}}" for name in sorted(wanted)) or "no words in braces"
@@ -197,7 +197,7 @@ class Texts(Section):
     @field_validator("*")
     @classmethod
     def _holds_its_placeholders(cls, text: object, info: ValidationInfo) -> object:
-        """Refuse an empty text, and one whose words in braces differ from what the window fills in."""
+        """Reject an empty text, or one whose placeholders differ from those that the window fills in."""
         name = str(info.field_name)
         if isinstance(text, str):
             optional = _OPTIONAL.get(name, frozenset())
@@ -207,7 +207,7 @@ class Texts(Section):
         return text
 
     def fitted(self, protocol: Protocol) -> Texts:
-        """Return the texts with the instructions and the question that a protocol's design needs."""
+        """Return the texts with instructions and question adapted to a protocol's design."""
         task, intervals, counts = protocol.task, protocol.intervals, {*map(len, protocol.conditions.contacts)}
         n_intervals = 1 if intervals is None else 4 if intervals.standard.velocity_mm_s == 0 else intervals.number
         words = {
@@ -220,7 +220,7 @@ class Texts(Section):
         return self.model_copy(update={"instructions": instructions, "question": self.further.get(task, self.question)})
 
     def number(self, count: int) -> str:
-        """Return a number of answers as the participant reads it."""
+        """Format a number of answers for the participant."""
         return dict(enumerate(self.numbers, 2)).get(count, str(count))
 
     def finger(self, name: str) -> str:
@@ -228,7 +228,7 @@ class Texts(Section):
         return self.fingers.get(name) or str(getattr(self, name.replace(" ", "_")))  # type: ignore[call-overload]
 
     def placing(self, fingers: tuple[str, ...], zones: tuple[str, ...]) -> str:
-        """Return the instruction which finger goes on which zone."""
+        """Return the instruction that assigns fingers to zones."""
         if len(zones) != 2:
             laid = zip(fingers, zones, strict=True)
             return "\n".join((self.place_each_finger or "").format(finger=f, zone=zone) for f, zone in laid)
@@ -241,16 +241,16 @@ class Texts(Section):
         return self.answers.get(answer) or str(getattr(self, answer, answer))
 
     def named(self, words: str) -> str:
-        """Return the further text of that name, or the words themselves if there is none."""
+        """Return the further text with a name, or the name itself if there is none."""
         return self.further.get(words, words)
 
 
 _ROOM = 120
-"""Most characters on a row of buttons: more would be too small to read."""
+"""Largest number of characters on a row of buttons; more would be too small to read."""
 
 
 def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Problem]:
-    """Return the texts that a protocol needs and its language file lacks, and labels too long for their buttons."""
+    """Return a problem for each required text missing in the language file and each label too long for its button."""
     problems = [*_check_further(protocol, texts)]
     file, offered = protocol.source.path.name, offered_answers(protocol)
     absent = [name for name in SHIPPED if name not in offered.names]
@@ -268,7 +268,7 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Prob
                 problems.append(
                     texts.problem(path, given, f"at most {room} with {in_row} answers in a row", "shorten it")
                 )
-            # Required keys are reported without a protocol, too.
+            # Missing required keys are also reported without a protocol.
             if field.is_required() or (node is not None and node.content is not None):
                 continue
             meant = suggest(answer.name, absent) if path[0] == "answers" else ""
@@ -284,7 +284,7 @@ def check_words(protocol: Reading[Protocol], texts: Reading[Texts]) -> list[Prob
 
 
 def _lacking_fingers(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[Problem]:
-    """Yield the missing texts for a protocol's fingers: their names, and how to place one or three."""
+    """Yield the missing texts for a protocol's fingers: their names, and the placing of one or three."""
     design = None if protocol.value is None else protocol.value.conditions
     if design is None or texts.root is None:
         return
@@ -300,7 +300,7 @@ def _lacking_fingers(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iter
 
 
 def _check_further(protocol: Reading[Protocol], texts: Reading[Texts]) -> Iterator[Problem]:
-    """Yield the texts and labels of further questions, and of the form, that the language file lacks."""
+    """Yield the missing texts and labels of further questions and of the form."""
     wanted: list[tuple[tuple[str, ...], str, str]] = []
     for questions in (("answers", "then"), ("form",)):
         for name, question in protocol.items(*questions):

@@ -1,6 +1,6 @@
-"""YAML 1.2 -> tree of nodes with line and column.
+"""Parser of YAML 1.2 into a tree of nodes with line and column.
 
-The tree is built from the parser's events, so that nesting, aliases and tags are checked before they are expanded.
+The tree is built from parser events, so that nesting, aliases and tags are checked before expansion.
 """
 
 from __future__ import annotations
@@ -50,28 +50,28 @@ def resolve(text: str) -> Scalar:
 
 
 DEPTH_LIMIT = 16
-"""Deepest nesting that is read; the shipped files need four."""
+"""Deepest nesting allowed; the shipped files need four."""
 
 VALUE_LIMIT = 20_000
-"""Most values in a file, with aliases expanded."""
+"""Largest number of values in a file, with aliases expanded."""
 
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """A value of a YAML file and its place.
+    """A value of a YAML file and its position.
 
     Attributes
     ----------
     content : scalar, list of Node, or dict of str to Node
         The value.
     line, column : int
-        Where it begins, both from 1.
+        Start of the value, both from 1.
     keys : dict of str to (int, int)
         Line and column of each key, if the value is a mapping.
     text : str
-        A scalar as it was written.
+        A scalar as written.
     file : str
-        File that contains it, if that is not the tree's file.
+        File of the value, if different from that of the tree.
     """
 
     content: Scalar | list[Node] | dict[str, Node]
@@ -90,12 +90,12 @@ class Node:
 
     @cached_property
     def size(self) -> int:
-        """Number of values in it, itself included, with aliases expanded."""
+        """Number of values, including this one, with aliases expanded."""
         return 1 + sum(child.size for child in self.children)
 
     @cached_property
     def depth(self) -> int:
-        """Levels of nested lists and mappings, itself included."""
+        """Levels of nested lists and mappings, including this one."""
         return (
             1 + max((child.depth for child in self.children), default=0) if isinstance(self.content, list | dict) else 0
         )
@@ -117,21 +117,21 @@ class Node:
         return None
 
     def paths_of(self, wanted: Node) -> list[tuple[str | int, ...]]:
-        """Return every path to a node, which may be below several keys; empty for the node itself."""
+        """Return every path to a node, which may be below several keys; an empty path for the node itself."""
         found: list[tuple[str | int, ...]] = [()] if self is wanted else []
         for step, child in self.content.items() if isinstance(self.content, dict) else enumerate(self.children):
             found += [(step, *rest) for rest in child.paths_of(wanted)]
         return found
 
     def with_child(self, key: str, child: Node) -> Node:
-        """Return the mapping with a value under a key; the place of a new key is where the value begins."""
+        """Return the mapping with a value under a key; a new key has the position of its value."""
         held = self.content if isinstance(self.content, dict) else {}
         keys = {key: (child.line, child.column)} | self.keys
         return Node(held | {key: child}, self.line, self.column, keys, self.text, self.file)
 
 
 def parse_tree(source: Source) -> tuple[Node | None, list[Problem]]:
-    """Return the tree of a YAML text and the faults found while building it.
+    """Parse a YAML text into a tree; return tree and problems.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def parse_tree(source: Source) -> tuple[Node | None, list[Problem]]:
     Returns
     -------
     root : Node or None
-        The mapping at the top; None if the text has none.
+        The top-level mapping; None if there is none.
     problems : list of Problem
         Syntax errors, repeated keys, tags, aliases without an anchor, exceeded limits.
     """
@@ -151,10 +151,10 @@ def parse_tree(source: Source) -> tuple[Node | None, list[Problem]]:
 
 @lru_cache(maxsize=16)
 def _parsed(text: str) -> tuple[Node | None, list[Problem]]:
-    """Return the tree of a text and its faults, without the file's name.
+    """Return the tree of a text and its problems, without the file name.
 
-    A sound text is read by libyaml, twenty times as fast; ruamel.yaml says what is wrong with another one, and where a
-    tab may not stand.
+    Valid texts are read by libyaml, which is twenty times as fast; ruamel.yaml reports the problems of invalid ones,
+    including tabs in forbidden places.
     """
     if "\t" not in text:
         with suppress(yaml.YAMLError):
@@ -171,7 +171,7 @@ def _parsed(text: str) -> tuple[Node | None, list[Problem]]:
 
 
 def _built(reader: _Reader) -> Node | None:
-    """Return the mapping at the top of a text, if there is one."""
+    """Return the top-level mapping of a text, if any."""
     try:
         root = reader.document()
     except _Stop:
@@ -187,11 +187,11 @@ def _built(reader: _Reader) -> Node | None:
 
 
 class _Stop(Exception):  # noqa: N818
-    """Reading the text stops at a fault."""
+    """Raised to stop reading at a problem."""
 
 
 def _syntax_problem(text: str, error: Exception) -> Problem:
-    """Return the problem of what the parser could not read."""
+    """Convert a parser error to a problem."""
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
     if (position := getattr(error, "position", None)) is not None:
         before = text[:position]
@@ -211,7 +211,7 @@ def _syntax_problem(text: str, error: Exception) -> Problem:
 
 
 class _Reader:
-    """Makes nodes from the parser's events, recursively; its depth limit is far below Python's."""
+    """Builds nodes from parser events, recursively; its depth limit is far below that of Python."""
 
     def __init__(self, events: Iterator[Any]) -> None:
         self.problems: list[Problem] = []
@@ -223,7 +223,7 @@ class _Reader:
         self.problems.append(Problem("", line, column, path, given, allowed, remedy))
 
     def document(self) -> Node | None:
-        """Return the value of the only document, None if there is none."""
+        """Return the value of the only document; None if there is none."""
         root = None
         for event in self._events:
             if type(event).__name__ == "DocumentStartEvent":
@@ -237,7 +237,7 @@ class _Reader:
         raise _Stop
 
     def _value(self, event: Any, path: tuple[str | int, ...]) -> Node:
-        """Return the value that begins with an event, at a path."""
+        """Build the value that begins with an event, at a path."""
         kind = type(event).__name__
         if kind == "AliasEvent":
             return self._alias(event, len(path))
@@ -290,7 +290,7 @@ class _Reader:
         return Node(content, *_place(start), keys)
 
     def _check_key(self, key: Node, keys: dict[str, tuple[int, int]], path: tuple[str | int, ...]) -> bool:
-        """Return whether a key is a word that is new in the mapping; values under other keys are dropped."""
+        """Test whether a key is a word new to the mapping; values under other keys are dropped."""
         if not isinstance(key.content, str):
             word = key.text or "a list, a mapping or nothing"
             remedy = f'write "{key.text}" in quotes' if key.text else "write a word before the colon"

@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 TIME_OUT = "time_out"
-"""Recorded answer if none came in time; never offered."""
+"""Answer recorded at a time-out; never offered."""
 
 _SELDOM = ("value", "further")
-"""Keys of a response that are recorded only if they have a value."""
+"""Keys of a response recorded only if set."""
 
 FINGERS: dict[tuple[str, str], tuple[str, str]] = {
     ("one_hand", "right"): ("right index", "right middle"),
@@ -25,12 +25,12 @@ SIDES: dict[int, tuple[Literal["left", "between", "right"], ...]] = {
     2: ("left", "right"),
     3: ("left", "between", "right"),
 }
-"""Sides of the fingers, by their number; a single finger is the left one."""
+"""Sides of the fingers, by number of fingers; a single finger is the left one."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """What distinguishes one cell of the design from another.
+    """The factor levels of one cell of the design.
 
     Attributes
     ----------
@@ -38,17 +38,17 @@ class Condition:
         ``one_hand`` (index and middle finger of one hand; the paper's test 1), ``two_hands`` (both index
         fingers; test 2), or one that the protocol defines.
     zone_left, zone_right : str
-        Zones under the outer fingers, left and right as the participant sees the beam; for a single finger, its zone
-        and an empty string.
+        Zones under the outer fingers, left and right as seen by the participant; for a single finger, its zone and an
+        empty string.
     velocity_mm_s : float
         Peak velocity at the centre of the focus zone at the focusing instant [mm/s]; 0 in a catch trial.
     placement : str
-        ``normal``; ``mirrored`` (the beam turned end to end, so that its last zone lies on the left);
+        ``normal``; ``mirrored`` (the beam turned end to end, so that its last zone is on the left);
         ``swapped`` (the other hand, or crossed hands if both are on the beam); ``mirrored_swapped``.
     stimulus : str
         Name of the stimulus; empty if the protocol has only one, and in a catch trial.
     zone_between : str
-        Zone under the middle one of three fingers; else empty.
+        Zone under the middle one of three fingers; empty for fewer fingers.
     """
 
     finger_condition: str
@@ -79,7 +79,7 @@ class Condition:
 
     @property
     def is_catch(self) -> bool:
-        """Whether it is that of a catch trial."""
+        """Whether this is the condition of a catch trial."""
         return self.velocity_mm_s == 0
 
     @property
@@ -93,7 +93,7 @@ class Condition:
         Parameters
         ----------
         hand : str
-            The hand that the protocol uses in ``one_hand``.
+            The hand used in ``one_hand`` by the protocol.
         named : mapping, optional
             Fingers of the finger conditions that the protocol defines.
         """
@@ -115,15 +115,15 @@ class Trial:
     Attributes
     ----------
     index : int
-        Place in the session, from 1; practice trials count from 1 on their own.
+        Position in the session, from 1; practice trials are counted separately.
     block : int
         Block (one finger condition) from 1; 0 for practice.
     condition : Condition
-        What is presented.
+        The condition presented.
     repetition : int
-        Number of this presentation of the condition, from 1.
+        Number of the presentation of this condition, from 1.
     practice : bool
-        Whether it is a practice trial, which the analysis ignores.
+        Whether this is a practice trial, which the analysis ignores.
     interval : int
         Interval in which the condition is presented, from 1; 0 if the trial has no intervals.
     """
@@ -136,7 +136,7 @@ class Trial:
     interval: int = 0
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the trial as plain values for the record."""
+        """Return the trial as a JSON-serialisable dict for the record."""
         values = asdict(self)
         for name in ("stimulus", "zone_between"):
             if not values["condition"][name]:
@@ -147,20 +147,20 @@ class Trial:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Trial:
-        """Return the trial that `as_dict` described."""
+        """Restore a trial from the output of `as_dict`."""
         return cls(**{**values, "condition": Condition(**values["condition"])})
 
 
 @dataclass(frozen=True)
 class Response:
-    """What the participant answered, and how.
+    """The participant's answer to a trial, with its timing.
 
     Attributes
     ----------
     answer : str
-        Name of one of the protocol's answers; ``time_out`` if none came in time.
+        Name of one of the protocol's answers, or ``time_out``.
     reaction_time : float
-        From the onset named by `onset` to the answer event, or to the time-out [s].
+        Time from the onset given by `onset` to the answer event or the time-out [s].
     onset : str
         ``first_burst`` or ``question`` (if the stimulus stops before the question).
     answered_by : str
@@ -174,17 +174,17 @@ class Response:
     key : str
         Name of the key or of the button clicked.
     double : bool
-        Whether another answer came within 50 ms.
+        Whether another answer followed within 50 ms.
     question_after : float or None
-        From the onset of the stimulus to the question on the screen [s]; None without a screen.
+        Time from the onset of the stimulus to the question on the screen [s]; None without a screen.
     question_uncertainty : float
-        Time taken to show the question: it was visible at most this much earlier than `question_after` [s].
+        Time taken to show the question, which was visible at most this much earlier than `question_after` [s].
     time_uncertainty : float
-        Longest time the answer event may have waited for its time stamp [s].
+        Upper bound of the delay between the answer event and its time stamp [s].
     value : float or None
-        The number answered on a scale.
+        The number given on a scale.
     further : dict of str to dict
-        The response to each further question, by its name.
+        The response to each further question, by name.
     """
 
     answer: str
@@ -203,10 +203,10 @@ class Response:
 
     @property
     def counted_from(self) -> float:
-        """Instant from which the reaction time counts [s after the onset of the stimulus]."""
+        """Start of the reaction time [s after the onset of the stimulus]."""
         return (self.question_after or 0.0) if self.onset == "question" else 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the response as plain values for the record."""
+        """Return the response as a JSON-serialisable dict for the record."""
         values = asdict(self)
         return {name: value for name, value in values.items() if name not in _SELDOM or value not in (None, {})}
