@@ -1,7 +1,6 @@
-"""What every package needs from the computer: clocks, locks between processes, signals, and which build this is.
+"""System services shared by all subpackages: clocks, locks between processes, signals, and build provenance.
 
-Signals become exceptions; the version is the one stated in every record. `lazily` makes the ``__init__`` of every
-package load what it offers on first use: some of it takes seconds to import.
+`lazily` gives the ``__init__`` of every subpackage lazy imports, since some modules take seconds to import.
 """
 
 from __future__ import annotations
@@ -12,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 
 def lazily(package: str, places: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return the ``__getattr__`` (PEP 562) of a package, which imports a module when one of its names is used.
+    """Return a package's ``__getattr__`` (PEP 562), which imports a module when one of its names is first used.
 
     Parameters
     ----------
     package : str
         Dotted name of the package.
     places : mapping of str to str
-        Names that each module offers, separated by spaces; a module in a folder has a dotted name.
+        Public names of each module, separated by spaces; a module in a folder has a dotted name.
 
     Examples
     --------

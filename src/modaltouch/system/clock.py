@@ -1,4 +1,4 @@
-"""The clock that stamps everything in a record: the machine's own, or a virtual one; and how well it keeps time."""
+"""Clocks for all time stamps of a record, real or virtual, and a measurement of the accuracy of the real one."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from typing import Any
 
 
 class Clock(typing.Protocol):
-    """Tells the time and waits; window, session, generator driver and twin each take one as an argument."""
+    """Interface of a clock, an argument of window, session, generator driver and twin."""
 
     def now(self) -> float:
         """Return the time since an arbitrary zero [s]."""
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass [s]."""
+        """Wait for a duration [s]."""
 
 
 class SystemClock:
-    """The machine's monotonic clock; all its processes read the same time."""
+    """The monotonic clock of the machine, the same for all its processes."""
 
     def now(self) -> float:
         """Return `time.perf_counter` [s]."""
         return time.perf_counter()
 
     def sleep(self, seconds: float) -> None:
-        """Wait [s]; return at once if the time is not positive."""
+        """Wait for a duration [s]; return immediately if it is not positive."""
         time.sleep(max(seconds, 0.0))
 
 
 class VirtualClock:
-    """A clock whose time passes only in `sleep`, and there at once.
+    """A clock whose time advances only in `sleep`, without waiting.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class VirtualClock:
         return self._now
 
     def sleep(self, seconds: float) -> None:
-        """Advance the time [s]; call whatever falls due in between, in order and each at its instant."""
+        """Advance the time by a duration [s]; make the calls due in between, in order, each at its instant."""
         end = self._now + max(seconds, 0.0)
         while self._due and self._due[0][0] <= end:
             instant, _, call = heapq.heappop(self._due)
@@ -60,37 +60,36 @@ class VirtualClock:
         self._now = max(self._now, end)
 
     def call_at(self, instant: float, call: Callable[[], object]) -> None:
-        """Call a function when an instant is reached [s]."""
+        """Schedule a call at an instant [s]."""
         heapq.heappush(self._due, (instant, next(self._numbers), call))
 
 
 SYSTEM_CLOCK = SystemClock()
-"""The clock of every session that is not simulated in virtual time."""
+"""Clock of all sessions except those simulated in virtual time."""
 
 
 _WAIT_MS = 1.0
-"""Pause of a window between two polls [ms]."""
+"""Time between two polls of a window [ms]."""
 _LATE_MS = 5.0
-"""A machine that oversleeps by more is busy, or saves power [ms]."""
+"""Overshoot of a wait above which the machine is busy or saving power [ms]."""
 
 
 def measure_clock(n: int = 500) -> tuple[dict[str, Any], str]:
-    """Return how accurately this machine keeps time, and what that means; takes about `n` milliseconds.
+    """Measure the accuracy of this machine's clock and judge it; takes about `n` milliseconds.
 
     Parameters
     ----------
     n : int
-        Number of waits of a millisecond.
+        Number of waits of 1 ms.
 
     Returns
     -------
     figures : dict
-        ``name`` of the system's clock behind `time.perf_counter`; ``is_monotonic``, whether it can never be set back;
-        ``drift_ppm``, how much faster the time of day ran meanwhile, large while the network corrects it; the
-        smallest step seen (``step_ms``), and how long a wait of 1 ms takes (``wait_median_ms``, ``wait_p95_ms``,
-        ``wait_max_ms``).
+        ``name`` of the system clock behind `time.perf_counter`; ``is_monotonic``; ``drift_ppm``, the drift of the time
+        of day relative to it, which is large during network time corrections; ``step_ms``, the smallest step observed;
+        and the duration of a 1 ms wait (``wait_median_ms``, ``wait_p95_ms``, ``wait_max_ms``).
     verdict : str
-        What they mean for an experiment, and what to do.
+        Consequences for an experiment and recommended action.
     """
     import statistics  # only here: every command loads this module
 
@@ -115,7 +114,7 @@ def measure_clock(n: int = 500) -> tuple[dict[str, Any], str]:
 
 
 def judge_clock(figures: Mapping[str, Any]) -> str:
-    """Return what the figures of a clock mean for an experiment, and what to do."""
+    """Return the consequences of the figures of a clock for an experiment, and the recommended action."""
     lines = []
     if not figures["is_monotonic"] or figures["step_ms"] > 0.1:
         lines.append(

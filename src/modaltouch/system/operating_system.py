@@ -1,4 +1,4 @@
-"""What differs between operating systems: locking and syncing an open file, and the signals that end a session."""
+"""Platform-dependent functions: locking and syncing an open file, and the signals that end a session."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from types import FrameType
 from typing import Self
 
 LOCKED_BYTE = 1 << 40
-"""The byte locked on Windows, where others cannot read a locked byte: far beyond any content."""
+"""Offset of the byte locked on Windows: far beyond any content, because others cannot read a locked byte."""
 
 
 def lock(descriptor: int, patience: float = 0.0) -> None:
-    """Take the lock of a file; raise OSError if it is not free within `patience` [s]."""
+    """Lock a file; raise OSError if the lock is not available within `patience` [s]."""
     deadline = time.monotonic() + patience
     while True:
         try:
@@ -40,11 +40,11 @@ def _lock_at_once(descriptor: int) -> None:
 
 
 def sync_file(descriptor: int) -> None:
-    """Force what was written to a file to the disk."""
+    """Flush a file to the disk."""
     if sys.platform == "darwin":
         import fcntl
 
-        # On macOS fsync stops at the drive's cache; a file system without F_FULLFSYNC refuses it.
+        # On macOS fsync stops at the drive's cache; file systems without F_FULLFSYNC raise OSError.
         with contextlib.suppress(OSError):
             fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)
             return
@@ -55,7 +55,7 @@ SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP"
 
 
 class Interrupted(BaseException):
-    """A signal told the session to end.
+    """Raised when a signal ends the session.
 
     Not an `Exception`, so that no library's ``except Exception`` can swallow it.
 
@@ -71,10 +71,10 @@ class Interrupted(BaseException):
 
 
 class Interruption:
-    """Notes the signals in `SIGNALS` while it is active; `check` raises once one has come.
+    """Context manager that notes the signals in `SIGNALS`; `check` raises after one has arrived.
 
-    A handler that raised at an arbitrary instruction could tear a line of the record or skip an `output off`; a note
-    cannot. A second SIGINT raises at once, in case the program hangs.
+    A handler that raises at an arbitrary instruction could truncate a line of the record or skip an `output off`; a
+    note cannot. A second SIGINT raises immediately, in case the program hangs.
     """
 
     def __init__(self) -> None:
@@ -82,12 +82,12 @@ class Interruption:
         self._previous: dict[int, object] = {}
 
     def check(self) -> None:
-        """Raise `Interrupted` if a signal has come.
+        """Raise `Interrupted` if a signal has arrived.
 
         Raises
         ------
         Interrupted
-            With the signal's name.
+            With the name of the signal.
         """
         if self.pending:
             raise Interrupted(self.pending)

@@ -1,4 +1,4 @@
-"""Which program made a record: its version and commit, and the packages that it ran with.
+"""Provenance of a record: version and commit of the program, and versions of its packages.
 
 The build executes this file to get the version, so it imports only the standard library.
 """
@@ -13,7 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 
 RELEASE = "0.2.0"
-"""The latest release, or the one in the making; tagged as ``v0.2.0``."""
+"""The latest or upcoming release; tagged as ``v0.2.0``."""
 
 PACKAGES = ("numpy", "scipy", "pandas", "statsmodels", "PyVISA", "PyVISA-py", "psychopy", "pyglet", "pydantic")
 
@@ -21,12 +21,12 @@ _PACKAGE = Path(__file__).resolve().parents[1]
 
 
 def version() -> str:
-    """Return the version, as ``0.2.0+g1bbd8eefd71e.dirty``; only the release at its tag, or if no commit is known."""
+    """Return the version, such as ``0.2.0+g1bbd8eefd71e.dirty``; just the release if at its tag or commit unknown."""
     return _origin()[0]
 
 
 def commit() -> str:
-    """Return the commit of the code, with ``+`` if it was changed since; empty if neither build nor git knows it."""
+    """Return the commit of the code, with ``+`` if modified since; empty if unknown to both build and git."""
     return _origin()[1]
 
 
@@ -45,7 +45,7 @@ def versions() -> dict[str, str]:
 
 @lru_cache(maxsize=1)
 def _origin() -> tuple[str, str]:
-    """Return version and commit, as written by the build beside the code, or from git in a checkout."""
+    """Return version and commit, from the file written by the build or from git in a checkout."""
     built = _PACKAGE / "build.txt"
     if built.is_file():
         found, _, commit = built.read_text(encoding="ascii").strip().partition(" ")
@@ -60,12 +60,12 @@ def _origin() -> tuple[str, str]:
 
 
 def _describe(root: Path) -> str:
-    """Return the output of ``git describe`` in a checkout of modaltouch; empty for other folders, or if git fails."""
+    """Return the output of ``git describe`` in a checkout of modaltouch; empty for other folders or if git fails."""
     words = ("describe", "--tags", "--long", "--always", "--dirty", "--abbrev=64", "--match", f"v{RELEASE}")
     # In a git hook, variables named GIT_* point to the hook's repository.
     env = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
     try:
-        # An installed package may lie inside another project's repository.
+        # An installed package may be inside another project's repository.
         if 'name = "modaltouch"' not in (root / "pyproject.toml").read_text(encoding="utf-8"):
             return ""
         git = ["git", f"--git-dir={root / '.git'}", f"--work-tree={root}", *words]
