@@ -1,14 +1,14 @@
-"""The rig: plays a `Burst` at a level, which returns a `Firing`, and measures the beam, which returns a `Recording`.
+"""Instrument drivers that play bursts (`Burst` and level in, `Firing` out) and measure the beam (`Recording`).
 
-A session opens the driver at a VISA address; the simulator has one too::
+A session opens the driver at a VISA address; the simulator has one, too::
 
     with Simulator(apparatus) as simulator, Generator(simulator.address, apparatus, log=log) as rig:
         rig.load(burst)
         rig.fire(velocity)
         speeds = simulator.felt_velocity(["A", "C"])
 
-`instrument_of` an apparatus describes its generator and what that can play. The beam is measured by a separate
-instrument: ``simulator.scope()``, or ``Scope.open(apparatus)``.
+`instrument_of` an apparatus returns the specifications of its generator. The beam is measured by a separate instrument:
+``simulator.scope()`` or ``Scope.open(apparatus)``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Settings and results of a measurement: the velocity of a point of the beam, and the drive that caused it.
+"""Settings and results of a measurement of the velocity of a point of the beam and of its drive.
 
 The simulated vibrometer and scope are used like real ones::
 
@@ -7,10 +7,10 @@ The simulated vibrometer and scope are used like real ones::
         for position in np.linspace(-0.05, 0.05, 41):
             recording = scope.measure(position)
 
-Meanwhile the generator plays (`modaltouch.rig.interface.Rig`); its trigger starts every record. The zero-order hold of
-its samples produces images around multiples of the sample rate. If the scope samples no faster than the generator, they
-alias onto the drive, and a transfer function lacks the hold's droop and its delay of half a sample: sample a few times
-faster than the record is played.
+Meanwhile the generator plays (`modaltouch.rig.interface.Rig`), and its trigger starts every record. The zero-order hold
+of its samples produces images around multiples of the sample rate. If the scope samples no faster than the generator,
+these alias onto the drive, and a transfer function lacks the droop and the half-sample delay of the hold. Therefore
+sample a few times faster than the record is played.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ class Acquisition:
     Attributes
     ----------
     sampling_rate : float
-        Samples per second [Hz]; the scope takes the nearest rate that it has, which the recording states.
+        Samples per second [Hz]; the scope uses its nearest available rate, which is stated in the recording.
     n_samples : int
         Samples per record, including those before the trigger.
     n_records : int
-        Number of consecutive records, each started by the generator's trigger; they are not averaged, so that a
-        coherence can be computed from them.
+        Number of consecutive records, each started by the generator's trigger; they are not averaged, so that coherence
+        can be computed.
     drives : tuple of int
-        Generator outputs whose voltage at the beam is measured along with the velocity.
+        Generator outputs whose voltage at the beam is measured together with the velocity.
     start : float
-        Time of the first sample, from the trigger at the start of a burst [s]; negative for samples before it.
+        Time of the first sample relative to the trigger at the start of a burst [s]; negative for pre-trigger samples.
     velocity_range, drive_range : float, optional
         Highest expected velocity [m/s] and voltage at the beam [V]; the smallest sufficient input range is used.
-        None for the whole range of the vibrometer, or of the scope's input.
+        None for the full range of the vibrometer or of the scope input.
     """
 
     sampling_rate: float = 500e3
@@ -63,7 +63,7 @@ class Acquisition:
     drive_range: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse settings that no scope can have."""
+        """Reject settings impossible for any scope."""
         for name, value, unit in (
             ("sampling_rate", self.sampling_rate, "Hz"),
             ("velocity_range", self.velocity_range, "m/s"),
@@ -94,15 +94,15 @@ class Recording:
     position : float
         Position along the beam, origin at mid-beam [m].
     time : (n_samples,) array
-        Time since the trigger, by the scope's clock [s].
+        Time since the trigger, on the clock of the scope [s].
     velocity : (n_records, n_samples) array
         Velocity of the point [m/s].
     drive : (n_records, n_drives, n_samples) array
         Voltage at the beam of each measured drive [V].
     sampling_rate : float
-        Sampling rate by the scope's clock [Hz].
+        Sampling rate on the clock of the scope [Hz].
     overloaded : tuple of str
-        Signals that reached the end of their range in any record: ``velocity``, ``drive 1``, ``drive 2``.
+        Signals that reached their full scale in any record: ``velocity``, ``drive 1``, ``drive 2``.
     """
 
     position: float
@@ -115,12 +115,12 @@ class Recording:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Scale factors of a scope's inputs, and the choice of their ranges.
+    """Scale factors of the scope inputs, and the choice of input ranges.
 
     Attributes
     ----------
     sensitivity, highest_velocity : float
-        Sensitivity of the vibrometer [m/s per V]; end of its range [m/s].
+        Sensitivity of the vibrometer [m/s per V] and its full scale [m/s].
     attenuation : float
         Attenuation of the probes that measure the drive [V at the beam per V].
     """

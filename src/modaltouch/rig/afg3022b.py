@@ -1,4 +1,4 @@
-"""The Tektronix AFG3022B: its specifications and commands, from Tektronix' data sheet and programmer manual."""
+"""The Tektronix AFG3022B: specifications and commands from the data sheet and programmer manual."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ N_SPOTS = 64
 
 @dataclass(frozen=True)
 class EditMemory:
-    """Records in memories common to all channels, stored through an edit memory and read back whole.
+    """Records in memories shared by all channels, stored via an edit memory and read back in full.
 
-    Where whole blocks cannot be read back, the number of points and a sample of them are compared.
+    If blocks cannot be read back, the number of points and a sample of them are compared.
 
     Attributes
     ----------
     n_memories : int
-        Number of memories, which count from 1.
+        Number of memories, numbered from 1.
     """
 
     n_memories: int
 
     def store(self, controls: Controls, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
-        """Store records that are not stored yet, verify them, and return the numbers of their memories."""
+        """Store and verify records that are not yet stored; return the numbers of their memories."""
         used: list[str] = []
         for channel, codes in records:
             used.append(self._store(controls, codes, str(channel), used))
         return used
 
     def _store(self, controls: Controls, codes: NDArray[np.uint16], wanted: str, in_use: Sequence[str]) -> str:
-        """Return the memory of a record, stored if need be: in the memory wanted, or another if that is in use."""
+        """Return the memory of a record; if not yet stored, store it in the preferred memory, or another if in use."""
         digest = hashlib.sha256(codes.astype(">u2").tobytes()).hexdigest()
         known = [memory for memory, held in controls.stored.items() if held == digest]
         if known:
@@ -84,7 +84,7 @@ class EditMemory:
             raise Unconfirmed(f"USER{memory} does not hold the record that was sent, after two uploads")
 
     def _verified(self, controls: Controls, memory: str, codes: NDArray[np.uint16]) -> bool:
-        """Return whether a memory reads back as stored, checked by a sample of points if blocks cannot be read."""
+        """Verify a memory by reading it back; by a sample of points if blocks cannot be read."""
         for _ in range(2):
             try:
                 return self._read_back(controls, memory) == codes.astype(">u2").tobytes()
@@ -97,7 +97,7 @@ class EditMemory:
         return controls.ask_block("DATA:DATA? EMEM")
 
     def _spots_agree(self, controls: Controls, codes: NDArray[np.uint16]) -> bool:
-        """Return whether the edit memory agrees with a record in length, strongest points and evenly spread ones."""
+        """Test whether the edit memory agrees with a record in length, largest points and evenly spaced points."""
         controls.log("record_spot_check", n_spots=N_SPOTS, why="its blocks cannot be read back")
         if controls.ask("DATA:POIN? EMEM") != str(codes.size):
             return False
@@ -111,10 +111,10 @@ def _complete(controls: Controls, command: str) -> None:
 
 
 LOCKED = Setting("DATA:LOCK:STAT", "ON", of="USER{memory}")
-"""Keeps a memory from being overwritten, even at the front panel."""
+"""Protects a memory from being overwritten, even at the front panel."""
 
 AFG3022B = Instrument(
-    # The successor takes the same commands within the same limits.
+    # The successor has the same commands and limits.
     models=("AFG3022B", "AFG3022C"),
     converter=Converter(mid_code=8191, max_points=131_072, clock_rate=250e6, amplitude_digits=4, amplitude_decimals=4),
     channels=(1, 2),
@@ -149,12 +149,12 @@ AFG3022B = Instrument(
             Setting("SOUR{channel}:PHAS", 0.0, "RAD"),
             Setting("SOUR{channel}:BURS:STAT", "OFF"),
         ),
-        # Nothing is wired to the trigger input unless the apparatus says so.
+        # Nothing is connected to the trigger input unless stated in the apparatus file.
         stopped=Setting("TRIG:SOUR", "EXT", replies=("EXT", "EXTERNAL")),
         wired=Setting("TRIG:SOUR", "EXT", replies=("EXT", "EXTERNAL")),
         triggers=("TRIG:SEQ:IMM", "*TRG"),
         align="SOUR1:PHAS:INIT",
-        # The instrument may keep as few as four digits of the period.
+        # The instrument may round the period to as few as four digits.
         timer=Setting("TRIG:TIM", "period", "S", tolerance=5e-4),
         armed=Setting("TRIG:SOUR", "TIM", replies=("TIM", "TIMER")),
         locks=(LOCKED,),

@@ -1,4 +1,4 @@
-"""The generators that the driver supports; to add one, write a file such as `afg3022b` and list it here."""
+"""The supported generators; to add one, write a module such as `afg3022b` and list it here."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from modaltouch.rig.instrument import Instrument
 
 
 def instruments() -> tuple[Instrument, ...]:
-    """Return all supported generators; the first stands in for any other model that an apparatus file names."""
+    """Return all supported generators; the first is used for any other model named in an apparatus file."""
     from modaltouch.rig.keysight33500b import KEYSIGHT_33500B
 
     return (AFG3022B, KEYSIGHT_33500B)

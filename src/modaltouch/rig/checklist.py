@@ -1,4 +1,4 @@
-"""What the manuals leave open about a generator: tested by software where possible, else left to a person to measure.
+"""Tests of generator properties that the manuals do not specify; those that software cannot test are left to the user.
 
 Nothing is played: the outputs are off whenever a burst starts, and the amplitude is low whenever they are on.
 """
@@ -36,7 +36,7 @@ State = Literal["found", "person", "unanswered"]
 
 
 Finding = tuple[State, str, str]
-"""State of a question, its answer, and advice."""
+"""State, answer and advice for one question."""
 
 
 def _settings(connection: Connection) -> Finding:
@@ -114,7 +114,7 @@ def _ranges(connection: Connection) -> Finding:
 
 
 def _time_of_change(connection: Connection, amplitude: float) -> float:
-    """Return how long a change from the lowest amplitude to another takes [s]."""
+    """Return the duration of a change from the lowest amplitude to another [s]."""
     connection.controls.apply([connection.instrument.level(1, STEPS[0])])
     return timeit(lambda: connection.controls.apply([connection.instrument.level(1, amplitude)]), number=1)
 
@@ -174,7 +174,7 @@ def _trigger(connection: Connection, scope: Scope | None = None) -> Finding:
             "wire the generator's trigger output to the EXT input of a PicoScope and check again with --scope, which "
             "measures generator.trigger_latency_ms; without it, no instant is claimed to better than a millisecond",
         )
-    # The driver counts the lower bound from sending the trigger, the upper one from the instrument's acceptance.
+    # The lower bound is measured from sending the trigger, the upper bound from its acceptance by the instrument.
     low, high = (began[:, 0] - sent).min() * 1e3, (began[:, 1] - taken).max() * 1e3
     apart = np.median(np.diff(began, axis=1)) * 1e3
     low, high = max(0.0, math.floor(low * 10) / 10), max(0.1, math.ceil(high * 10) / 10)
@@ -192,7 +192,7 @@ def _after_link_loss(connection: Connection) -> Finding:
     controls.apply(connection.instrument.on_all(connection.instrument.commands.stopped))
     for channel in connection.instrument.channels:
         controls.apply_each(connection.limits.quiet_settings(channel))
-        # In burst mode, with a trigger that never comes, the output is at rest.
+        # In burst mode without a trigger, the output is at rest.
         controls.apply_each([Setting(f"SOUR{channel}:FREQ", 20.0, "HZ"), Setting(f"SOUR{channel}:BURS:STAT", "ON")])
     controls.outputs_on()
     controls.close(broken=True)
@@ -246,7 +246,7 @@ def check_rig(
     patience: Patience | None = None,
     scope: Scope | None = None,
 ) -> list[dict[str, Any]]:
-    """Return the answers to the open questions about a generator, those listed in its `Instrument`.
+    """Answer the open questions about a generator listed in its `Instrument`.
 
     Parameters
     ----------
@@ -255,16 +255,16 @@ def check_rig(
     apparatus : Apparatus
         The apparatus to which the generator belongs.
     patience : Patience, optional
-        How long to wait.
+        Timeouts and retries.
     scope : Scope, optional
-        Scope at the generator's trigger output; without one, the trigger latency is left to a person to measure.
+        Scope at the generator's trigger output; without one, the trigger latency must be measured by hand.
 
     Returns
     -------
     list of dict
-        In the order of the questions, each with its ``number`` (0 asks whether the instrument accepts the driver's
-        settings at all), the ``question``, its ``state`` (``found`` by software, left to a ``person``, or
-        ``unanswered``), the ``answer``, and ``advice``: what to do, or what the answer means for a session.
+        In the order of the questions, each with its ``number`` (0: does the instrument accept the driver's settings at
+        all), ``question``, ``state`` (``found`` by software, left to a ``person``, or ``unanswered``), ``answer``, and
+        ``advice`` (recommended action, or the consequence for a session).
 
     Raises
     ------
@@ -294,7 +294,7 @@ def check_rig(
 
 
 def _ask(connection: Connection, number: int, question: str, find: Callable[[Connection], Finding]) -> dict[str, Any]:
-    """Answer one question; a connection or setting that it spoils is restored before the next."""
+    """Answer one question, then restore any connection or setting that it disturbed."""
     try:
         state, answer, advice = find(connection)
     except (LinkError, Unconfirmed) as error:
@@ -305,17 +305,17 @@ def _ask(connection: Connection, number: int, question: str, find: Callable[[Con
 
 
 _AMPLITUDES = (0.02, 0.03)
-"""Low amplitudes that are set in turn [V peak to peak]."""
+"""Low amplitudes, set in turn [V peak to peak]."""
 _PROMPT_MS = 10.0
-"""On a healthy connection a level is set, read back and confirmed without error within this time [ms]."""
+"""Time within which a level is set, read back and confirmed on a healthy connection [ms]."""
 _SLOW_MS = 50.0
-"""The program's own share of the time from an answer to the next burst; a slower instrument is noticeable [ms]."""
+"""Time from an answer to the next burst due to the program itself; a slower instrument is noticeable [ms]."""
 
 
 def measure_latency(
     rig: Rig, set_levels: Callable[[tuple[float, ...]], object], opened: float, *, n: int
 ) -> tuple[dict[str, Any], str]:
-    """Return how fast a generator responds to commands, and what that means for an experiment.
+    """Measure the response times of a generator to commands, and judge them for an experiment.
 
     Parameters
     ----------
@@ -324,19 +324,19 @@ def measure_latency(
     set_levels : callable
         Sets both amplitudes and confirms them.
     opened : float
-        How long opening it took [s].
+        Time taken to open it [s].
     n : int
         Number of commands of each kind.
 
     Returns
     -------
     figures : dict
-        ``address``, ``identity`` and ``n``; ``open_ms``, the time from nothing to a known state, including the start of
-        the watchdog; median, 95th percentile and maximum (``level_median_ms``, ``off_p95_ms``, ...) of the times for
-        ``level``, both amplitudes set and read back and the error queue read, and ``off``, both outputs switched off
-        and confirmed.
+        ``address``, ``identity`` and ``n``; ``open_ms``, the time to reach a known state, including the start of the
+        watchdog; median, 95th percentile and maximum (``level_median_ms``, ``off_p95_ms``, ...) of the times for
+        ``level`` (both amplitudes set and read back, error queue read) and ``off`` (both outputs switched off and
+        confirmed).
     verdict : str
-        What the figures mean for an experiment, and what to do.
+        Consequences for an experiment and recommended action.
     """
     amplitudes = itertools.cycle(_AMPLITUDES)
     commands: dict[str, Callable[[], object]] = {"level": lambda: set_levels((next(amplitudes),) * 2), "off": rig.stop}
@@ -352,7 +352,7 @@ def measure_latency(
 
 
 def judge_latency(figures: Mapping[str, Any]) -> str:
-    """Return what the latencies of a generator mean for an experiment, and what to do."""
+    """Return the consequences of a generator's latencies for an experiment, and the recommended action."""
     level, off = figures["level_p95_ms"], figures["off_p95_ms"]
     advice = "good"
     if level > _SLOW_MS:

@@ -1,4 +1,4 @@
-"""The connection to one generator: checks its identity, switches its outputs off, and restores a lost connection."""
+"""The connection to one generator: identity check, switching the outputs off, and reconnection."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from modaltouch.system import SYSTEM_CLOCK, Clock
 
 
 def start_watchdog(address: str, off: str) -> BurstPlayer:
-    """Start the watchdog process of an instrument; its module is imported only here, since a twin may do without."""
+    """Start the watchdog process of an instrument; its module is imported lazily, since a twin may not need it."""
     from modaltouch.rig.watchdog_client import WatchdogClient
 
     return WatchdogClient(address, off)
@@ -32,15 +32,16 @@ class Patience:
     reply : float
         Longest wait for a reply [s].
     trigger : float
-        Longest wait for the instrument to accept a trigger [s]; pyvisa-py waits one second more.
+        Longest wait for the instrument to accept a trigger [s]; pyvisa-py waits one second longer.
     copy : float
         Longest wait for an upload or a copy into a memory [s].
     tries : int
         Number of attempts to reopen a lost connection.
     pause : float
-        Pause before the second attempt, doubled before each further one [s].
+        Pause before the second attempt, doubled for each further attempt [s].
     quarantine : float
-        Time from reopening a connection to the next stimulus [s]: longer than any burst, relay or pending trigger.
+        Time from reopening a connection to the next stimulus [s]: longer than any burst, relay switching or pending
+        trigger.
     """
 
     reply: float = 1.0
@@ -53,18 +54,18 @@ class Patience:
 
 @dataclass(frozen=True)
 class OutputState:
-    """State of outputs and settings just before the outputs were switched off.
+    """State of outputs and settings immediately before the outputs were switched off.
 
     Attributes
     ----------
     outputs : tuple of bool
-        Which outputs were on.
+        Whether each output was on.
     differences : tuple of str
         Settings that had changed.
     errors : tuple of str
         Contents of the error queue.
     renewed : bool
-        Whether the connection had to be reopened, and every setting made again.
+        Whether the connection had to be reopened and every setting applied again.
     """
 
     outputs: tuple[bool, ...]
@@ -74,7 +75,7 @@ class OutputState:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """Reasons why the stimulus played until then is not confirmed; empty if there are none."""
+        """Reasons why the stimulus played up to then is not confirmed; empty if there are none."""
         silent = [f"output {n} was off" for n, on in enumerate(self.outputs, start=1) if not on]
         reported = [f"the generator reports {error}" for error in self.errors]
         return (*silent, *self.differences, *reported)
@@ -88,7 +89,7 @@ class Connection:
     address : str
         VISA address.
     apparatus : Apparatus
-        States the expected model and the limits.
+        The apparatus, with the expected model and the limits.
     guard : BurstPlayer
         The watchdog, which holds the VISA session.
     log : callable
@@ -122,12 +123,12 @@ class Connection:
         self.controls = Controls(guard, self.instrument, revive=self._revive, log=log, **times)
 
     def open(self) -> None:
-        """Open the connection, check the instrument's model, and bring it to a known state, outputs off.
+        """Open the connection, check the instrument's model, and set it to a known state, outputs off.
 
         Raises
         ------
         RigError
-            If no such instrument answers, or it does not accept its settings.
+            If no such instrument responds, or it does not accept its settings.
         """
         try:
             self.controls.open()
@@ -166,21 +167,21 @@ class Connection:
             ) from error
 
     def switch_off(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> OutputState:
-        """Switch the outputs off, over a new connection if need be, and return the state in which they were found.
+        """Switch the outputs off, over a new connection if necessary, and return their state before.
 
         Parameters
         ----------
         doing : str
-            Current operation, named in messages.
+            Current operation, for messages.
         expected : sequence of Setting
-            Settings to compare with those found.
+            Expected settings, compared with those read back.
         replay : callable
-            Makes all settings again, for a new connection.
+            Applies all settings again, over a new connection.
 
         Raises
         ------
         RigError
-            If the instrument does not confirm that they are off.
+            If the instrument does not confirm that the outputs are off.
         """
         try:
             outputs, errors = self.controls.outputs_off()
@@ -191,7 +192,7 @@ class Connection:
         return self.restore(doing, expected, replay)
 
     def restore(self, doing: str, expected: Sequence[Setting], replay: Callable[[], None]) -> OutputState:
-        """Reopen the connection, switch the outputs off, and make every setting again.
+        """Reopen the connection, switch the outputs off, and apply every setting again.
 
         Parameters and errors are those of `switch_off`.
         """
@@ -206,7 +207,7 @@ class Connection:
                 self.controls.clear_errors()
                 self._prepare()
                 replay()
-                # A trigger still in flight on the old connection is played now if at all, with the outputs off.
+                # A trigger in flight on the old connection would be played during this wait, with the outputs off.
                 self._clock.sleep(self.patience.quarantine)
             except (LinkError, Unconfirmed) as error:
                 last = error
@@ -227,7 +228,7 @@ class Connection:
         ) from last
 
     def _reported(self) -> str:
-        """Return the error queue, read over a new connection: a query that is refused gets no reply."""
+        """Return the error queue, read over a new connection, since a rejected query gets no reply."""
         errors = []
         with contextlib.suppress(LinkError):
             self.controls.open()
@@ -235,7 +236,7 @@ class Connection:
         return f" (it reports {', '.join(errors)})" if errors else ""
 
     def _last_resort(self) -> str:
-        """Try once more to switch the outputs off, and return their known state in words."""
+        """Try once more to switch the outputs off, and return a phrase with their known state."""
         with contextlib.suppress(LinkError, Unconfirmed):
             self.controls.outputs_off()
             self.guard.disarm()
@@ -243,7 +244,7 @@ class Connection:
         return "the outputs could not be confirmed off: SWITCH THE AMPLIFIER OFF (a watchdog process keeps trying)"
 
     def _revive(self) -> tuple[tuple[bool, ...], tuple[str, ...]]:
-        """Reopen the connection to the same instrument and switch its outputs off; returns as `outputs_off` does."""
+        """Reopen the connection to the same instrument and switch its outputs off; same return as `outputs_off`."""
         self.controls.open()
         identity = self.controls.ask("*IDN?")
         if identity != self.identity:
@@ -256,7 +257,7 @@ class Connection:
         return found
 
     def _prepare(self) -> None:
-        """Bring the instrument from any state to the settings common to all bursts, outputs off."""
+        """Apply the settings common to all bursts, from any previous state, outputs off."""
         self.controls.reset()
         for channel in self.instrument.channels:
             self.controls.apply_each(self.limits.quiet_settings(channel))

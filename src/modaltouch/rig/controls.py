@@ -1,4 +1,4 @@
-"""The generator's settings, each read back as soon as it is made; sessions and safety are handled elsewhere."""
+"""Settings of the generator, each read back when applied; sessions and safety are handled elsewhere."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ MOST_ERRORS = 64
 
 
 class Controls(Link):
-    """A link that makes settings, reads them back and uploads records; raises LinkError or Unconfirmed on failure.
+    """A link that applies settings with read-back and uploads records; raises LinkError or Unconfirmed on failure.
 
     Parameters
     ----------
     transport : Transport
-        Transport to the instrument, not open yet.
+        Transport to the instrument, not yet open.
     instrument : Instrument
-        The instrument at its other end.
+        The instrument at the other end.
     revive : callable
-        Reopens the connection after a failed exchange, to the same instrument, outputs off.
+        Reopens the connection to the same instrument after a failed exchange, outputs off.
     **options
         Log and timeouts of the link.
 
     Attributes
     ----------
     stored : dict of str
-        Hash of the record that each memory is known to hold, by the memory's name.
+        Hash of the record in each memory with known content, by name of the memory.
     """
 
     def __init__(
@@ -51,13 +51,13 @@ class Controls(Link):
         self.ask("*CLS;*OPC?")
 
     def reset(self) -> None:
-        """Restore the defaults, outputs off; memories keep their records, but are read back before they are used."""
+        """Restore the defaults, outputs off; memories keep their records but are read back before use."""
         self.stored.clear()
         self.ask("*RST;*OPC?", timeout=self._copy_timeout)
         self._refuse_errors("*RST", self.pending_errors())
 
     def outputs_off(self) -> tuple[tuple[bool, ...], tuple[str, ...]]:
-        """Switch both outputs off, confirm it, and return which were on and which errors the instrument reported."""
+        """Switch both outputs off with confirmation; return which were on, and the errors reported."""
         outputs = [self._table.output.filled(channel=channel) for channel in self._instrument.channels]
         asked = ";".join(f":{output.query}" for output in outputs)
         off = ";".join(f":{output.off.command}" for output in outputs)
@@ -73,7 +73,7 @@ class Controls(Link):
     def trigger_command(self) -> str:
         """Return the trigger command: the first in the table that the instrument does not report as undefined.
 
-        Call it with the outputs off: it tries the commands, which trigger bursts.
+        Call it with the outputs off, since trying the commands triggers bursts.
         """
         *first, last = self._table.triggers
         for command in first:
@@ -90,7 +90,7 @@ class Controls(Link):
         self.apply([self._table.output.filled(channel=channel) for channel in self._instrument.channels])
 
     def apply(self, settings: Sequence[Setting]) -> tuple[str, ...]:
-        """Make settings in one message, read back each of them and the error queue, and return the values read back."""
+        """Apply settings in one message, read each back, check the error queue, and return the values read back."""
         commands = ";:".join(setting.command for setting in settings)
         queries = ";:".join(setting.query for setting in settings)
         replies = split_reply(self.ask(f":{commands};:{queries};:SYST:ERR?"))
@@ -104,12 +104,12 @@ class Controls(Link):
         return read_back
 
     def apply_each(self, settings: Iterable[Setting]) -> None:
-        """Make settings one by one."""
+        """Apply settings one by one."""
         for setting in settings:
             self.apply([setting])
 
     def differences(self, settings: Sequence[Setting]) -> list[str]:
-        """Return the settings that no longer read back as made, in words."""
+        """Describe the settings that no longer read back as applied."""
         wrong = []
         for start in range(0, len(settings), QUERIES_PER_MESSAGE):
             part = settings[start : start + QUERIES_PER_MESSAGE]
@@ -120,11 +120,11 @@ class Controls(Link):
         return wrong
 
     def command(self, command: str) -> None:
-        """Send a command without a setting to read back, and read the error queue."""
+        """Send a command that has no setting to read back, and check the error queue."""
         self._refuse_errors(command, [self.ask(f":{command};:SYST:ERR?")])
 
     def store(self, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
-        """Store records that are not stored yet, each verified for its channel, and return the names of their memories.
+        """Store records that are not yet stored, verify each for its channel, and return the names of their memories.
 
         Parameters
         ----------
@@ -143,7 +143,7 @@ class Controls(Link):
         return self._instrument.records.store(self, records)
 
     def upload_twice(self, memory: str, upload: Callable[[], None]) -> None:
-        """Call `upload`, and once more if it is not confirmed."""
+        """Call `upload`, and repeat it once if it is not confirmed."""
         try:
             upload()
         except Unconfirmed as error:
@@ -151,7 +151,7 @@ class Controls(Link):
             upload()
 
     def complete(self, what: str, message: str, *queries: str) -> list[str]:
-        """Send a message that waits for completion, read the error queue, and return the replies to further queries."""
+        """Send a message, wait for completion, check the error queue, and return the replies to further queries."""
         whole = ";:".join([message, "SYST:ERR?", *queries])
         replies = split_reply(self.ask(whole, timeout=self._copy_timeout))
         if len(replies) != len(queries) + 2:
@@ -162,7 +162,7 @@ class Controls(Link):
         return replies[2:]
 
     def pending_errors(self) -> list[str]:
-        """Read the error queue until it is empty, and return its entries."""
+        """Drain the error queue and return its entries."""
         errors = []
         for _ in range(MOST_ERRORS):
             reply = self.ask("SYST:ERR?")

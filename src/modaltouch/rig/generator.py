@@ -1,9 +1,9 @@
-"""The driver for an arbitrary function generator over PyVISA, for every model in the catalogue.
+"""PyVISA driver of an arbitrary function generator, for every model in the catalogue.
 
-Whatever happens, the outputs are off when no stimulus is wanted: after every failure they are switched off and read
-back, and if this process cannot do so, the watchdog process does, which holds the VISA session. After a failed exchange
-a reply may belong to an earlier query, so the session is reopened, the instrument identified, its outputs switched off
-and every setting made again.
+The outputs are off at all times except during a stimulus: after every failure they are switched off and read back, and
+if this process cannot do so, the watchdog process, which holds the VISA session, does. After a failed exchange a reply
+may belong to an earlier query, so the session is reopened, the instrument identified, its outputs switched off and
+every setting applied again.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ from modaltouch.stimulus import Burst
 from modaltouch.system import SYSTEM_CLOCK, Clock
 
 LONGEST_LEAD = 0.3
-"""Upper bound of `Generator.lead` [s]: the session stands still for that long."""
+"""Upper bound of `Generator.lead` [s]; the session blocks for that long."""
 
 FORGETTING = 0.9
-"""Factor by which `Generator.lead` shrinks at most from one stimulus to the next [1]."""
+"""Smallest ratio of `Generator.lead` from one stimulus to the next [1]."""
 
 UNMEASURED = 1e-3
-"""Assumed upper bound of the trigger latency, where that has not been measured [s]."""
+"""Assumed upper bound of an unmeasured trigger latency [s]."""
 
 MOST_AWAITED = 5
-"""A stimulus begins with the first of these bursts that is played; if none of them is, it has not started."""
+"""Number of bursts within which a stimulus must start: it begins with the first burst played."""
 
 MOST_DROPPED = 0.1
-"""If the number of bursts is not fixed, a stimulus is presented again when at least two of its bursts, and more than
-this fraction, were dropped [1]; a single dropped burst is only recorded."""
+"""Fraction of dropped bursts above which a stimulus without a fixed number of bursts is presented again, if at least
+two were dropped [1]; a single dropped burst is only recorded."""
 
 
 class Generator(contextlib.AbstractContextManager["Generator"]):
@@ -50,15 +50,15 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
     address : str
         VISA address; the suffix ``@ivi`` selects the vendor's VISA library.
     apparatus : Apparatus
-        States model, load, amplifier and limits.
+        The apparatus, with model, load, amplifier and limits.
     log : callable
         ``log(event, **facts)`` is called with every exchange and event.
     patience : Patience
         Timeouts and retries.
     repetition : str, optional
-        ``single``, ``timer``, ``continuous`` or ``wired``, instead of the apparatus' own.
+        ``single``, ``timer``, ``continuous`` or ``wired``; by default that of the apparatus.
     start_guard : callable
-        Starts the watchdog, given the address and the message that switches the outputs off.
+        Starts the watchdog; takes the address and the message that switches the outputs off.
     clock : Clock
         Clock of the session.
 
@@ -86,10 +86,10 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         self._latency = apparatus.generator.trigger_latency
         self._last_beat = self._longest_silence = 0.0
         self.lead = RELAYS_SETTLE
-        """How long before a stimulus `fire` should be called [s]: RELAYS_SETTLE plus twice its preparation time."""
+        """Time by which `fire` should precede a stimulus [s]: RELAYS_SETTLE plus twice the preparation time."""
         self._silent = self._is_counted = False
         self.firing: Firing | None = None
-        """The latest firing; unconfirmed if `stop` found settings or outputs no longer as set."""
+        """The latest firing; unconfirmed if `stop` found changed settings or outputs."""
         self._on = False
         self._closed = False
         self._connection = Connection(
@@ -112,7 +112,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         self._opened_in = time.perf_counter() - began
 
     def command_latency(self, n: int = 50) -> tuple[dict[str, Any], str]:
-        """Return the latencies of the instrument, from `n` commands of each kind, and what they mean.
+        """Measure and judge the latencies of the instrument, with `n` commands of each kind.
 
         The values are those of `modaltouch.rig.checklist.measure_latency`. Nothing is played.
 
@@ -126,20 +126,20 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         return measure_latency(self, self._player.set_levels, self._opened_in, n=n)
 
     def load(self, burst: Burst, *further: Burst, repetition: Repetition | None = None) -> None:
-        """Upload and verify both channels' records, and make every setting but the amplitudes.
+        """Upload and verify the records of both channels, and apply every setting except the amplitudes.
 
         Parameters
         ----------
         burst, *further : Burst
-            Bursts with one record for each of the two outputs. If the memories cannot hold the records of all of them,
-            each burst is uploaded when it is fired.
+            Bursts with one record for each of the two outputs. If the memories cannot hold all records, each burst is
+            uploaded when it is fired.
         repetition : str, optional
-            Repetition of these bursts, until others are loaded, instead of the usual one.
+            Repetition of these bursts, until others are loaded; by default the usual one.
 
         Raises
         ------
         RigError
-            If the instrument does not confirm it; the outputs are off.
+            If the instrument does not confirm the upload; the outputs are off.
         """
         bursts = (burst, *further)
         n_channels = len(self._connection.instrument.channels)
@@ -170,8 +170,8 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         Returns
         -------
         Firing
-            Not started, and the outputs off, if the instrument did not confirm a setting, or the connection was lost
-            and restored: the trial is to be presented again.
+            Not started, with the outputs off, if the instrument did not confirm a setting, or the connection was lost
+            and restored; the trial must then be presented again.
 
         Raises
         ------
@@ -183,7 +183,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         if self._on:
             self.stop()
         if not self._player.holds(which):
-            # An upload takes longer than the watchdog waits within a stimulus, so it comes before `arm`.
+            # An upload takes longer than the watchdog's timeout during a stimulus, so it precedes `arm`.
             self._bring(lambda: self._player.choose(which))
         self._is_counted = exactly
         self.firing = Firing(
@@ -208,7 +208,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         return self.firing
 
     def _bring(self, records: Callable[[], None]) -> None:
-        """Upload records, over a new connection if the first is lost."""
+        """Upload records, over a new connection if the first one is lost."""
         with self._off_on_failure("loading the stimulus"):
             try:
                 records()
@@ -221,14 +221,14 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         self.firing = replace(firing, confirmed_amplitude=numbers(read_back), reason=reason)
         self._log("unconfirmed", reason=reason)
         if isinstance(error, LinkError):
-            # One of its triggers may still be in flight: closing the connection discards it.
+            # A trigger may still be in flight; closing the connection discards it.
             self._connection.controls.close(broken=True)
         self._switch_off("starting the stimulus")
-        # While this computer is stalled, no fault is blamed on the instrument.
+        # A failure during a stall of this computer is not attributed to the instrument.
         if self._connection.guard.held_up() > HELD_UP:
             self.firing = replace(self.firing, stalled=True)
         if isinstance(error, Unconfirmed):
-            # A setting that somebody changed is made again before the next attempt.
+            # Apply any changed setting again before the next attempt.
             self._connection.restore("starting the stimulus", (), self._player.replay)
 
     def _begin(self, firing: Firing, n_bursts: int, due: float, *, silent: bool) -> None:
@@ -250,7 +250,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
             order = self._player.order(n_bursts, due, self._patience.trigger)
             report = self._connection.guard.play(order)
             while report.first is None and not report.ended and report.due < MOST_AWAITED:
-                # The first burst was late and dropped: the stimulus begins with the next.
+                # The first burst was late and dropped, so the stimulus begins with the next.
                 clock.sleep(self._player.period / 4)
                 report = self._connection.guard.look()
             if report.first is None:
@@ -262,44 +262,44 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
             span = (started, on + (self._player.period if self._player.repetition != "continuous" else 0.0))
             bursts = Bursts()
         middle, half = sum(span) / 2, (span[1] - span[0]) / 2
-        # The rate of pulses at the trigger input is unknown here, and even whether there are any.
+        # The rate of pulses at the trigger input, if any, is unknown here.
         if not silent and self._player.repetition != "wired":
             bursts = replace(bursts, first_s=middle, uncertainty_s=half)
         self.firing = replace(firing, onset=middle, onset_uncertainty=half, started=True, bursts=bursts)
         self._last_beat = clock.now()
 
     def _sample_left(self, trigger: tuple[float, float]) -> tuple[float, float]:
-        """Return earliest and latest instant of the first sample, from those of the trigger, (sent, accepted) [s]."""
+        """Return earliest and latest instant of the first sample, given those of the trigger, (sent, accepted) [s]."""
         if self._latency is not None:
             return trigger[0] + self._latency[0], trigger[1] + self._latency[1]
-        # No claim below a millisecond: a link that acknowledges at once says nothing about the instrument.
+        # No claim below 1 ms: an immediate acknowledgement by the link says nothing about the instrument.
         return trigger[0], max(trigger[1], trigger[0] + UNMEASURED) + UNMEASURED
 
     def end(self) -> None:
-        """Trigger no further burst; one that is playing plays to its end."""
+        """Trigger no further burst; a burst in progress is completed."""
         if self._on and not self._player.free_running:
             self._connection.guard.end()
 
     def stop(self, *, at_once: bool = False) -> None:
-        """Switch both outputs off, confirm it, and update `firing`: what was played, and whether all was still as set.
+        """Switch both outputs off with confirmation, and update `firing`: bursts played, and unchanged settings.
 
         Parameters
         ----------
         at_once : bool
-            Whether to cut a burst that is playing; otherwise it plays to its end first, if bursts are triggered one by
+            Whether to truncate a burst in progress; otherwise it is completed first, if bursts are triggered one by
             one.
 
         Raises
         ------
         RigError
-            If the instrument does not confirm it.
+            If the instrument does not confirm that the outputs are off.
         """
         was_on, firing = self._on, self.firing
         if not was_on or firing is None or not firing.started:
             self._switch_off("switching the outputs off")
             return
         self._longest_silence = max(self._longest_silence, self._clock.now() - self._last_beat)
-        # Nothing counts as confirmed before the end of the stimulus is.
+        # Nothing is confirmed until the end of the stimulus is.
         unknown = replace(firing.bursts, played=None, whole=None)
         self.firing = replace(firing, reason="the end of the stimulus was not confirmed", bursts=unknown)
         try:
@@ -307,7 +307,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
             if at_once:
                 self.end()
             if fault:
-                # A trigger may still be in flight: closing the connection discards it.
+                # A trigger may still be in flight; closing the connection discards it.
                 self._connection.controls.close(broken=True)
             off = self._clock.now()
             found = self._switch_off("switching the outputs off")
@@ -323,7 +323,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
             self._connection.restore("making the settings again", (), self._player.replay)
 
     def _ask_report(self, *, wait: bool) -> tuple[Report | None, tuple[str, ...]]:
-        """Return what the pacer played, and the reasons why it does not count."""
+        """Return the pacer's report, and the reasons why the stimulus does not count."""
         if self._player.free_running or self._silent:
             return None, ()
         try:
@@ -333,7 +333,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         return report, (report.reason,) if report.ended == "failed" else ()
 
     def _judged(self, firing: Firing, report: Report | None, faults: tuple[str, ...], off: float) -> Firing:
-        """Return a firing with what is known of it at its end."""
+        """Return the firing with its final counts and confirmation."""
         held_up = self._longest_silence
         stalled = held_up > PATIENCE
         reasons = [f"{'; '.join(faults)} when the stimulus ended"] if faults else []
@@ -347,7 +347,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
                 reasons.append(f"{report.dropped} of {report.due} bursts would have been too late and were left out")
         if faults:
             bursts = replace(bursts, played=None, whole=None)
-            # After a stall, it was the watchdog that switched the outputs off.
+            # After a stall, the outputs were switched off by the watchdog.
             if not (stalled and all(fault.startswith("output ") for fault in faults)):
                 held_up = self._connection.guard.held_up()
                 stalled = held_up > HELD_UP
@@ -356,19 +356,19 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         return replace(firing, confirmed=not reasons, reason="; ".join(reasons), stalled=stalled, bursts=bursts)
 
     def _count(self, report: Report, off: float = math.inf) -> Bursts:
-        """Return the bursts of a report; the last one was cut if the outputs went `off` before its end [s]."""
+        """Return the burst counts of a report; the last burst was cut if the outputs went `off` before its end [s]."""
         was_cut = report.last is not None and off < report.last[1] + self._player.duration
         return Bursts(report.due, report.played, report.played - was_cut, report.dropped)
 
     def heartbeat(self) -> None:
-        """Note that the session is alive, for the watchdog; takes well under a microsecond.
+        """Signal to the watchdog that the session is alive; takes well under a microsecond.
 
         Raises
         ------
         StimulusLost
             If the bursts ended before `end` or `stop` was called.
         RigError
-            If the watchdog process is gone while outputs may be on; they have been switched off.
+            If the watchdog process has died while outputs may be on; they have been switched off.
         """
         now = self._clock.now()
         if self._on:
@@ -398,7 +398,7 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
             off = True
             with contextlib.suppress(LinkError, Unconfirmed):
                 self._player.unlock()
-        # Whatever fails, even a full disk under the log: the watchdog is left to switch the outputs off.
+        # On any failure, even a full disk for the log, the watchdog is left to switch the outputs off.
         except Exception as error:
             with contextlib.suppress(Exception):
                 self._log("close_failed", reason=str(error))
@@ -409,12 +409,12 @@ class Generator(contextlib.AbstractContextManager["Generator"]):
         self.close()
 
     def _switch_off(self, doing: str) -> OutputState:
-        """Switch the outputs off and stop the trigger; return the state in which they were found."""
+        """Switch the outputs off and stop the trigger; return the state of the outputs before."""
         was_on, self._on = self._on, False
         expected = self._player.expected if was_on else ()
         found = self._connection.switch_off(doing, expected, self._player.replay)
         if was_on:
-            # A failure is harmless: with the outputs off no trigger moves the beam, and the next start checks this.
+            # A failure is harmless: with the outputs off no trigger moves the beam, and the next start checks it.
             with contextlib.suppress(LinkError, Unconfirmed):
                 self._player.stop_trigger()
         return found

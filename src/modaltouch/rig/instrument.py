@@ -1,8 +1,8 @@
-"""A generator as a value: its specifications, its table of commands, and the limits that an apparatus sets it.
+"""A generator as a value: specifications, table of commands, and the limits set by an apparatus.
 
-`generator` and the modules that it uses treat all instruments alike (outputs off however a session ends, settings read
-back, watchdog, settings restored). Each instrument has a module of its own, such as `afg3022b`, with all that is
-specific to it: specifications, a table of commands, and how it stores records.
+`generator` and its helpers treat all instruments alike (outputs off at the end of every session, settings read back,
+watchdog, settings restored). Everything specific to an instrument is in a separate module such as `afg3022b`:
+specifications, table of commands, and storage of records.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from modaltouch.stimulus import Burst, Converter
 
 @dataclass(frozen=True)
 class Setting:
-    """One setting of an instrument: its command, its query, and the replies that confirm it.
+    """One setting of an instrument: command, query, and the replies that confirm it.
 
-    In a table of commands, braces stand for a channel or a memory, and a value in lower case names a quantity.
+    In a table of commands, braces stand for a channel or a memory, and a lower-case value names a quantity.
 
     Attributes
     ----------
@@ -36,11 +36,11 @@ class Setting:
     unit : str
         Unit sent with a number.
     tolerance : float
-        Relative tolerance of a number when it is read back [1].
+        Relative tolerance of a number on read-back [1].
     of : str
-        What the setting belongs to, such as a memory, if the header does not say.
+        Object of the setting, such as a memory, if not part of the header.
     replies : tuple of str
-        Replies that confirm a keyword; if empty, the keyword as sent, or 0 or 1 for a truth value.
+        Replies that confirm a keyword; by default the keyword as sent, or 0 or 1 for a boolean.
     """
 
     header: str
@@ -57,7 +57,7 @@ class Setting:
 
     @property
     def command(self) -> str:
-        """Command that makes the setting."""
+        """Command that applies the setting."""
         value = self.value if isinstance(self.value, str) else f"{self.value:.12g}{self.unit}"
         return f"{self.header} {self.of},{value}" if self.of else f"{self.header} {value}"
 
@@ -67,7 +67,7 @@ class Setting:
         return f"{self.header}? {self.of}" if self.of else f"{self.header}?"
 
     def confirmed_by(self, reply: str) -> bool:
-        """Return whether a reply to the query confirms the setting."""
+        """Test whether a reply to the query confirms the setting."""
         if isinstance(self.value, str) and self.value != "INF":
             # A suffix of 1 may be omitted (SCPI-99, volume 1, 6.2.5.2).
             shown = {"ON": "1", "OFF": "0"}.get(self.value, self.value.removesuffix("1"))
@@ -81,7 +81,7 @@ class Setting:
         return math.isclose(number, self.value, rel_tol=self.tolerance, abs_tol=0.0 if self.value else 1e-4)
 
     def filled(self, **quantities: float | str) -> Setting:
-        """Return an entry of a table of commands with channel, memory and value filled in."""
+        """Fill channel, memory and value into an entry of a table of commands."""
         value = quantities.get(self.value, self.value.format(**quantities)) if isinstance(self.value, str) else None
         return replace(
             self,
@@ -93,16 +93,16 @@ class Setting:
 
 
 class Records(typing.Protocol):
-    """How an instrument stores waveform records and verifies them."""
+    """Interface to store and verify waveform records in an instrument."""
 
     @property
     def n_memories(self) -> int:
-        """Number of different records that it can hold at a time."""
+        """Number of different records that fit at the same time."""
 
     def store(self, controls: Any, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
-        """Store records, each verified for its channel, and return what fills ``{memory}`` for each.
+        """Store records, verify each for its channel, and return the value of ``{memory}`` for each.
 
-        A record that is already stored, known from this session or read back, is not sent again. `controls` are the
+        A record already stored, as known from this session or read back, is not sent again. `controls` is the
         `modaltouch.rig.controls.Controls` of the open instrument.
 
         Raises
@@ -116,31 +116,31 @@ class Records(typing.Protocol):
 
 @dataclass(frozen=True)
 class Commands:
-    """The table of commands of a generator: settings in which braces stand for channel and memory.
+    """Table of commands of a generator: settings in which braces stand for channel and memory.
 
     Attributes
     ----------
     output, level : Setting
-        Output of a ``{channel}`` on; its ``amplitude``.
+        Output of a ``{channel}`` on, and its ``amplitude``.
     quiet : tuple of Setting
         Settings of a ``{channel}`` before anything is loaded: load and units, standby amplitude (``quiet_amplitude``),
         voltage limits (``highest``, ``lowest``).
     burst, continuous : tuple of Setting
-        Settings with which a ``{channel}`` plays a ``{memory}`` once per trigger, or repeats it without a trigger, at a
+        Settings for a ``{channel}`` to play a ``{memory}`` once per trigger, or to repeat it without a trigger, at a
         ``burst_rate`` or ``repetition_rate`` of records, or a ``sampling_rate``.
     stopped, wired : Setting
-        Trigger source: commands alone, or the trigger input; of a ``{channel}`` if each has its own.
+        Trigger source: commands only, or the trigger input; per ``{channel}`` if the channels have separate sources.
     triggers : tuple of str
-        Commands that trigger a burst on all channels; the first that the instrument knows is used.
+        Commands that trigger a burst on all channels; the first one known to the instrument is used.
     align : str
         Command that restarts repeating records at their first sample, on all channels.
     timer, armed : Setting or None
         Time between triggers (``period``), and this timer as the trigger source; None if the channels share no timer.
     locks : tuple of Setting
-        Settings that protect a ``{memory}`` from the front panel; none if the instrument has no such lock.
+        Settings that protect a ``{memory}`` from changes at the front panel; empty if there is no such lock.
     marks : tuple of Setting
-        A ``mark``, different for different records, on the memory through which every record is stored: whoever stores
-        another one wipes it off, even if the memories are unlocked and locked again. None if there is no such memory.
+        A ``mark``, different for different records, on the memory via which every record is stored. Storing another
+        record erases it, even if the memories are unlocked and locked again. Empty if there is no such memory.
     """
 
     output: Setting
@@ -165,21 +165,21 @@ class Instrument:
     Attributes
     ----------
     models : tuple of str
-        Models as ``*IDN?`` names them; the specifications are those of the first.
+        Model names in the reply to ``*IDN?``; the specifications are those of the first.
     converter : Converter
-        Codes, points, clock and grid of amplitudes.
+        Codes, record length, clock and amplitude grid.
     channels : tuple of int
         Numbers of its outputs.
     lowest_amplitude, quiet_amplitude : float
-        Smallest amplitude, and standby amplitude, into an open circuit [V peak to peak].
+        Smallest amplitude and standby amplitude, into an open circuit [V peak to peak].
     highest_output : float
-        Highest output, either sign, into an open circuit [V].
+        Largest output magnitude into an open circuit [V].
     commands : Commands
         Table of commands.
     records : Records
-        How it stores waveform records.
+        Storage of waveform records.
     questions : tuple of int
-        Numbers of the questions that `modaltouch rig check` answers for it.
+        Numbers of the questions that `modaltouch rig check` answers for this instrument.
     """
 
     models: tuple[str, ...]
@@ -194,26 +194,26 @@ class Instrument:
 
     @property
     def off(self) -> str:
-        """Message that switches all outputs off and queries their states."""
+        """Message that switches all outputs off and queries their state."""
         outputs = [self.commands.output.filled(channel=channel) for channel in self.channels]
         return ";".join(f":{part}" for part in [*(each.off.command for each in outputs), *(o.query for o in outputs)])
 
     def on_all(self, entry: Setting, **quantities: float) -> tuple[Setting, ...]:
-        """Return an entry filled in for every channel, or once if it applies to all channels."""
+        """Fill in an entry for every channel, or once if it applies to all channels."""
         return tuple(dict.fromkeys(entry.filled(channel=channel, **quantities) for channel in self.channels))
 
     def is_simulated(self, identity: str) -> bool:
-        """Return whether a reply to ``*IDN?`` is the simulator's, which has SIMULATED for a serial number."""
+        """Test whether a reply to ``*IDN?`` is that of the simulator, whose serial number is SIMULATED."""
         return "SIMULATED" in identity.split(",")
 
     def limits(self, apparatus: Apparatus) -> Limits:
-        """Return the limits of its outputs in an apparatus."""
+        """Return the limits of the outputs in an apparatus."""
         gain, velocity = apparatus.to_beam, apparatus.safety.velocity_limit_mm_s * 1e-3
         return Limits(self, self.highest_level(apparatus), apparatus.amplifier.limit_V, gain, velocity)
 
     def highest_level(self, apparatus: Apparatus) -> float:
-        """Return the highest output, either sign, that amplifier and generator allow, into an open circuit [V]."""
-        # Rounded down to 10 mV, so that the instrument's own rounding cannot lift it.
+        """Return the largest output magnitude, into an open circuit, allowed by amplifier and generator [V]."""
+        # Rounded down to 10 mV, so that rounding by the instrument cannot exceed it.
         return min(math.floor(apparatus.amplifier.limit_V / apparatus.to_beam * 100 + 1e-6) / 100, self.highest_output)
 
     def level(self, channel: int, amplitude: float) -> Setting:
@@ -221,7 +221,7 @@ class Instrument:
         return self.commands.level.filled(channel=channel, amplitude=amplitude)
 
     def burst_settings(self, channel: int, memory: str, burst: Burst, *, continuous: bool) -> tuple[Setting, ...]:
-        """Return the settings with which a channel plays a memory once per trigger, or repeats it without triggers."""
+        """Return the settings for a channel to play a memory once per trigger, or to repeat it without triggers."""
         table = self.commands.continuous if continuous else self.commands.burst
         whole = self.converter.max_points * burst.repetition_rate
         rates = {
@@ -232,16 +232,16 @@ class Instrument:
         return tuple(entry.filled(channel=channel, memory=memory, **rates) for entry in table)
 
     def timer(self, burst: Burst) -> tuple[Setting, ...]:
-        """Return the setting of the time between triggers; none if the channels share no timer."""
+        """Return the setting of the time between triggers; empty if the channels share no timer."""
         entry = self.commands.timer
         return () if entry is None else self.on_all(entry, period=1 / burst.repetition_rate)
 
     def continuous_codes(self, burst: Burst) -> NDArray[np.uint16]:
-        """Return one record that holds a whole period, burst and silence, to be repeated without burst mode.
+        """Return one record of a whole period, burst and silence, to be repeated without burst mode.
 
-        It is not exact, since the burst's steps are shifted to the nearest point of the longest record: at 7 Hz and
-        131,072 points by up to 0.55 us. With the shipped stimulus of 200 mm/s, a modal velocity is then off by up to
-        0.014 mm/s, against 1e-5 mm/s with the burst itself (computed by `modaltouch.preflight.exploration`).
+        It is not exact, since the steps of the burst are shifted to the nearest point of the longest record: at 7 Hz
+        and 131,072 points by up to 0.55 us. With the shipped stimulus of 200 mm/s, modal velocities are then off by up
+        to 0.014 mm/s, compared with 1e-5 mm/s for the burst itself (computed by `modaltouch.preflight.exploration`).
 
         Returns
         -------
@@ -260,18 +260,18 @@ class Instrument:
 
 @dataclass(frozen=True)
 class Limits:
-    """The limits of a generator's outputs in an apparatus.
+    """Limits of the outputs of a generator in an apparatus.
 
     Attributes
     ----------
     instrument : Instrument
         The generator.
     level : float
-        Highest output voltage, either sign, into an open circuit [V].
+        Largest output magnitude into an open circuit [V].
     beam : float
         Highest voltage at the beam [V].
     gain : float
-        Volts at the beam per open-circuit volt of the generator [1].
+        Voltage at the beam per open-circuit voltage of the generator [V/V].
     velocity : float
         Highest peak velocity at the focus [m/s].
     """
@@ -284,16 +284,16 @@ class Limits:
 
     @property
     def quiet_amplitude(self) -> float:
-        """Standby amplitude, of a channel that plays nothing [V peak to peak]."""
+        """Standby amplitude of an idle channel [V peak to peak]."""
         return min(self.instrument.quiet_amplitude, 2 * self.level)
 
     def quiet_settings(self, channel: int) -> tuple[Setting, ...]:
-        """Return the settings made once, before anything is loaded: load, units, standby amplitude, limits."""
+        """Return the settings applied once, before anything is loaded: load, units, standby amplitude, limits."""
         bounds = {"highest": self.level, "lowest": -self.level, "quiet_amplitude": self.quiet_amplitude}
         return tuple(entry.filled(channel=channel, **bounds) for entry in self.instrument.commands.quiet)
 
     def guarded_settings(self) -> tuple[Setting, ...]:
-        """Return the quiet settings of all channels that still hold in every stimulus: all but the amplitude."""
+        """Return the quiet settings of all channels that remain valid during stimuli: all except the amplitude."""
         level = self.instrument.commands.level
         levels = [level.filled(channel=channel).header for channel in self.instrument.channels]
         quiet = [setting for channel in self.instrument.channels for setting in self.quiet_settings(channel)]
@@ -317,7 +317,7 @@ class Limits:
         Raises
         ------
         RigError
-            If the level exceeds a limit, or cannot be played.
+            If the level exceeds a limit or cannot be played.
         """
         if not (math.isfinite(velocity) and 0 < velocity <= self.velocity):
             raise RigError(
@@ -336,7 +336,7 @@ class Limits:
         beam = amplitude / share / 2 * peak * self.gain
         if not beam <= self.beam * (1 + 1e-9):
             raise RigError(f"{where}, {beam:.1f} V at the beam: allowed at most {self.beam:g} V; {remedy}")
-        # A record that uses only a share of the codes reaches only that share of the output range.
+        # A record that uses only a fraction of the codes covers only that fraction of the output range.
         lowest, highest = self.instrument.lowest_amplitude, 2 * self.level * share
         if not lowest <= amplitude <= highest:
             raise RigError(f"{where}: allowed {lowest:g} to {highest:g} V; {remedy}")

@@ -1,4 +1,4 @@
-"""The interface of a rig as a session uses it: load, fire, end, stop, heartbeat, close."""
+"""Interface between a session and a rig: load, fire, end, stop, heartbeat, close."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ if TYPE_CHECKING:
 
 
 Repetition = typing.Literal["single", "timer", "continuous", "wired"]
-"""What repeats the bursts. ``single``: a trigger command for each burst; ``timer``: the generator's free-running timer;
-``wired``: pulses at its trigger input; ``continuous``: one record of a whole period is repeated."""
+"""Source of the repetition. ``single``: a trigger command per burst; ``timer``: the generator's free-running timer;
+``wired``: pulses at the trigger input; ``continuous``: repetition of one record of a whole period."""
 
 
 class RigError(Exception):
-    """The rig failed; its outputs are off, or everything possible has been done to switch them off."""
+    """The rig failed; its outputs are off, or all attempts to switch them off have been made."""
 
 
 class LinkError(Exception):
-    """An exchange failed; what the instrument has done, and what it will reply next, is unknown."""
+    """An exchange failed; the state of the instrument and its next reply are unknown."""
 
 
 class Unconfirmed(Exception):  # noqa: N818
@@ -30,7 +30,7 @@ class Unconfirmed(Exception):  # noqa: N818
     Attributes
     ----------
     read_back : tuple of str
-        Values read back for the settings, if any were.
+        Values read back for the settings, if any.
     """
 
     def __init__(self, reason: str, read_back: tuple[str, ...] = ()) -> None:
@@ -48,22 +48,22 @@ MANY = 1_000_000
 
 @dataclass(frozen=True)
 class Bursts:
-    """Counts of the bursts of one stimulus; None for what is unknown.
+    """Burst counts of one stimulus; None if unknown.
 
     Attributes
     ----------
     asked : int or None
-        Bursts that were due by the end of the stimulus.
+        Number of bursts due by the end of the stimulus.
     played : int or None
-        Bursts whose trigger the instrument accepted.
+        Number of bursts with a trigger accepted by the instrument.
     whole : int or None
-        Bursts that played to their end.
+        Number of bursts played to the end.
     dropped : int or None
-        Bursts dropped because they would have come too late.
+        Number of bursts dropped because they would have been too late.
     first_s : float or None
-        When the first sample of the first burst left the generator, by the clock of the session log [s].
+        Instant at which the first sample of the first burst left the generator, on the clock of the session log [s].
     uncertainty_s : float or None
-        Uncertainty of `first_s`, either way [s].
+        Uncertainty of `first_s`, in either direction [s].
     """
 
     asked: int | None = None
@@ -74,37 +74,37 @@ class Bursts:
     uncertainty_s: float | None = None
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the counts as plain values for the log."""
+        """Return the counts as a JSON-serialisable dict for the log."""
         return {name: round(value, 6) if isinstance(value, float) else value for name, value in asdict(self).items()}
 
 
 @dataclass(frozen=True)
 class Firing:
-    """One stimulus: what was commanded, what the instrument confirmed, and what was played.
+    """One stimulus, as commanded, as confirmed by the instrument, and as played.
 
     Attributes
     ----------
     commanded_amplitude, confirmed_amplitude : tuple of float
-        Generator amplitude of each channel, sent and read back [V peak to peak].
+        Generator amplitude of each channel, as sent and as read back [V peak to peak].
     onset : float
-        When the first burst began, by the clock of the session log [s]; the middle of the possible interval.
+        Start of the first burst, on the clock of the session log [s]; the centre of the interval of uncertainty.
     onset_uncertainty : float
-        Half the width of that interval [s].
+        Half-width of that interval [s].
     started : bool
         Whether every setting was read back within tolerance with an empty error queue, and the first burst played.
     confirmed : bool
-        Whether, at the end of the stimulus, settings and outputs were still as set and every trigger had been accepted;
+        Whether, at the end of the stimulus, settings and outputs were unchanged and every trigger had been accepted;
         False until then.
     reason : str
-        Why it did not start, or is not confirmed.
+        Reason why it did not start or is not confirmed.
     stalled : bool
-        Whether the reason is a stall of this computer, not a fault of the instrument.
+        Whether the reason is a stall of this computer rather than a failure of the instrument.
     repetition : str
         ``single``, ``timer``, ``continuous`` or ``wired``.
     trigger_latency : str
-        ``measured``, or ``unknown``: `onset_uncertainty` is then at least a millisecond.
+        ``measured``, or ``unknown``, in which case `onset_uncertainty` is at least 1 ms.
     bursts : Bursts
-        What was played, as far as it is known.
+        Burst counts, as far as known.
     """
 
     commanded_amplitude: tuple[float, ...]
@@ -120,11 +120,11 @@ class Firing:
     bursts: Bursts = Bursts()
 
     def pending(self, reason: str) -> Firing:
-        """Return the firing as it is logged before its end: without counts, not confirmed for this `reason`."""
+        """Return the firing as logged before its end: without counts, and unconfirmed for this `reason`."""
         return replace(self, reason=reason, bursts=Bursts())
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the firing as plain values for the log, without the bursts."""
+        """Return the firing as a JSON-serialisable dict for the log, without the bursts."""
         values = asdict(self)
         del values["bursts"], values["started"]
         for name in ("onset", "onset_uncertainty"):
@@ -145,14 +145,14 @@ class Rig(typing.Protocol):
 
     @property
     def firing(self) -> Firing | None:
-        """The latest stimulus; `stop` confirms it, or states why it is not confirmed."""
+        """The latest stimulus; `stop` confirms it or states why not."""
 
     @property
     def lead(self) -> float:
-        """How long before a stimulus `fire` should be called, so that it begins on time [s]."""
+        """Time by which `fire` should precede a stimulus that is to begin on time [s]."""
 
     def load(self, burst: Burst, *further: Burst, repetition: Repetition | None = None) -> None:
-        """Upload and verify both channels' records of each burst, outputs off; `repetition` replaces the usual one."""
+        """Upload and verify the records of each burst, outputs off; `repetition` replaces the usual one."""
 
     def fire(
         self,
@@ -171,26 +171,26 @@ class Rig(typing.Protocol):
         velocity : float
             Peak velocity at the focus [m/s].
         n_bursts : int
-            Highest number of bursts, if they are triggered one by one.
+            Maximum number of bursts, if they are triggered one by one.
         exactly : bool
-            Whether a single dropped burst spoils the stimulus.
+            Whether a single dropped burst invalidates the stimulus.
         silent : bool
-            Whether to play nothing, in a catch trial: the outputs are on, with the amplitudes of the level, but at
+            Whether to play nothing, as in a catch trial: the outputs are on, with the amplitudes of the level, but at
             rest.
         which : int
             Index of the burst among those loaded, from 0.
         due : float
-            Earliest instant of the first burst, by the clock of the session log [s].
+            Earliest instant of the first burst, on the clock of the session log [s].
         """
 
     def end(self) -> None:
-        """Trigger no further burst; one that is playing plays to its end. Never raises."""
+        """Trigger no further burst; a burst in progress is completed. Never raises."""
 
     def stop(self, *, at_once: bool = False) -> None:
-        """Switch both outputs off, after the end of a playing burst unless `at_once`, and confirm what was played."""
+        """Switch both outputs off, after any burst in progress unless `at_once`, and confirm the stimulus."""
 
     def heartbeat(self) -> None:
-        """Note that the session is alive, for the watchdog; cheap, to be called about every millisecond.
+        """Signal to the watchdog that the session is alive; cheap, to be called about every millisecond.
 
         Raises
         ------

@@ -1,13 +1,12 @@
-"""The Keysight 33500B series: 33522B and 33512B, the models with two channels.
+"""The two-channel models of the Keysight 33500B series: 33522B and 33512B.
 
-Specifications and commands are from Keysight's data sheet and operating and service guide. What neither states, or was
-not available, is marked *unverified*; the driver has not been tested on a real instrument.
+Specifications and commands are from Keysight's data sheet and operating and service guide. Properties found in neither
+are marked *unverified*; the driver has not been tested on a real instrument.
 
-To verify a record, the instrument writes it to a file, which is read back and compared code by code. If no such file
-can be read, the record is verified only by four statistics that the instrument computes (points, average, peak to peak,
-crest factor), to the digits that it returns. These reveal a lost part, a wrong byte order, a wrong scale or a wrong
-record, but neither a single wrong code that changes none of them nor a reordering of the codes. The log then contains
-the event `record_figures`.
+To verify a record, the instrument writes it to a file, which is read back and compared code by code. If the file cannot
+be read, the record is verified only by four statistics computed by the instrument (points, average, peak to peak, crest
+factor), to the digits that it returns. These reveal missing parts and a wrong byte order, scale or record, but neither
+a single wrong code that changes none of them nor reordered codes. The log then contains the event `record_figures`.
 """
 
 from __future__ import annotations
@@ -29,10 +28,10 @@ if TYPE_CHECKING:
     from modaltouch.rig.controls import Controls
 
 ZERO = 32767
-"""The driver's code for 0 V: its codes count from 0, the instrument's run from -32767 to 32767."""
+"""The driver's code for 0 V; its codes start at 0, whereas those of the instrument run from -32767 to 32767."""
 
 FILE = r'"INT:\MODALTOUCH.ARB"'
-"""File to which the instrument writes a record that is to be read back; deleted afterwards."""
+"""File on the instrument for reading back a record; deleted afterwards."""
 
 FIGURES = ("POIN", "AVER", "PTP", "CFAC")
 
@@ -41,21 +40,20 @@ FIGURES = ("POIN", "AVER", "PTP", "CFAC")
 class ChannelMemories:
     """Records in one memory per channel, under names derived from their content.
 
-    They cannot be locked; one that is selected at the front panel is revealed by its name.
-
-    A name is never reused for other codes: overwriting a record is an error, and single records cannot be deleted.
+    The memories cannot be locked; a record selected at the front panel is recognised by its name. Names are never
+    reused for other codes, since overwriting a record is an error and single records cannot be deleted.
 
     Attributes
     ----------
     n_memories : int
-        Number of records of the greatest length that fit into a channel's memory.
+        Number of records of maximum length that fit into the memory of a channel.
     """
 
     n_memories: int
 
     def store(self, controls: Controls, records: Sequence[tuple[int, NDArray[np.uint16]]]) -> list[str]:
         """Store records in the memories of their channels, verify them, and return their names."""
-        # Names begin with a letter and have at most twelve characters.
+        # Names must begin with a letter and have at most twelve characters.
         names = ["MT" + hashlib.sha256(codes.tobytes()).hexdigest()[:10].upper() for _, codes in records]
         for channel in dict.fromkeys(channel for channel, _ in records):
             wanted = {name: codes for name, (each, codes) in zip(names, records, strict=True) if each == channel}
@@ -72,7 +70,7 @@ class ChannelMemories:
         return names
 
     def _holds(self, controls: Controls, channel: int, wanted: dict[str, NDArray[np.uint16]]) -> bool:
-        """Return whether a channel's memory already holds all records."""
+        """Test whether the memory of a channel already holds all records."""
         held = controls.ask(f"SOUR{channel}:DATA:VOL:CAT?").upper()
         try:
             return all(f'"{name}"' in held and _verified(controls, channel, name, wanted[name]) for name in wanted)
@@ -82,7 +80,7 @@ class ChannelMemories:
     def _upload(self, controls: Controls, channel: int, wanted: dict[str, NDArray[np.uint16]]) -> None:
         for known in [memory for memory in controls.stored if memory.startswith(f"{channel}:")]:
             del controls.stored[known]
-        # Names in use are refused (error 786), even if a fault has spoiled the record stored under one.
+        # Names in use are rejected (error 786), even if the record under that name is corrupt.
         clear = f"SOUR{channel}:DATA:VOL:CLE"
         controls.complete(clear, f":{clear};*OPC?")
         controls.apply([Setting("FORM:BORD", "NORM", replies=("NORM", "NORMAL"))])
@@ -97,7 +95,7 @@ class ChannelMemories:
 
 
 def _verified(controls: Controls, channel: int, name: str, codes: NDArray[np.uint16]) -> bool:
-    """Return whether a record is stored correctly, by its statistics and, if it can be read back, by every code."""
+    """Verify a stored record by its statistics and, if it can be read back, by every code."""
     replies = [controls.ask(f"SOUR{channel}:DATA:ATTR:{figure}? {name}") for figure in FIGURES]
     if not all(_agrees(*each) for each in zip(replies, figures(codes), strict=True)):
         return False
@@ -114,14 +112,14 @@ def _verified(controls: Controls, channel: int, name: str, codes: NDArray[np.uin
 
 
 def figures(codes: NDArray[np.uint16]) -> tuple[float, ...]:
-    """Return points, average, peak to peak and crest factor of a record, its values scaled to the range -1 to 1."""
+    """Return points, average, peak to peak and crest factor of a record scaled to the range -1 to 1."""
     values = (codes.astype(float) - ZERO) / ZERO
     rms = float(np.sqrt(np.mean(values**2)))
     return float(values.size), float(values.mean()), float(np.ptp(values)), float(np.abs(values).max() / (rms or 1.0))
 
 
 def _agrees(reply: str, figure: float) -> bool:
-    """Return whether a reply agrees with a statistic to one unit of its last digit."""
+    """Test whether a reply agrees with a statistic to one unit of its last digit."""
     mantissa, _, exponent = reply.upper().partition("E")
     decimals = len(mantissa.partition(".")[2])
     try:
@@ -131,8 +129,8 @@ def _agrees(reply: str, figure: float) -> bool:
 
 
 def _read_back(controls: Controls, channel: int, name: str) -> NDArray[np.uint16] | None:
-    """Return the codes of a record from the file that the instrument writes of it; None if it writes no such file."""
-    # Unverified: that the file contains the record selected, and the format of its header.
+    """Return the codes of a record from the file written by the instrument; None if there is no such file."""
+    # Unverified: that the file contains the selected record, and the format of its header.
     controls.apply([Setting(f"SOUR{channel}:FUNC:ARB", f'"{name}"', replies=(f'"{name}"', name))])
     store = f"MMEM:STOR:DATA{channel} {FILE}"
     try:
@@ -143,7 +141,7 @@ def _read_back(controls: Controls, channel: int, name: str) -> NDArray[np.uint16
     controls.complete("MMEM:DEL", f":MMEM:DEL {FILE};*OPC?")
     try:
         head, _, body = content.decode("ascii").partition("Data:")
-        # A file of any other data type than codes is of no use here.
+        # Files of any data type other than codes cannot be used.
         points = np.array(body.split(), dtype=int) if '"short"' in head.lower() else None
     except ValueError as error:
         raise LinkError(f"the file of {name} cannot be read ({error})") from error
@@ -162,7 +160,7 @@ _SELECTED = (
     Setting("SOUR{channel}:FUNC:ARB:FILT", "OFF"),
     Setting("SOUR{channel}:FUNC:ARB:SRAT", "sampling_rate", tolerance=1e-6),
 )
-"""Settings to play a record sample by sample; the record is selected first, since its file may bring settings along."""
+"""Settings to play a record sample by sample; the record is selected first, since its file may contain settings."""
 
 _BURST = (
     Setting("SOUR{channel}:BURS:MODE", "TRIG", replies=("TRIG", "TRIGGERED")),
@@ -177,9 +175,9 @@ KEYSIGHT_33500B = Instrument(
     models=("33522B", "33512B"),
     converter=Converter(
         mid_code=ZERO,
-        # Four records fit into the 1,048,576 points that a channel has without the option MEM.
+        # Four records fit into the 1,048,576 points of a channel without the option MEM.
         max_points=262_144,
-        # The limit without a filter; below it the sample rate is free (Trueform). Unverified: its resolution.
+        # Upper bound without a filter; below it, the sample rate is arbitrary (Trueform). Unverified: its resolution.
         clock_rate=62.5e6,
         amplitude_digits=4,
         amplitude_decimals=4,
@@ -212,9 +210,9 @@ KEYSIGHT_33500B = Instrument(
         # One command for both channels; unverified: the skew between them (`modaltouch rig check`, question 10).
         triggers=("*TRG",),
         align="FUNC:ARB:SYNC",
-        # No timer: each channel has its own, and no command is known to start them together.
+        # No timer: each channel has a separate one, and no command is known to start them together.
     ),
     records=ChannelMemories(n_memories=4),
-    # The questions on the trigger timer and on copying from the edit memory concern the AFG3022B alone.
+    # The questions on the trigger timer and on copying from the edit memory apply to the AFG3022B only.
     questions=(0, 1, 6, 7, 8, 10, 12, 13, 14),
 )

@@ -1,4 +1,4 @@
-"""Logged exchanges with one instrument, with one error for every failure; independent of VISA and of processes."""
+"""Logged exchanges with one instrument, with one error type for all failures; independent of VISA and processes."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ class InUse(LinkError):  # noqa: N818
 
 
 class TransportError(Exception):
-    """A failure at the other end of a transport, already described in words."""
+    """A failure at the other end of a transport, already described by its text."""
 
 
 class Transport(typing.Protocol):
-    """A transport to one instrument. Every failure raises; the transport must then be closed and reopened."""
+    """A transport to one instrument; every failure raises, and the transport must then be closed and reopened."""
 
     def open(self) -> str:
-        """Reopen it, and return a sentence on how other programs are kept out.
+        """Reopen the transport; return a sentence on how other programs are locked out.
 
         Raises
         ------
@@ -32,10 +32,10 @@ class Transport(typing.Protocol):
         """
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
-        """Send a message, and return the reply if one is expected; each may take as long as `timeout` [s]."""
+        """Send a message and return the reply, if one is expected; each may take up to `timeout` [s]."""
 
     def close(self, *, broken: bool) -> None:
-        """Close it; if it is broken, without notifying the other end."""
+        """Close the transport; if broken, without notifying the other end."""
 
 
 def block_bounds(reply: bytes) -> tuple[int, int]:
@@ -44,7 +44,7 @@ def block_bounds(reply: bytes) -> tuple[int, int]:
     Raises
     ------
     ValueError
-        If the reply does not begin like a block.
+        If the reply does not begin with a block header.
     """
     n_digits = reply[1:2]
     length = reply[2 : 2 + int(n_digits)] if n_digits.isdigit() else b""
@@ -55,7 +55,7 @@ def block_bounds(reply: bytes) -> tuple[int, int]:
 
 
 def describe_error(error: BaseException) -> str:
-    """Return type and text of an error in one line; of a TransportError, the text alone."""
+    """Return type and text of an error in one line; for a TransportError, the text alone."""
     text = " ".join(str(error).split())[:200]
     if isinstance(error, TransportError):
         return text
@@ -69,12 +69,12 @@ T = typing.TypeVar("T")
 
 
 class Link:
-    """Exchanges messages with one instrument; an exchange that fails, or takes too long, raises LinkError.
+    """Message exchange with one instrument; failures and timeouts raise LinkError.
 
     Parameters
     ----------
     transport : Transport
-        Transport to the instrument, not open yet.
+        Transport to the instrument, not yet open.
     log : callable
         Called with ``link`` events and, for each exchange, an ``scpi`` event: sent, reply, seconds.
     timeout, copy_timeout : float
@@ -112,10 +112,10 @@ class Link:
         self.log("link", did="open", others=shut, seconds=_since(started))
 
     def close(self, *, broken: bool = False) -> None:
-        """Close the session, whatever its state; if it is broken, without notifying the other end."""
+        """Close the session in any state; if broken, without notifying the other end."""
         was_open, self._open = self._open, False
         if was_open:
-            # The other end may be long gone; nothing can be done about it.
+            # The other end may have gone; nothing can be done about it.
             with contextlib.suppress(Exception):
                 self._transport.close(broken=broken)
 
@@ -132,7 +132,7 @@ class Link:
         return self._exchange(query, query.encode("ascii"), timeout, read)
 
     def send(self, message: str) -> None:
-        """Send a message without a query; return once the instrument has accepted it."""
+        """Send a message without a query; return when the instrument has accepted it."""
         self._exchange(message, message.encode("ascii"), None, None)
 
     def send_block(self, command: str, block: bytes) -> None:
@@ -142,7 +142,7 @@ class Link:
         self._exchange(f"{command},{describe_block(block)}", message, self._copy_timeout, None)
 
     def ask_block(self, query: str) -> bytes:
-        """Query a definite-length block, and return its content; the reply may take as long as a copy."""
+        """Query a definite-length block and return its content; the reply may take as long as a copy."""
 
         def read(reply: bytes, facts: dict[str, str]) -> bytes:
             start, end = block_bounds(reply)
@@ -176,7 +176,7 @@ class Link:
             self.log("scpi", sent=shown, **facts, failed=describe_error(error), seconds=_since(started))
             raise LinkError(f"'{shown[:60]}' failed ({describe_error(error)})") from error
         except BaseException:
-            # Interrupted by a signal: a reply may still arrive, so the session cannot be used any longer.
+            # After an interruption by a signal a reply may still arrive, so the session is no longer usable.
             self.close(broken=True)
             raise
         self.log("scpi", sent=shown, **facts, seconds=_since(started))
@@ -184,12 +184,12 @@ class Link:
 
 
 def describe_block(block: bytes) -> str:
-    """Return length and a short hash of a block, for the log; BLAKE2 is five times as fast as SHA-256."""
+    """Return the length and a short hash of a block, for the log; BLAKE2 is five times as fast as SHA-256."""
     return f"<{len(block)} bytes, blake2b {hashlib.blake2b(block, digest_size=8).hexdigest()}>"
 
 
 def split_reply(reply: str) -> list[str]:
-    """Return the replies to a compound query; semicolons within quotes do not separate them."""
+    """Split the reply to a compound query at semicolons outside quotes."""
     parts, quoted = [""], False
     for letter in reply:
         quoted ^= letter == '"'

@@ -1,6 +1,6 @@
-"""Bursts that are triggered one by one: the order for them, the pacer that triggers and counts them, and its report.
+"""Bursts triggered one by one: the order, the pacer that triggers and counts them, and its report.
 
-`LocalClient` plays them in virtual time, without a process of its own.
+`LocalClient` plays them in virtual time, without a separate process.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from modaltouch.rig.visa import VisaSession
 from modaltouch.system import Clock, VirtualClock
 
 LATEST = 0.05
-"""A burst that would come later than this fraction of the period is dropped [1]."""
+"""Delay above which a burst is dropped, as a fraction of the period [1]."""
 
 LEASE = 0.18
-"""A burst is dropped if the client has sent no heartbeat for this long [s]."""
+"""Time without a heartbeat of the client after which bursts are dropped [s]."""
 
 PATIENCE = 1.0
-"""After this long without a heartbeat no further burst is played at all [s]."""
+"""Time without a heartbeat after which no further bursts are played [s]."""
 
 ALERT = 0.02
-"""For this long before a burst the pacer waits for its instant alone, and is not woken by a call of `end` [s]."""
+"""Time before a burst during which the pacer only waits for its instant, without reacting to `end` [s]."""
 
 HELD_UP = 0.05
-"""A failure is not blamed on the instrument if a process was stalled for longer than this [s]."""
+"""Stall of a process above which a failure is not attributed to the instrument [s]."""
 
 Ending = Literal["", "count", "asked", "stalled", "failed"]
 
@@ -42,9 +42,9 @@ class Order:
     command : str
         Command that triggers one burst.
     n_bursts : int
-        Highest number of bursts.
+        Maximum number of bursts.
     first : float
-        When the first burst is due, by the machine's monotonic clock [s].
+        Due instant of the first burst, on the machine's monotonic clock [s].
     period : float
         Time from one burst to the next [s].
     duration : float
@@ -62,28 +62,28 @@ class Order:
 
     @property
     def tolerance(self) -> float:
-        """How late a burst may begin without disturbing the rhythm or running into the next burst [s]."""
+        """Largest delay of a burst that neither disturbs the rhythm nor overlaps the next burst [s]."""
         return min(LATEST * self.period, self.period - self.duration)
 
 
 @dataclass
 class Report:
-    """What became of an order.
+    """Outcome of an order.
 
     Attributes
     ----------
     due, played, dropped : int
-        Numbers of bursts that were due, whose trigger was accepted, and that were dropped because they would have come
-        too late, or because the client had sent no heartbeat.
+        Number of bursts due, of triggers accepted, and of bursts dropped because they would have been too late or the
+        client had sent no heartbeat.
     first, last : (sent, accepted) of float or None
-        When the triggers of the first and the last burst were sent, and accepted by the instrument [s].
+        Instants at which the triggers of the first and the last burst were sent, and accepted by the instrument [s].
     latest : float
-        Longest delay of a trigger that was sent [s].
+        Longest delay of a trigger sent [s].
     ended : str
-        Why it ended: ``count`` (all bursts were due), ``asked``, ``stalled`` (the client sent no heartbeat) or
+        Reason for the end: ``count`` (all bursts were due), ``asked``, ``stalled`` (the client sent no heartbeat) or
         ``failed``; empty until then.
     reason : str
-        How it failed.
+        Description of the failure.
     """
 
     due: int = 0
@@ -97,21 +97,21 @@ class Report:
 
     @property
     def lost(self) -> str:
-        """Why the bursts ended without a request; empty while all is well."""
+        """Reason why the bursts ended without a request; empty if they did not."""
         return f"{self.ended}: {self.reason}" if self.ended in ("stalled", "failed") else ""
 
 
 class BurstPlayer(Transport, typing.Protocol):
-    """The watchdog as the driver uses it: holds the transport, plays bursts, and switches off if the driver cannot."""
+    """The watchdog: holds the transport, plays bursts, and switches the outputs off if the driver cannot."""
 
     def arm(self, *, free_running: bool) -> None:
-        """Note that outputs may be on from now on; `free_running`: what they play does not end without a command."""
+        """Note that outputs may be on from now on; if `free_running`, they play until switched off."""
 
     def beat(self) -> str:
-        """Note that the session is alive; return why the bursts ended without a request, empty while all is well."""
+        """Note that the session is alive; return the reason if the bursts ended without a request, else empty."""
 
     def play(self, order: Order) -> Report:
-        """Begin to play bursts; return the report once it is known whether the first was played."""
+        """Start to play bursts; return the report when it is known whether the first was played."""
 
     def look(self) -> Report:
         """Return the report so far."""
@@ -120,27 +120,27 @@ class BurstPlayer(Transport, typing.Protocol):
         """Trigger no further burst."""
 
     def report(self, *, wait: bool) -> Report:
-        """Trigger no further burst, and return the report; with `wait`, once the last burst is over."""
+        """Trigger no further burst and return the report; with `wait`, after the end of the last burst."""
 
     def held_up(self) -> float:
-        """Return the longest stall of this process, or of the one that paces the bursts, since `arm` [s]."""
+        """Return the longest stall of this process or of the pacing process since `arm` [s]."""
 
     def disarm(self) -> None:
         """Note that the outputs are off."""
 
     def release(self, *, clean: bool) -> None:
-        """Release the watchdog; unless `clean`, it switches the outputs off first."""
+        """Release the watchdog, which first switches the outputs off unless `clean`."""
 
 
 class Pacer:
-    """Triggers bursts one by one; a late burst is dropped, and none is repeated or made up for later.
+    """Trigger bursts one by one; late bursts are dropped and never caught up.
 
     Parameters
     ----------
     order : Order
         Bursts to be played.
     trigger : callable
-        Sends the command and returns once the instrument has accepted it; whatever it raises ends the order.
+        Sends the command and returns when the instrument has accepted it; any exception ends the order.
     silence : callable
         Returns the time since the client's last heartbeat [s].
     clock : Clock
@@ -157,14 +157,14 @@ class Pacer:
 
     @property
     def due(self) -> float | None:
-        """When the next burst is due [s]; None once the order has ended."""
+        """Due instant of the next burst [s]; None after the end of the order."""
         if self.report.ended:
             return None
         return self.order.first + self.report.due * self.order.period
 
     @property
     def silent_from(self) -> float:
-        """When the last burst that was triggered ends [s]."""
+        """End of the last burst triggered [s]."""
         return self.report.last[1] + self.order.duration if self.report.last else self.order.first
 
     def end(self) -> None:
@@ -172,15 +172,15 @@ class Pacer:
         self._asked_to_end.set()
 
     def close(self) -> None:
-        """Trigger no further burst, if no thread `run`s the pacer."""
+        """Trigger no further burst; for a pacer without a thread in `run`."""
         self.end()
         self._end_if_over()
 
     def step(self) -> None:
-        """Trigger the burst that is due now, and drop those that are overdue."""
+        """Trigger the burst due now, and drop overdue ones."""
         report, order = self.report, self.order
         due = self.due
-        # Every overdue burst is dropped, even if the end was requested meanwhile: it was due before that.
+        # Every overdue burst is dropped, even if the end was requested meanwhile, as it was due before that.
         while due is not None and report.due < order.n_bursts and self._clock.now() > due + order.tolerance:
             report.due += 1
             report.dropped += 1
@@ -205,7 +205,7 @@ class Pacer:
         report.first, report.last = report.first or (sent, taken), (sent, taken)
         report.latest = max(report.latest, sent - due)
         if taken - due > order.period / 2:
-            # The burst may have begun at any instant in this time: the rhythm was not kept, so no count is claimed.
+            # The burst may have begun at any instant in this interval: the rhythm was not kept, so no count is claimed.
             report.ended = "failed"
             report.reason = f"trigger {report.due} was accepted {(taken - due) * 1e3:.0f} ms after it was due"
         self._end_if_over()
@@ -222,12 +222,12 @@ class Pacer:
             report.ended = "stalled"
 
     def run(self, on_first: Callable[[], None]) -> None:
-        """Play all bursts; `on_first` is called as soon as it is known whether the first was played."""
+        """Play all bursts; `on_first` is called when it is known whether the first was played."""
         reported = False
         while (due := self.due) is not None:
             left = due - self._clock.now()
             if left > ALERT:
-                # The end may be requested meanwhile, or heartbeats may stop. Windows ends such a wait up to 16 ms late.
+                # The end may be requested meanwhile, or heartbeats may stop. On Windows this wait may overrun by 16 ms.
                 self._asked_to_end.wait(min(left - ALERT, 0.05))
             else:
                 self._clock.sleep(left)
@@ -238,13 +238,13 @@ class Pacer:
 
 
 ROUNDING = 1e-9
-"""Rounding error of a sum of virtual times [s]."""
+"""Tolerance for rounding in sums of virtual times [s]."""
 
 
 class LocalClient:
-    """A watchdog client in virtual time, which plays bursts without a process of its own.
+    """Watchdog client in virtual time, which plays bursts without a separate process.
 
-    It cannot outlive its process, and is therefore only for a twin in that same process.
+    It cannot outlive its process and is therefore only for a twin in the same process.
 
     Parameters
     ----------
@@ -261,21 +261,21 @@ class LocalClient:
         self.open, self.exchange, self.close = transport.open, transport.exchange, transport.close
 
     def arm(self, *, free_running: bool) -> None:
-        """Do nothing: no other process watches this one."""
+        """Do nothing, since no other process watches this one."""
 
     def held_up(self) -> float:
-        """Return 0: in virtual time nothing stalls."""
+        """Return 0, since nothing stalls in virtual time."""
         return 0.0
 
     def disarm(self) -> None:
         """Do nothing."""
 
     def beat(self) -> str:
-        """Return why the bursts ended without a request; empty while all is well."""
+        """Return the reason if the bursts ended without a request, else an empty string."""
         return self.look().lost
 
     def play(self, order: Order) -> Report:
-        """Schedule bursts, and let time pass until the first is played; return the report at that time."""
+        """Schedule bursts, advance the time until the first is played, and return the report."""
         message = order.command.encode() + b"\n"
         pacer = self._pacer = Pacer(
             order,
@@ -303,7 +303,7 @@ class LocalClient:
             self._pacer.end()
 
     def report(self, *, wait: bool) -> Report:
-        """Trigger no further burst, and return the report; with `wait`, once the last burst is over."""
+        """Trigger no further burst and return the report; with `wait`, after the end of the last burst."""
         if self._pacer is None:
             return Report()
         self._pacer.close()

@@ -1,4 +1,4 @@
-"""Plays the bursts stored in the instrument: their records, settings and triggers; failures are handled elsewhere."""
+"""Player of bursts stored in the instrument: records, settings and triggers; failures are handled elsewhere."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from modaltouch.stimulus import Burst
 from modaltouch.system import Clock
 
 LARGEST_STEP = 0.01
-"""Largest value with which a record may begin or end, as a fraction of its full scale [1]."""
+"""Largest magnitude of the first and last sample of a record, as a fraction of full scale [1]."""
 
 MARKS = 30_000
-"""Number of different marks on the memory through which records are stored."""
+"""Number of different marks on the memory via which records are stored."""
 
 RELAYS_SETTLE = 0.05
-"""Time from switching the outputs on to the first burst [s]: relays close and bounce within a few milliseconds."""
+"""Time from switching the outputs on to the first burst [s]; relays close and bounce within a few milliseconds."""
 
 
 class Player:
-    """Plays one at a time of the bursts whose records are stored in the instrument.
+    """Player of the bursts stored in the instrument, one at a time.
 
     Methods that send commands raise LinkError or Unconfirmed if the instrument does not confirm a step.
 
@@ -35,7 +35,7 @@ class Player:
     controls : Controls
         Controls of an open instrument.
     limits : Limits
-        Limits of its outputs.
+        Limits of the outputs.
     repetition : str
         Usual repetition of the bursts.
     clock : Clock
@@ -60,7 +60,7 @@ class Player:
 
     @property
     def expected(self) -> tuple[Setting, ...]:
-        """Every setting that must read back as made while the burst plays."""
+        """All settings that must read back unchanged while the burst plays."""
         return (*self._settings, *self._levels, *(() if self._continuous else self._let_go))
 
     @property
@@ -83,15 +83,15 @@ class Player:
         return self._bursts[self._chosen].duration
 
     def take(self, bursts: Sequence[Burst], repetition: Repetition | None = None) -> None:
-        """Take the bursts to be played, and choose the first; `replay` uploads them.
+        """Set the bursts to be played and select the first; `replay` uploads them.
 
-        Without `repetition`, they repeat as usual.
+        Without `repetition`, they are repeated as usual.
 
         Raises
         ------
         RigError
-            If a burst does not begin and end at rest or has more records than the instrument has memories, or the
-            repetition needs a timer that the instrument lacks.
+            If a burst does not begin and end at rest, has more records than the instrument has memories, or is to be
+            repeated by a timer that the instrument lacks.
         """
         self._bursts, self._settings, self._levels = (), (), ()
         self.repetition = repetition or self._usual
@@ -115,13 +115,13 @@ class Player:
         return len({codes.tobytes() for burst in bursts for codes in self._records(burst)})
 
     def holds(self, which: int) -> bool:
-        """Return whether a burst's records are stored in the instrument, so that it can be chosen by settings alone."""
+        """Test whether the records of a burst are stored in the instrument, so that settings suffice to select it."""
         return which in self._by_burst
 
     def replay(self) -> None:
-        """Upload the records and make every setting but the amplitudes.
+        """Upload the records and apply every setting except the amplitudes.
 
-        If there are more records than memories, only those of the chosen burst are uploaded.
+        If there are more records than memories, only those of the selected burst are uploaded.
         """
         self._settings = self._levels = ()
         self._by_burst = {}
@@ -144,20 +144,20 @@ class Player:
         self._controls.apply_each([*by_burst[self._chosen], *locks])
         if self.repetition == "single" and not self._trigger_command:
             self._trigger_command = self._controls.trigger_command()
-            # Finding the command may have triggered a burst, behind outputs that are off: it must end first.
+            # The search for the command may have triggered a burst, with the outputs off, which must end first.
             self._clock.sleep(2 * max(burst.duration for burst in self._bursts))
         guarded = self._limits.guarded_settings()
         self._by_burst = {number: (*guarded, *settings, *locks) for number, settings in by_burst.items()}
         self._settings = self._by_burst[self._chosen]
 
     def choose(self, which: int) -> None:
-        """Choose the burst to be played from now on; if its records are stored, only settings change."""
+        """Select the burst to be played from now on; if its records are stored, only settings change."""
         was, before = self._chosen, set(self._settings)
         self._chosen = which
         if which == was or not before:
             return
         if self.holds(which):
-            # The new settings are expected from here on: if one of them fails, it is found to differ and made again.
+            # The new settings are expected from here on, so that one that fails is found to differ and applied again.
             self._settings = self._by_burst[which]
             self._controls.apply_each([setting for setting in self._settings if setting not in before])
         else:
@@ -174,7 +174,7 @@ class Player:
         RigError
             If nothing is loaded, or the level exceeds a limit.
         """
-        # There are settings only once every record has been verified and every setting read back.
+        # Settings exist only after every record has been verified and every setting read back.
         if not self._bursts or not self._settings:
             raise RigError(
                 "fire was called before a burst was loaded and verified; the outputs are off; load a burst first"
@@ -189,13 +189,13 @@ class Player:
     def prepare(self, commanded: tuple[float, ...], *, silent: bool = False) -> tuple[str, ...]:
         """Set both amplitudes with the trigger stopped, check all other settings, and return the values read back.
 
-        With `silent` the steps are the same, so that neither relays nor timing betray a catch trial, but no burst will
+        With `silent` the steps are the same, so that neither relays nor timing reveal a catch trial, but no burst will
         be triggered.
 
         Raises
         ------
         RigError
-            If `silent` is asked for, but with this repetition bursts play as soon as the outputs are on.
+            If `silent` is requested for a repetition whose bursts play as soon as the outputs are on.
         LinkError, Unconfirmed
             If the instrument does not confirm a step.
         """
@@ -214,7 +214,7 @@ class Player:
         return read_back
 
     def switch_on(self) -> None:
-        """Switch the outputs on; enable the timer or trigger input, or restart a continuous record at its beginning."""
+        """Switch the outputs on; enable the timer or trigger input, or restart a continuous record."""
         if self._continuous:
             self._controls.command(self._table.align)
         self._controls.outputs_on()
@@ -227,16 +227,16 @@ class Player:
         Parameters
         ----------
         n_bursts : int
-            Highest number of bursts.
+            Maximum number of bursts.
         first : float
-            When the first burst is due [s].
+            Due instant of the first burst [s].
         timeout : float
             Longest wait for the instrument to accept a trigger [s].
         """
         return Order(self._trigger_command, n_bursts, first, self.period, self.duration, timeout)
 
     def set_levels(self, commanded: tuple[float, ...]) -> tuple[str, ...]:
-        """Set both amplitudes in one message, and return the values read back."""
+        """Set both amplitudes in one message and return the values read back."""
         channels = zip(self._instrument.channels, commanded, strict=True)
         self._levels = tuple(self._instrument.level(channel, amplitude) for channel, amplitude in channels)
         return self._controls.apply(self._levels)
@@ -253,7 +253,7 @@ class Player:
 
 
 def _refuse_steps(burst: Burst) -> None:
-    """Refuse a burst that does not begin and end at rest."""
+    """Reject a burst that does not begin and end at rest."""
     for number, end in enumerate(burst.ends, start=1):
         if end > LARGEST_STEP:
             raise RigError(
@@ -264,7 +264,7 @@ def _refuse_steps(burst: Burst) -> None:
 
 
 def numbers(replies: tuple[str, ...]) -> tuple[float, ...]:
-    """Return values read back as numbers; empty if one of them is none."""
+    """Convert values read back to numbers; empty if any of them is not a number."""
     try:
         return tuple(float(reply) for reply in replies)
     except ValueError:

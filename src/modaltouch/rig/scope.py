@@ -1,4 +1,4 @@
-"""The scope that records the vibrometer: the interface of simulated and real ones, and a PicoScope 3000."""
+"""The scope that records the vibrometer: common interface of simulated and real scopes, and a PicoScope 3000 driver."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Scope(contextlib.AbstractContextManager["Scope"]):
     Attributes
     ----------
     slowest : float
-        Time that taking and fetching a record may last beyond the record itself before it counts as stalled [s].
+        Time beyond the duration of a record after which recording and fetching it counts as stalled [s].
     """
 
     slowest = 120.0
@@ -51,22 +51,22 @@ class Scope(contextlib.AbstractContextManager["Scope"]):
 
     @abc.abstractmethod
     def configure(self, acquisition: Acquisition) -> Acquisition:
-        """Make the settings, and return them.
+        """Apply the settings and return them.
 
         Raises
         ------
         RigError
-            If the scope cannot have these settings.
+            If the scope does not support these settings.
         """
 
     @abc.abstractmethod
     def measure(self, position: float, across: float = 0.0) -> Recording:
-        """Return velocity and drive at a point of the beam: along it from its middle, across it from its mid-line [m].
+        """Measure velocity and drive at a point: position along the beam from mid-beam, across from the mid-line [m].
 
         Raises
         ------
         RigError
-            If no trigger comes, or the scope fails.
+            If no trigger arrives, or the scope fails.
         """
 
     def arm(self) -> None:
@@ -75,7 +75,7 @@ class Scope(contextlib.AbstractContextManager["Scope"]):
         Raises
         ------
         RigError
-            If the scope fails, or cannot do so.
+            If the scope fails or does not support arming.
         """
         raise RigError(f"{self.identity}: it cannot wait for a single burst; use a PicoScope")
 
@@ -85,12 +85,12 @@ class Scope(contextlib.AbstractContextManager["Scope"]):
         Parameters
         ----------
         position : float
-            Point at which the vibrometer aims, origin at mid-beam [m].
+            Measured point, origin at mid-beam [m].
 
         Raises
         ------
         RigError
-            If no trigger came, or the scope fails.
+            If no trigger arrived, or the scope fails.
         """
         raise RigError(f"{self.identity}: it was not armed for a burst")
 
@@ -100,7 +100,7 @@ class Scope(contextlib.AbstractContextManager["Scope"]):
         Raises
         ------
         RigError
-            If no trigger comes, or the scope cannot time it.
+            If no trigger arrives, or the scope cannot time it.
         """
         raise RigError(f"{self.identity}: cannot tell when a burst began; use a PicoScope")
 
@@ -114,41 +114,41 @@ class Scope(contextlib.AbstractContextManager["Scope"]):
 
 OK, NOT_FOUND = 0, 3
 POWER_NOT_CONNECTED, NOT_A_USB3_PORT = 282, 286
-"""Statuses of Pico's library; after the last two a scope works on power from USB."""
+"""Status codes of the Pico library for a scope on USB power alone."""
 
 VARIANT, SERIAL = 3, 4
-"""Items of information about a unit, by Pico's numbers."""
+"""Pico's codes for information about a unit."""
 
 DC, RISING, EXTERNAL = 1, 2, 4
 EXTERNAL_THRESHOLD = 6553
-"""1 V, in counts: the external trigger's 5 V are 32767."""
+"""Threshold of 1 V in counts; the 5 V of the external trigger correspond to 32767."""
 
 FIRST_RANGE = 2
-"""Pico's number of the 50 mV range, the first of INPUT_RANGES."""
+"""Pico's code for the 50 mV range, the first of INPUT_RANGES."""
 
 CLOCK = 125e6
-"""Sampling rates are this rate divided by integers, by time bases from 3 on [Hz]."""
+"""Clock rate [Hz]; for time bases from 3, sampling rates are integer fractions of it."""
 
 ALL_INPUTS = (0, 1, 2, 3)
 
 SHORT = Acquisition(sampling_rate=1e6, n_samples=100, drives=())
-"""A short record, whose end shows when its trigger came."""
+"""A short record, whose end indicates the instant of its trigger."""
 
 ARMED = 0.02
-"""Time after which an armed scope is ready for its trigger [s]."""
+"""Time from arming the scope until it is ready for a trigger [s]."""
 
 
 class PicoScope(Scope):
-    """Measures velocity and drive with a PicoScope 3000 of series A, B or D.
+    """PicoScope 3000 of series A, B or D, for velocity and drive.
 
     Parameters
     ----------
     apparatus : Apparatus
-        Its section ``acquisition`` states the sensitivities.
+        The apparatus, with the sensitivities in its section ``acquisition``.
     trigger_wait : float
         Longest wait for the generator's trigger [s].
     driver : object, optional
-        Object with the functions of Pico's library; by default the installed library.
+        Object with the functions of the Pico library; by default the installed library.
 
     Raises
     ------
@@ -183,7 +183,7 @@ class PicoScope(Scope):
             raise
 
     def configure(self, acquisition: Acquisition) -> Acquisition:
-        """Make the settings, and return them."""
+        """Apply the settings and return them."""
         if acquisition.sampling_rate > CLOCK:
             raise RigError(
                 f"{acquisition.sampling_rate:g} samples per second are asked for: at most {CLOCK:g}; lower the "
@@ -214,7 +214,7 @@ class PicoScope(Scope):
         return acquisition
 
     def measure(self, position: float, across: float = 0.0) -> Recording:
-        """Return velocity and drive at the vibrometer's spot, which must be at `position` [m] already."""
+        """Measure velocity and drive at the vibrometer's spot, which must already be at `position` [m]."""
         counts = []
         for _ in range(self._asked.n_records):
             self.arm()
@@ -234,7 +234,7 @@ class PicoScope(Scope):
         return self._recording(position, [self._counts()])
 
     def _recording(self, position: float, records: Sequence[tuple[NDArray[np.int16], int]]) -> Recording:
-        """Return records, given as counts and bits of the overloaded inputs, in SI units."""
+        """Convert records from counts and overload bits to SI units."""
         asked, counts = self._asked, np.array([each for each, _ in records])
         over = functools.reduce(operator.or_, (each for _, each in records))
         first = round(asked.start * self._rate)
@@ -257,7 +257,7 @@ class PicoScope(Scope):
         )
 
     def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
-        """Call `send`, and bound the onset of its burst: by the last poll before its record was full, and the next."""
+        """Call `send` and bound the onset of its burst by the last poll before the record was full and the next one."""
         self.configure(SHORT)
         self.arm()
         SYSTEM_CLOCK.sleep(ARMED)
@@ -266,7 +266,7 @@ class PicoScope(Scope):
             try:
                 empty, full = self._wait(self._trigger_wait, pause=0.0)
             finally:
-                sent.result()  # raises what kept the command from being sent, which is why no trigger came
+                sent.result()  # raises any failure to send the command, the reason for the missing trigger
         lasted = SHORT.n_samples / self._rate
         return empty - lasted, full - lasted
 
@@ -280,7 +280,7 @@ class PicoScope(Scope):
 
     @property
     def _used(self) -> tuple[int, ...]:
-        """Inputs in use: that of the vibrometer, then one for each drive."""
+        """Inputs in use: that of the vibrometer, then one per drive."""
         return (0, *self._asked.drives)
 
     def _start(self) -> None:
@@ -300,7 +300,7 @@ class PicoScope(Scope):
         return text.value.decode("ascii", "replace")
 
     def _counts(self) -> tuple[NDArray[np.int16], int]:
-        """Return one record, (n_channels, n_samples) array of counts, and the bits of the overloaded inputs."""
+        """Return one record, (n_channels, n_samples) array of counts, and the overload bits of the inputs."""
         asked = self._asked
         self._wait(self._trigger_wait + abs(asked.start) + asked.n_samples / self._rate)
         counts = np.zeros((asked.n_channels, asked.n_samples), dtype=np.int16)
@@ -316,7 +316,7 @@ class PicoScope(Scope):
         return counts, over.value
 
     def _wait(self, longest: float, pause: float = 1e-3) -> tuple[float, float]:
-        """Return the last instant at which the record was not full, and the first at which it was [s]."""
+        """Wait for a full record; return the last instant before it was full and the first when it was [s]."""
         ready, empty = ctypes.c_int16(), SYSTEM_CLOCK.now()
         deadline = empty + longest
         while True:
@@ -335,13 +335,13 @@ class PicoScope(Scope):
             time.sleep(pause)
 
     def _disarm(self) -> None:
-        """Stop waiting for a burst that never came: while waiting for its trigger, a unit accepts no settings."""
+        """Stop waiting for a burst that never came, since an armed unit accepts no settings."""
         if self._waits:
             self._waits = False
             self._call("Stop")
 
     def _call(self, name: str, *arguments: Any, failing: str = "") -> None:
-        """Call a function of Pico's library for this scope; raise RigError on any status but success."""
+        """Call a function of the Pico library for this scope; raise RigError unless it succeeds."""
         status = getattr(self._driver, f"ps3000a{name}")(self._handle, *arguments)
         if status != OK:
             why = failing or "reconnect it, and look up the status in Pico's list"
@@ -349,10 +349,10 @@ class PicoScope(Scope):
 
 
 def load_driver() -> Any:
-    """Return the object that has the functions of Pico's library."""
+    """Return the object with the functions of the Pico library."""
     try:
         return importlib.import_module("picosdk.ps3000a").ps3000a
-    # If the native library is missing, the package raises errors of its own, even at import.
+    # If the native library is missing, the package raises custom errors, even on import.
     except Exception as error:
         raise RigError(
             f"a PicoScope cannot be used here ({error}): install the package picosdk and Pico's PicoSDK, or measure "

@@ -1,4 +1,4 @@
-"""All use of PyVISA: the session with an instrument, one at a time on this machine, and the search for instruments."""
+"""PyVISA sessions, one per instrument on this machine, and discovery of instruments."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from modaltouch.rig.link import InUse, block_bounds
 from modaltouch.system import lock
 
 CONNECT_TIMEOUT = 2.0
-"""How long a TCP connection to the instrument may take [s]: a lost packet is resent after one second."""
+"""Timeout of a TCP connection to the instrument [s]; a lost packet is resent after one second."""
 
 
 def check_port(address: str) -> None:
-    """Check that the port named in a VISA address accepts connections: the backend would leak a socket if not."""
+    """Check that the port in a VISA address accepts connections, since otherwise the backend would leak a socket."""
     host, _, port = (address.split("::") + [""])[1].partition(",")
     if address.upper().startswith("TCPIP") and port.isdigit():
         socket.create_connection((host, int(port)), timeout=CONNECT_TIMEOUT).close()
 
 
 def abandon(resource: Any) -> None:
-    """Reset the TCP connection of a session, so that closing the session fails at once.
+    """Reset the TCP connection of a session, so that closing the session fails immediately.
 
-    An ordinary close sends a request, and waits in a busy loop for five seconds for the reply of a peer that has closed
-    its end. Moreover, data sent into an unplugged cable, perhaps a trigger, would arrive once the cable is plugged in
-    again; a reset discards them. Sessions of other backends and interfaces raise an error here, and close as usual.
+    An ordinary close sends a request and waits in a busy loop for five seconds for the reply of a peer that has closed
+    its end. Moreover, data sent while a cable is unplugged, perhaps a trigger, would arrive when it is plugged in
+    again; a reset discards them. Sessions of other backends and interfaces raise an error here and close as usual.
     """
     connection = resource.visalib.sessions[resource.session].interface.sock
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
@@ -42,7 +42,7 @@ def abandon(resource: Any) -> None:
 
 
 def close_leftovers(error: BaseException) -> None:
-    """Close the socket of a session that could not be opened: it would use up one of an instrument's few sessions."""
+    """Close the socket of a session that failed to open, which would occupy one of the instrument's few sessions."""
     for frame, _ in traceback.walk_tb(error.__traceback__):
         interface = getattr(frame.f_locals.get("self"), "interface", None)
         leftover = getattr(interface, "sock", None)
@@ -51,27 +51,27 @@ def close_leftovers(error: BaseException) -> None:
 
 
 CHUNK = 1 << 20
-"""Bytes requested in one read: a whole record."""
+"""Bytes requested per read, enough for a whole record."""
 
 PURE_PYTHON, VENDOR = "py", "ivi"
 """PyVISA's names for its two backends."""
 
 LOCK_TIMEOUT = 3.0
-"""Longest wait for the lock of another program on this machine, enough for one that is just ending [s]."""
+"""Longest wait for the lock of another program on this machine, enough for a program that is exiting [s]."""
 
 FORGOTTEN = 1.0
-"""How long an instrument may still count one of our sessions after its reset, until it notices the reset [s]."""
+"""Time within which an instrument notices the reset of a session and releases the session [s]."""
 
 NO_MORE_SESSIONS = "error creating link: 9"
-"""pyvisa-py's message for "out of resources" (VXI-11, B.5.2): all sessions that the instrument admits are in use."""
+"""pyvisa-py's message for "out of resources" (VXI-11, B.5.2): all sessions of the instrument are in use."""
 
 
 class VisaSession:
     """A VISA session with one instrument, as a `modaltouch.rig.link.Transport`.
 
-    A lock file on this machine lets only one program at a time use an instrument. The instrument's own lock (VXI-11) is
-    not used: held by a dead link, it would keep everybody from switching the outputs off. A program on another
-    computer is noticed when the driver reads back settings that it has changed.
+    A lock file ensures that only one program on this machine uses an instrument at a time. The VXI-11 lock of the
+    instrument is not used, since a lock held by a dead link would prevent any program from switching the outputs off.
+    Interference from another computer is detected by reading back changed settings.
 
     Parameters
     ----------
@@ -93,14 +93,14 @@ class VisaSession:
         self._counted_until = 0.0
 
     def open(self) -> str:
-        """Reopen it, and return a sentence on how other programs are kept out.
+        """Reopen the session; return a sentence on how other programs are locked out.
 
         Raises
         ------
         InUse
-            If another program on this machine uses the instrument, or it admits no further session.
+            If another program on this machine uses the instrument, or all its sessions are in use.
         Exception
-            Whatever the backend raises: VisaIOError, OSError, ValueError and plain Exception.
+            Any error of the backend: VisaIOError, OSError, ValueError or plain Exception.
         """
         import pyvisa
 
@@ -127,10 +127,10 @@ class VisaSession:
         return "other programs on this machine are kept out"
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
-        """Send a message, and return the reply if one is expected; each may take as long as `timeout` [s].
+        """Send a message and return the reply, if one is expected; each may take up to `timeout` [s].
 
-        Without a reply, return once the instrument has accepted it: where the link acknowledges nothing, once it
-        answers a query after it, unless the message holds a block.
+        Without a reply, return when the instrument has accepted the message. A link without acknowledgement is polled
+        with an additional query, unless the message contains a block.
         """
         if not (reply or self._acknowledges or b"#" in message):
             self.exchange(message.rstrip() + b";*STB?\n", timeout=timeout, reply=True)
@@ -143,13 +143,13 @@ class VisaSession:
         resource.write_raw(message)
         data: bytes = resource.read_raw() if reply else b""
         if data[:1] == b"#":
-            # On a raw socket reads end at line feeds within a block, and a line feed follows its last byte.
+            # On a raw socket, reads end at line feeds within a block, and a line feed follows the block.
             while len(data) < block_bounds(data)[1] + self._is_socket:
                 data += resource.read_raw()
         return data
 
     def close(self, *, broken: bool) -> None:
-        """Close it; if it is broken, without notifying the other end. Never raises."""
+        """Close the session; if broken, without notifying the other end. Never raises."""
         resource, self._resource = self._resource, None
         if resource is None:
             return
@@ -161,7 +161,7 @@ class VisaSession:
             resource.close()
 
     def release(self) -> None:
-        """Close it and release the instrument to other programs; never raises."""
+        """Close the session and release the instrument to other programs; never raises."""
         self.close(broken=False)
         descriptor, self._lock = self._lock, None
         if descriptor is not None:
@@ -169,10 +169,10 @@ class VisaSession:
 
 
 def _take_instrument(address: str) -> int:
-    """Return a lock file's descriptor, which keeps other programs on this machine from an instrument until closed."""
+    """Return the descriptor of a lock file that reserves an instrument on this machine until closed."""
     name = hashlib.sha256(address.upper().encode()).hexdigest()[:16]
     path = Path(tempfile.gettempdir()) / f"modaltouch-{name}.lock"
-    # Another user's file in a shared folder may be opened, but not with the flag that creates it.
+    # Another user's file in a shared folder may be opened, but not with the flag O_CREAT.
     flags = os.O_RDONLY if path.exists() else os.O_RDWR | os.O_CREAT
     descriptor = os.open(path, flags, 0o644)
     try:
@@ -184,7 +184,7 @@ def _take_instrument(address: str) -> int:
 
 
 def find_instruments() -> tuple[str, ...]:
-    """Return the addresses of the instruments found by pyvisa-py, and by a vendor's VISA library if there is one.
+    """Return the addresses of the instruments found by pyvisa-py and by a vendor's VISA library, if any.
 
     Raises
     ------
@@ -200,11 +200,11 @@ def find_instruments() -> tuple[str, ...]:
 
 
 def find_by(visa_library: str) -> tuple[str, ...]:
-    """Return the VISA addresses of the instruments that one backend finds."""
+    """Return the VISA addresses of the instruments found by one backend."""
     import pyvisa
 
     try:
-        # PyVISA warns of interfaces that it cannot search (USB, HiSLIP without their packages): not the user's fault.
+        # PyVISA warns about interfaces that it cannot search (USB, HiSLIP without their packages), irrelevant to users.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = pyvisa.ResourceManager(visa_library).list_resources("?*::INSTR")
@@ -214,5 +214,5 @@ def find_by(visa_library: str) -> tuple[str, ...]:
             f"the VISA backend '{visa_library}' cannot list instruments ({error}); repair or remove that library; a "
             "known address works without it"
         ) from error
-    # These generators have USB, LAN and GPIB; a serial port belongs to some other device.
+    # These generators have USB, LAN and GPIB; a serial port must belong to another device.
     return tuple(address for address in found if not address.upper().startswith("ASRL"))

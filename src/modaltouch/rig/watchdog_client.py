@@ -1,4 +1,4 @@
-"""The session's side of the watchdog: starts its process, talks to the instrument through it, sends it heartbeats."""
+"""Client side of the watchdog: starts its process, exchanges messages with the instrument via it, sends heartbeats."""
 
 from __future__ import annotations
 
@@ -43,20 +43,20 @@ BEAT_PERIOD = LEASE / 4
 """Time between two heartbeats [s]."""
 
 ROUND = 0.05
-"""Time between two checks whether the process is stuck, or this one was stalled [s]."""
+"""Time between two checks for a stuck watchdog process or a stall of this process [s]."""
 
 OPEN_LIMIT = 20.0
-"""Longest time that starting the process and opening the instrument may take [s]."""
+"""Timeout for starting the process and opening the instrument [s]."""
 
 OVERHEAD = 3.0
-"""Time that a backend may take beyond its timeouts before its process counts as stuck [s]."""
+"""Time beyond the backend's timeouts after which its process counts as stuck [s]."""
 
 
 class WatchdogClient:
-    """Client of a process that holds the VISA session, and switches the outputs off if this process dies or stalls.
+    """Client of a process that holds the VISA session and switches the outputs off if this process dies or stalls.
 
     If the watchdog process itself dies or gets stuck, the next `open` replaces it. A request raises TransportError if
-    it fails, and LinkError if the process is gone.
+    it fails, and LinkError if the process has died.
 
     Parameters
     ----------
@@ -88,14 +88,14 @@ class WatchdogClient:
             threading.Thread(target=work, daemon=True, name=f"watchdog{work.__name__}").start()
 
     def open(self) -> str:
-        """Reopen the VISA session, and return a sentence on how other programs are kept out.
+        """Reopen the VISA session; return a sentence on how other programs are locked out.
 
         Raises
         ------
         InUse
             If another program has the instrument.
         TransportError, OSError
-            If it cannot be reached, or the process cannot be started.
+            If the instrument cannot be reached, or the process cannot be started.
         """
         if self._process.poll() is not None:
             _close_pipes(self._process)
@@ -104,7 +104,7 @@ class WatchdogClient:
         return self._request(OPEN, b"", OPEN_LIMIT).decode()
 
     def exchange(self, message: bytes, *, timeout: float, reply: bool) -> bytes:
-        """Send a message, and return the reply if one is expected; each may take as long as `timeout` [s]."""
+        """Send a message and return the reply, if one is expected; each may take up to `timeout` [s]."""
         return self._request(EXCHANGE, TERMS.pack(timeout, reply, False) + message, 2 * timeout + OVERHEAD)
 
     def close(self, *, broken: bool) -> None:
@@ -112,14 +112,14 @@ class WatchdogClient:
         self._request(CLOSE, TERMS.pack(0.0, False, broken), 2 * OVERHEAD)
 
     def arm(self, *, free_running: bool) -> None:
-        """Tell the process that outputs may be on, and whether what they play does not end without a command."""
+        """Notify the process that outputs may be on and, if `free_running`, that they play until switched off."""
         self._send(frame(ARM, 0, FLAG.pack(free_running)))
         self._lost, self._broken, self._held_up = "", None, 0.0
         self._came_round = time.monotonic()
         self._armed.set()
 
     def beat(self) -> str:
-        """Note that the session is alive, and return why the bursts ended without a request; empty while all is well.
+        """Note that the session is alive; return the reason if the bursts ended without a request, else empty.
 
         As long as this is called often enough, a thread sends heartbeats to the process.
         """
@@ -137,13 +137,13 @@ class WatchdogClient:
             try:
                 lost = self._request(BEAT, b"", OVERHEAD).decode()
             except (LinkError, TransportError) as error:
-                # A request that failed in the meantime has already raised in the session.
+                # A request that failed meanwhile has already raised in the session.
                 self._broken = self._broken or LinkError(str(error))
             else:
                 self._lost = self._lost or lost
 
     def play(self, order: Order) -> Report:
-        """Begin to play bursts; return the report once it is known whether the first was played."""
+        """Start to play bursts; return the report when it is known whether the first was played."""
         limit = max(order.first - time.perf_counter(), 0.0) + order.timeout + OVERHEAD
         return _report(self._request(PLAY, json.dumps(asdict(order)).encode(), limit))
 
@@ -152,12 +152,12 @@ class WatchdogClient:
         return _report(self._request(LOOK, b"", OVERHEAD))
 
     def end(self) -> None:
-        """Trigger no further burst; never raises, since the next request notices a lost process."""
+        """Trigger no further burst; never raises, since the next request detects a lost process."""
         with contextlib.suppress(LinkError):
             self._send(frame(END, 0))
 
     def report(self, *, wait: bool) -> Report:
-        """Trigger no further burst, and return the report; with `wait`, once the last burst is over."""
+        """Trigger no further burst and return the report; with `wait`, after the end of the last burst."""
         return _report(self._request(REPORT, FLAG.pack(wait), 2 * OVERHEAD))
 
     def held_up(self) -> float:
@@ -168,14 +168,14 @@ class WatchdogClient:
         return max(self._held_up, other)
 
     def disarm(self) -> None:
-        """Tell the process that the outputs are off."""
+        """Notify the process that the outputs are off."""
         if self._armed.is_set():
             self._armed.clear()
             with contextlib.suppress(LinkError):
                 self._send(frame(DISARM, 0))
 
     def release(self, *, clean: bool) -> None:
-        """Let the process end; unless `clean`, it switches the outputs off first, which is not waited for."""
+        """Let the process exit; unless `clean`, it first switches the outputs off, without blocking this call."""
         self._released.set()
         with contextlib.suppress(LinkError):
             if clean:
@@ -194,11 +194,11 @@ class WatchdogClient:
             self._command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            # At a terminal, the user is warned of outputs that cannot be switched off; whoever reads a pipe would wait
-            # for this process to end.
+            # At a terminal, the user is warned of outputs that cannot be switched off; the reader of a pipe would wait
+            # until this process exits.
             stderr=None if sys.__stderr__ is not None and sys.__stderr__.isatty() else subprocess.DEVNULL,
             bufsize=0,
-            # Pass on this process's module path, in case the package is not installed.
+            # Pass on the module path of this process, in case the package is not installed.
             env={**os.environ, "PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
             **_out_of_reach(),
         )
@@ -211,7 +211,7 @@ class WatchdogClient:
             try:
                 self._send(frame(letter, self._number, content))
                 went, number, answer = self._answer()
-                # Skip an answer to an earlier request that a signal kept from being read.
+                # Skip the answer to an earlier request, left unread because of a signal.
                 while number != self._number:
                     went, number, answer = self._answer()
             finally:
@@ -233,7 +233,7 @@ class WatchdogClient:
         except OSError as error:
             raise self._gone() from error
         except BaseException:
-            # Interrupted by a signal: the rest of the request will never follow, so the process cannot go on.
+            # After an interruption by a signal the rest of the request is lost, so the process cannot continue.
             if len(rest) < len(data):
                 self._process.kill()
             raise
@@ -270,7 +270,7 @@ class WatchdogClient:
         while not self._released.wait(ROUND):
             now = time.monotonic()
             self._held_up = max(self._held_up, now - asleep - ROUND)
-            # Just after a stall of this process, an answer may have come without being read yet.
+            # Just after a stall of this process, an answer may have arrived but not yet been read.
             if was_overdue and now > self._due:
                 self._process.kill()
             was_overdue, asleep = now > self._due, time.monotonic()
@@ -285,7 +285,7 @@ def _report(answer: bytes) -> Report:
 
 
 def _reap(process: subprocess.Popen[bytes]) -> None:
-    """Wait for a process to end, so that no zombie and no open pipe is left."""
+    """Wait for a process to exit, so that neither a zombie nor an open pipe is left."""
     process.wait()
     _close_pipes(process)
 
@@ -300,7 +300,7 @@ def _close_pipes(process: subprocess.Popen[bytes]) -> None:
 def _out_of_reach() -> dict[str, Any]:
     """Return options of `Popen` that protect a process from a closed terminal and from Ctrl-C."""
     if sys.platform == "win32":
-        # Closing a console ends the processes attached to it, so this one has a console of its own, without a window.
-        # Without a console (DETACHED_PROCESS), the interpreter behind a venv's launcher would open one that stays.
+        # Closing a console ends the processes attached to it, so this one gets a separate console without a window.
+        # Without any console (DETACHED_PROCESS), the interpreter behind a venv launcher would open a persistent one.
         return {"creationflags": subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP}
     return {"start_new_session": True}

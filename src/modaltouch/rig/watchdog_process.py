@@ -1,15 +1,15 @@
-"""The watchdog: holds the only session with the instrument, triggers bursts, and switches the outputs off if it must.
+"""The watchdog: holds the only session with the instrument, triggers bursts, switches the outputs off in an emergency.
 
-``python -m modaltouch.rig.watchdog_process ADDRESS OFF`` runs it as a process of its own; OFF is the message that
-switches the outputs off. The driver, its client, makes every exchange through this process, over a pipe. So the process
-can switch the outputs off at any time, even over an interface that admits a single session (USB). While armed it
-expects a heartbeat at least every `LIMIT` seconds; every request counts as one. If none comes, no further burst is
+``python -m modaltouch.rig.watchdog_process ADDRESS OFF`` runs it as a separate process; OFF is the message that
+switches the outputs off. The driver (the client) makes every exchange via this process, over a pipe, so that the
+process can switch the outputs off at any time, even over an interface limited to a single session (USB). While armed it
+expects a heartbeat at least every `LIMIT` seconds; every request counts as one. If none arrives, no further burst is
 triggered and the outputs are switched off. The same happens when the pipe ends without `CLEAN` (the client was killed,
-or its display server took it down).
+possibly together with its display server).
 
-A request consists of a mark, a letter, a number, a length and as many bytes. `OPEN`, `EXCHANGE`, `CLOSE`, `PLAY`,
-`LOOK`, `REPORT`, `BEAT` and `LATE` are answered in the same format, with the number of the request and a letter for the
-outcome.
+A request consists of a mark, a letter, a number, a length and that number of bytes. `OPEN`, `EXCHANGE`, `CLOSE`,
+`PLAY`, `LOOK`, `REPORT`, `BEAT` and `LATE` are answered in the same format, with the number of the request and a letter
+for the outcome.
 """
 
 from __future__ import annotations
@@ -42,22 +42,22 @@ HEAD = struct.Struct(">4scII")
 """Header of a request or an answer: mark, letter, number, length."""
 
 MARK = b"mtwd"
-"""Identifies the beginning of a request or an answer."""
+"""Start of a request or an answer."""
 
 TERMS = struct.Struct(">d??")
 """Parameters of `EXCHANGE` (before its message) and of `CLOSE`: timeout [s], reply expected, session broken."""
 
 FLAG = struct.Struct(">?")
-"""Parameter of `ARM`: whether the outputs play on without commands; of `REPORT`: whether to wait for the last burst."""
+"""Parameter of `ARM` (whether the outputs play until switched off) and `REPORT` (whether to await the last burst)."""
 
 LIMIT = PATIENCE
 """Longest silence of an armed client [s]."""
 
 PERSISTENCE = 30.0
-"""How long it keeps trying to reach an instrument that plays nothing unless triggered [s]."""
+"""Time for which it keeps trying to reach an instrument that plays only when triggered [s]."""
 
 LONG_PERSISTENCE = 3600.0
-"""The same for an instrument that plays on by itself [s]."""
+"""The same for an instrument that plays until switched off [s]."""
 
 WORD_PERIOD = 10.0
 """Time between two warnings at the terminal that outputs may be on [s]."""
@@ -66,7 +66,7 @@ REPLY_TIMEOUT = 1.0
 
 
 class WatchdogProcess:
-    """Carries out the requests of one client over one transport, and watches that client.
+    """Server of the requests of one client over one transport, which also monitors the client.
 
     Parameters
     ----------
@@ -77,8 +77,8 @@ class WatchdogProcess:
     limit : float
         Longest silence of an armed client [s].
     persistence : float
-        How long it keeps trying to switch off outputs that play only when triggered [s]; for outputs that play on by
-        themselves it is LONG_PERSISTENCE.
+        Time for which it keeps trying to switch off outputs that play only when triggered [s]; LONG_PERSISTENCE for
+        outputs that play until switched off.
     say : callable
         Called with each sentence for the terminal.
     clock : Clock
@@ -111,10 +111,10 @@ class WatchdogProcess:
         self._pacing = threading.Thread()
 
     def serve(self, requests: typing.BinaryIO, answer: Callable[[bytes], object]) -> None:
-        """Carry out requests until `CLEAN`, or until the pipe ends: then switch the outputs off."""
+        """Serve requests until `CLEAN`, or until the pipe ends, and then switch the outputs off."""
 
         def reply(letter: bytes, number: int, content: bytes) -> None:
-            # If nobody reads it, the requests end as well.
+            # If the answer is not read, the requests end as well.
             with self._answering, contextlib.suppress(OSError):
                 answer(frame(letter, number, content))
 
@@ -131,7 +131,7 @@ class WatchdogProcess:
             self._served = self._clock.now()
             if answered is not None:
                 reply(answered[0], number, answered[1])
-        # End even bursts that were ordered in the client's last moment.
+        # End bursts ordered in the last moment, too.
         self._end_bursts()
         with self._busy:
             if self._reached:
@@ -143,7 +143,7 @@ class WatchdogProcess:
         waiting: queue.SimpleQueue[tuple[bytes, int, bytes] | None],
         reply: Callable[[bytes, int, bytes], None],
     ) -> None:
-        """Receive requests as they come: a heartbeat counts at once, even if an earlier exchange is still going on."""
+        """Receive requests as they arrive; a heartbeat counts immediately, even during an earlier exchange."""
         try:
             for letter, number, content in read_frames(requests):
                 self._heard = self._clock.now()
@@ -197,7 +197,7 @@ class WatchdogProcess:
         return self._transport.exchange(content[TERMS.size :], timeout=timeout, reply=reply)
 
     def _play(self, order: Order, answer: Callable[[bytes], None]) -> None:
-        """Begin to trigger bursts; the answer is the report once it is known whether the first was played."""
+        """Start to trigger bursts; answer with the report when it is known whether the first was played."""
         self._end_bursts()
         if self._pacing.is_alive():
             self._pacing.join()
@@ -221,7 +221,7 @@ class WatchdogProcess:
             self._pacer.end()
 
     def _report(self, wait: bool) -> bytes:
-        """End the bursts and return the report; with `wait`, once the last burst is over."""
+        """End the bursts and return the report; with `wait`, after the end of the last burst."""
         if self._pacer is None:
             return self._encoded_report()
         self._pacer.end()
@@ -235,7 +235,7 @@ class WatchdogProcess:
         return b"{}" if self._pacer is None else json.dumps(asdict(self._pacer.report)).encode()
 
     def _watch_client(self) -> None:
-        """Switch the outputs off whenever an armed client falls silent."""
+        """Switch the outputs off whenever an armed client becomes silent."""
         while self._armed.wait():
             asleep = self._clock.now()
             self._clock.sleep(self._limit / 20)
@@ -249,11 +249,11 @@ class WatchdogProcess:
                     self.switch_off()
 
     def _silence(self) -> float:
-        """Return the time since the last request came, or was carried out [s]."""
+        """Return the time since the last request arrived or was completed [s]."""
         return self._clock.now() - max(self._heard, self._served)
 
     def switch_off(self) -> bool:
-        """Switch the outputs off, over new sessions if need be, and return whether the instrument confirmed it."""
+        """Switch the outputs off, over new sessions if necessary; return whether the instrument confirmed it."""
         started, pause = self._clock.now(), 0.02
         next_word, said = started + REPLY_TIMEOUT, False
         while True:
@@ -273,7 +273,7 @@ class WatchdogProcess:
                 )
             if gives_up:
                 return False
-            # The session that failed cannot be used any longer; a new one may work.
+            # The failed session is unusable, but a new one may work.
             with contextlib.suppress(Exception):
                 self._transport.close(broken=True)
             self._clock.sleep(pause)
@@ -283,7 +283,7 @@ class WatchdogProcess:
 
 
 def frame(letter: bytes, number: int, content: bytes = b"") -> bytes:
-    """Return a request or an answer as the bytes sent through the pipe."""
+    """Encode a request or an answer for the pipe."""
     return HEAD.pack(MARK, letter, number, len(content)) + content
 
 
@@ -301,7 +301,7 @@ def read_frames(stream: typing.BinaryIO) -> Iterator[tuple[bytes, int, bytes]]:
 
 
 def _import_visa() -> None:
-    """Import PyVISA without the packages that only arrays and discovery need: that halves its time."""
+    """Import PyVISA without the packages needed only for arrays and discovery, which halves the import time."""
     for name in ("numpy", "psutil"):
         sys.modules.setdefault(name, None)  # type: ignore[arg-type]
     with contextlib.suppress(ImportError):
@@ -310,11 +310,11 @@ def _import_visa() -> None:
 
 
 def _take_precedence() -> None:
-    """Give this process priority, if the system permits: otherwise bursts may be late."""
+    """Raise the priority of this process, if permitted, since bursts may be late otherwise."""
     gc.disable()
     with contextlib.suppress(AttributeError, OSError):
         os.setpriority(os.PRIO_PROCESS, 0, -10)
-    # With autogrouping, Linux compares niceness only within a session, and this process has a session of its own.
+    # With autogrouping, Linux compares niceness only within a session, and this process has a separate session.
     with contextlib.suppress(AttributeError, OSError):
         os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
 
