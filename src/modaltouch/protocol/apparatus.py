@@ -345,7 +345,7 @@ class Apparatus(Section):
         Raises
         ------
         InputError
-            With every fault of the file.
+            Lists every problem of the file.
         """
         reading, problems = examine_apparatus(given if isinstance(given, Source) else Source.find("apparatus", given))
         if problems or reading.value is None:
@@ -354,7 +354,7 @@ class Apparatus(Section):
 
 
 def examine_apparatus(source: Source) -> tuple[Reading[Apparatus], list[Problem]]:
-    """Return an apparatus file as far as it is valid, and its faults."""
+    """Read and check an apparatus file; return its valid parts and its problems."""
     reading = read(source, Apparatus)
     return reading, [*reading.problems, *check_apparatus(reading)]
 
@@ -378,7 +378,7 @@ def check_patches(reading: Reading[Apparatus]) -> Iterator[Problem]:
 
 
 def check_apparatus(reading: Reading[Apparatus]) -> list[Problem]:
-    """Return the faults between the keys of an apparatus, as far as its valid parts show them."""
+    """Return a problem for each inconsistency between the valid keys of an apparatus."""
     return [
         *_check_zones(reading),
         *_check_actuator_sets(reading),

@@ -21,7 +21,7 @@ DEVICE_NAMES = re.compile(r"(?i:con|prn|aux|nul|(com|lpt)[0-9])")
 
 
 class Section(BaseModel):
-    """A frozen part of a YAML file; unknown keys are refused."""
+    """Base class of the frozen parts of a YAML file; unknown keys are rejected."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", title=None, defer_build=True)
 

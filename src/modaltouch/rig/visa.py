@@ -208,7 +208,7 @@ def find_by(visa_library: str) -> tuple[str, ...]:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = pyvisa.ResourceManager(visa_library).list_resources("?*::INSTR")
-    # Backends raise OSError, ValueError and errors of their own.
+    # Backends raise OSError, ValueError and custom errors.
     except Exception as error:
         raise RigError(
             f"the VISA backend '{visa_library}' cannot list instruments ({error}); repair or remove that library; a "

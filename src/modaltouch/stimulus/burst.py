@@ -170,7 +170,7 @@ class Timing:
     repetition_rate: float = 7.0
 
     def __post_init__(self) -> None:
-        """Refuse a burst that the generator cannot play."""
+        """Reject a burst that the generator cannot play."""
         if not 2 <= self.n_samples <= self.converter.max_points:
             raise ValueError(
                 f"a burst of {self.n_samples} samples does not fit the generator, which holds 2 to "
