@@ -55,8 +55,8 @@ _DELAYS = np.arange(0.0, 60e-6, 0.25e-6)
 """Grid of delays of the velocity [s]."""
 
 _MOST_EVALUATIONS, _MORE_EVALUATIONS, _PROMISING = 40, 160, 50.0
-"""Largest number of evaluations of a fit (a good one takes 5 to 15); additional ones for a fit without Maxwell terms if
-its misfit is below the last value [1]."""
+"""Limit of the evaluations of a fit (a good one takes 5 to 15), of further ones without Maxwell terms, and of the
+misfit for which these are made [1]."""
 
 _GOOD, _FAIR, _WORST = 2.0, 5.0, 10.0
 """Misfits up to which no Maxwell terms and no other starts are tried, and above which the fit is rejected [1]."""
