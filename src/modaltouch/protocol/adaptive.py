@@ -19,7 +19,7 @@ LapseRate = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=0.
 
 
 class StaircaseSection(Section):
-    """Weighted, transformed up-down staircase: down after a number of successes in a row, up after each failure."""
+    """Weighted, transformed up-down staircase: down after a number of consecutive successes, up after each failure."""
 
     down_after: Annotated[Count, Field(le=6)] = described(
         "Number of successes in a row that lowers the level; each failure raises it.", default=1
@@ -46,7 +46,7 @@ class StaircaseSection(Section):
 
 
 class AdaptiveSection(Section):
-    """A run over the level for each finger condition, pair of zones and stimulus, instead of fixed levels."""
+    """An adaptive run of the level for each finger condition, pair of zones and stimulus, instead of fixed levels."""
 
     method: Literal["staircase", "quest_plus"] = described(
         "staircase: up and down according to the latest answers; quest_plus: the level expected to be most "
@@ -86,7 +86,7 @@ Multiple = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0, le=100
 
 
 class SensationLevelsSection(Section):
-    """Levels as multiples of a participant's own threshold: the sensation level, as a ratio and not in dB."""
+    """Levels as multiples of the participant's threshold: sensation levels, as ratios rather than in dB."""
 
     thresholds_from: FileName = described(
         "Name of the adaptive protocol whose latest complete session gives the participant's threshold: the geometric "

@@ -34,7 +34,7 @@ Hash = Annotated[Text, Field(pattern=r"^[0-9a-f]{64}$", json_schema_extra={"x-al
 
 
 class CalibratedApparatus(Section):
-    """The apparatus file that was used."""
+    """The apparatus file used."""
 
     name: Text = described("Name of the apparatus.")
     sha256: Hash = described(
@@ -43,7 +43,7 @@ class CalibratedApparatus(Section):
 
 
 class Instruments(Section):
-    """The instruments that were used."""
+    """The instruments used."""
 
     generator: Text = described("Reply of the generator to *IDN?, with its serial number.")
     scope: Text = described("Model and serial number of the scope.")
@@ -51,7 +51,7 @@ class Instruments(Section):
 
 
 class CalibratedAmplifier(Section):
-    """The path from the generator to the beam, found from the measured drive."""
+    """The path from the generator to the beam, identified from the measured drive."""
 
     gain_V_per_V: Positive = described("Voltage gain of the stronger channel [V/V].")  # noqa: N815
     bandwidth_kHz: Positive | None = described("Corner of its first-order pole [kHz]; null if too high to measure.")  # noqa: N815
@@ -102,7 +102,7 @@ class CalibratedLevel(Section):
 
 
 class MissedLimit(Section):
-    """A limit, set by the protocol or by the calibration itself, that was missed."""
+    """A missed limit, set by the protocol or by the calibration itself."""
 
     limit: Word = described(
         "velocity_mm_s, displacement_mm_s, level_percent: as in the protocol's limits; frequencies_mm_s: effect of "
@@ -133,7 +133,7 @@ class IterationFigures(Section):
 
 
 class Calibration(Section):
-    """The part common to all calibration files: who made it, with what, and the results that concern the whole rig."""
+    """The part common to all calibration files: author, equipment, and results for the rig as a whole."""
 
     calibration: Literal[1] = described("Version of this format.")
     made: Text = described("Date and time, with the offset from UTC (ISO 8601).")
@@ -191,7 +191,7 @@ class Calibration(Section):
 
 
 class CalibratedStimulus(Section):
-    """The calibration of one stimulus: its targets on this rig, and how well they were reached."""
+    """The calibration of one stimulus: its targets on this rig, and the residual errors."""
 
     stimulus: StimulusSection = described("The stimulus section of the protocol.")
     focus_centre_mm: Number = described("Centre of the focus zone [mm].")

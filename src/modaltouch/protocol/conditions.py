@@ -33,7 +33,7 @@ Contacts = Annotated[tuple[ZoneName, ...], Field(min_length=1, max_length=3)]
 
 
 class CellsSection(Section):
-    """Cells of a design that is not crossed: one pair of zones at one or more levels."""
+    """Cells of an uncrossed design: one pair of zones at one or more levels."""
 
     pair: Contacts = described(
         "Zones under the fingers, from left to right as the participant sees the beam: usually two; one or three for "
@@ -53,7 +53,7 @@ class CellsSection(Section):
 
 
 class ExcludedCells(Section):
-    """Cells left out of the crossed design: those that match every key given."""
+    """Cells excluded from the crossed design: those that match all given keys."""
 
     pair: Contacts | None = described("Zones as in zone_pairs or zones; null for any.", default=None)
     peak_velocity_mm_s: Positive | None = described("Peak velocity [mm/s]; null for any.", default=None)

@@ -38,7 +38,7 @@ class SecondMassSection(Section):
 
 
 class FingerSection(Section):
-    """What a fingertip adds to the beam where it touches."""
+    """Mechanical load of a fingertip on the beam."""
 
     mass_g: NotNegative = described("Mass that moves with the beam [g].")
     damping_N_s_per_m: NotNegative = described("Viscous damping [N s/m].")  # noqa: N815
@@ -90,7 +90,7 @@ def _kind_of_fingers(value: object) -> str:
 
 
 class FingerSpread(Section):
-    """How much fingertips differ: standard deviations of logarithms, and of the position."""
+    """Variability of fingertips: standard deviations of logarithms, and of the position."""
 
     mass: Spread = described("Spread of the mass.", default=0.0)
     damping: Spread = described("Spread of the damping.", default=0.0)
@@ -113,7 +113,7 @@ class FingerSpread(Section):
 
 
 class FingerProbe(Section):
-    """A probe that measured fingers."""
+    """The probe by which fingers were measured."""
 
     placement: Text = described("Zones from left to right, and the fingers on them.")
     date: Text = described("When the probe was made.")

@@ -27,7 +27,7 @@ Interval = Annotated[tuple[Number, Number], AfterValidator(_ordered)]
 
 
 class Intervals(Section):
-    """95 % intervals of a mode's numbers, as identified."""
+    """95 % confidence intervals of the identified parameters of a mode."""
 
     natural_frequency_Hz: Interval | None = described("Interval of the natural frequency [Hz].", default=None)  # noqa: N815
     damping_ratio: Interval | None = described("Interval of the damping ratio [1].", default=None)
@@ -37,7 +37,7 @@ class Intervals(Section):
 
 
 class Provenance(Section):
-    """Source of each number of a mode, in words."""
+    """Source of each parameter of a mode."""
 
     natural_frequency_Hz: Text = described("Source of the natural frequency.", default="")  # noqa: N815
     damping_ratio: Text = described("Source of the damping ratio.", default="")
@@ -45,7 +45,7 @@ class Provenance(Section):
 
 
 class Identified(Section):
-    """The identification that the table of modes comes from."""
+    """The identification from which the mode table was obtained."""
 
     date: Text = described("When it was measured.")
     mode: Text = described("simulated; real; or file, for responses measured elsewhere.")

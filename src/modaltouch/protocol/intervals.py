@@ -20,7 +20,7 @@ STANDARD_LEVEL = ("intervals", "standard", "velocity_mm_s")
 
 
 class StandardSection(Section):
-    """The stimulus that the comparison is compared with, under the same fingers."""
+    """The stimulus with which the comparison is compared, under the same fingers."""
 
     velocity_mm_s: NotNegative | None = described(
         "Level of the standard [mm/s], such as 100; 0 for a silent interval; null for the level of the comparison.",
@@ -32,7 +32,7 @@ class StandardSection(Section):
 
 
 class IntervalsSection(Section):
-    """A trial presents several stimuli one after the other: one is its condition, the others are the standard."""
+    """Multi-interval trials: one interval presents the condition of the trial, the others the standard."""
 
     number: Annotated[int, Field(strict=True, ge=2, le=3)] = described("Number of intervals in each trial.", default=2)
     gap_s: Annotated[NotNegative, Field(le=60)] = described(

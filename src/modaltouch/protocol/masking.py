@@ -16,7 +16,7 @@ Decibels = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=-120, le=
 
 
 class MaskingSection(Section):
-    """Masking noise, played without a break from before the first trial until after the last."""
+    """Masking noise, played continuously from before the first trial until after the last."""
 
     noise: Literal["pink", "white"] = described(
         "pink: equal power per octave; white: equal power per hertz; both from 20 Hz to 20 kHz.", default="pink"

@@ -17,14 +17,14 @@ Gain = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0, le=100)]
 
 
 class SuppressionSection(Section):
-    """How much the stronger finger suppresses the weaker one."""
+    """Suppression of the weaker finger by the stronger one."""
 
     one_hand: Gain = described("Suppression between two fingers of one hand [1].", default=0.65)
     two_hands: Gain = described("Suppression between fingers of different hands [1].", default=0.6)
 
 
 class ReactionSection(Section):
-    """How long answers take."""
+    """Response times."""
 
     quickest_s: NotNegative = described("Shortest reaction time [s].", default=0.35)
     decision_s: NotNegative = described(
@@ -66,7 +66,7 @@ class TypicalSection(Section):
 
 
 class SpreadSection(Section):
-    """How much participants differ: standard deviations, of logarithms except for the side bias."""
+    """Variability between participants: standard deviations, of logarithms except for the side bias."""
 
     weber_fraction: Spread = described("Spread of the logarithm of the noise.", default=0.2)
     criterion: Spread = described("Spread of the logarithm of the criterion.", default=0.2)

@@ -15,7 +15,7 @@ _OWN: dict[str, Any] = {"default": {}, "exclude_if": lambda given: not given}
 
 
 class Overrides(Section):
-    """What differs for a group or a kind of session; everything else is as in the protocol."""
+    """Keys of the protocol overridden for a group or a kind of session."""
 
     conditions: dict[str, object] = described(
         "Keys of the section conditions that differ, such as {peak_velocities_mm_s: [80, 100]}.", **_OWN

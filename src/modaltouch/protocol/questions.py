@@ -65,7 +65,7 @@ _MODULUS = 10.0
 
 
 class ScaleSection(Section):
-    """A scale that is answered with a number."""
+    """A scale for numerical answers."""
 
     kind: Literal["vas", "likert", "number"] = described(
         "vas: a visual analogue scale, a line on which a mark is set; likert: a choice of one of several points; "

@@ -13,7 +13,7 @@ _ABSENT: dict[str, Any] = {"default": None, "exclude_if": lambda given: given is
 
 
 class ResumeSection(Section):
-    """How an interrupted session is resumed."""
+    """Resumption of an interrupted session."""
 
     at: Literal["trial", "block", "restart"] = described(
         "trial: from the next trial; block: from the first trial of the interrupted block, whose answers are kept but "

@@ -24,7 +24,7 @@ from modaltouch.protocol.trial import Trial
 
 
 class CalibrationLimits(Section):
-    """Largest errors, including uncertainty, that a calibration may leave; one that exceeds them is marked."""
+    """Upper bounds of the errors of a calibration, including uncertainty; one that exceeds them is marked."""
 
     velocity_mm_s: Positive = described("Error of a modal velocity at the focusing instant [mm/s].", default=0.3)
     displacement_mm_s: Positive = described(
@@ -34,7 +34,7 @@ class CalibrationLimits(Section):
 
 
 class CalibrationSection(Section):
-    """Which calibration the stimulus needs."""
+    """Calibration required by the stimulus."""
 
     file: Text | None = described(
         "Calibration file written by `modaltouch calibrate`, relative to this file; null for none.", default=None
@@ -77,7 +77,7 @@ def whole_bursts(seconds: float, rate: float) -> int:
 
 
 class AnswersSection(AskedSection):
-    """How the question is asked and answered."""
+    """The question and its answers."""
 
     given_by: Literal["participant", "experimenter"] = described(
         "Who types the answer: the participant, or the experimenter for them.", default="participant"
@@ -214,7 +214,7 @@ class AnalysisSection(Section):
 
 
 class Protocol(Section):
-    """The whole experiment as one frozen value."""
+    """A complete experiment."""
 
     protocol: FileName = described("Name of the protocol, and of the folder of its results.")
     title: Text = described("Title on reports.", default="")

@@ -51,7 +51,7 @@ Selection = Annotated[
 
 
 class StimulusSection(Section):
-    """The burst that every trial plays, except for its level."""
+    """The burst played in every trial, except for its level."""
 
     law: Literal["exact", "paper"] = described(
         "Drive law: exact (least energy, every modelled mode on target) or paper (the paper's equations 6 and 7).",
@@ -106,7 +106,7 @@ class StimulusSection(Section):
 
 
 class StimulusVariant(Section):
-    """One of several stimuli: what differs from the section ``stimulus``."""
+    """One of several stimuli, by its differences from the section ``stimulus``."""
 
     law: Literal["exact", "paper"] | None = described("As in the section stimulus.", default=None)
     design: Literal["least_energy", "norm_4", "norm_8", "least_peak"] | None = described(

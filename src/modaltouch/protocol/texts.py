@@ -67,7 +67,7 @@ FontFile = Annotated[str, Field(pattern=r"^([^/\\]*|(/|[A-Za-z]:\\).*)$", json_s
 
 
 class Texts(Section):
-    """Every word the participant reads, in one language."""
+    """All texts shown to the participant, in one language."""
 
     language: Text = described("Name of the language, in that language.")
     language_code: Text | None = described("Its code (BCP 47), such as en or fr.", default=None)

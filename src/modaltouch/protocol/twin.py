@@ -12,7 +12,7 @@ from modaltouch.protocol.section import DampingRatio, Label, NotNegative, Number
 
 
 class UnlistedMode(Section):
-    """A mode of the beam that is not in the table of modes."""
+    """A mode of the beam that is not in the mode table."""
 
     family: Literal["bending", "torsion"] = described(
         "Family of the mode: bending (including rigid motions), or torsion, which does not show on the mid-line.",
@@ -30,7 +30,7 @@ class UnlistedMode(Section):
 
 
 class TrueAmplifier(Section):
-    """The true amplifier; null for a value as identified."""
+    """The true amplifier; null for identified values."""
 
     gain_V_per_V: Positive | None = described("True voltage gain [V/V].", default=None)  # noqa: N815
     limit_V: Positive | None = described("Voltage at which it saturates [V, peak].", default=None)  # noqa: N815
@@ -79,7 +79,7 @@ class ScopeSection(Section):
 
 
 class Latency(Section):
-    """Bounds of the time from a trigger command to its burst."""
+    """Bounds of the latency from a trigger command to its burst."""
 
     low: NotNegative = described("Shortest [ms].")
     high: NotNegative = described("Longest [ms].")
