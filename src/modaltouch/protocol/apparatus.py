@@ -65,7 +65,7 @@ class Beam(Section):
 
     @property
     def mass(self) -> float:
-        """Moving mass [kg]; if not given, that of plain aluminium, 2.7 mg/mm^3."""
+        """Moving mass [kg]; by default that of plain aluminium, 2.7 mg/mm^3."""
         aluminium = 2.7e-6 * self.length_mm * self.width_mm * self.thickness_mm
         return aluminium if self.mass_g is None else self.mass_g * 1e-3
 
@@ -360,11 +360,11 @@ def examine_apparatus(source: Source) -> tuple[Reading[Apparatus], list[Problem]
 
 
 _NOTHING = 1e-6
-"""Gain relative to the largest of its set below which the patches are taken not to drive a mode [1]."""
+"""Gain, relative to the largest of its set, below which a mode counts as not driven by the patches [1]."""
 
 
 def check_patches(reading: Reading[Apparatus]) -> Iterator[Problem]:
-    """Yield the patches that lie off the beam or end before they begin."""
+    """Yield the patches that extend beyond the beam or end before they begin."""
     length = reading.sound("beam", "length_mm")
     for name, actuators in reading.items("actuator_sets"):
         for index, (left, right) in enumerate(actuators.patches_mm):

@@ -59,7 +59,7 @@ class CalibratedAmplifier(Section):
 
 
 class MeasuringChain(Section):
-    """Effects of the measuring chain itself, removed from every result."""
+    """Effects of the measuring chain, removed from every result."""
 
     vibrometer_delay_us: NotNegative = described("Pure delay of the vibrometer [us].")
     vibrometer_lag_us: NotNegative = described("Time constant of its low-pass [us].")

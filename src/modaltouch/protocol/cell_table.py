@@ -15,7 +15,7 @@ from modaltouch.protocol.stimulus_sections import StimulusVariant
 from modaltouch.protocol.tree import Node, resolve
 
 DERIVED = ("zone_pairs", "peak_velocities_mm_s", "finger_conditions", "zones")
-"""Keys of the section conditions that follow from cells."""
+"""Keys of the section ``conditions`` derived from cells."""
 
 _REQUIRED = ("zone_left", "zone_right", "peak_velocity_mm_s")
 COLUMNS = (*_REQUIRED, "zone_between", "finger_condition", "stimulus", "weight")

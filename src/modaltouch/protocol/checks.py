@@ -215,7 +215,7 @@ def _check_keys(reading: Reading[Protocol]) -> Iterator[Problem]:
         path = ("answers", "emergency_keys", index)
         yield from check_key(reading, path, name)
         if name in places and not is_written:
-            # Report the key in the file rather than the default key, which is not there.
+            # Report the answer key, which is in the file, rather than the default emergency key, which is not.
             given = f"'{name}', the emergency key that switches the outputs off unless `emergency_keys` names another"
             remedy = "choose another, or name another key under `answers.emergency_keys`"
             yield reading.problem(places[name], given, "a key with no other meaning", remedy)

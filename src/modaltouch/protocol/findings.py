@@ -67,7 +67,7 @@ class Findings:
     field : Source or None
         The file of the target field's points, if any.
     fingers : Reading or None
-        The fingers that the stimulus is designed for, if any.
+        The fingers for which the stimulus is designed, if any.
     table : Source or None
         The table of cells, if any.
     occasion : Occasion

@@ -88,7 +88,7 @@ def check_intervals(reading: Reading[Any]) -> Iterator[Problem]:
 
 
 def _check_numbers(reading: Reading[Any]) -> Iterator[Problem]:
-    """Yield intervals that do not exist or are named twice."""
+    """Yield intervals that do not exist or are listed twice."""
     number = reading.sound("intervals", "number")
     for path in (("intervals", "comparison_in"), ("answers", "intervals")):
         seen: list[Meaning] = []

@@ -20,7 +20,7 @@ STANDARD_LEVEL = ("intervals", "standard", "velocity_mm_s")
 
 
 class StandardSection(Section):
-    """The stimulus with which the comparison is compared, under the same fingers."""
+    """The reference stimulus in the other intervals, under the same fingers."""
 
     velocity_mm_s: NotNegative | None = described(
         "Level of the standard [mm/s], such as 100; 0 for a silent interval; null for the level of the comparison.",

@@ -30,7 +30,7 @@ Run = tuple[str, ...]
 
 
 class Levels:
-    """Levels of the trials of an adaptive protocol; trials of other protocols are unchanged.
+    """Calculator of the levels of adaptive trials; trials of other protocols are unchanged.
 
     Parameters
     ----------

@@ -81,7 +81,7 @@ def at_occasion(root: Node, occasion: Occasion) -> Node:
 
 
 def check_groups(source: Source, root: Node) -> list[Problem]:
-    """Return the problems of groups and kinds: separate sessions, repeated names, a field `group` under people."""
+    """Return the problems of groups and kinds: a key `sessions`, repeated names, a field `group` under people."""
     problems = []
     people = root.child("people")
     if people is not None and "group" in people.keys and _overrides(root, "groups"):

@@ -1,4 +1,4 @@
-"""Placements of fingers on the beam in each condition, and their names, the keys of stored designs."""
+"""Placements of fingers on the beam in each condition, and their names, under which designs are stored."""
 
 from __future__ import annotations
 

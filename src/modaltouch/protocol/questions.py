@@ -151,7 +151,7 @@ class ScaleSection(Section):
 
     @property
     def actions(self) -> dict[str, tuple[str, ...]]:
-        """Keys of each action on the scale, including characters such as ``.``, which a terminal sends instead."""
+        """Keys of each action on the scale, including the characters sent by a terminal, such as ``.``."""
         usual: dict[str, tuple[str, ...]] = {"confirm": ("enter", "num_enter", "space")}
         digits = {digit: (digit, f"num_{digit}") for digit in string.digits}
         if self.kind == "number":
