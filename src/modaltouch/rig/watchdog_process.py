@@ -160,7 +160,7 @@ class WatchdogProcess:
     ) -> tuple[bytes, bytes] | None:
         if letter == ARM:
             self._end_bursts()
-            # How the bursts before it ended is no news of the stimulus that begins now.
+            # The outcome of earlier bursts does not concern the stimulus that begins now.
             self._pacer, (self._plays_by_itself,), self._held_up = None, FLAG.unpack(content), 0.0
             self._armed.set()
         elif letter == DISARM:
