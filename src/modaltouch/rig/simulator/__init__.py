@@ -1,7 +1,7 @@
 """The twin, a simulated rig on the loopback interface: generator behind a VXI-11 server, amplifier, beam, fingers.
 
-``modaltouch rig simulate`` runs one in a process of its own. At its address, ``inst0`` is the instrument and ``panel0``
-its front panel: like a person standing at the instrument, other programs can use it while the instrument is in use.
+``modaltouch rig simulate`` runs one in a separate process. At its address, ``inst0`` is the instrument and ``panel0``
+its front panel, which other programs can use while the instrument is in use, like a person at the real instrument.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 def twin_of(model: str) -> Callable[..., tuple[Any, CommandTable]]:
-    """Return the function that makes state and command table of a generator model; unknown models get an AFG3022B."""
+    """Return the factory of state and command table for a generator model; that of an AFG3022B for unknown models."""
     if model.startswith("AFG"):
         return afg_twin
     from modaltouch.rig.simulator.keysight33500b import keysight_twin
@@ -45,26 +45,26 @@ def twin_of(model: str) -> Callable[..., tuple[Any, CommandTable]]:
 
 
 class Simulator(AbstractContextManager["Simulator"]):
-    """The twin of a rig, reached like a real one through its VISA address.
+    """The twin of a rig, accessed like a real one via its VISA address.
 
     Parameters
     ----------
     apparatus : Apparatus
-        The simulated apparatus; its section ``twin`` states how the true beam differs from the identified one.
+        The simulated apparatus; its section ``twin`` specifies how the true beam differs from the identified one.
     seed : int, optional
-        Seed used instead of that in ``twin``.
+        Seed; by default that in ``twin``.
     port : int
-        TCP port on 127.0.0.1; 0 takes a free one.
+        TCP port on 127.0.0.1; 0 for any free port.
     behaviour : Behaviour, optional
         Behaviour of the real generator that is not publicly known.
     clock : Clock
-        Clock by which it plays; its transport waits in real time.
+        Clock of playback; the transport waits in real time.
     played : Path, optional
-        File to which a line is added when a burst ends; times are those of `clock`.
+        File to which a line is appended when a burst ends; times are those of `clock`.
     follow : Path, optional
-        Log of the session that uses the twin, in whatever process; its placements tell where the fingers are.
+        Log of the session that uses the twin, in any process; its placements give the positions of the fingers.
     sends : tuple of Playback or None, optional
-        What the outputs send, instead of what the generator is set to.
+        Output of the channels, overriding the generator's settings.
 
     Raises
     ------
@@ -74,9 +74,9 @@ class Simulator(AbstractContextManager["Simulator"]):
     Attributes
     ----------
     afg : Afg or Trueform
-        State of the generator, of the model that the apparatus names; an AFG3022B if that is unknown.
+        State of the generator, of the model named in the apparatus; an AFG3022B for unknown models.
     twin : Twin
-        True beam and amplifier, whose protection cuts its output while it is ``tripped``.
+        True beam and amplifier, whose protection disables its output while ``tripped``.
     faults : Faults
         Injected faults, which can be changed at any time.
     """
@@ -120,7 +120,7 @@ class Simulator(AbstractContextManager["Simulator"]):
 
     @cached_property
     def server(self) -> Vxi11Server:
-        """VXI-11 server, started on first use; it can drop connections, refuse new ones and listen again."""
+        """VXI-11 server, started on first use; it can drop connections, reject new ones and listen again."""
         return Vxi11Server(self._instrument, self._port)
 
     @property
@@ -130,7 +130,7 @@ class Simulator(AbstractContextManager["Simulator"]):
 
     @property
     def socket_address(self) -> str:
-        """VISA address of its raw socket."""
+        """VISA address of the raw socket."""
         return f"TCPIP::127.0.0.1::{self.server.port}::SOCKET"
 
     @property
@@ -142,7 +142,7 @@ class Simulator(AbstractContextManager["Simulator"]):
         from modaltouch.rig.pacing import LocalClient
         from modaltouch.rig.visa import VisaSession
 
-        # No other program knows this twin, but one that used the same port before may still hold the address's lock.
+        # No other program knows this twin, but a previous user of the same port may still hold the lock of the address.
         return {
             "clock": clock,
             "start_guard": lambda address, off: LocalClient(VisaSession(address, shares=True), clock),
@@ -154,18 +154,18 @@ class Simulator(AbstractContextManager["Simulator"]):
         return tuple(channel.output for channel in self.afg.channels.values())
 
     def felt_velocity(self, places: Sequence[str | float]) -> NDArray[np.float64]:
-        """Return the peak speed under the fingers, of what plays now.
+        """Return the peak speed under the fingers for the current output.
 
         Parameters
         ----------
         places : sequence of str or float
-            Zones, by their names, or positions, origin at mid-beam [m]. For a zone the position of its finger in the
-            followed session is taken, or else its centre.
+            Names of zones, or positions, origin at mid-beam [m]. For a zone, the position of its finger in the followed
+            session is used, or otherwise its centre.
 
         Returns
         -------
         (n_places,) array
-            Highest speed over one burst [m/s]; 0 while no output is on or no burst comes.
+            Highest speed over one burst [m/s]; 0 while no output is on or no bursts are played.
 
         Raises
         ------
@@ -179,14 +179,14 @@ class Simulator(AbstractContextManager["Simulator"]):
         return self.twin.felt(self.playbacks, positions, touched=tuple(fingers.values()))
 
     def true_state(self, instant: float, *, first: bool = False) -> TrueState:
-        """Return the true state of the beam at an instant of the present burst, as a reference for measurements.
+        """Return the true state of the beam at an instant of the current burst, as a reference for measurements.
 
         Parameters
         ----------
         instant : float
             Time since a trigger [s]; the first sample leaves the generator at 0, or after its trigger delay.
         first : bool
-            Whether the burst starts from rest; otherwise many bursts came before it.
+            Whether the burst starts from rest rather than after many bursts.
         """
         return self.twin.true_state(self.playbacks, instant, first=first, touched=tuple(self.touched.values()))
 
@@ -199,17 +199,17 @@ class Simulator(AbstractContextManager["Simulator"]):
 
     @property
     def playbacks(self) -> tuple[Playback | None, ...]:
-        """What each output sends now."""
+        """Current output of each channel."""
         if self._sends is not None:
             return self._sends
         return tuple(self.afg.playback(number) for number in self.afg.channels)
 
     def on_beam(self, apparatus: Apparatus, seed: int | None = None) -> Simulator:
-        """Return a twin with another beam, driven by what this generator sends now; equal seeds give equal beams."""
+        """Return a twin with another beam, driven by the current output; equal seeds give equal beams."""
         return Simulator(apparatus, seed, sends=self.playbacks)
 
     def touch(self, places: Sequence[str | float]) -> None:
-        """Place fingers on the beam for all further measurements, instead of those there; none if `places` is empty."""
+        """Replace the fingers on the beam for all further measurements; none if `places` is empty."""
         from modaltouch.stimulus import Finger
 
         at = {str(place): self.position(place) for place in places}
@@ -218,11 +218,11 @@ class Simulator(AbstractContextManager["Simulator"]):
 
     @property
     def touched(self) -> dict[str, Finger]:
-        """Fingers on the beam, by zone or position: those of the followed session, or else those of `touch`."""
+        """Fingers on the beam, by zone or position: those of the followed session, or otherwise those of `touch`."""
         return self._touched if self._followed is None else self._followed.fingers()
 
     def position(self, place: str | float) -> float:
-        """Return the centre of a zone, or the position given [m]."""
+        """Return the centre of a zone, or the given position [m]."""
         if not isinstance(place, str):
             return float(place)
         zone = self.apparatus.zones.get(place)
@@ -232,16 +232,16 @@ class Simulator(AbstractContextManager["Simulator"]):
         return zone.centre_mm * 1e-3
 
     def front_panel(self, command: str) -> str:
-        """Carry out a command as if entered at the front panel, and return the reply to a query."""
+        """Execute a command as if entered at the front panel, and return the reply to a query."""
         return self._instrument.perform(command.encode()).data.decode("latin1").removesuffix("\n")
 
     def power_cycle(self) -> None:
-        """Switch the generator's power off and on: connections and settings lost, outputs off, USER memories kept."""
+        """Power-cycle the generator: connections and settings are lost, outputs off, USER memories kept."""
         self.afg.power_on()
         self.server.drop_connections()
 
     def close(self) -> None:
-        """Stop serving, and switch the generator off."""
+        """Stop serving and switch the generator off."""
         if "server" in vars(self):
             self.server.close()
         self.afg.power_off()
@@ -250,7 +250,7 @@ class Simulator(AbstractContextManager["Simulator"]):
             self._played = None
 
     def serve(self) -> None:
-        """Serve until SIGINT or SIGTERM, then close; the first lines on standard output are its addresses."""
+        """Serve until SIGINT or SIGTERM, then close; the first lines on standard output are the addresses."""
         ended = threading.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: ended.set())

@@ -53,7 +53,7 @@ MAX_CODE = 16382
 """Highest code of a point."""
 
 MEMORIES = ("USER1", "USER2", "USER3", "USER4")
-"""Non-volatile memories, common to both channels."""
+"""Non-volatile memories, shared by both channels."""
 
 
 @dataclass
@@ -109,13 +109,13 @@ class Afg(GeneratorState[Channel]):
         self.edit = record
 
     def erase(self, number: int) -> None:
-        """Empty a USER memory; refused while it is locked or selected."""
+        """Erase a USER memory; rejected while it is locked or selected."""
         if self.locked[number] or any(channel.function == f"USER{number}" for channel in self.channels.values()):
             raise ScpiError(-221, f"USER{number} is locked or selected")
         self.user[number] = None
 
     def change(self, number: int, **settings: float) -> None:
-        """Change amplitude, offset or limits, into an open circuit [V], unless the output would exceed the limits."""
+        """Change amplitude, offset or limits, into an open circuit [V]; reject outputs beyond the limits."""
         channel = replace(self.channels[number], **settings)  # type: ignore[arg-type]
         room = min(channel.limit_high - channel.offset, channel.offset - channel.limit_low)
         if channel.amplitude / 2 > room * (1 + 1e-9):
@@ -131,11 +131,11 @@ class Afg(GeneratorState[Channel]):
     # what comes out
 
     def tick(self) -> float | None:
-        """Return the time between triggers of its timer [s]; None if another trigger source is selected."""
+        """Return the time between timer triggers [s]; None if another trigger source is selected."""
         return self.timer if self.trigger_source == "TIM" else None
 
     def sent(self, channel: Channel) -> Playback | None:
-        """Return a single burst of a channel, or what it repeats without a trigger; None if it plays no record."""
+        """Return a single burst of a channel, or its record repeated without a trigger; None if it plays no record."""
         if not channel.function.startswith(("USER", "EMEM")):
             return None
         record = self.edit if channel.function == "EMEM" else self.user[int(channel.function[4:])]
@@ -189,7 +189,7 @@ def amplitude_in_vpp(argument: Argument, channel: Channel) -> float:
 def amplitude_in_unit(vpp: float, channel: Channel, unit: str) -> float:
     """Return an amplitude [V peak to peak at the load] in a unit.
 
-    The rms value of an arbitrary record is not computed: its amplitude is always given in volts peak to peak.
+    The rms value of an arbitrary record is not computed; its amplitude is always in volts peak to peak.
     """
     if unit == "VPP" or channel.function not in PEAK_TO_PEAK_PER_RMS:
         return vpp
@@ -213,7 +213,7 @@ def afg_twin(model: str, behaviour: Behaviour | None, **hardware: Any) -> tuple[
     """Return the state of a simulated AFG3022B, whatever the model, and its command table."""
     afg = Afg(behaviour or Behaviour(), **hardware)
     groups = (common.common_commands, _memories, _user_memories, _waveform, _levels, _triggers)
-    # Trigger commands change no setting, and must not be delayed.
+    # Trigger commands change no setting and must not be delayed.
     forced = ("*TRG", "TRIGger[:SEQuence][:IMMediate]")
     commands = common.noticed(afg, ChainMap(*(group(afg) for group in groups)), forced)
     return afg, CommandTable(commands, afg.n_channels, further=_further)
@@ -417,7 +417,7 @@ def _user_memories(afg: Afg) -> dict[str, Command]:
             if afg.locked[number]:
                 raise ScpiError(-221, f"USER{number} is locked")
             afg.clock.sleep(afg.behaviour.copy_time)
-            # A channel that is playing this memory plays the new record.
+            # A channel playing this memory plays the new record.
             afg.user[number] = afg.edit
         else:
             _of_edit((target,), 1)
@@ -440,7 +440,7 @@ def _user_memories(afg: Afg) -> dict[str, Command]:
 
 
 def _of_edit(arguments: Arguments, n: int) -> Arguments:
-    """Return the arguments after the first of n, which must name the edit memory."""
+    """Return the arguments after the first of n, which must be the name of the edit memory."""
     name, *rest = exactly(arguments, n)
     read_choice(name, ("EMEMory", "EMEMory1"))
     return tuple(rest)

@@ -1,4 +1,4 @@
-"""What all simulated generators have in common: error queue, status, trigger, outputs, and the commands for them."""
+"""Common parts of all simulated generators: error queue, status, trigger, outputs, and their commands."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ class Behaviour:
     Attributes
     ----------
     idle_level : str
-        Where the output rests between bursts: at the ``first`` or ``last`` point, or at the ``offset``.
+        Level of the output between bursts: the ``first`` or ``last`` point, or the ``offset``.
     timer_digits : int
         Significant digits of the trigger timer.
     copy_time : float
-        Time that storing a record in a USER memory takes [s].
+        Time to store a record in a USER memory [s].
     limit_violation : str
-        Whether an amplitude beyond VOLTage:LIMit is refused (``error``) or reduced (``clip``).
+        Whether an amplitude beyond VOLTage:LIMit is rejected (``error``) or reduced (``clip``).
     max_sessions : int
-        Highest number of simultaneous links.
+        Maximum number of simultaneous links.
     queue_depth : int
         Capacity of the error queue.
     retrigger : str
-        Whether a trigger during a burst is ``ignored``, without an error, or ``restarts`` the burst.
+        Whether a trigger during a burst is ``ignored`` without an error or ``restarts`` the burst.
     """
 
     idle_level: Literal["first", "last", "offset"] = "first"
@@ -67,7 +67,7 @@ SOURCE_IMPEDANCE = 50.0
 
 @dataclass
 class OutputChannel(ABC):
-    """Settings of one output that all generators have; voltages are into an open circuit, whatever the load setting."""
+    """Output settings common to all generators; voltages are into an open circuit, for any load setting."""
 
     amplitude: float = 2.0
     offset: float = 0.0
@@ -94,7 +94,7 @@ class OutputChannel(ABC):
 
     @property
     def load_factor(self) -> float:
-        """Volts at the configured load per open-circuit volt [1]."""
+        """Voltage at the configured load per open-circuit voltage [V/V]."""
         return 1.0 if math.isinf(self.load) else self.load / (self.load + SOURCE_IMPEDANCE)
 
 
@@ -103,12 +103,12 @@ C = TypeVar("C", bound=OutputChannel)
 
 @dataclass
 class GeneratorState(ABC, Generic[C]):
-    """What all simulated two-channel generators have in common.
+    """Base class of all simulated two-channel generators.
 
     Attributes
     ----------
     behaviour : Behaviour
-        Behaviour of the real one that is not publicly known.
+        Behaviour of the real instrument that is not publicly known.
     n_channels : int
         Number of channels.
     delays : Delays
@@ -116,9 +116,9 @@ class GeneratorState(ABC, Generic[C]):
     seed : int
         Seed of the timer's phase and of the latencies.
     clock : Clock
-        Clock by which bursts begin and end.
+        Clock of the bursts.
     link : int
-        Number of the link whose message is being carried out; 0 for the front panel.
+        Number of the link whose message is being executed; 0 for the front panel.
     identity : str
         Reply to ``*IDN?``.
     """
@@ -144,15 +144,15 @@ class GeneratorState(ABC, Generic[C]):
 
     @abstractmethod
     def forget(self) -> None:
-        """Lose the memories that a power cut erases."""
+        """Clear the volatile memories."""
 
     @abstractmethod
     def tick(self) -> float | None:
-        """Return the time between the generator's internal triggers [s]; None if it waits for external ones."""
+        """Return the time between internal triggers [s]; None if the generator waits for external ones."""
 
     @abstractmethod
     def sent(self, channel: C) -> Playback | None:
-        """Return a single burst of a channel, or what it repeats without a trigger; None if it plays no record."""
+        """Return a single burst of a channel, or its record repeated without a trigger; None if it plays no record."""
 
     @property
     def takes_external_trigger(self) -> bool:
@@ -161,7 +161,7 @@ class GeneratorState(ABC, Generic[C]):
 
     @contextlib.contextmanager
     def changing(self) -> Iterator[None]:
-        """Context in which settings may change: until now the outputs follow the old ones, from now on the new ones."""
+        """Context for changes of settings: the outputs follow the old settings up to now, and then the new ones."""
         with self.lock:
             self.timeline.advance(self.clock.now())
             try:
@@ -170,17 +170,17 @@ class GeneratorState(ABC, Generic[C]):
                 self.timeline.change(self.clock.now(), self._situation())
 
     def settle(self) -> None:
-        """Report every burst that has ended by now."""
+        """Report all bursts that have ended by now."""
         with self.lock:
             self.timeline.advance(self.clock.now())
 
     def power_off(self) -> None:
-        """End whatever plays, at once."""
+        """Stop all output immediately."""
         with self.lock:
             self.timeline.power_cut(self.clock.now())
 
     def power_on(self) -> None:
-        """Start as after a power cut: outputs off, and defaults for everything that is not kept."""
+        """Start as after a power failure: outputs off, and defaults for everything volatile."""
         self.power_off()
         with self.lock:
             self.errors.clear()
@@ -192,7 +192,7 @@ class GeneratorState(ABC, Generic[C]):
     # errors and status
 
     def fail(self, error: ScpiError) -> None:
-        """Put an error in the queue and set its bit of the event status register."""
+        """Queue an error and set its bit of the event status register."""
         bits = {1: 32, 2: 16, 3: 8, 4: 4}
         with self.lock:
             self.event_status |= bits.get(-error.code // 100, 8)
@@ -220,16 +220,16 @@ class GeneratorState(ABC, Generic[C]):
             self.timeline.trigger(self.clock.now(), self.link)
 
     def align(self) -> None:
-        """Restart the records that repeat without a trigger."""
+        """Restart the records repeated without a trigger."""
         self.timeline.align(self.clock.now())
 
     # what comes out
 
     def playback(self, number: int) -> Playback | None:
-        """Return what a channel sends; None if its output is off or it plays no arbitrary record.
+        """Return the current output of a channel; None if it is off or plays no arbitrary record.
 
-        If bursts wait for triggers, this is the latest burst, provided one came since the outputs were last switched;
-        its period is the latest interval between triggers, to the millisecond.
+        If bursts wait for triggers, this is the latest burst, if any since the outputs were last switched; its period
+        is the latest interval between triggers, rounded to 1 ms.
         """
         with self.lock:
             self.timeline.advance(self.clock.now())
@@ -239,7 +239,7 @@ class GeneratorState(ABC, Generic[C]):
                 return sent
             endless = math.isinf(channel.burst_length)
             if tick is not None:
-                # An endless burst has a single trigger, the first.
+                # An infinite burst has a single trigger, the first.
                 return sent if endless else replace(sent, period=tick)
             triggers = self.timeline.triggers
             if not triggers or endless:
@@ -266,7 +266,7 @@ PERCENT, SECONDS, HERTZ = {"PCT": 1.0}, {"S": 1.0}, {"HZ": 1.0}
 
 
 def noticed(state: State, commands: Mapping[str, Command], forced: tuple[str, ...]) -> dict[str, Command]:
-    """Return commands that cut a running burst if they change what it depends on; those in `forced` are unchanged."""
+    """Wrap commands so that a change of settings truncates a running burst; those in `forced` are unchanged."""
 
     def changing(carry_out: Handler) -> Handler:
         def change(channel: int, arguments: Arguments) -> None:
@@ -323,7 +323,7 @@ def _register(state: State, name: str) -> Command:
 
 
 def bare(carry_out: Callable[[int], str | None]) -> Handler:
-    """Return a handler that takes no parameters, only the number of a channel."""
+    """Return a handler without parameters, called with the channel number only."""
 
     def handle(number: int, arguments: Arguments) -> str | None:
         exactly(arguments, 0)
@@ -338,11 +338,11 @@ def get_of(state: State, read: Callable[[Any], str]) -> Handler:
 
 
 def get_number(state: State, name: str, low: float, high: float, form: str) -> Callable[[int, Arguments], str]:
-    """Return a handler that answers a query with a number of a channel, or with its limits."""
+    """Return a handler that answers a query with a numeric setting of a channel, or with its limits."""
 
     def get(number: int, arguments: Arguments) -> str:
         value = asked(arguments, getattr(state.channels[number], name), low, high)
-        # SCPI's infinity as instruments print it; 9.9E37 has no exact binary form.
+        # SCPI infinity as printed by instruments; 9.9E37 has no exact binary form.
         return form.format(9.9).replace("E+00", "E+37") if math.isinf(value) else form.format(value)
 
     return get
@@ -359,7 +359,7 @@ def number(
     *,
     endless: bool = False,
 ) -> Command:
-    """Return the command for a number of a channel, an integer if it has no units; `endless` permits ``INFinity``."""
+    """Return the command for a numeric setting of a channel (integer without units); `endless` allows ``INFinity``."""
 
     def change(number: int, arguments: Arguments) -> None:
         word = one(arguments)
@@ -371,7 +371,7 @@ def number(
 
 
 def on(state: State, name: str) -> Command:
-    """Return the command for a switch of a channel."""
+    """Return the command for a boolean setting of a channel."""
     return Command(
         set=lambda n, a: setattr(state.channels[n], name, read_boolean(one(a))),
         get=get_of(state, lambda channel: flag(getattr(channel, name))),
@@ -379,7 +379,7 @@ def on(state: State, name: str) -> Command:
 
 
 def keyword(state: State, name: str, choices: tuple[str, ...]) -> Command:
-    """Return the command for a keyword of a channel."""
+    """Return the command for a keyword setting of a channel."""
     return Command(
         set=lambda n, a: setattr(state.channels[n], name, read_choice(one(a), choices)),
         get=get_of(state, lambda channel: str(getattr(channel, name))),
@@ -387,14 +387,14 @@ def keyword(state: State, name: str, choices: tuple[str, ...]) -> Command:
 
 
 def choice(state: State, name: str, choices: tuple[str, ...]) -> Command:
-    """Return the command for a keyword of the whole instrument."""
+    """Return the command for a keyword setting of the instrument."""
     return Command(
         set=lambda n, a: setattr(state, name, read_choice(one(a), choices)), get=bare(lambda _: getattr(state, name))
     )
 
 
 def switch(state: State, name: str) -> Command:
-    """Return the command for a switch of the whole instrument."""
+    """Return the command for a boolean setting of the instrument."""
     return Command(
         set=lambda n, a: setattr(state, name, read_boolean(one(a))), get=bare(lambda _: flag(getattr(state, name)))
     )

@@ -1,4 +1,4 @@
-"""Settings not simulated, but read by other authors' drivers; this module is imported when one of them is used."""
+"""Settings that are not simulated but read by third-party drivers; imported when one of them is used."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from modaltouch.rig.simulator.scpi import (
 )
 
 Default = tuple[float | str, dict[str, float]]
-"""Default of a setting (a bool for a truth value), and its units."""
+"""Default of a setting (a bool for a boolean), and its units."""
 
 _MODULATION: dict[str, Default] = {
     "INTernal:FREQuency": (10e3, HERTZ),
@@ -59,7 +59,7 @@ AFG3000: dict[str, Default] = {
     "SOURce3|SOURce4:POWer[:LEVel][:IMMediate][:AMPLitude]": (10.0, PERCENT),
     "TRIGger[:SEQuence]:SLOPe": ("POSitive", {}),
 }
-"""Settings of an AFG3022B that its twin lacks, with their values after ``*RST`` (user manual, default settings)."""
+"""Settings of an AFG3022B missing from its twin, with their values after ``*RST`` (user manual, default settings)."""
 
 KEYSIGHT_33500B: dict[str, Default] = {
     "[SOURce#]:FREQuency:MODE": ("CW", {}),
@@ -77,13 +77,13 @@ KEYSIGHT_33500B: dict[str, Default] = {
     "OUTPut:SYNC": (True, {}),
     "OUTPut:SYNC:SOURce": ("CH1", {}),
 }
-"""Settings of a 33500B that its twin lacks, with their values after ``*RST`` (the guide's factory settings)."""
+"""Settings of a 33500B missing from its twin, with their values after ``*RST`` (the guide's factory settings)."""
 
 
 def not_simulated(defaults: Mapping[str, Default], form: str) -> dict[str, Command]:
-    """Return the commands of settings that the twin lacks: each reads as its default, and refuses any other value.
+    """Return the commands of settings that are not simulated: each reads as its default and rejects any other value.
 
-    So a driver can read and restore all settings, but change none that is not simulated.
+    A driver can thus read and restore all settings, but change only simulated ones.
     """
     return {header: _fixed(default, units, form) for header, (default, units) in defaults.items()}
 

@@ -1,4 +1,4 @@
-"""The fingers on the beam in a session run by any process: read from its log, since no instrument reports them."""
+"""The fingers on the beam in a session of any process, read from its log, since no instrument reports them."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from modaltouch.protocol import Apparatus, Schedule
 from modaltouch.stimulus import Finger
 
 KINDS = (b'"event":"start"', b'"event":"placement"', b'"event":"hands_off"', b'"event":"trial"')
-"""Lines that state the participant and the placements of fingers; after each trial the fingers are drawn anew."""
+"""Lines with the participant and the placements of fingers; the fingers are drawn again after each trial."""
 
 
 class FollowedSession:
-    """The fingers of the latest placement in a session's log, which may still grow, or not exist yet.
+    """The fingers of the latest placement in a session's log, which may still grow or not yet exist.
 
     Parameters
     ----------
     path : Path
         The log, ``session.jsonl``.
     apparatus : Apparatus
-        Its section ``twin`` states the fingers, and how much they vary between placements and between trials.
+        The apparatus; its section ``twin`` specifies the fingers and their variation between placements and trials.
     """
 
     def __init__(self, path: Path, apparatus: Apparatus) -> None:
@@ -37,8 +37,8 @@ class FollowedSession:
         self._lock = threading.Lock()
 
     def fingers(self) -> dict[str, Finger]:
-        """Return the fingers on the beam by zone; none before the first placement, and while hands are off."""
-        # This is also called from the thread that reports bursts: a line read by both would count twice.
+        """Return the fingers on the beam by zone; none before the first placement or while hands are off."""
+        # Also called from the thread that reports bursts; a line read by both would count twice.
         with self._lock, contextlib.suppress(FileNotFoundError):
             if self._path.stat().st_size > self._read:
                 with self._path.open("rb") as log:

@@ -1,4 +1,4 @@
-"""Samples that a generator holds, burst after burst: the resulting states of a beam, and the peaks of its outputs."""
+"""Sample-and-hold bursts of a generator: the resulting states of a beam, and the peaks of its outputs."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 LARGEST_PHASE_STEP = 0.3
-"""Phase of the fastest mode from one computed instant to the next [rad]: cubic interpolation then errs by 2e-5."""
+"""Phase of the fastest mode between computed instants [rad], for which the error of cubic interpolation is 2e-5."""
 
 LONGEST_SILENCE = 10
-"""How long a burst and its decay are followed, in durations of the burst [1]."""
+"""Time over which a burst and its decay are followed, in durations of the burst [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """The samples of single or repeated bursts, each held until the next, as volts before the amplifier's pole.
+    """The held samples of single or repeated bursts, as voltages before the amplifier's pole.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Held:
     period : float
         Time from one burst to the next [s]; infinite for a single burst.
     delay : float
-        Time from a trigger, at 0, to its burst [s].
+        Time from a trigger (at 0) to its burst [s].
     converter : Converter
         Converter of the generator.
     """
@@ -50,7 +50,7 @@ class Held:
 
     @property
     def hold(self) -> float:
-        """How long each sample is held [s]."""
+        """Duration of each sample [s]."""
         return self.duration / int(self.voltage.shape[1])
 
     @property
@@ -65,7 +65,7 @@ class Held:
         )
 
     def within_period(self, time: FloatArray) -> FloatArray:
-        """Return times since the latest burst began [s]; those before a single burst stay negative."""
+        """Return times since the start of the latest burst [s]; times before a single burst stay negative."""
         if self.delay:
             time = time - self.delay
         if math.isinf(self.period):
@@ -94,7 +94,7 @@ def state_at(system: DiagonalSystem, held: Held, instant: float, *, first: bool)
     instant : float
         Time since a trigger, at most a period [s].
     first : bool
-        Whether the burst starts from rest; otherwise many bursts came before it.
+        Whether the burst starts from rest rather than after many bursts.
     """
     instant -= held.delay
     if instant < 0:
@@ -130,6 +130,6 @@ def peak(system: DiagonalSystem, output: ComplexArray, held: Held) -> FloatArray
 
 
 def refined(system: DiagonalSystem, held: Held) -> tuple[FloatArray, float]:
-    """Return the voltages on a grid in whose step no mode turns by more than LARGEST_PHASE_STEP, and that step [s]."""
+    """Return the voltages on a grid in which no mode advances by more than LARGEST_PHASE_STEP, and its step [s]."""
     times = max(1, math.ceil(float(np.abs(system.exponent.imag).max()) * held.hold / LARGEST_PHASE_STEP))
     return held.voltage if times == 1 else np.repeat(held.voltage, times, axis=1), held.hold / times

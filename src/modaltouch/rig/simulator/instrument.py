@@ -1,4 +1,4 @@
-"""A simulated generator as its transport sees it: takes messages, returns replies, and injects faults."""
+"""A simulated generator as seen by its transport: messages in, replies out, with fault injection."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Reply:
     data : bytes
         Response message; empty if the message contained no query.
     delay : float
-        Time until it can be read [s]; infinite for a reply that never comes.
+        Time until it can be read [s]; infinite for a reply that never arrives.
     hang_up : bool
-        Whether the connection is reset at once.
+        Whether the connection is reset immediately.
     """
 
     data: bytes = b""
@@ -48,25 +48,25 @@ Kind = Literal[
     "power_cycle",
     "front_panel",
 ]
-"""Kinds of fault; each affects the messages that match its pattern:
+"""Kinds of fault; each affects the messages that match its pattern.
 
-- ``delayed_reply``: the reply comes `value` seconds late; ``lost_reply``: it never comes
+- ``delayed_reply``: the reply is `value` seconds late; ``lost_reply``: it never arrives
 - ``garbled_reply``: its bytes are not ASCII, or its block is malformed
-- ``truncated_reply``: only half of it comes; ``wrong_reply``: the text `value` comes instead
-- ``dropped_connection``: the connection is reset before the message is carried out; ``dropped_reply``: after
-- ``ignored_message``: the message is not carried out, and no reply comes
+- ``truncated_reply``: only half of it arrives; ``wrong_reply``: the text `value` arrives instead
+- ``dropped_connection``: the connection is reset before the message is executed; ``dropped_reply``: after
+- ``ignored_message``: the message is not executed, and no reply arrives
 - ``truncated_upload``: the second half of the message is lost
 - ``garbled_upload``: one code of an uploaded record is wrong
 - ``scpi_error``: error number `value` is queued in addition
 - ``slow_command``: the message takes `value` seconds
-- ``power_cycle``: the instrument restarts instead of carrying out the message
+- ``power_cycle``: the instrument restarts instead of executing the message
 - ``front_panel``: after the message, the command `value` is entered at the front panel
 """
 
 
 @dataclass
 class Fault:
-    """One fault: its kind, the pattern of the messages that it affects, how many of them, and its parameter."""
+    """One fault: kind, pattern of the messages affected, their number, and parameter."""
 
     kind: Kind
     when: re.Pattern[bytes]
@@ -75,7 +75,7 @@ class Fault:
 
 
 class Faults:
-    """The injected faults, used up by the messages that they affect."""
+    """The injected faults, consumed by the messages that they affect."""
 
     def __init__(self) -> None:
         self._active: list[Fault] = []
@@ -91,7 +91,7 @@ class Faults:
         when : str
             Regular expression searched for in each message, ignoring case; an empty one matches every message.
         times : int
-            Number of messages that it affects.
+            Number of messages affected.
         value : float or str
             Seconds, error number or text, depending on the kind.
         """
@@ -113,7 +113,7 @@ class Faults:
         if not self._active:
             return {}
         met: dict[Kind, Fault] = {}
-        # Only the head of a message is searched: the content of a block is of no interest.
+        # Only the head of a message is searched, since the content of a block is irrelevant.
         head = message[:4096]
         with self._lock:
             for fault in self._active:
@@ -125,14 +125,14 @@ class Faults:
 
 
 class SimulatedInstrument:
-    """Carries out program messages, one at a time, whichever link they come from.
+    """Executes program messages from any link, one at a time.
 
     Parameters
     ----------
     afg : GeneratorState
         State of the generator.
     table : CommandTable
-        Its commands.
+        Commands of the generator.
     faults : Faults
         Faults to be injected.
     """
@@ -144,12 +144,12 @@ class SimulatedInstrument:
         self._busy = threading.RLock()
 
     def trigger(self, link: int) -> None:
-        """Carry out a group execute trigger, like ``*TRG``."""
+        """Execute a group execute trigger, like ``*TRG``."""
         with self._busy:
             self._run(b"*TRG", link)
 
     def perform(self, message: bytes) -> Reply:
-        """Carry out a message as if entered at the front panel, without faults."""
+        """Execute a message as if entered at the front panel, without faults."""
         with self._busy:
             return Reply(_joined(self._run(message, 0)))
 
@@ -158,7 +158,7 @@ class SimulatedInstrument:
         return self._table.run(message, fail=self.afg.fail)
 
     def execute(self, message: bytes, link: int = 1) -> Reply:
-        """Carry out a message received over a link."""
+        """Execute a message received over a link."""
         met = self.faults.take(message)
         with self._busy:
             if "power_cycle" in met:

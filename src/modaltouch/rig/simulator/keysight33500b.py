@@ -1,7 +1,7 @@
-"""A simulated Keysight 33522B (or 33512B), after its operating and service guide: its state and SCPI commands.
+"""A simulated Keysight 33522B (or 33512B), after its operating and service guide: state and SCPI commands.
 
-An amplitude is that of the record, from its lowest code to its highest, as follows from the guide's figure for "Sinc"
-and as users of the series have measured. Not modelled: filters (a record not played with FILTer OFF moves nothing),
+An amplitude is that of the record, from its lowest to its highest code, as implied by the guide's figure for "Sinc"
+and measured by users of the series. Not modelled: filters (a record not played with FILTer OFF moves nothing),
 modulation, sweeps, sequences, pulses and ramps, amplitudes in VRMS and DBM, triggering one of two channels in burst
 mode.
 """
@@ -25,10 +25,10 @@ from modaltouch.stimulus import Converter
 
 HIGHEST_CODE = 32767
 CONVERTER = Converter(HIGHEST_CODE, 1 << 22, 62.5e6, 4, 6, of_record=True, any_rate=True)
-"""Converter of the twin, independent of the driver's; its limit on points allows for bursts of many cycles."""
+"""Converter of the twin, independent of that of the driver; its limit on points allows for bursts of many cycles."""
 
 MEMORY, FEWEST = 1 << 20, 8
-"""Points of a channel's memory without options, and of the shortest record."""
+"""Number of points of a channel's memory without options, and of the shortest record."""
 
 BUILT_IN = r"INT:\BUILTIN\EXP_RISE.ARB"
 LOWEST, HIGHEST = 2e-3, 20.0
@@ -41,7 +41,7 @@ Codes = NDArray[np.int16]
 
 @dataclass
 class TrueformChannel(OutputChannel):
-    """Settings of one output, which has its own trigger source."""
+    """Settings of one output, including its trigger source."""
 
     amplitude: float = 0.2
     limited: bool = False
@@ -59,14 +59,14 @@ class TrueformChannel(OutputChannel):
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Lowest and highest value of its waveform, as fractions of the converter's range [1]."""
+        """Lowest and highest value of the waveform, as fractions of the converter's range [1]."""
         if self.function != "ARB" or self.record is None:
             return -1.0, 1.0
         return float(self.record.min()) / HIGHEST_CODE, float(self.record.max()) / HIGHEST_CODE
 
     @property
     def span(self) -> float:
-        """Fraction of the converter's range that its waveform uses [1]."""
+        """Fraction of the converter's range used by the waveform [1]."""
         return (self.ends[1] - self.ends[0]) / 2 or 1.0
 
     @property
@@ -78,7 +78,7 @@ class TrueformChannel(OutputChannel):
 
     @property
     def room(self) -> float:
-        """Highest amplitude within the voltage limits that are on, or else within the range of an output [V]."""
+        """Highest amplitude within the enabled voltage limits, or otherwise within the range of an output [V]."""
         edges = (self.limit_low, self.limit_high) if self.limited else (-HIGHEST / 2, HIGHEST / 2)
         sides = zip((-1, 1), edges, self.ends, strict=True)
         return (
@@ -93,7 +93,7 @@ class Trueform(GeneratorState[TrueformChannel]):
     """A generator with a memory for each channel."""
 
     def forget(self) -> None:
-        """Lose the records; files are kept."""
+        """Clear the records; files are kept."""
         self.files: dict[str, bytes] = getattr(self, "files", {})
         self.volatile: dict[int, dict[str, Codes]] = {n: {} for n in range(1, self.n_channels + 1)}
 
@@ -117,7 +117,7 @@ class Trueform(GeneratorState[TrueformChannel]):
         return self.waiting.source == "EXT"
 
     def trigger(self, number: int = 0) -> None:
-        """Trigger the channels that wait for ``*TRG``, or a single channel, whatever its trigger source."""
+        """Trigger the channels that wait for ``*TRG``, or a single channel with any trigger source."""
         if not number and self.waiting.source != "BUS":
             raise ScpiError(-211, "no channel in burst waits for the bus")
         if number and any(channel.burst for each, channel in self.channels.items() if each != number):
@@ -125,7 +125,7 @@ class Trueform(GeneratorState[TrueformChannel]):
         super().trigger()
 
     def sent(self, channel: TrueformChannel) -> Playback | None:
-        """Return a single burst of a channel, or what it repeats without a trigger; None if it plays no record."""
+        """Return a single burst of a channel, or its record repeated without a trigger; None if it plays no record."""
         is_plain = (channel.function, channel.filter, channel.advance) == ("ARB", "OFF", "SRAT")
         if not is_plain or channel.record is None or (channel.burst and channel.source != self.waiting.source):
             return None
@@ -140,7 +140,7 @@ class Trueform(GeneratorState[TrueformChannel]):
         return replace(played, period=math.inf, n_cycles=int(channel.n_cycles), delay=channel.delay)
 
     def change(self, number: int, **settings: Any) -> None:
-        """Change amplitude, offset or limits, into an open circuit [V], unless the output would exceed the limits."""
+        """Change amplitude, offset or limits, into an open circuit [V]; reject outputs beyond the limits."""
         changed = replace(self.channels[number], **settings)
         if changed.amplitude > changed.room + 1e-9:
             if "amplitude" not in settings or self.behaviour.limit_violation == "error":
@@ -172,20 +172,20 @@ class Trueform(GeneratorState[TrueformChannel]):
         return MEMORY - sum(codes.size for codes in self.volatile[number].values())
 
     def find(self, number: int, arguments: Arguments) -> Codes:
-        """Return a record by its name; without one, the selected record."""
+        """Return a record by name; without a name, the selected record."""
         codes = self.volatile[number].get(str(one(arguments)).upper() if arguments else self.channels[number].name)
         if codes is None:
             raise ScpiError(785, "Specified arb waveform does not exist")
         return codes
 
     def select(self, number: int, name: Argument) -> None:
-        """Select a record; the amplitude is kept, or reduced to the highest that this record can have."""
+        """Select a record; the amplitude is kept, or reduced to the highest possible for this record."""
         channel = self.channels[number]
         channel.record = None if str(name).upper() == BUILT_IN else self.find(number, (name,))
         channel.name, channel.amplitude = str(name).upper(), min(channel.amplitude, HIGHEST * channel.span)
 
     def clear(self, number: int) -> None:
-        """Empty a channel's memory, and select the built-in record."""
+        """Clear the memory of a channel and select the built-in record."""
         self.volatile[number] = {}
         self.select(number, BUILT_IN)
 

@@ -1,8 +1,8 @@
-"""Fingers that lift off: where the beam pulls harder than a finger presses, skin and beam separate.
+"""Fingers that lift off: skin and beam separate where the tension exceeds the contact force.
 
-A contact consists of a few points along two lines of the beam, each with its share of the finger and of the pressing
+A contact consists of a few points along two lines of the beam, each with a share of the finger and of its contact
 force. A point that has lifted off no longer loads the beam; its masses, dampers and springs move freely under its share
-of the force until it lands, without a rebound. Between such events everything is linear, and is integrated from instant
+of the force until it lands, without a rebound. Between such events the system is linear and is integrated from instant
 to instant with matrix exponentials.
 """
 
@@ -21,10 +21,10 @@ FloatArray = NDArray[np.float64]
 Touching = tuple[bool, ...]
 
 NODES = 5
-"""Points of a contact along each of two lines: the error in a mode of 88 kHz is then below 1e-5."""
+"""Points of a contact along each of two lines, for an error below 1e-5 in a mode of 88 kHz."""
 
 LEAST_MASS = 1e-7
-"""Smallest mass of a point [kg]: after lift-off it follows its damper and spring within microseconds."""
+"""Smallest mass of a point [kg]; after lift-off it follows its damper and spring within microseconds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class PressedBeam:
     Attributes
     ----------
     omega, damping : (n_modes,) array
-        Natural angular frequencies, and twice the damping ratios times these [rad/s].
+        Natural angular frequencies, and twice their products with the damping ratios [rad/s].
     gain : (n_modes, n_channels) array
         Modal accelerations per volt at the beam [m/s^2 per V].
     pole : float or None
@@ -44,7 +44,7 @@ class PressedBeam:
     shape : (n_modes, n_points) array
         Mode shapes at the points [1].
     points : sequence of (Finger, float)
-        Each point's share of a finger, and of the force with which that presses [N].
+        Share of a finger, and of its contact force [N], of each point.
     """
 
     omega: FloatArray
@@ -88,7 +88,7 @@ class PressedBeam:
         n, touching = self.omega.size, (True,) * len(self.points)
         steps = {touching: self._step(touching, hold)}
         step, signals = steps[touching]
-        # The states, then the inputs: voltages, and 1 for the pressing force.
+        # The states, then the inputs: voltages, and 1 for the contact force.
         values = np.zeros(step.shape[1])
         values[-1], n_states = 1.0, len(step)
         velocity = np.empty((voltage.shape[1], n))
@@ -105,7 +105,7 @@ class PressedBeam:
         return velocity.T
 
     def _places(self) -> tuple[list[slice], int, slice]:
-        """Return the slice of each point's states, the number of states, and the slice of the voltages at the beam."""
+        """Return slices of the states of each point, the number of states, and the slice of voltages at the beam."""
         n, n_channels = self.gain.shape
         start = 2 * n + (0 if self.pole is None else n_channels)
         places = []
@@ -116,7 +116,7 @@ class PressedBeam:
         return places, start, slice(volts, volts + n_channels)
 
     def _step(self, touching: Touching, hold: float) -> tuple[FloatArray, FloatArray]:
-        """Return the matrix that advances all states, and that of signals negative where a point lifts off or lands."""
+        """Return the matrix that advances all states, and that of signals negative if a point lifts off or lands."""
         from scipy.linalg import expm
 
         n, n_channels = self.gain.shape
@@ -156,7 +156,7 @@ class PressedBeam:
         return np.asarray(np.eye(self.omega.size) + (self.shape * loads / self.mass) @ self.shape.T)
 
     def _turned(self, touching: Touching, turned: NDArray[np.bool_], values: FloatArray) -> Touching:
-        """Return which points touch after some have lifted off or landed; on landing, momentum is conserved."""
+        """Return the points in contact after some have lifted off or landed; momentum is conserved on landing."""
         n, (places, *_) = self.omega.size, self._places()
         after = tuple(bool(was ^ turns) for was, turns in zip(touching, turned, strict=True))
         stays = tuple(was and is_on for was, is_on in zip(touching, after, strict=True))
@@ -187,7 +187,7 @@ def _share(finger: Finger, share: float) -> Finger:
 
 
 def _own(finger: Finger) -> tuple[FloatArray, FloatArray]:
-    """Return the rate matrix of a finger's own states, its acceleration aside, and the row of the force against it.
+    """Return the rate matrix of a finger's states, without its acceleration, and the row of the force against it.
 
     The states are displacement, velocity, the forces of the Maxwell terms, the extension of the spring to a second
     mass, and the velocity of that mass.

@@ -1,4 +1,4 @@
-"""Velocity and voltage at any instants at which an instrument samples them, while bursts repeat."""
+"""Velocity and voltage of repeated bursts at arbitrary sampling instants of an instrument."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from modaltouch.rig.simulator.held import ComplexArray, FloatArray, Held, refine
 from modaltouch.stimulus import Amplifier, BlockKernel, DiagonalSystem
 
 SAME_POLE = 1e-6
-"""Relative distance below which two poles count as one [1]."""
+"""Relative distance below which two poles count as equal [1]."""
 
 AT_ONCE = 32768
-"""Instants evaluated together: limits the memory used, and keeps intermediate results in the cache."""
+"""Number of instants per batch: limits the memory and keeps intermediate results in the cache."""
 
 SPARE = 64
-"""Instants computed beyond the last one requested, for records with another jitter [1]."""
+"""Number of instants computed beyond the last one requested, for records with another jitter."""
 
 
 @dataclass(frozen=True, eq=False)
 class StateHistory:
-    """States of a beam while bursts repeat, from which the motion of every point follows.
+    """States of a beam during repeated bursts, from which the motion of every point follows.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class StateHistory:
     end : float
         End of the computed instants, from the first sample of a burst at the beam [s]; infinite for a whole burst.
     sides : dict
-        What the motions of all points have in common, filled by the first.
+        Cached intermediate results shared by the motions of all points.
     """
 
     system: DiagonalSystem
@@ -56,7 +56,7 @@ class StateHistory:
 
     @classmethod
     def of(cls, system: DiagonalSystem, held: Held, span: tuple[float, float]) -> Self:
-        """Return the states once many bursts have been played.
+        """Return the states after many bursts.
 
         Parameters
         ----------
@@ -69,31 +69,31 @@ class StateHistory:
         """
         voltage, hold = refined(system, held)
         n_instants, end = voltage.shape[1], math.inf
-        # Before a burst, or after its period, another burst decays: that needs a whole burst.
+        # Before a burst or after its period, another burst decays, which requires a whole burst.
         if span[0] >= held.delay and span[1] < held.delay + held.period:
             n_needed = int((span[1] - held.delay) / hold) + 2 + SPARE
             if n_needed < n_instants:
                 n_instants, end = n_needed, held.delay + (n_needed - 2) * hold
         state = start_state(system, held)
         kernel = BlockKernel.of(system, np.empty((0, state.size), dtype=complex), hold)
-        # One sample is added, so that the last instant is the end of the burst.
+        # One extra sample, so that the last instant is the end of the burst.
         voltage = np.pad(voltage[:, :n_instants], ((0, 0), (0, 1)))
         begin, _ = kernel.states(BlockKernel.blocks(voltage), state)
         last = system.held_states(held.voltage, held.hold).sum(axis=0) + state * np.exp(system.exponent * held.duration)
         return cls(system, held, hold, voltage, begin, last, end)
 
     def covers(self, span: tuple[float, float]) -> bool:
-        """Return whether every instant of a span is computed."""
+        """Test whether every instant of a span is computed."""
         return math.isinf(self.end) or (span[0] >= self.held.delay and span[1] < self.end)
 
     def motion(self, output: ComplexArray) -> Motion:
-        """Return the output that is the real part of ``output @ state``; `output` is an (n_states,) complex array."""
+        """Return the motion of the output ``Re(output @ state)``; `output` is an (n_states,) complex array."""
         system = self.system
         kernel = BlockKernel.of(system, np.stack([output, output * system.exponent]), self.hold)
         course = np.empty((2, self.voltage.shape[1]))
         kernel.respond(BlockKernel.blocks(self.voltage), self.begin, course, self.sides)
         value, slope = course[0], course[1] * self.hold
-        # The voltage held from each instant to the next adds to the slope in that interval.
+        # The voltage held in each interval adds to the slope there.
         push = (output @ system.input_gain).real @ self.voltage[:, :-1] * self.hold
         step = np.diff(value)
         from_left, from_right = slope[:-1] + push - step, step - (slope[1:] + push)
@@ -107,7 +107,7 @@ class StateHistory:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """One output over time while bursts repeat.
+    """One output over time during repeated bursts.
 
     Attributes
     ----------
@@ -118,7 +118,7 @@ class Motion:
     cubic : (4, n_instants) array
         Coefficients, in ascending order, of a cubic between each computed instant (0) and the next (1).
     exponent, decay : (n_states,) complex array
-        After the burst, the output is the real part of the sum of ``decay * exp(exponent * time)``, where time counts
+        After the burst, the output is the real part of the sum of ``decay * exp(exponent * time)``, with time measured
         from the end of the burst.
     """
 
@@ -135,9 +135,9 @@ class Motion:
     def course(self, time: FloatArray, n_derivatives: int = 2) -> FloatArray:
         """Return the output and its time derivative at instants.
 
-        Between computed instants the output is a cubic, with an error of 2e-5 of the fastest mode's share; after the
-        burst it is exact. The delay of a sample until the next edge of the generator's clock, below its period of 4 ns,
-        is neglected.
+        Between computed instants the output is a cubic, with an error of 2e-5 of the contribution of the fastest mode;
+        after the burst it is exact. The delay of samples to the next edge of the generator's clock, below its period of
+        4 ns, is neglected.
 
         Parameters
         ----------
@@ -180,14 +180,14 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class DriveVoltage:
-    """An amplifier's output voltage on one channel while bursts repeat, exact at every instant.
+    """Output voltage of an amplifier on one channel during repeated bursts, exact at every instant.
 
     Attributes
     ----------
     held : Held
         The bursts.
     channel : int
-        Row of their voltages.
+        Row of the voltages.
     pole : float or None
         Pole of the amplifier [rad/s]; None for an amplifier without one.
     before : (n_samples + 1,) array
@@ -210,7 +210,7 @@ class DriveVoltage:
         pole = 2 * np.pi * bandwidth
         faded = pole * held.hold
         before = lfilter([0.0, -math.expm1(-faded)], [1.0, -math.exp(-faded)], voltage)
-        # What remains of earlier bursts after their pause.
+        # The remainder of earlier bursts after their pause.
         left = before[-1] * math.exp(-pole * (held.period - held.duration)) / -math.expm1(-pole * held.period)
         return cls(held, channel, pole, before + left * np.exp(-faded * np.arange(voltage.size)))
 
@@ -239,15 +239,15 @@ def low_passed(
 ) -> tuple[DiagonalSystem, ComplexArray]:
     """Return equations and output with a first-order low-pass, which adds one state for each channel.
 
-    Beam and low-pass are linear, so their order does not matter: the low-pass is placed before the beam, like an
-    amplifier, and the equations are then the same for every output.
+    Beam and low-pass are linear, so their order is irrelevant: the low-pass is placed before the beam, like an
+    amplifier, so that the equations are the same for every output.
 
     Parameters
     ----------
     system : DiagonalSystem
         The equations.
     output : (n_states,) complex array
-        Row whose product with the states has the output as its real part.
+        Output row; the output is ``Re(output @ state)``.
     bandwidth : float or None
         Corner frequency of the low-pass [Hz]; None for no low-pass.
     """
@@ -255,7 +255,7 @@ def low_passed(
         return system, output
     pole = 2 * np.pi * bandwidth
     if np.min(np.abs(pole + system.exponent)) < SAME_POLE * pole:
-        # Equations with two equal poles cannot be uncoupled; a pole moved by a millionth errs by a millionth.
+        # Equations with two equal poles cannot be uncoupled; shifting a pole by 1e-6 causes an error of 1e-6.
         pole *= 1 + SAME_POLE
     sensor = Amplifier(gain=1.0, limit=1.0, bandwidth=pole / (2 * np.pi), delay=system.delay)
     behind = DiagonalSystem.behind(sensor, system.exponent, system.input_gain, output[None], output[None])

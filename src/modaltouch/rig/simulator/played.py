@@ -1,4 +1,4 @@
-"""What a twin really played, for other processes to read: a line of JSON for each burst."""
+"""Record of the bursts actually played by a twin, for other processes: one line of JSON per burst."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from modaltouch.rig.simulator.twin import MOST_SAMPLES, Twin
 from modaltouch.stimulus import Finger
 
 TICK = 2e-3
-"""Time between two checks for bursts that have ended [s]."""
+"""Time between two checks for ended bursts [s]."""
 
 
 class PlayedLog:
-    """Appends a line for each burst when it ends, from a thread of its own.
+    """Appends a line for each burst when it ends, from a separate thread.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class PlayedLog:
     twin : Twin
         The beam that the bursts move.
     settle : callable
-        Passes every burst that has ended by now to `take`.
+        Passes all bursts that have ended by now to `take`.
     touched : callable
         Returns the fingers on the beam, by zone or position.
 
@@ -69,7 +69,7 @@ class PlayedLog:
         self._ended.put((played, self._twin.tripped, self._touched()))
 
     def close(self) -> None:
-        """Write the bursts that have ended, and close the file."""
+        """Write the bursts that have ended and close the file."""
         self._closing.set()
         self._thread.join()
         with contextlib.suppress(OSError):
@@ -114,7 +114,7 @@ def _passed(playback: Playback | None, span: tuple[float, float] | None) -> Play
     if playback is None or span is None:
         return None
     n_samples = len(playback.record) // 2
-    # Earlier cycles no longer affect the beam, and are left out.
+    # Earlier cycles no longer affect the beam and are omitted.
     before = max(
         math.floor(span[0] / playback.duration), math.ceil(span[1] / playback.duration) - MOST_SAMPLES // n_samples
     )

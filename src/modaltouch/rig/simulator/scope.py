@@ -1,4 +1,4 @@
-"""The simulated vibrometer and the scope that records it, with the imperfections stated in the apparatus file."""
+"""The simulated vibrometer and the scope that records it, with the imperfections specified in the apparatus file."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ DROPOUT = 0.2e-3
 """Duration of a signal dropout of the vibrometer [s]."""
 
 SMALL_TURN = 0.01
-"""Largest phase of the fastest mode within the trigger's jitter for which a record is shifted along its slope [rad]."""
+"""Largest phase of the fastest mode within the trigger jitter for which a record is shifted along its slope [rad]."""
 
 
 @lru_cache(maxsize=1)
 def normal_quantiles() -> FloatArray:
-    """Return values, equally likely each, that together are normal with standard deviation 1, (65536,) array.
+    """Return equiprobable quantiles of the standard normal distribution, (65536,) array.
 
-    Choosing one by 16 random bits is cheaper than drawing from the normal distribution. The two distribution functions
+    Choosing one by 16 random bits is cheaper than drawing from the normal distribution. The distribution functions
     differ by at most 2**-17, and the largest value is 4.3.
     """
     from scipy.special import ndtri
@@ -42,18 +42,18 @@ def normal_quantiles() -> FloatArray:
 
 
 class SimulatedScope(Scope):
-    """Velocity and drive of a twin, sampled and with noise; only the requested position is computed.
+    """Sampled and noisy velocity and drive of a twin; only the requested position is computed.
 
     Parameters
     ----------
     twin : Twin
         Amplifier and beam.
     playing : callable
-        Returns what each generator output sends now.
+        Returns the current output of each channel.
     touched : callable
         Returns the fingers on the beam.
     timeline : Timeline
-        States when the generator carried out the latest trigger, and what it then sent.
+        Gives the instant of the latest trigger and the resulting output.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class SimulatedScope(Scope):
             highest_velocity=knobs.range_mm_s * 1e-3,
             attenuation=knobs.probe_attenuation,
         )
-        # A random stream of its own: measurements do not change the beam.
+        # A separate random stream, so that measurements do not change the beam.
         self._rng = np.random.Generator(np.random.SFC64([twin.seed, 1]))
         self._noise = np.empty(AT_ONCE)
         self.configure(Acquisition())
@@ -84,7 +84,7 @@ class SimulatedScope(Scope):
         return f"simulated scope, seed {self._twin.seed}"
 
     def configure(self, acquisition: Acquisition) -> Acquisition:
-        """Make the settings, and return them."""
+        """Apply the settings and return them."""
         scope = self._twin.apparatus.twin.scope
         clock = scope.clock_MHz * 1e6
         if acquisition.sampling_rate > clock * (1 + 1e-9):
@@ -105,17 +105,17 @@ class SimulatedScope(Scope):
         return acquisition
 
     def measure(self, position: float, across: float = 0.0) -> Recording:
-        """Return velocity and drive while the generator plays.
+        """Measure velocity and drive while the generator plays.
 
         Parameters
         ----------
         position, across : float
-            Point at which the vibrometer aims, from mid-beam and from the mid-line [m].
+            Measured point, relative to mid-beam and to the mid-line [m].
 
         Raises
         ------
         RigError
-            If no output of the generator is playing, so that no trigger comes.
+            If no output of the generator is playing, so that no trigger arrives.
         ValueError
             If the position is not on the beam.
         """
@@ -144,11 +144,11 @@ class SimulatedScope(Scope):
     def _recorded(
         self, position: float, across: float, playbacks: Sequence[Playback | None], n_records: int
     ) -> Recording:
-        """Return velocity and drive at a point while the outputs send the given playbacks."""
+        """Return velocity and drive at a point for given playbacks."""
         asked, true = self._asked, self._twin.apparatus.twin
         self._twin.n_measured += 1
         nominal = asked.start + np.arange(asked.n_samples) / self._rate
-        # A fast clock takes its samples early; a sample reaches the beam after the amplifier's delay.
+        # A fast clock samples early; a sample of the generator reaches the beam after the amplifier's delay.
         elapsed = nominal / (1 + true.scope.clock_offset_ppm * 1e-6) + true.scope.trigger_latency_us * 1e-6
         elapsed -= self._twin.amplifier.delay
         jitter = true.scope.trigger_jitter_ns * 1e-9 * self._rng.standard_normal(n_records)
@@ -177,7 +177,7 @@ class SimulatedScope(Scope):
         return Recording(position, nominal, velocity, voltage, self._rate, names)
 
     def time_trigger(self, send: Callable[[], object]) -> tuple[float, float]:
-        """Call `send`, and return the earliest and latest onset of its burst, as a periodically polled scope would."""
+        """Call `send` and return the earliest and latest onset of its burst, like a periodically polled scope."""
         send()
         began = self._timeline.commanded
         if began is None:
@@ -186,10 +186,10 @@ class SimulatedScope(Scope):
         return empty, empty + ASKED_EVERY
 
     def close(self) -> None:
-        """Do nothing: there is nothing to release."""
+        """Do nothing, since there is nothing to release."""
 
     def _see_velocity(self, values: FloatArray) -> bool:
-        """Convert a velocity in place into what the scope records [m/s], and return whether it exceeded a range."""
+        """Convert a velocity in place to the recorded values [m/s]; return whether it exceeded a range."""
         limit, over = self._inputs.highest_velocity, False
         often = self._twin.apparatus.twin.vibrometer.dropouts_Hz * values.size / self._rate
         begins = self._rng.integers(values.size, size=self._rng.poisson(often)).tolist() if often else []
@@ -204,7 +204,7 @@ class SimulatedScope(Scope):
         return over
 
     def _see_drive(self, values: FloatArray) -> bool:
-        """Convert a voltage in place into what the scope records [V], and return whether it exceeded the range."""
+        """Convert a voltage in place to the recorded values [V]; return whether it exceeded the range."""
         deviation, over = self._converter_noise(self._inputs.attenuation, self._ranges[1]), False
         table = normal_quantiles() * deviation
         for some in _parts(values):
@@ -215,11 +215,11 @@ class SimulatedScope(Scope):
     def _velocity_noise(self, parts: Iterable[FloatArray]) -> Iterator[FloatArray]:
         r"""Yield the noise of vibrometer and converter for each part of a record, as sampled [m/s].
 
-        The vibrometer's is white noise behind its low-pass, with all its power, aliased where necessary: :math:`v_n = a
-        v_{n-1} + s e_n`. Together with the converter's white noise of standard deviation c it has the spectrum of one
-        process with a single draw per sample, :math:`(1 - a z^{-1}) x = k (1 - b z^{-1}) e` with :math:`k^2 (1 + b^2) =
-        s^2 + c^2 (1 + a^2)` and :math:`k^2 b = c^2 a`. Without a low-pass, half the scope's sampling rate limits the
-        band.
+        The noise of the vibrometer is white noise behind its low-pass, with its full power, aliased if necessary:
+        :math:`v_n = a v_{n-1} + s e_n`. Together with the converter's white noise of standard deviation c it has the
+        spectrum of a process with a single draw per sample, :math:`(1 - a z^{-1}) x = k (1 - b z^{-1}) e` with
+        :math:`k^2 (1 + b^2) = s^2 + c^2 (1 + a^2)` and :math:`k^2 b = c^2 a`. Without a low-pass, the band is limited
+        by half the scope's sampling rate.
         """
         true = self._twin.apparatus.twin.vibrometer
         density = true.noise_um_s_per_sqrt_Hz * 1e-6
@@ -238,14 +238,14 @@ class SimulatedScope(Scope):
         gain = math.sqrt(half + math.sqrt(max(half**2 - (added**2 * pole) ** 2, 0.0)))
         fed_back = -pole * (added / gain) ** 2 if gain else 0.0
         table = normal_quantiles() * gain
-        # The filter has been running for ever: its state is drawn as such.
+        # The initial state is drawn from the stationary distribution of the filter.
         state = self._rng.standard_normal(1) * gain * (pole + fed_back) / math.sqrt(-math.expm1(-2 * decay))
         for part in parts:
             noise, state = lfilter([1.0, fed_back], [1.0, -pole], self._white_noise(part.size, table), zi=state)
             yield noise
 
     def _converter_noise(self, per_volt: float, input_range: float) -> float:
-        """Return the standard deviation of a converter's noise, in units of the measured quantity."""
+        """Return the standard deviation of the converter noise, in units of the measured quantity."""
         scope = self._twin.apparatus.twin.scope
         return float(scope.noise_steps * input_range / (2 ** (scope.bits - 1) - 1) * per_volt)
 
@@ -255,7 +255,7 @@ class SimulatedScope(Scope):
         return np.take(table, drawn, out=self._noise[:n], mode="wrap")
 
     def _convert(self, values: FloatArray, per_volt: float, input_range: float) -> bool:
-        """Convert values in place as the converter does, and return whether it reached the end of its range.
+        """Convert values in place like the converter; return whether the end of its range was reached.
 
         Parameters
         ----------
@@ -279,7 +279,7 @@ class SimulatedScope(Scope):
 
 
 def _parts(values: FloatArray) -> Iterator[FloatArray]:
-    """Yield the parts of a record that a processor keeps at hand."""
+    """Yield cache-sized parts of a record."""
     return (values[start : start + AT_ONCE] for start in range(0, values.size, AT_ONCE))
 
 

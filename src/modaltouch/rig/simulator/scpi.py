@@ -1,4 +1,4 @@
-"""IEEE 488.2 program messages and SCPI-99 errors: from the bytes of a message to its commands and replies."""
+"""IEEE 488.2 program messages and SCPI-99 errors: parsing of messages, command tables, and replies."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 Argument = str | bytes
-"""A text argument as it was sent, or the content of a definite-length block."""
+"""A text argument as sent, or the content of a definite-length block."""
 
 
 class Quoted(str):
@@ -58,7 +58,7 @@ LONGEST_TEXT = 255
 
 
 class ScpiError(Exception):
-    """An entry of an instrument's error queue: a SCPI-99 number and its text, printable whatever was sent."""
+    """An entry of an instrument's error queue: SCPI-99 number and text, which is always printable."""
 
     def __init__(self, code: int, detail: str = "") -> None:
         self.code = code
@@ -71,7 +71,7 @@ class ScpiError(Exception):
 
 @dataclass(frozen=True)
 class MessageUnit:
-    """One command or query of a message: its header without the question mark, and its arguments as sent."""
+    """One command or query of a message: header without the question mark, and arguments as sent."""
 
     header: str
     query: bool
@@ -79,7 +79,7 @@ class MessageUnit:
 
 
 def read_message(message: bytes) -> Iterator[MessageUnit]:
-    """Yield the units of a complete message, with regard to semicolons, strings and definite-length blocks."""
+    """Split a complete message into units, with regard to semicolons, strings and definite-length blocks."""
     at = 0
     while at < len(message):
         if message[at] in b" \t\r\n;":
@@ -96,7 +96,7 @@ def read_message(message: bytes) -> Iterator[MessageUnit]:
 
 
 def _read_arguments(message: bytes, at: int) -> tuple[tuple[Argument, ...], int]:
-    """Return the arguments that start at an index of a message, and the index after their unit's end."""
+    """Return the arguments that start at an index of a message, and the index after the end of their unit."""
     arguments: list[Argument] = []
     if at < len(message) and message[at] not in b" \t\r\n;":
         raise ScpiError(-102, message[at : at + 20].decode("latin1"))
@@ -153,7 +153,7 @@ def read_number(
     maximum: float,
     default: float | None = None,
 ) -> float:
-    """Return a numeric argument in the unit whose factor in `units` is 1.
+    """Convert a numeric argument to the unit with factor 1 in `units`.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def read_number(
     Raises
     ------
     ScpiError
-        -104 for what is not a number, -124 for too many digits, -131 for another unit, -222 for a value out of range.
+        -104 if not a number, -124 for too many digits, -131 for another unit, -222 for a value out of range.
     """
     argument = _plain(argument)
     if len(argument) > LONGEST_TEXT:
@@ -204,14 +204,14 @@ def _factor(unit: str, units: Mapping[str, float]) -> float:
 
 
 def _plain(argument: Argument) -> str:
-    """Return a number or keyword as sent; refuse blocks and strings."""
+    """Return a number or keyword as sent; reject blocks and strings."""
     if isinstance(argument, bytes | Quoted):
         raise ScpiError(-104, "a block or string where a number or keyword belongs")
     return argument
 
 
 def read_boolean(argument: Argument) -> bool:
-    """Return the truth value of ON, OFF or a number."""
+    """Convert ON, OFF or a number to a bool."""
     word = _plain(argument).upper()
     if word in ("ON", "OFF"):
         return word == "ON"
@@ -219,7 +219,7 @@ def read_boolean(argument: Argument) -> bool:
 
 
 def read_choice(argument: Argument, choices: tuple[str, ...]) -> str:
-    """Return the short form of a keyword, given in its short or long form."""
+    """Return the short form of a keyword given in short or long form."""
     word = _plain(argument)
     for choice in choices:
         if is_word(word.upper(), choice):
@@ -233,12 +233,12 @@ def short_form(mnemonic: str) -> str:
 
 
 def is_word(word: str, mnemonic: str) -> bool:
-    """Return whether an upper-case word is the short or the long form of a mnemonic."""
+    """Test whether an upper-case word is the short or the long form of a mnemonic."""
     return word in (short_form(mnemonic), mnemonic.upper())
 
 
 def exactly(arguments: Arguments, n: int) -> Arguments:
-    """Return the arguments if there are `n` of them."""
+    """Return the arguments; raise ScpiError unless there are `n` of them."""
     if len(arguments) < n:
         raise ScpiError(-109)
     if len(arguments) > n:
@@ -257,19 +257,19 @@ def whole(arguments: Arguments, low: int, high: int) -> int:
 
 
 def quantity(arguments: Arguments, units: dict[str, float], low: float, high: float, default: float | None) -> float:
-    """Return the only argument as a number, as `read_number` does."""
+    """Return the only argument as a number; see `read_number`."""
     return read_number(one(arguments), units=units, minimum=low, maximum=high, default=default)
 
 
 def asked(arguments: Arguments, value: float, low: float, high: float) -> float:
-    """Return the value for a query, or the limit that ``MIN`` or ``MAX`` asks for."""
+    """Return the value for a query, or the limit requested by ``MIN`` or ``MAX``."""
     if not arguments:
         return value
     return low if read_choice(one(arguments), ("MINimum", "MAXimum")) == short_form("MINimum") else high
 
 
 def flag(state: bool) -> str:
-    """Return a truth value as a reply."""
+    """Format a bool as a reply."""
     return "1" if state else "0"
 
 
@@ -279,7 +279,7 @@ LARGEST_REPLY = 1 << 20
 QUERY_DEADLOCKED = -430
 
 Handler = Callable[[int, tuple[Argument, ...]], "str | bytes | None"]
-"""Takes the channel (header suffix, 1 without one) and the arguments; for a query it returns the reply."""
+"""Handler of a command: takes channel (header suffix, default 1) and arguments; for a query it returns the reply."""
 
 
 @dataclass(frozen=True)
@@ -295,8 +295,8 @@ class CommandTable:
     """SCPI headers and their commands.
 
     Headers are written as in manuals, such as ``[SOURce#]:VOLTage[:LEVel]``: brackets enclose optional nodes, ``#`` is
-    a channel suffix, and ``|`` separates synonyms of one node. `further` returns more commands; it is called when a
-    header is sent that is not in `commands`.
+    a channel suffix, and ``|`` separates synonyms of one node. `further` returns additional commands; it is called for
+    the first header that is not in `commands`.
     """
 
     commands: Mapping[str, Command]
@@ -310,7 +310,7 @@ class CommandTable:
         self._patterns = _patterns(self.commands)
 
     def find(self, header: str) -> tuple[Command, int]:
-        """Return the command and channel that a complete header names."""
+        """Return the command and channel of a complete header."""
         name = header.upper().lstrip(":")
         found = self._known.get(name) or self._search(name)
         if found is None and self.further is not None:
@@ -319,7 +319,7 @@ class CommandTable:
             found = self._search(name)
         if found is None:
             raise ScpiError(-113, header)
-        # Unknown headers are not cached: there is no limit to their number.
+        # Unknown headers are not cached, since their number is unlimited.
         self._known[name] = found
         if not 1 <= found[1] <= self.n_channels:
             raise ScpiError(-114, header)
@@ -334,9 +334,9 @@ class CommandTable:
         return None
 
     def run(self, message: bytes, *, fail: Callable[[ScpiError], None]) -> list[bytes]:
-        """Carry out a message and return the replies of its queries.
+        """Execute a message and return the replies of its queries.
 
-        A command error ends the message; after an execution error the next unit is carried out.
+        A command error ends the message; after an execution error the next unit is executed.
 
         Parameters
         ----------
@@ -385,7 +385,7 @@ def _patterns(commands: Mapping[str, Command]) -> list[tuple[re.Pattern[str], Co
 
 
 def _pattern(header: str) -> str:
-    """Return the regular expression that matches a header written as in manuals, for upper-case names."""
+    """Return the regular expression, for upper-case names, of a header written as in manuals."""
     # An optional first node includes its colon.
     header = re.sub(r"^\[([^\]]*)\]:", r"[\1:]", header)
     pattern = ""
@@ -400,6 +400,6 @@ def _pattern(header: str) -> str:
             pattern += token
         else:
             pattern += f"(?:{re.escape(short_form(token))}|{re.escape(token.upper())})"
-    # Put brackets around `A|B`, so that each stands for one node.
+    # Put brackets around `A|B`, so that it stands for one node.
     node = r"\(\?:[^()]*\)"
     return re.sub(rf"{node}(?:\|{node})+", lambda found: f"(?:{found[0]})", pattern)

@@ -1,4 +1,4 @@
-"""A generator's outputs over time: when bursts begin, end or are cut, and what of them passes the output relays."""
+"""Outputs of a generator over time: start, end and truncation of bursts, and the parts that pass the output relays."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typing import Literal
 from modaltouch.stimulus import Converter
 
 CONVERTER = Converter(mid_code=8191, max_points=1 << 22, clock_rate=250e6, amplitude_digits=4, amplitude_decimals=4)
-"""Converter of a twin of the AFG3022B, independent of the driver's; its limit on points allows for many cycles."""
+"""Converter of a twin of the AFG3022B, independent of that of the driver; its limit on points allows many cycles."""
 
 MID_CODE = CONVERTER.mid_code
-"""Its code for 0 V."""
+"""Code of the converter for 0 V."""
 
 FINEST = 1e-3
-"""Bursts that repeat without commands at a shorter interval than this are counted once in about this time [s]."""
+"""Interval below which bursts repeated without commands are reported only once in about this time [s]."""
 
 ROUNDING = 1e-9
-"""A burst that begins less than this before the end of the last follows it directly [s]."""
+"""Tolerance for a burst that directly follows the previous one [s]."""
 
 Retrigger = Literal["ignored", "restarts"]
 """Effect of a trigger during a burst."""
@@ -28,7 +28,7 @@ Retrigger = Literal["ignored", "restarts"]
 
 @dataclass(frozen=True)
 class Playback:
-    """What one output is sending.
+    """The output of one channel.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Playback:
     duration : float
         Length of one cycle [s].
     period : float
-        Time from one trigger to the next [s]; infinite for a single trigger, one cycle for a record repeated without.
+        Time from one trigger to the next [s]; infinite for a single trigger, one cycle if repeated without triggers.
     idle_code : int
         Code at which the output rests between bursts.
     n_cycles : int
@@ -70,9 +70,9 @@ class Delays:
     latency : (float, float)
         Bounds of the time from a trigger command to the first sample [s].
     relay : float
-        Time from a command to the switching of an output's relay, on or off [s].
+        Time from a command to the switching of an output relay, on or off [s].
     pulses : float or None
-        Rate of the pulses at the trigger input [Hz]; None if nothing is wired to it.
+        Rate of the pulses at the trigger input [Hz]; None if nothing is connected.
     """
 
     latency: tuple[float, float] = (1e-4, 3e-4)
@@ -82,20 +82,20 @@ class Delays:
 
 @dataclass(frozen=True)
 class Situation:
-    """All settings that bursts depend on, with one value for each channel.
+    """All settings that affect bursts, with one value per channel.
 
     Attributes
     ----------
     sent : tuple of Playback or None
-        What each channel sends while its relay is closed: a single burst, or what it repeats without a trigger.
+        Output of each channel while its relay is closed: a single burst, or a record repeated without a trigger.
     length : tuple of float
-        Duration of each channel's burst, or of a cycle if it repeats without a trigger [s].
+        Duration of the burst of each channel, or of a cycle if repeated without a trigger [s].
     in_burst : tuple of bool
         Whether each channel waits for triggers.
     outputs : tuple of bool
         Whether each output is commanded on.
     tick : float or None
-        Time between triggers that come without commands [s]; None if there are none.
+        Time between triggers without commands [s]; None if there are none.
     """
 
     sent: tuple[Playback | None, ...] = ()
@@ -114,13 +114,13 @@ class PlayedBurst:
     start, end : float
         First and last instant at which any part of it passed a relay [s].
     whole : bool
-        Whether all of it passed, at every output.
+        Whether all of it passed at every output.
     sent : tuple of Playback or None
-        What each output sent; None if nothing of it passed.
+        Output of each channel; None if no part of it passed.
     passed : tuple of (float, float) or None
-        Start and end of the part that passed at each output, since the first sample of the channel [s].
+        Start and end of the part that passed at each output, relative to the first sample of the channel [s].
     link : int or None
-        Number of the link that triggered it, 0 for the front panel; None if it came without a command.
+        Number of the link that triggered it, 0 for the front panel; None without a command.
     """
 
     start: float
@@ -133,7 +133,7 @@ class PlayedBurst:
 
 @dataclass
 class _Run:
-    """A burst that is playing: start and end on each channel, and start and end of what passed each relay."""
+    """A burst in progress: start and end on each channel, and start and end of the part that passed each relay."""
 
     sent: tuple[Playback | None, ...]
     spans: dict[int, tuple[float, float]]
@@ -146,7 +146,7 @@ class _Run:
 
 
 class Timeline:
-    """Follows the outputs of a generator, whose settings are constant between calls.
+    """Outputs of a generator over time, with settings constant between calls.
 
     Parameters
     ----------
@@ -164,9 +164,9 @@ class Timeline:
     triggers : tuple of float
         Onsets of the latest two triggered bursts since outputs or internal triggers were last changed [s].
     caught : tuple of Playback or None
-        What each output sends in the first burst that began after this was set to None.
+        Output of each channel in the first burst that began after this was set to None.
     commanded : float or None
-        When the generator carried out the latest trigger command, whether or not a burst began [s].
+        Instant of the latest trigger command, whether or not a burst began [s].
     """
 
     def __init__(self, delays: Delays, retrigger: Retrigger = "ignored", seed: int = 0) -> None:
@@ -183,11 +183,11 @@ class Timeline:
         self._closed: dict[int, float] = {}
         self._switching: list[tuple[float, int, bool]] = []
         self._cycle_length = self._reach = self._aligned = 0.0
-        # The key is whether a trigger began the burst.
+        # The key is whether the burst was triggered.
         self._running: dict[bool, _Run] = {}
 
     def change(self, now: float, situation: Situation) -> None:
-        """Take new settings; if they change a running burst, it ends now."""
+        """Apply new settings; a burst in progress that they change ends now."""
         self.advance(now)
         before, self._situation = self._situation, situation
         if before == situation:
@@ -203,7 +203,7 @@ class Timeline:
                 self._switching.append((now + self._delays.relay, channel, on))
 
     def trigger(self, now: float, link: int) -> None:
-        """Take a trigger command sent over a link."""
+        """Execute a trigger command received over a link."""
         self.advance(now)
         self.commanded = now + self._random.uniform(*self._delays.latency)
         self._take(now, self.commanded, link)
@@ -215,26 +215,26 @@ class Timeline:
         self.triggers = ()
 
     def align(self, now: float) -> None:
-        """Restart the records that repeat without a trigger."""
+        """Restart the records repeated without a trigger."""
         self.advance(now)
         self._end(now, in_burst=False)
         self._aligned = now
         self._begin(now, None, in_burst=False)
 
     def power_cut(self, now: float) -> None:
-        """End all bursts and open the relays at once."""
+        """End all bursts and open the relays immediately."""
         self.advance(now)
         self._cut(now)
         self._closed, self._switching, self.triggers = {}, [], ()
         self._situation, self._cycle_length, self._reach = Situation(), 0.0, 0.0
 
     def advance(self, now: float) -> None:
-        """Let time pass up to an instant [s]; an earlier one is ignored."""
+        """Advance to an instant [s]; earlier instants are ignored."""
         if now <= self._now:
             return
         target = now - self._reach
         if target > self._now and (self.on_burst is None or not (self._closed or self._switching)):
-            # Most of a long span is skipped where bursts are not reported, or no relay is closed.
+            # Most of a long span is skipped if bursts are not reported or no relay is closed.
             self._settle(target)
             self._now = target
         while True:
@@ -254,13 +254,13 @@ class Timeline:
         self._now = now
 
     def _settle(self, now: float) -> None:
-        """Switch the relays that are due, and end the bursts that are over."""
+        """Switch the relays that are due and end the bursts that are over."""
         self._switch(now)
         for in_burst in [each for each, run in self._running.items() if run.end <= now]:
             self._end(None, in_burst=in_burst)
 
     def _next_tick(self) -> float:
-        """Return when the next trigger comes without a command [s]; its clock runs independently of other settings."""
+        """Return the instant of the next trigger without a command [s]; its clock is independent of other settings."""
         situation = self._situation
         if situation.tick is None or not any(situation.in_burst):
             return math.inf
@@ -268,7 +268,7 @@ class Timeline:
         return _after(self._now, self._phase * period, period)
 
     def _begin(self, begin: float, link: int | None, *, in_burst: bool) -> None:
-        """Begin what the channels in burst mode, or the others, have to send."""
+        """Begin the output of the channels in burst mode, or of the others."""
         situation = self._situation
         spans = {}
         for channel, sent in enumerate(situation.sent):
@@ -310,7 +310,7 @@ class Timeline:
             self._end(now, in_burst=in_burst)
 
     def _end(self, at: float | None, *, in_burst: bool) -> None:
-        """End a running burst at an instant, or at its own end."""
+        """End a burst in progress at an instant, or at its regular end."""
         run = self._running.pop(in_burst, None)
         if run is not None:
             for channel in run.spans:
@@ -318,7 +318,7 @@ class Timeline:
             self._report(run)
 
     def _pass(self, run: _Run, channel: int, until: float) -> None:
-        """Note the part of a burst that passed a relay which was closed until now."""
+        """Note the part of a burst that passed a relay closed until now."""
         if channel in run.spans and channel in self._closed:
             first, last = max(self._closed[channel], run.spans[channel][0]), min(until, run.spans[channel][1])
             if last > first:
@@ -348,21 +348,21 @@ class Timeline:
 
 
 def _cycle_length(situation: Situation) -> float:
-    """Return the length of a cycle of what repeats without a trigger, on the slower channel [s]; 0 for none."""
+    """Return the cycle length of records repeated without a trigger, on the slower channel [s]; 0 for none."""
     rows = zip(situation.sent, situation.length, situation.in_burst, strict=True)
     length = max((length for sent, length, in_burst in rows if sent is not None and not in_burst), default=0.0)
     return length * math.ceil(FINEST / length) if length else 0.0
 
 
 def _reach(situation: Situation) -> float:
-    """Return how long ago the events that still matter can have begun, including the interval between triggers [s]."""
+    """Return the largest age of events that still matter, including the interval between triggers [s]."""
     lengths = [length for length in situation.length if math.isfinite(length)]
     delays = [sent.delay for sent in situation.sent if sent is not None]
     return 3 * max([situation.tick or 0.0, *lengths]) + max(delays, default=0.0)
 
 
 def _after(now: float, origin: float, period: float) -> float:
-    """Return the first of the instants ``origin + n period`` that is later than now [s]."""
+    """Return the first of the instants ``origin + n period`` after `now` [s]."""
     n = math.floor((now - origin) / period) + 1
     while origin + n * period <= now:
         n += 1

@@ -1,4 +1,4 @@
-"""The true beam of a twin: modes not in the table, deviations from the values in the table, and fingers on it."""
+"""The true beam of a twin: unlisted modes, deviations from the values in the mode table, and fingers."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class TrueBeam:
     table : ModalModel
         The modes of the table with their true values.
     apparatus : Apparatus
-        Its section ``twin`` lists the modes not in the table, which follow.
+        The apparatus; its section ``twin`` lists the modes not in the table.
     unlisted_gain : (n_unlisted, n_channels) array
-        Modal gains of the latter, accelerations per volt at the beam [m/s^2 per V].
+        Modal gains of the unlisted modes, accelerations per volt at the beam [m/s^2 per V].
     width : float
         Width of the beam, for its torsion modes [m].
     mass : float
@@ -97,7 +97,7 @@ class TrueBeam:
         Parameters
         ----------
         amplifier : Amplifier
-            Amplifier with its pole and delay; input voltages are its outputs without these.
+            Pole and delay of the amplifier; the inputs of the equations are its output voltages without these.
         touched : sequence of Finger
             Fingers on the beam; none on a free beam.
         stretch : float
@@ -109,7 +109,7 @@ class TrueBeam:
         )
 
     def _over_width(self, along: FloatArray) -> FloatArray:
-        """Return the mode shapes on two lines at +-width / sqrt(12), where the square of torsion has its mean."""
+        """Return the mode shapes on two lines at +-width / sqrt(12), where torsion has its mean square."""
         across = self.width / math.sqrt(12.0) * np.repeat([-1.0, 1.0], along.size)
         return self.shapes(np.tile(along, 2), across)
 
@@ -117,16 +117,16 @@ class TrueBeam:
 def true_beam(apparatus: Apparatus, seed: int) -> TrueBeam:
     """Return the true beam, which deviates from the identified one.
 
-    Natural frequencies, damping ratios and modal gains are those of the table times a log-normal factor with the stated
-    relative spread. Each actuator set also drives the modes that the table assigns to another one, and there are modes
-    not in the table, as stated.
+    Natural frequencies, damping ratios and modal gains are those of the table times a log-normal factor with the
+    specified relative spread. Each actuator set also drives the modes that the table assigns to another one, and there
+    are modes not in the table.
 
     Parameters
     ----------
     apparatus : Apparatus
-        The identified beam; its section ``twin`` states how the true one deviates.
+        The identified beam; its section ``twin`` specifies the deviations.
     seed : int
-        Equal seeds give equal beams; changing one mismatch does not affect the draws of the others.
+        Equal seeds give equal beams; changing one deviation does not affect the draws of the others.
     """
     twin, model = apparatus.twin, apparatus.modal_model()
     streams = np.random.default_rng(seed).spawn(3)
@@ -160,7 +160,7 @@ def generator_gains(apparatus: Apparatus, seed: int) -> FloatArray:
     Parameters
     ----------
     apparatus : Apparatus
-        Its section ``twin`` states the spread.
+        The apparatus; its section ``twin`` specifies the spread.
     seed : int
         Equal seeds give equal errors.
     """
@@ -170,7 +170,7 @@ def generator_gains(apparatus: Apparatus, seed: int) -> FloatArray:
 
 
 def true_amplifier(apparatus: Apparatus) -> Amplifier:
-    """Return the true amplifier, in SI units; values that ``twin`` leaves open are those identified."""
+    """Return the true amplifier, in SI units; values not given in ``twin`` are the identified ones."""
     known, true = apparatus.amplifier_values(), apparatus.twin.amplifier
     return Amplifier(
         gain=known.gain if true.gain_V_per_V is None else true.gain_V_per_V,

@@ -1,4 +1,4 @@
-"""What the simulated generator drives: amplifier, true beam, and the motion under the fingers."""
+"""The system driven by the simulated generator: amplifier, true beam, and the motion under the fingers."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ if TYPE_CHECKING:
     from modaltouch.stimulus import Finger
 
 MOST_SAMPLES = 1 << 22
-"""Largest number of samples that is computed of one burst, over all its cycles."""
+"""Largest number of samples computed per burst, over all its cycles."""
 
 PLAYS = (0.2, 0.4, 0.6, 0.8)
-"""Half widths of the play operators of an actuator, as fractions of the amplifier's limit [1]."""
+"""Half-widths of the play operators of an actuator, as fractions of the amplifier's limit [1]."""
 
 SETTINGS_KEPT = 64
-"""Number of settings whose peaks are cached, and of beams under fingers."""
+"""Number of cached settings with peaks, and of cached beams with fingers."""
 
 Setting = tuple[Playback | None, ...]
-"""What each channel sends."""
+"""Output of each channel."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrueState:
-    """The true state of the beam at an instant, known only for a twin: a reference for measurements.
+    """The true state of the beam at an instant, a reference for measurements, known only for a twin.
 
     Attributes
     ----------
     label : tuple of int
         Labels of the modes of the table.
     velocity : (n_modes,) array
-        Their modal velocities [m/s].
+        Modal velocities of these modes [m/s].
     displacement : (n_modes,) array
-        Their modal displacements times natural angular frequency, w eta [m/s].
+        Modal displacements of these modes times natural angular frequency, w eta [m/s].
     unlisted_velocity : (n_unlisted,) array
         Modal velocities of the modes not in the table [m/s].
     """
@@ -57,7 +57,7 @@ class TrueState:
 
 @dataclass
 class Twin:
-    """Amplifier and true beam behind a generator; computes only what is requested.
+    """Amplifier and true beam behind a generator; results are computed on demand.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class Twin:
     seed : int
         Seed of the differences between true and identified beam.
     tripped : bool
-        Whether the amplifier's protection has cut its output.
+        Whether the amplifier's protection has disabled its output.
     n_measured : int
         Number of measurements so far; the beam drifts with each.
     """
@@ -83,15 +83,15 @@ class Twin:
         self._gains = generator_gains(self.apparatus, self.seed) * (
             self.amplifier.gain * self.apparatus.generator.load_factor
         )
-        # Limited caches, since a drifting beam has other equations with each measurement.
+        # Limited caches, since a drifting beam has different equations for each measurement.
         self.peaks = functools.lru_cache(SETTINGS_KEPT)(self._peaks)
-        """Peak speeds of a setting; another level of its records needs none while beam and amplifier are linear."""
+        """Peak speeds of a setting; valid for all levels of its records while beam and amplifier are linear."""
         self._system = functools.lru_cache(SETTINGS_KEPT)(
             lambda stretch, fingers: self.beam.equations(self.amplifier, fingers, stretch)
         )
 
     def fingers(self, *positions: float) -> list[Finger]:
-        """Return the fingers of the section ``twin`` at positions on the beam [m]; none if it states no finger."""
+        """Return the fingers of the section ``twin`` at positions on the beam [m]; empty if it has no finger."""
         section = self.beam.apparatus.twin.fingers
         return [] if section is None else [section.at(position) for position in positions]
 
@@ -108,10 +108,10 @@ class Twin:
         return self._system(stretch, tuple(finger for finger in touched if finger.loads_beam))
 
     def stretch(self, playbacks: Sequence[Playback | None]) -> float:
-        """Return the factor on every natural frequency while something plays [1].
+        """Return the factor on every natural frequency during playback [1].
 
         Softening is that of a Duffing oscillator, proportional to the amplitude squared (Nayfeh & Mook 1979, Nonlinear
-        Oscillations, sec. 4.1), linearised: throughout a burst the frequencies are those at its highest voltage.
+        Oscillations, sec. 4.1), linearised: throughout a burst the frequencies are those at its peak voltage.
         """
         twin = self.apparatus.twin
         highest = min(max(self._peak_voltages(playbacks), default=0.0) / self.amplifier.limit, 1.0)
@@ -124,12 +124,12 @@ class Twin:
         *,
         touched: Sequence[Finger] | None = None,
     ) -> FloatArray:
-        """Return the peak speed at points of the beam, for what the generator sends.
+        """Return the peak speed at points of the beam for the output of the generator.
 
         Parameters
         ----------
         playbacks : sequence of Playback or None
-            What each channel sends.
+            Output of each channel.
         positions : sequence of float
             Positions of the points, origin at mid-beam [m].
         touched : sequence of Finger, optional
@@ -145,12 +145,12 @@ class Twin:
             return np.zeros(len(positions))
         setting, scale, stretch = tuple(playbacks), 1.0, self.stretch(playbacks)
         if self._is_linear(playbacks):
-            # The same records with an amplitude of 1 V at most, without offsets, which move nothing.
+            # The same records, scaled to at most 1 V, without offsets, which do not move the beam.
             unit = (
                 each and replace(each, amplitude=round(each.amplitude / level, 12), offset=0.0) for each in playbacks
             )
             setting, scale = tuple(unit), level
-        # Fingers that load the beam change its motion for all; the others only feel it.
+        # Fingers that load the beam change its motion everywhere; the others only sense it.
         on_beam = self.fingers(*positions) if touched is None else touched
         fingers = tuple(sorted((finger for finger in on_beam if finger.loads_beam), key=lambda finger: finger.position))
         return scale * self.peaks(_once(setting), tuple(positions), fingers, stretch)
@@ -165,14 +165,14 @@ class Twin:
         touched: Sequence[Finger],
         span: tuple[float, float],
     ) -> list[Motion]:
-        """Return the velocity of a point behind a low-pass, as parts to be added.
+        """Return the low-passed velocity of a point, as a sum of parts.
 
         Parameters
         ----------
         playbacks : sequence of Playback or None
-            What each channel sends.
+            Output of each channel.
         position, offset : float
-            Position along the beam and across it, from its middle [m].
+            Position along and across the beam, relative to its middle [m].
         bandwidth : float or None
             Corner frequency of the low-pass [Hz]; None for no low-pass.
         touched : sequence of Finger
@@ -194,13 +194,13 @@ class Twin:
 
         system, output = low_passed(system, output, bandwidth)
         key = tuple(playbacks), tuple(touched), bandwidth, stretch
-        # The states describe the whole beam, so the next point of a scan can use the same.
+        # The states describe the whole beam, so they can be reused for the next point of a scan.
         if self._histories is None or self._histories[0] != key or not all(h.covers(span) for h in self._histories[1]):
             self._histories = key, [StateHistory.of(system, held, span) for held in self.forces_of(playbacks)]
         return [history.motion(output) for history in self._histories[1]]
 
     def drive(self, playbacks: Sequence[Playback | None], channel: int) -> DriveVoltage | None:
-        """Return the voltage at the beam of a channel, counted from 0; None where nothing plays."""
+        """Return the voltage at the beam of a channel, counted from 0; None for an idle channel."""
         alone = [playback if row == channel else None for row, playback in enumerate(playbacks)]
         held = self.held_of(alone)
         from modaltouch.rig.simulator.motion import DriveVoltage
@@ -215,17 +215,17 @@ class Twin:
         first: bool = False,
         touched: Sequence[Finger] = (),
     ) -> TrueState:
-        """Return the true state of the beam at an instant, which no instrument of the twin reveals.
+        """Return the true state of the beam at an instant, not available from any instrument of the twin.
 
         Parameters
         ----------
         playbacks : sequence of Playback or None
-            What each channel sends.
+            Output of each channel.
         instant : float
             Time since a trigger [s]; the first sample leaves the generator at 0, or after its trigger delay, and moves
             the beam after the amplifier's delay.
         first : bool
-            Whether the burst starts from rest; otherwise many bursts came before it.
+            Whether the burst starts from rest rather than after many bursts.
         touched : sequence of Finger
             Fingers on the beam.
         """
@@ -250,7 +250,7 @@ class Twin:
         ]
 
     def forces_of(self, playbacks: Sequence[Playback | None]) -> list[Held]:
-        """Return what moves the beam, as volts: the amplifier's output after the actuators' hysteresis."""
+        """Return the forces on the beam, as voltages: the amplifier's output after the hysteresis of the actuators."""
         share, limit = self.apparatus.twin.hysteresis, self.amplifier.limit
         if not share:
             return self.held_of(playbacks)
@@ -271,19 +271,19 @@ class Twin:
         # Earlier cycles no longer affect the beam when the last ones end.
         n_cycles = min(first.n_cycles, max(1, MOST_SAMPLES // n_samples))
         duration = first.duration * n_cycles
-        # A trigger during a burst or its delay is lost: the next one counts.
+        # A trigger during a burst or its delay is lost, and the next one counts.
         triggers = max(1.0, np.ceil((first.delay + first.duration * first.n_cycles) / first.period - 1e-9))
         period = first.period * triggers
         return Held(np.tile(voltage, n_cycles), rest, duration, period, first.delay, first.converter)
 
     def _is_linear(self, playbacks: Sequence[Playback | None]) -> bool:
-        """Return whether the motion of the beam is proportional to the level."""
+        """Test whether the motion of the beam is proportional to the level."""
         twin = self.apparatus.twin
         saturates = any(peak > self.amplifier.limit for peak in self._peak_voltages(playbacks))
         return not (saturates or twin.softening or twin.hysteresis or twin.finger_press_N)
 
     def _peak_voltages(self, playbacks: Sequence[Playback | None]) -> list[float]:
-        """Return the highest voltage at the beam that each output asks for [V]."""
+        """Return the peak voltage at the beam commanded by each output [V]."""
         return [
             (abs(each.amplitude) / 2 * record_peak(each.record, each.converter.mid_code) + abs(each.offset)) * gain
             for each, gain in zip(playbacks, self._gains.tolist(), strict=False)
@@ -303,12 +303,12 @@ class Twin:
         output = shapes.T @ system.velocity
         if len(parts) > 1 and len({part.period for part in parts}) == 1:
             return np.array([_common_peak(system, row, parts) for row in output])
-        # Bursts with different periods drift past each other, so that sooner or later their peaks coincide.
+        # Bursts with different periods drift relative to each other, so that their peaks eventually coincide.
         return sum((peak(system, output, held) for held in parts), np.zeros(len(positions)))
 
 
 def _once(setting: Setting) -> Setting:
-    """Return bursts with a pause after them as single bursts, since peaks are computed from rest anyway."""
+    """Convert bursts followed by a pause to single bursts, since peaks are computed from rest anyway."""
     playing = [playback for playback in setting if playback is not None]
     if len({_clock(playback) for playback in playing}) > 1:
         return setting
@@ -322,7 +322,7 @@ def _clock(playback: Playback) -> tuple[float, ...]:
 
 
 def _common_peak(system: DiagonalSystem, output: ComplexArray, parts: Sequence[Held]) -> float:
-    """Return the largest magnitude of an output while different bursts repeat with one period, to 3 parts in 1000."""
+    """Return the largest magnitude of an output for different bursts with a common period, to 3 parts in 1000."""
     step = min(refined(system, part)[1] for part in parts) / 2
     ends = max(part.delay + LONGEST_SILENCE * part.duration for part in parts)
     span = 0.0, min(parts[0].period, ends)
@@ -335,22 +335,22 @@ def _common_peak(system: DiagonalSystem, output: ComplexArray, parts: Sequence[H
 
 @functools.lru_cache(maxsize=8)
 def record_peak(record: bytes, zero: int) -> float:
-    """Return the highest magnitude of a record, as a fraction of half its amplitude [1]; `zero` is its code for 0 V."""
+    """Return the peak magnitude of a record, as a fraction of half its amplitude [1]; `zero` is its code for 0 V."""
     return float(np.abs(np.frombuffer(record, ">u2").astype(int) - zero).max() / zero)
 
 
 def lagging(voltage: FloatArray, share: float, limit: float) -> FloatArray:
-    r"""Return the voltages with which an actuator without hysteresis would give the same force.
+    r"""Return the voltages for which an actuator without hysteresis would produce the same force.
 
     A share of the force follows play operators of equal weight, :math:`y_k = \max(v_k - r, \min(v_k + r, y_{k-1}))`
-    (Prandtl and Ishlinskii; Visintin 1994, Differential Models of Hysteresis, sec. III.2). Their half widths are evenly
-    spaced: hysteresis loops then grow with the square of the voltage, as in Rayleigh's law for piezoelectric ceramics
-    (Damjanovic 1997, J. Appl. Phys. 82, 1788).
+    (Prandtl and Ishlinskii; Visintin 1994, Differential Models of Hysteresis, sec. III.2). Their half-widths are evenly
+    spaced, so that hysteresis loops grow with the square of the voltage, as in Rayleigh's law for piezoelectric
+    ceramics (Damjanovic 1997, J. Appl. Phys. 82, 1788).
 
     Parameters
     ----------
     voltage : (n_channels, n_samples) array
-        Voltages of bursts that repeat, as deviations from rest [V].
+        Voltages of repeated bursts, relative to rest [V].
     share : float
         Share of the force that lags [1].
     limit : float
@@ -359,11 +359,11 @@ def lagging(voltage: FloatArray, share: float, limit: float) -> FloatArray:
     result = (1 - share) * voltage
     for row, volts in zip(result, voltage, strict=True):
         turns = np.append(np.flatnonzero(np.diff(np.sign(np.diff(volts)))) + 1, volts.size - 1)
-        # Between two turning points the voltage is monotone: the value reached at the first determines the rest.
+        # Between two turning points the voltage is monotonic, so the value at the first determines the rest.
         part = np.searchsorted(turns, np.arange(volts.size))
         for width in np.array(PLAYS) * limit:
             reached = 0.0
-            for _ in range(2):  # the second burst begins where the first, like every later one, ends
+            for _ in range(2):  # the second burst begins where the first and every later one ends
                 before = []
                 for volt in volts[turns].tolist():
                     before.append(reached)

@@ -1,8 +1,8 @@
 """A VXI-11 server on the loopback interface for one simulated instrument, which also accepts raw sockets.
 
-It serves the core channel (`Links`) over ONC RPC (RFC 5531) without a portmapper: clients name the port in their
-address, ``TCPIP::127.0.0.1,<port>::inst0::INSTR``. A connection that begins with text sends SCPI line by line,
-``TCPIP::127.0.0.1::<port>::SOCKET``: no RPC record that is accepted begins with such a byte.
+It serves the core channel (`Links`) over ONC RPC (RFC 5531) without a portmapper: the address contains the port,
+``TCPIP::127.0.0.1,<port>::inst0::INSTR``. A connection that begins with text carries SCPI line by line,
+``TCPIP::127.0.0.1::<port>::SOCKET``; no accepted RPC record begins with such a byte.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class HangUp(Exception):  # noqa: N818
 
 
 def read_record(stream: io.BufferedIOBase, limit: int) -> bytes:
-    """Return one RPC record, its fragments joined."""
+    """Read one RPC record and join its fragments."""
     record = bytearray()
     while True:
         (word,) = struct.unpack(">I", _exactly(stream, 4))
@@ -56,7 +56,7 @@ _BLOCK = re.compile(rb"#(?:" + b"|".join(b"%d(\\d{%d})" % (n, n) for n in range(
 
 
 def read_message(stream: io.BufferedIOBase) -> bytes:
-    """Return one program message up to its line feed; line feeds within a definite-length block do not end it."""
+    """Read one program message up to its line feed; line feeds within a definite-length block do not end it."""
     message, searched = bytearray(stream.readline(LARGEST_MESSAGE)), 0
     while found := _BLOCK.search(message, searched):
         searched = found.end() + int(found[found.lastindex or 0])
@@ -68,7 +68,7 @@ def read_message(stream: io.BufferedIOBase) -> bytes:
 
 
 def read_call(call: bytes) -> tuple[int, int, int, bytes]:
-    """Return transaction, program, procedure and parameters of a call; credentials are ignored."""
+    """Parse a call: transaction, program, procedure and parameters; credentials are ignored."""
     transaction, _, _, program, _, procedure = struct.unpack_from(">6I", call)
     at = 24
     for _ in ("credentials", "verifier"):
@@ -83,7 +83,7 @@ def accept(transaction: int, status: int = SUCCESS) -> bytes:
 
 
 def opaque(data: bytes) -> bytes:
-    """Return data with its length before it and padding after it."""
+    """Encode data as opaque: preceded by its length and followed by padding."""
     return struct.pack(">I", len(data)) + data + bytes(_padded(len(data)) - len(data))
 
 
@@ -92,16 +92,16 @@ def _padded(length: int) -> int:
 
 
 LARGEST_MESSAGE = 1 << 20
-"""Largest write, announced to the client, and largest program message [bytes]."""
+"""Largest write, as announced to the client, and largest program message [bytes]."""
 
 LONGEST_WAIT = 30.0
-"""Longest wait for a reply, whatever a client asks for [s]."""
+"""Longest wait for a reply, even if a client requests a longer one [s]."""
 
 INSTRUMENT, PANEL = "inst0", "panel0"
-"""Device names of the instrument and of its front panel, which faults and the limit of sessions do not affect."""
+"""Device names of the instrument and of its front panel, which is not subject to faults and the session limit."""
 
 PANEL_SESSIONS = 16
-"""Highest number of links to the front panel."""
+"""Maximum number of links to the front panel."""
 
 _CREATE_LINK, _WRITE, _READ, _READ_STATUS, _TRIGGER, _CLEAR = 10, 11, 12, 13, 14, 15
 _REMOTE, _LOCAL, _ENABLE_SERVICE, _DESTROY_LINK = 16, 17, 20, 23
@@ -121,7 +121,7 @@ class _Link:
 
 
 class _Refused(Exception):  # noqa: N818
-    """A call is refused with an error code (VXI-11, B.5.2)."""
+    """A call is rejected with an error code (VXI-11, B.5.2)."""
 
 
 class Links:
@@ -141,7 +141,7 @@ class Links:
         self._links: dict[int, _Link] = {}
         self._numbers = itertools.count(1)
         self._guard = threading.RLock()
-        # Each procedure with the number of bytes after its error code, which are zeros if it is refused.
+        # Each procedure with the number of bytes after its error code, which are zero for a rejected call.
         self._procedures: dict[int, tuple[typing.Callable[[_Link, bytes], bytes | None], int]] = {
             _WRITE: (self._write, 4),
             _READ: (self._read, 8),
@@ -181,7 +181,7 @@ class Links:
                 self._links.pop(number, None)
 
     def open(self, own: set[int], *, panel: bool = False) -> _Link:
-        """Add a link to a connection's `own`, and return it."""
+        """Add a link to the links `own` of a connection and return it."""
         with self._guard:
             n_links = sum(link.panel == panel for link in self._links.values())
             if n_links >= (PANEL_SESSIONS if panel else self._device.afg.behaviour.max_sessions):
@@ -252,14 +252,14 @@ CORE_PROGRAM = 0x0607AF
 
 
 class Vxi11Server:
-    """Serves an instrument to any number of connections, each in a thread of its own.
+    """Server of an instrument for any number of connections, each in a separate thread.
 
     Parameters
     ----------
     device : SimulatedInstrument
         The instrument.
     port : int
-        TCP port on 127.0.0.1; 0 takes a free one.
+        TCP port on 127.0.0.1; 0 for any free port.
     """
 
     def __init__(self, device: SimulatedInstrument, port: int = 0) -> None:
@@ -280,7 +280,7 @@ class Vxi11Server:
     def listen(self) -> None:
         """Accept connections."""
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        if sys.platform != "win32":  # there it would let two programs have one port
+        if sys.platform != "win32":  # there it would let two programs share a port
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listener.bind(("127.0.0.1", self.port))
         listener.listen(16)
@@ -289,7 +289,7 @@ class Vxi11Server:
         threading.Thread(target=self._accept, args=(listener,), daemon=True, name="vxi11-accept").start()
 
     def refuse(self) -> None:
-        """Refuse new connections until `listen`."""
+        """Reject new connections until `listen`."""
         listener, self._listener = self._listener, None
         if listener is not None:
             # shutdown wakes the accepting thread; close alone leaves it, and the port, open.
@@ -298,11 +298,11 @@ class Vxi11Server:
             listener.close()
 
     def drop_connections(self) -> None:
-        """Reset every open connection, as pulling the plug does."""
+        """Reset every open connection, as if unplugged."""
         with self._guard:
             connections, self._connections = self._connections, set()
         for connection in connections:
-            # Wakes the thread that serves it, which closes it; the client sees a reset.
+            # Wakes the serving thread, which closes the connection; the client sees a reset.
             with contextlib.suppress(OSError):
                 connection.shutdown(socket.SHUT_RD)
 
@@ -319,7 +319,7 @@ class Vxi11Server:
             except OSError:
                 return
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            # A close is a reset, as when the plug is pulled.
+            # A close is a reset, as if unplugged.
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             with self._guard:
                 self._connections.add(connection)
@@ -333,7 +333,7 @@ class Vxi11Server:
                     self._serve_text(connection, stream, self.links.open(own).number)
                 while True:
                     call = read_record(stream, 4 * LARGEST_MESSAGE)
-                    # A call that arrives over a connection being reset, from either side, is ignored.
+                    # A call over a connection being reset from either side is ignored.
                     was_reset = connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
                     if connection not in self._connections or was_reset:
                         return
@@ -349,7 +349,7 @@ class Vxi11Server:
     def _serve_text(self, connection: socket.socket, stream: io.BufferedIOBase, link: int) -> None:
         while True:
             message = read_message(stream)
-            # A web browser that happens on this port would leave an error in the queue.
+            # A request of a web browser to this port would otherwise leave an error in the queue.
             reply = Reply(hang_up=True) if b" HTTP/1." in message else self.device.execute(message, link)
             if reply.hang_up:
                 raise HangUp
