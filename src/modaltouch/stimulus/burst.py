@@ -76,8 +76,8 @@ class Converter:
         Returns
         -------
         float
-            Of the amplitudes up to 5 % above the least, the one whose products with `shares` are closest to the grid;
-            the smallest of several that are equally close [V peak to peak].
+            Amplitude at most 5 % above the least whose products with `shares` are closest to the grid; the smallest of
+            several that are equally close [V peak to peak].
         """
         if least <= 0:
             return 0.0
