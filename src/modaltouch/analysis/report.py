@@ -137,7 +137,7 @@ def design_limits(analysis: Analysis) -> list[str]:
             "unable to tell; the question does not separate them.",
         ),
         (  # With several intervals, guessing is known from the design; with numbers, it has no meaning.
-            nothing is None and len(answers.answers) > 1 and analysis.responses.task.n_intervals == 1,
+            nothing is None and len(answers.answers) > 1 and analysis.responses.n_intervals == 1,
             "No answer says that nothing was felt, so a trial without a stimulus cannot be answered correctly: lapses "
             "and guessing stay unknown.",
         ),

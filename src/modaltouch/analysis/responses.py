@@ -232,6 +232,11 @@ class Responses:
         return TrialTask.of(self.design)
 
     @property
+    def n_intervals(self) -> int:
+        """Number of intervals of a trial."""
+        return int((self.design.get("intervals") or {}).get("number", 1))
+
+    @property
     def command(self) -> str:
         """The command that analyses the same answers."""
         source = self.source
@@ -324,7 +329,7 @@ class Responses:
         from modaltouch.analysis.counts import count_answers
 
         counts = count_answers(self.frame, self.focus or focus, self.answers, self.margin, self.asked)
-        return replace(counts, guesses_evenly=(self.design.get("intervals") or {}).get("number", 1) < 3)
+        return replace(counts, guesses_evenly=self.n_intervals < 3)
 
     def by_speed(self, speed: Speed) -> Responses:
         """Return the answers with their levels as the peak speed predicted or delivered under the faster finger.
