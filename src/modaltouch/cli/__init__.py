@@ -1,4 +1,4 @@
-"""The command line: everything that is printed, every exit status, and nothing else.
+"""The command line: options, printed output and exit statuses.
 
 Commands take arguments and produce lines, JSON and an exit status. The other packages do the work.
 """

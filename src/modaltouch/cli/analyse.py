@@ -1,4 +1,4 @@
-"""``modaltouch analyse``: tables, bars, statistics and the report."""
+"""``modaltouch analyse``: tables, bar charts, statistics and the report."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def analyse(
 
 
 def _table_format(file: str | None, answers: str | None, missing: str | None) -> analysis.TableFormat:
-    """Return how a CSV is to be read."""
+    """Return the format of a CSV of answers, from the command's options."""
     words = {} if answers is None else _mapped(answers)
     given = None if file is None else protocol.Findings.read(file).experiment().protocol
     margin = given.analysis.equivalence_margin if given else None
@@ -112,7 +112,7 @@ def _table_format(file: str | None, answers: str | None, missing: str | None) ->
 
 
 def _mapped(answers: str) -> dict[str, str]:
-    """Return the answers that words stand for, as given in an option."""
+    """Parse ``--answers`` into the answer for each word of the CSV."""
     pairs = [part.strip().partition("=") for part in answers.split(",")]
     if not all(word.strip() and sign and answer.strip() for word, sign, answer in pairs):
         raise typer.BadParameter(f"given --answers {answers!r}; allowed: words and answers, such as L=left,R=right")
@@ -120,12 +120,12 @@ def _mapped(answers: str) -> dict[str, str]:
 
 
 def participants(number: int) -> str:
-    """Return a number of participants in words."""
+    """Return the phrase for a number of participants."""
     return "1 participant" if number == 1 else f"{number} participants"
 
 
 def tell(found: Any) -> None:
-    """Print what an analysis found and where its files are."""
+    """Print a summary of an analysis and the paths of its files."""
     values = found.as_dict()
     print(f"{values['n_responses']} answers of {participants(values['n_participants'])}")
     for note in values.get("notes", ()):

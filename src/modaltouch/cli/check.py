@@ -1,4 +1,4 @@
-"""``modaltouch check``: everything that can fail before a participant sits down."""
+"""``modaltouch check``: validate a protocol before a participant sits down."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, WITH_MARKED
 from modaltouch.cli.output import BAD_INPUT, print_json, print_table, reporting, say
 
 _MOST_ROWS = 12
-"""Rows of the table of sensitivities that are shown, the worst first."""
+"""Maximum number of rows of the sensitivity table to show, the worst first."""
 
 _PULL = (
     "at most: the level under the finger with the amplifier at its limit. pull: the force with which the skin would "
@@ -93,7 +93,7 @@ def check(
 
 
 def _export(checked: preflight.Preflight, file: Path) -> None:
-    """Write the voltages at the beam."""
+    """Write the drive voltages at the beam to an ``.npz`` file."""
     import numpy as np
 
     if file.suffix != ".npz":
@@ -109,7 +109,7 @@ def show(
     fingers: str | None = None,
     asked: dict[str, Any] | None = None,
 ) -> None:
-    """Print a summary of the sessions of this protocol, and what was asked for besides."""
+    """Print a summary of the protocol's sessions and the additional results in `asked`."""
     from rich.markup import escape
 
     values = checked.as_dict(compare=compare, fingers=fingers)
@@ -164,7 +164,7 @@ def show(
 
 
 def _stimulus_lines(checked: preflight.Preflight, stimuli: list[dict[str, Any]]) -> Iterator[str]:
-    """Yield one line about each stimulus."""
+    """Yield a summary line for each stimulus."""
     protocol, firsts = checked.experiment.protocol, dict[str, dict[str, Any]]()
     for each in stimuli:
         firsts.setdefault(each.get("stimulus", ""), each)
@@ -253,7 +253,7 @@ def _show_contrast(rows: list[dict[str, Any]]) -> None:
 def _by_occasion(
     checked: preflight.Preflight, stimuli: list[dict[str, Any]], fingers: str | None
 ) -> dict[str, list[dict[str, Any]]]:
-    """Return the rows of the tables by the groups and kinds of session that share them; without a name if all do."""
+    """Return the table rows for each set of groups and session kinds that share them, unnamed if all do."""
     found: list[tuple[list[str], list[dict[str, Any]]]] = []
     for each in (checked, *checked.others):
         rows = _in_order(each, stimuli if each is checked else each.as_dict(fingers=fingers)["stimuli"])
@@ -265,7 +265,7 @@ def _by_occasion(
 
 
 def _in_order(checked: preflight.Preflight, stimuli: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the rows of each stimulus by level, with the level in words, which tell the standard of intervals."""
+    """Return the rows sorted by stimulus and level, with a level label that marks the standard of interval trials."""
     protocol = checked.experiment.protocol
     standard = None if protocol.intervals is None else protocol.intervals.standard
     names = list(protocol.stimuli) or [""]
@@ -311,7 +311,7 @@ def _show_touched(stimuli: list[dict[str, Any]], whose: str) -> None:
 
 
 def _show_speeds(title: str, headings: Sequence[str], rows: Sequence[tuple[Any, ...]]) -> None:
-    """Print a table in which each row begins with its level, and with its stimulus's name if there are several."""
+    """Print a table whose rows begin with the level, preceded by the stimulus name if there are several stimuli."""
     named = ["stimulus"] * ("stimulus" in rows[0][0])
     print_table(
         title,
@@ -322,5 +322,5 @@ def _show_speeds(title: str, headings: Sequence[str], rows: Sequence[tuple[Any, 
 
 
 def _in_two_digits(value: float) -> str:
-    """Return a value as a whole number, or with two significant digits if it is below 10."""
+    """Format a value as an integer, or with two significant digits if it is below 10."""
     return f"{value:.0f}" if abs(value) >= 9.95 else f"{value:.2g}"

@@ -1,4 +1,4 @@
-"""The ``modaltouch`` command and its sub-commands, each loaded when it is called."""
+"""The ``modaltouch`` command and its sub-commands, each imported when it is called."""
 
 from __future__ import annotations
 
@@ -39,22 +39,25 @@ MODULES = {
 
 
 class _Value:
-    """Reads strings and paths, and leaves the rest to typer, which loads pydantic even for options not given."""
+    """Type of a parameter that converts strings and paths itself and leaves the rest to typer.
+
+    Typer would load pydantic even for options that are not given.
+    """
 
     def __init__(self, read_by_typer: Any) -> None:
         self._read_by_typer = read_by_typer
 
     def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
-        """Return what was given, or the default, in the type that the command takes."""
+        """Convert the given value, or the default, to the type that the command takes."""
         kind = param.type_descriptor.annotation
         is_list = get_origin(kind) is list
         if value is None or (value is param.default and not is_list):
             return () if is_list else value
         words, kind = (value, get_args(kind)[0]) if is_list else ([value], kind)
         if any(word != word.encode(errors="replace").decode() for word in map(str, words)):
-            # The name would have no place in a record, which is UTF-8.
+            # Records are UTF-8 and could not hold this name.
             raise typer.BadParameter(f"given {value!a}; allowed: names in UTF-8; rename it", ctx, param)
-        # A file that exists and cannot be read is left for typer to refuse.
+        # Typer refuses files that exist but cannot be read.
         is_open = kind is Path and all(os.access(word, os.R_OK) or not os.path.lexists(word) for word in words)
         if kind is str or is_open:
             read = [kind(word) for word in words]
@@ -69,7 +72,7 @@ class _Value:
 
 
 def _allowed(kind: Any, bounds: Any) -> str:
-    """Return in words what a number or a choice may be."""
+    """Return the phrase for the allowed values of a number or a choice."""
     if get_args(kind):
         return ", ".join(get_args(kind))
     words = "a whole number" if kind is int else "a number"
@@ -79,18 +82,18 @@ def _allowed(kind: Any, bounds: Any) -> str:
 
 
 def _of_each(told_by_typer: Any) -> str:
-    """Return the type of a value in words for the help; of a list, that of its items."""
+    """Return the type name shown in the help; for a list, that of its items."""
     return str(told_by_typer()).removeprefix("list[").removesuffix("]").lower()
 
 
 class _Reading:
-    """Has the values of a command read by `_Value`."""
+    """Mixin for commands whose parameter values are converted by `_Value`."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters, including the help option."""
         params: list[Any] = super().get_params(ctx)  # type: ignore[misc]
         for each in params:
-            # A version of typer that reads values in another way reads them all.
+            # Versions of typer without this hook convert all values themselves.
             if hasattr(each, "get_runtime_param") and "get_runtime_param" not in vars(each):
                 each.get_runtime_param = partial(_Value, each.get_runtime_param)
                 each.bare_type = partial(_of_each, each.bare_type)
@@ -98,23 +101,23 @@ class _Reading:
 
 
 class _Command(_Reading, TyperCommand):
-    """A command whose values are read by `_Value`."""
+    """A command whose values are converted by `_Value`."""
 
 
 class CommandGroup(_Reading, TyperGroup):
-    """Commands by name; a module is imported when its command is called, and all of them for the list."""
+    """Group of commands that imports a module when its command is called, and all modules to list them."""
 
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes | {"commands": dict.fromkeys(MODULES)})
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command; None if there is none of that name."""
+        """Return the command of a name; None if there is none."""
         if cmd_name in MODULES and self.commands[cmd_name] is None:
             self.commands[cmd_name] = _load(cmd_name)
         return self.commands.get(cmd_name)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a command; a Ctrl-C while it is still being loaded, of which typer says nothing, is told."""
+        """Run a command; report a Ctrl-C during its import, on which typer is silent."""
         json_output = "--json" in ctx.args
         try:
             return super().invoke(ctx)
@@ -122,23 +125,23 @@ class CommandGroup(_Reading, TyperGroup):
             leave(INTERRUPTED, "interrupted; nothing was begun", json_output=json_output)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """List the commands with their summaries; typer would first make all of them, with every option."""
+        """List the commands with their summaries, without building every option as typer would."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, _summary(_find(name))) for name in MODULES])
 
 
 def _find(name: str) -> Any:
-    """Return the function of a command, or its Typer if it has sub-commands."""
+    """Return the function of a command, or its Typer instance if it has sub-commands."""
     return getattr(import_module(f"modaltouch.cli.{MODULES[name]}"), name)
 
 
 def _summary(command: Any) -> str:
-    """Return the help of a Typer, or the whole first line of a function's docstring, which typer would shorten."""
+    """Return a Typer's help, or the first line of a function's docstring, which typer would truncate."""
     return str(command.info.help if isinstance(command, typer.Typer) else command.__doc__).partition("\n")[0]
 
 
 def _load(name: str) -> Any:
-    """Return a command, or a group of commands."""
+    """Import and build a command or a group of commands."""
     found = _find(name)
     if not isinstance(found, typer.Typer):
         alone = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -163,7 +166,7 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    # Help as plain text: Rich would take four times as long to load as everything else.
+    # Plain-text help: Rich takes four times as long to load as everything else.
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"]},
 )

@@ -1,4 +1,4 @@
-"""``modaltouch identify``: from a bare beam, or files of measured responses, to a table of modes."""
+"""``modaltouch identify``: identify the modes of a bare beam, from a rig or from files of measured responses."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def identify(
 
 
 def _show(result: dict[str, Any]) -> None:
-    """Print what was identified: Table I, where half-power fails, what else was seen, and where it was written."""
+    """Print Table I, failures of the half-power method, further modes, warnings, and the files written."""
     from rich.table import Table
 
     wanted = result.get("table_modes")
@@ -176,7 +176,7 @@ def _table(table_kind: Any, modes: list[dict[str, Any]], gains: list[str]) -> An
 
 
 def _unresolved(modes: list[dict[str, Any]]) -> dict[str, list[str]]:
-    """Return why the half-power method gives no damping, each reason with the names of its modes."""
+    """Return the modes without half-power damping, by reason."""
     reasons: dict[str, list[str]] = {}
     for mode in modes:
         if reason := mode["half_power"]["warning"]:
@@ -186,7 +186,7 @@ def _unresolved(modes: list[dict[str, Any]]) -> dict[str, list[str]]:
 
 
 def _with_interval(pair: dict[str, float | None] | None) -> str:
-    """Return a value with its interval's half-width in the last digits, such as 228.855(11)."""
+    """Format a value with the half-width of its interval in the last digits, such as 228.855(11)."""
     if pair is None or pair["value"] is None or pair["low"] is None or pair["high"] is None:
         return "-"
     half = (pair["high"] - pair["low"]) / 2

@@ -1,4 +1,4 @@
-"""Commands of the laboratory: ``calibrate``, ``compare``, ``validate`` and ``fingers``; progress bars and prompts."""
+"""Lab commands ``calibrate``, ``compare``, ``validate`` and ``fingers``, with progress bars and prompts."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ RECORD = Annotated[
 
 @contextmanager
 def bars(*, json_output: bool = False) -> Iterator[lab.MeasurementProgress]:
-    """Show on standard error what is being done and how far it is, and ask there for the vibrometer to be aimed.
+    """Show progress bars on standard error, and prompt there for the vibrometer to be aimed.
 
-    What cannot be measured or designed as it was asked for (ValueError) ends the command as bad input.
+    A ValueError, raised for a request that cannot be measured or designed, ends the command as bad input.
     """
     shown = make_bars()
     tasks: dict[str, TaskID] = {}
@@ -51,11 +51,11 @@ def bars(*, json_output: bool = False) -> Iterator[lab.MeasurementProgress]:
         shown.update(tasks[what], completed=done, total=total)
 
     def aim(position: float, across: float) -> None:
-        """Ask once for each position, however many records are taken there in a row."""
+        """Prompt once per position, however many consecutive records are taken there."""
         if aimed != [(position, across)]:
             row = f", {across * 1e3:+.2f} mm across from the mid-line" if across else ""
             shown.stop()
-            # Ctrl-C ends the question at once.
+            # Let Ctrl-C end the prompt at once.
             noting = signal.signal(signal.SIGINT, signal.default_int_handler)
             try:
                 ask_for(f"Aim the vibrometer at {position * 1e3:+.2f} mm from mid-beam{row}")
@@ -69,13 +69,13 @@ def bars(*, json_output: bool = False) -> Iterator[lab.MeasurementProgress]:
     except ValueError as error:
         leave(BAD_INPUT, str(error), json_output=json_output)
     finally:
-        # Where nothing was measured, nothing was shown.
+        # The display is started by the first measurement.
         if shown.live.is_started:
             shown.stop()
 
 
 def ask_for(words: str) -> None:
-    """Ask for something to be done at the beam, and wait until it is."""
+    """Ask for an action at the beam, and wait for Enter."""
     typer.echo(f"{words}, then press Enter.", err=True)
     try:
         input()
@@ -87,7 +87,7 @@ def ask_for(words: str) -> None:
 
 
 def carry_out(measure: Callable[..., Any], show: Callable[[Any, dict[str, Any]], None], *, json_output: bool) -> None:
-    """Measure with progress bars, write the report, and print its plain values or show it with them."""
+    """Measure with progress bars, write the report, and print it as JSON or with `show`."""
     with reporting(json_output=json_output):
         with bars(json_output=json_output) as progress:
             report = measure(progress=progress)
@@ -126,7 +126,7 @@ def calibrate(
 
 
 def _show_calibration(calibration: Calibration, out: Path, protocol: Path) -> None:
-    """Print the errors and levels that were reached."""
+    """Print the remaining errors and the verified levels."""
     from rich.markup import escape
 
     for name, own in calibration.by_stimulus.items():
@@ -146,7 +146,7 @@ def _show_calibration(calibration: Calibration, out: Path, protocol: Path) -> No
 
 
 def _show_stimulus(name: str, own: Any) -> None:
-    """Print the errors and levels that were reached with one stimulus."""
+    """Print the errors and verified levels of one stimulus."""
     whose = f"Stimulus {name}: " if name else ""
     turns = [
         (
@@ -186,7 +186,7 @@ COLUMNS = {
     "energy_V2_s": "energy V² s",
     "changed_drift_mm_s": "other beams mm/s",
 }
-"""What the terminal shows, with its heading; the page shows everything."""
+"""Rows shown on the terminal, with their headings; the page shows all rows."""
 
 
 def compare(
@@ -235,7 +235,7 @@ def compare(
 
 
 def _show_comparison(lines: list[dict[str, Any]], values: dict[str, Any]) -> None:
-    """Print the methods side by side, and where the page is."""
+    """Print the methods side by side, and the path of the page."""
     methods = values["methods"]
     shown = [line for line in lines if line["key"] in COLUMNS and methods[0].get(line["key"]) is not None]
     rows = []
@@ -298,7 +298,7 @@ def validate(
 
 
 def _show_validation(lines: list[dict[str, Any]], values: dict[str, Any]) -> None:
-    """Print the laws side by side, and where the page is."""
+    """Print the drive laws side by side, and the path of the page."""
     headings = ("quantity [unit]", *(f"law {law['law']}" for law in values["laws"]))
     names = [f"{line['quantity']} \\[{line['unit']}]" if line["unit"] != "1" else line["quantity"] for line in lines]
     rows = [(name, *line["cells"]) for name, line in zip(names, lines, strict=True)]
@@ -372,7 +372,7 @@ def probe(
 
 
 def _show_fingers(result: dict[str, Any]) -> None:
-    """Print the fingers, the level that a design for them reaches, and where the file is."""
+    """Print the fingers, the levels that a design for them reaches, and the path of the file."""
     rows = [
         (
             f"{hand} {name}",

@@ -1,4 +1,4 @@
-"""``modaltouch new``: a new study: a shipped protocol and every file it names, in a folder of its own."""
+"""``modaltouch new``: create a study folder with a shipped protocol and the files it names."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ def new(
 
 
 def write_study(folder: Path, template: str) -> tuple[Path, ...]:
-    """Write a study and return its files, its protocol first.
+    """Write a study folder and return its files, the protocol first.
 
     Parameters
     ----------
     folder : Path
-        New, or empty; nothing is ever overwritten.
+        New or empty folder; nothing is ever overwritten.
     template : str
-        Name of the shipped protocol that the study begins with.
+        Name of a shipped protocol.
 
     Raises
     ------
     InputError
-        If there is no such protocol, or the folder holds something or cannot be written; what was begun is removed.
+        If there is no such protocol, or the folder is not empty or cannot be written; written files are removed.
     """
     contents = _contents(template)
     with ExitStack() as undo:
@@ -58,7 +58,7 @@ def write_study(folder: Path, template: str) -> tuple[Path, ...]:
             for place, text in contents.items():
                 file = folder / place
                 for parent in reversed([each for each in file.parents if not each.exists()]):
-                    # Only their owner may read sessions, and a session leaves the mode of an existing folder as it is.
+                    # Sessions are private to their owner, and a session does not change the mode of an existing folder.
                     parent.mkdir(mode=0o700 if parent == folder / "results" else 0o777)
                     undo.callback(_remove, parent)
                 with file.open("x", encoding="utf-8", newline="\n") as opened:
@@ -72,7 +72,7 @@ def write_study(folder: Path, template: str) -> tuple[Path, ...]:
 
 
 def _contents(template: str) -> dict[str, str]:
-    """Return the text of each file by its place in the study, its protocol first."""
+    """Return the text of each file by its path in the study, the protocol first."""
     known = protocol.Source.shipped("protocol")
     if template not in known:
         raise protocol.InputError.of("--from", f"{template!r}, which is not a shipped protocol", ", ".join(known))
@@ -81,7 +81,7 @@ def _contents(template: str) -> dict[str, str]:
         experiments.append(protocol.Findings.read(known[own.thresholds_from]).experiment())
     named = [vars(each.sources)[key].path for each in experiments for key in ("protocol", "apparatus", "texts")]
     folder = known[template].parent
-    # Every language and every instrument, so that changing them takes only another name in the protocol.
+    # Include all languages and instruments, so that switching only needs another name in the protocol.
     others = (file for each in ("apparatus/*.yaml", "texts/*.yaml", "schema/*.json") for file in folder.glob(each))
     files = {file.relative_to(folder).as_posix(): file for file in (*named, *sorted(others))}
     copied = {f"protocols/{place}": file.read_text(encoding="utf-8") for place, file in files.items()}
@@ -90,7 +90,7 @@ def _contents(template: str) -> dict[str, str]:
 
 
 def _readme(protocols: list[protocol.Protocol]) -> Iterator[str]:
-    """Yield the lines of the study's README: the commands of its protocol, and of any that is needed before it."""
+    """Yield the lines of the study's README: the commands for the protocol and its prerequisite, if any."""
     first, name = protocols[0], protocols[0].protocol
     files = [f"protocols/{each.protocol}.yaml" for each in reversed(protocols)]
     yield f"# {first.title}\n"
@@ -108,5 +108,5 @@ def _readme(protocols: list[protocol.Protocol]) -> Iterator[str]:
 
 
 def _remove(path: Path) -> None:
-    with suppress(OSError):  # what somebody else has put there since stays
+    with suppress(OSError):  # keeps files that others have added
         path.rmdir() if path.is_dir() else path.unlink()

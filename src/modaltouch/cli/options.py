@@ -1,4 +1,4 @@
-"""Options that several commands take, each defined once."""
+"""Options shared by several commands."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from modaltouch.cli.output import reporting
 
 SHIPPED_APPARATUS = Path("beam_100x6x2")
 
-# Eager: known before a protocol is looked for.
+# Eager: parsed before the callback of PROTOCOL needs it.
 JSON = Annotated[bool, typer.Option("--json", help="Print one JSON object on standard output.", is_eager=True)]
 
 
 def _find(context: typer.Context, protocol: Path) -> Path:
-    """Refuse a protocol that does not exist before the modules that design its stimulus are loaded."""
+    """Refuse a missing protocol before the stimulus modules are loaded."""
     from modaltouch.protocol import Source
 
     with reporting(json_output=context.params.get("json_output", False)):

@@ -1,4 +1,4 @@
-"""What a command prints, and how it ends: tables and bars, JSON, an exit status, never a traceback."""
+"""Output of the commands: tables, progress bars, JSON, error messages and exit statuses."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 
 
 def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str]], *, n_words: int = 1) -> None:
-    """Print a table; cells may have Rich's markup, and all columns but the first `n_words` hold numbers.
+    """Print a table whose columns after the first `n_words` are numbers; cells may contain Rich markup.
 
-    On a narrow screen headings and words are wrapped between words; numbers never are, and no column is cut off.
+    On a narrow screen, headings and words wrap between words; numbers never wrap, and no column is cut off.
     """
     from rich.console import Console
     from rich.table import Table
@@ -42,14 +42,14 @@ def print_table(title: str, headings: Sequence[str], rows: Iterable[Sequence[str
 
 
 def say(*lines: Any, markup: bool = True) -> None:
-    """Print lines, which may have Rich's markup, or tables of Rich's."""
+    """Print lines, which may contain Rich markup, or Rich tables."""
     from rich.console import Console
 
     Console(highlight=False, emoji=False).print(*lines, sep="\n", markup=markup)
 
 
 def make_bars() -> Progress:
-    """Return bars on standard error that show how much is done and how long the rest will take."""
+    """Return progress bars on standard error, with counts and the estimated remaining time."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -79,7 +79,7 @@ INTERRUPTED = 130
 
 @contextmanager
 def reporting(*, json_output: bool = False) -> Iterator[None]:
-    """Turn every failure a user may meet into its message and exit status, or into one JSON object."""
+    """Turn an expected error into its message or JSON object and its exit status."""
     try:
         yield
     except (typer.Exit, typer.Abort, typer.BadParameter):
@@ -94,7 +94,7 @@ def reporting(*, json_output: bool = False) -> Iterator[None]:
 
 
 def exit_status(error: BaseException) -> int | None:
-    """Return the exit status of an error; None for a programming error."""
+    """Return the exit status for an error; None for a programming error."""
     statuses = {
         ("builtins", "KeyboardInterrupt"): INTERRUPTED,
         ("modaltouch.protocol.problems", "InputError"): BAD_INPUT,
@@ -105,18 +105,18 @@ def exit_status(error: BaseException) -> int | None:
         ("modaltouch.window.interface", "SessionStopped"): INTERRUPTED,
         ("modaltouch.system.operating_system", "Interrupted"): INTERRUPTED,
     }
-    # Found by name in the modules already loaded: reporting a failure must not import PyVISA or pandas.
+    # Look the classes up in modules already loaded: reporting an error must not import PyVISA or pandas.
     for (module, name), status in statuses.items():
         if isinstance(error, getattr(sys.modules.get(module), name, ())):
             return status
-    # Only its owner may read what a session wrote; others are refused even the question whether a file exists.
+    # Session files are readable by their owner only; other users cannot even test whether a file exists.
     return BAD_INPUT if isinstance(error, PermissionError) and error.filename is not None else None
 
 
 def _say(error: BaseException, status: int) -> str:
-    """Return an error in words."""
+    """Return the message for an error."""
     if isinstance(error, KeyboardInterrupt):
-        # What drives a rig is loaded before the first connection to it.
+        # The connection module is loaded before any instrument is driven.
         nothing = "" if "modaltouch.rig.connection" in sys.modules else "; nothing was driven"
         return "interrupted" + (": the outputs are off" if hasattr(error, "__notes__") else nothing)
     if status == INTERRUPTED:
@@ -130,11 +130,11 @@ def _say(error: BaseException, status: int) -> str:
 def leave(
     status: int, message: str, problems: list[dict[str, Any]] | None = None, *, json_output: bool = False
 ) -> NoReturn:
-    """Print a message and end the program."""
+    """Print a message and exit with a status."""
     if json_output:
         print_json({"error": message, "problems": problems or []})
     else:
-        # A terminal that hung up takes no output, but the exit status must be returned all the same.
+        # The exit status must be returned even if the terminal has hung up and takes no output.
         with suppress(OSError):
             is_plain = status == INTERRUPTED or os.environ.get("TERM") == "dumb"
             typer.secho(message, err=True, fg=None if is_plain else typer.colors.RED)

@@ -1,4 +1,4 @@
-"""``modaltouch power``, ``prereg`` and ``fit``: how many participants, what is tested, and by which observer."""
+"""``modaltouch power``, ``prereg`` and ``fit``: sample size, preregistration and observer."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from modaltouch.cli.options import JSON, MODE, OBSERVER, PROTOCOL, USUAL_OBSERVE
 from modaltouch.cli.output import INTERRUPTED, print_json, print_table, progress, reporting, say
 
 _FAMILIES_PER_TABLE = 4
-"""Most families of tests in a table, so that it fits into a terminal of 80 columns."""
+"""Maximum number of test families per table, so that it fits 80 columns."""
 
 _MOST_PARTICIPANTS, _MOST_ANSWERS = 1000, 10_000
 
@@ -93,7 +93,7 @@ def power(
 
 
 def _report(plans: Sequence[planning.Power], target: float, folders: Mapping[str, Path], *, json_output: bool) -> None:
-    """Write and print the plan of each stimulus, even if the last was interrupted."""
+    """Write and print the power analysis of each stimulus, even if the last one was interrupted."""
     values = []
     for found in plans:
         folder = folders.get(found.study.design.stimulus)
@@ -115,21 +115,21 @@ def _report(plans: Sequence[planning.Power], target: float, folders: Mapping[str
 
 
 def parse_sizes(words: str, option: str, most: int) -> tuple[int, ...]:
-    """Return the whole numbers that a range or a list names, increasing and each once.
+    """Parse a range or list of integers into a sorted tuple without duplicates.
 
     Parameters
     ----------
     words : str
-        ``6:40`` (both ends included), ``6:40:2``, or ``8,12,16``; also several of them, separated by commas.
+        ``6:40`` (both ends included), ``6:40:2``, ``8,12,16``, or several of these separated by commas.
     option : str
-        Name of the option, for the message.
+        Name of the option, for the error message.
     most : int
-        Largest number that is allowed.
+        Largest allowed number.
 
     Raises
     ------
     typer.BadParameter
-        If it names no numbers, or numbers out of bounds.
+        If the format is invalid or a number is out of bounds.
 
     Examples
     --------
@@ -164,13 +164,13 @@ def _refuse_too_large(n_answers: int) -> None:
 
 
 def _families(questions: str | None, scopes: Callable[[str], tuple[str, ...]], *, null: bool) -> tuple[str, ...]:
-    """Return the families of tests that are asked for and that the protocol has."""
+    """Return the requested families of tests that apply to the protocol."""
     asked = [word.strip() for word in (questions or "a1,a2,b,c,d,c alike").split(",")]
     for word in asked:
         if word not in analysis.STATISTICS:
             allowed = ", ".join(analysis.STATISTICS)
             raise typer.BadParameter(f"given --questions {word!r}; allowed: {allowed}, separated by commas")
-    # Where no effect is simulated, finding the conditions alike is no false alarm.
+    # Without a simulated effect, finding the conditions equivalent is no false alarm.
     found = tuple(
         family
         for family, each in analysis.STATISTICS.items()
@@ -197,14 +197,14 @@ def _done(found: planning.Power) -> str:
 
 
 def tell(found: planning.Power, target: float) -> None:
-    """Print a plan: power of each family at each size, participants needed, and least numbers for significance.
+    """Print a power analysis: power by family and size, participants needed, and minimum numbers for significance.
 
     Parameters
     ----------
     found : Power
-        The plan.
+        The power analysis.
     target : float
-        Power that is wanted [1].
+        Target power [1].
     """
     from rich.markup import escape
 
@@ -258,7 +258,7 @@ def _simulate_study(
     threshold_mm_s: float | None,
     seed: int,
 ) -> analysis.Responses:
-    """Return the answers of a whole experiment in simulated sessions, whose records are not kept."""
+    """Simulate the sessions of a whole experiment and return the answers; the records are not kept."""
     schedule = checked.experiment.protocol.schedule
     due = [(who, nth) for who in range(1, n_participants + 1) for nth in range(1, schedule.n_sessions + 1)]
     with TemporaryDirectory() as folder:
@@ -269,7 +269,7 @@ def _simulate_study(
                     threshold_mm_s=threshold_mm_s,
                 )  # fmt: skip
         except BaseException as error:
-            vars(error).pop("__notes__", None)  # its folder is gone, so the session cannot be resumed
+            vars(error).pop("__notes__", None)  # the folder is temporary, so the session cannot be resumed
             raise
         return analysis.read_responses(Path(folder))
 
@@ -319,7 +319,7 @@ def prereg(
                 on_progress=on_progress,
                 study=partial(_simulate_study, checked, population, participants, threshold),
             )  # fmt: skip
-        record.prepare_file(file)  # a page may have been written there meanwhile
+        record.prepare_file(file)  # a page may have been written during the simulation
         record.replace_file(file, text.encode(), "give another file with --out")
         print_json({"file": str(file)}) if json_output else print(
             f"{file}\nPut it where nobody can change it, such as OSF."

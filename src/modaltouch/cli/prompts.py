@@ -1,4 +1,4 @@
-"""What ``modaltouch run`` asks for where it was not given: which rig, who, and whether to start."""
+"""Prompts of ``modaltouch run``: rig, participant, questions about the participant, and start."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from modaltouch.cli.output import INTERRUPTED, leave
 
 
 def can_ask() -> bool:
-    """Return whether somebody can type at this process and see what it asks."""
+    """Return whether standard input is a terminal and prompts are visible."""
     return sys.stdin.isatty() and (sys.stderr.isatty() or sys.stdout.isatty())
 
 
 def ask_rig(may_ask: bool) -> str:
-    """Ask for the generator's address, listing those that this machine can see; return it, or ``simulated``.
+    """Prompt for the generator's VISA address, listing those visible to this machine; return it or ``simulated``.
 
     Parameters
     ----------
     may_ask : bool
-        Whether somebody is there to answer.
+        Whether the experimenter can be prompted.
 
     Raises
     ------
     typer.BadParameter
-        If nobody is: a forgotten option must not leave a participant at a silent beam.
+        If they cannot: a forgotten option must not leave a participant at a silent beam.
     """
     if not may_ask:
         raise typer.BadParameter(
@@ -57,17 +57,17 @@ def ask_rig(may_ask: bool) -> str:
 
 
 def ask_participant(dataset: Path) -> str:
-    """Ask for a participant id until it can be part of a file name, and return it.
+    """Prompt for a participant id until it is valid in a file name, and return it.
 
     Parameters
     ----------
     dataset : Path
-        Where the participants so far are; the next number is proposed.
+        Dataset with the previous participants; the next number is proposed.
 
     Raises
     ------
     typer.BadParameter
-        If there is no terminal to ask in.
+        If there is no terminal to prompt in.
     """
     if not can_ask():
         raise typer.BadParameter("a session needs a participant id: give it with -p, for example -p p01")
@@ -81,19 +81,19 @@ def ask_participant(dataset: Path) -> str:
 
 
 def ask_people(fields: Mapping[str, Any], may_ask: bool) -> dict[str, Any]:
-    """Ask the protocol's questions about the participant, consents first, and return the answers; a refusal ends them.
+    """Ask the protocol's questions about the participant, consents first, until a required consent is refused.
 
     Parameters
     ----------
     fields : mapping
         Questions of the protocol, by name.
     may_ask : bool
-        Whether somebody is there to answer.
+        Whether the experimenter can be prompted.
 
     Raises
     ------
     typer.BadParameter
-        If nobody is.
+        If they cannot.
     """
     if not may_ask:
         listed = ", ".join(fields)
@@ -112,7 +112,7 @@ def ask_people(fields: Mapping[str, Any], may_ask: bool) -> dict[str, Any]:
 
 
 def wait_for_start(setup: session.Setup, rig: str) -> None:
-    """Show what is about to happen and wait for ``start``; quitting records nothing."""
+    """Show a summary of the session and wait for ``start``; quitting records nothing."""
     place = setup.place
     show(setup.preflight)
     if own := setup.facts.get("sensation_levels"):
@@ -129,7 +129,7 @@ def wait_for_start(setup: session.Setup, rig: str) -> None:
 
 
 def _prompt(words: str, *, default: object, shown: bool = True) -> object:
-    # On standard error: standard output is for what the command reports; but never where nobody sees it.
+    # Standard output is for the command's result, so prompt on standard error if it is a terminal.
     try:
         answer: object = typer.prompt(words, default=default, type=str, show_default=shown, err=sys.stderr.isatty())
     except typer.Abort:

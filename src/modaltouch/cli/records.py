@@ -1,4 +1,4 @@
-"""``modaltouch study``, ``verify`` and ``doctor``: look, and change nothing."""
+"""``modaltouch study``, ``verify`` and ``doctor``: read-only checks of records and of this machine."""
 
 from __future__ import annotations
 
@@ -35,18 +35,18 @@ def verify(
 
 
 _Result = tuple[dict[str, Any], Sequence[str], Sequence[str]]
-"""What was found in a record: as plain values, in words, and what is wrong with it."""
+"""Result for one record: plain values, lines to print, and problems."""
 
 
 def _look_at(place: Path, look: Callable[[Path, bool], _Result], *, json_output: bool) -> None:
-    """Print what is found in a record, or in all records of a folder; the exit status is that of the worst."""
+    """Print the result for each record at a place; exit with `RECORD_AT_RISK` if any record is faulty."""
     logs = record.SessionFolder.logs_under(place)
     several, found = len(logs) > 1, []
     for log in logs:
         try:
             values, lines, problems = look(log, several)
         except record.RecordError as error:
-            # Among several, one that cannot be read must not keep the others from being read.
+            # One unreadable record must not prevent the others from being checked.
             if not several:
                 raise
             values, lines, problems = {"session": str(log), "sound": False}, (), (str(error),)
@@ -115,7 +115,7 @@ def doctor(
 
 
 def _examine_record(session: Path, several: bool, into: Path | None) -> _Result:
-    """Return what can be verified in a record, and recover it if asked; among several, only if it is damaged."""
+    """Examine a record and, if `into` is given, recover it; in a folder of several, only the damaged ones."""
     found = record.survey(session)
     lines = found.lines
     recovered = None
@@ -134,7 +134,7 @@ def _examine_record(session: Path, several: bool, into: Path | None) -> _Result:
 
 
 def _measure(address: str, apparatus: Path, *, json_output: bool) -> None:
-    """Print how accurately window, keyboard, generator and clock keep time; one that cannot be reached is a fault."""
+    """Print the timing of window, keyboard, generator and clock; one that cannot be reached is a fault."""
     figures: dict[str, Any] = {}
     verdicts: dict[str, str] = {}
     faults: dict[str, str] = {}
@@ -169,7 +169,7 @@ def _measure_generator(address: str, apparatus: Path) -> tuple[dict[str, Any], s
 
 _MAKER = '<meta name="generator" content="modaltouch study">'
 _HEAD = 20_000
-"""Characters among which a page of ours says so."""
+"""Characters at the start of a page in which `_MAKER` is searched for."""
 
 
 def study(
@@ -198,10 +198,10 @@ def study(
 
 
 def _write_page(file: Path, results: Path, shown: list[dict[str, Any]]) -> None:
-    """Write the page; replace only an earlier one."""
+    """Write the study page; replace a file only if it is an earlier study page."""
     if not file.exists():
         record.prepare_file(file)
-    elif not (file.is_file() and _is_ours(file)):  # a pipe would keep us waiting
+    elif not (file.is_file() and _is_ours(file)):  # opening a pipe would block
         raise record.RecordError(
             f"{file}: exists already and is not from `modaltouch study`; give another file with --html"
         )
@@ -214,14 +214,14 @@ def _write_page(file: Path, results: Path, shown: list[dict[str, Any]]) -> None:
 
 
 def _is_ours(file: Path) -> bool:
-    """Return whether a file is an earlier page; one that cannot be read is not."""
+    """Return whether a file is an earlier study page; False if it cannot be read."""
     with suppress(OSError), file.open(encoding="utf-8", errors="replace") as page:
         return _MAKER in page.read(_HEAD)
     return False
 
 
 def _show(shown: dict[str, Any]) -> None:
-    """Print one dataset within 80 columns."""
+    """Print one dataset, at most 80 columns wide."""
     from rich.markup import escape
 
     say(f"[bold]{escape(shown['heading'])}[/]\n[dim]{escape(shown['folder'])}[/]")
@@ -237,7 +237,7 @@ _ORDER_HEADINGS = ("order", "complete", "left incomplete", "open")
 
 
 def _in_words(dataset: dict[str, Any]) -> dict[str, Any]:
-    """Return a dataset in words: rows of the two tables, remarks, and who is next."""
+    """Return the text shown for a dataset: rows of the two tables, remarks, and the next sessions."""
     rows, n_each = dataset["sessions"], dataset["sessions_each"]
     n_complete = sum(row["state"] == "complete" for row in rows)
     title, mode = dataset["title"] or dataset["protocol"], dataset["mode"]
@@ -283,7 +283,7 @@ def _in_words(dataset: dict[str, Any]) -> dict[str, Any]:
 
 
 def _order(row: dict[str, Any]) -> str:
-    """Return an order of finger conditions in words, with the placement if it is not the normal one."""
+    """Return the text for an order of finger conditions, with the placement if it is not the normal one."""
     placed = "" if row["placement"] == "normal" else f" ({row['placement']})"
     named = ", ".join(row[key] for key in ("group", "session_kind") if key in row)
     return (f"{named}: " if named else "") + " then ".join(row["finger_conditions"]) + placed

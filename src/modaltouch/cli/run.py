@@ -1,4 +1,4 @@
-"""``modaltouch run``, ``resume`` and ``demo``: participant sessions."""
+"""``modaltouch run``, ``resume`` and ``demo``: sessions with one participant."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from modaltouch.cli.options import CALIBRATION, JSON, PROTOCOL, RESULTS, SEED, W
 from modaltouch.cli.output import print_json, progress, reporting
 
 AnswersChoice = Literal["window", "robot", "simulated"]
-"""Who answers, and how."""
+"""Source of the answers."""
 
 ThemeChoice = Literal["dark", "light"]
 """Colours of the window."""
@@ -170,7 +170,7 @@ def _refuse_people(people: Path | None, answers: AnswersChoice) -> None:
 
 
 def _with_people(setup: sessions.Setup, people: Path | None, may_ask: bool) -> sessions.Setup:
-    """Return the setup with the answers to the protocol's questions about the participant, from a file or a prompt."""
+    """Return the setup with the answers to the questions about the participant, from a file or prompts."""
     from modaltouch.cli.prompts import ask_people
 
     if not setup.to_ask:
@@ -180,7 +180,7 @@ def _with_people(setup: sessions.Setup, people: Path | None, may_ask: bool) -> s
 
 
 def _try_masking(setup: sessions.Setup) -> None:
-    """Open the masking noise briefly and silently, so that a fault is reported before anything begins."""
+    """Open the masking noise briefly without sound, to report a fault before the session begins."""
     with setup.open_masking(lambda event, **facts: None) as masking:
         found = masking.describe()
     if found is not None and found["state"] != "masked":
@@ -262,7 +262,7 @@ def demonstrate(
     tell: Callable[[str], None],
     on_progress: Callable[[int, int], None],
 ) -> dict[str, Path]:
-    """Run the demonstration, a new session in the simulated tree of the results, and return where its files are."""
+    """Run the demonstration as a new simulated session, and return the paths of its files."""
     checked = preflight.examine(protocol.Source.shipped("protocol")["demo"]).require()
     name = checked.experiment.protocol.protocol
     with window.some_display() as display:
@@ -282,7 +282,7 @@ def demonstrate(
                 results=results,
                 window_options=replace(window_options, screenshots=screenshots),
             )
-            # Another demonstration may take the number while this one opens its window.
+            # A concurrent demonstration may take this number while the window opens.
             with suppress(record.RecordExistsError):
                 session = sessions.begin(replace(setup, on_progress=on_progress))
                 break
@@ -299,7 +299,7 @@ def _chosen(
     screen: int | None = None,
     screenshots: Path | None = None,
 ) -> dict[str, Any]:
-    """Return the options of the answer window that were given."""
+    """Return the answer window's options that were given."""
     given = {
         "fullscreen": fullscreen,
         "size": None if size is None else _read_size(size),
@@ -311,7 +311,7 @@ def _chosen(
 
 
 def _read_size(size: str) -> tuple[int, int]:
-    """Return width and height [pixels]."""
+    """Parse the window size into width and height [pixels]."""
     width, _, height = size.partition("x")
     if not (width.isdecimal() and height.isdecimal() and int(width) >= 640 and int(height) >= 480):
         raise typer.BadParameter(f"given {size!r}; allowed: WIDTHxHEIGHT in pixels, at least 640x480")
@@ -326,7 +326,7 @@ def _conduct(
     plain: bool,
     json_output: bool,
 ) -> None:
-    """Run a sitting with the experimenter's console, and print its outcome."""
+    """Run a sitting with the experimenter's console, and print the outcome."""
     emergency_keys = setup.preflight.experiment.protocol.answers.emergency_keys
     try:
         opened = sessions.open_console(events, emergency_keys, plain=plain)
