@@ -1,8 +1,8 @@
-"""The whole check of a protocol before a session, without hardware.
+"""Check of a protocol before a session, without hardware.
 
-`examine` takes the files of a protocol, `examine_findings` what was read from them. Both return a `Preflight`: every
-error with its position, or the stimulus at all levels with its effect on the beam. `design` makes a stimulus from
-`DesignInputs`, the valid parts of the files.
+`examine` takes the files of a protocol, `examine_findings` their parsed contents. Both return a `Preflight`: all faults
+with their positions, or the stimulus and the predicted response of the beam at each level. `design` computes a stimulus
+from `DesignInputs`, the valid parts of the files.
 """
 
 from __future__ import annotations

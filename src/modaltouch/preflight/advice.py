@@ -1,4 +1,4 @@
-"""What a lab should know before it relies on its files: where the field misses its target, what defaults were taken."""
+"""Warnings of the check: stimulus, fingers, generator, design, answers, masking noise and defaults."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from modaltouch.rig import instrument_of
 from modaltouch.stimulus import Stimulus
 
 _FASTER = 1 + 2e-3
-"""Ratio to the focus zone's speed above which another zone counts as faster; less is rounding of the codes [1]."""
+"""Ratio to the focus zone's speed above which another zone counts as faster, beyond rounding of the codes [1]."""
 
 _UNREACHED = 0.25
-"""Root mean square error over the target field above which it is missed; the paper's six modes have 0.06 [1]."""
+"""Relative RMS error above which the target field counts as missed; the paper's six modes have 0.06 [1]."""
 
 LOUD = 80.0
 """Level above which exposure for hours may harm hearing (2003/10/EC, lower action value) [dB SPL]."""
@@ -25,23 +25,23 @@ _ALPHA = 0.05
 """Significance level of the analysis [1]."""
 
 _LONG = 60.0
-"""Length of a session beyond which attention and skin tire [min]."""
+"""Duration of a session beyond which attention and skin tire [min]."""
 
 _PRESENTED = ("stimulus.", "conditions.", "schedule.order")
 """Keys whose defaults `check` reports."""
 
 
 def field_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
-    """Return where the field is fastest outside its focus, or misses its target.
+    """Warn if the beam moves fastest outside the focus, or the field misses its target.
 
     Parameters
     ----------
     inputs : DesignInputs
-        What the stimulus was designed from.
+        Inputs of the design.
     stimulus : Stimulus
-        The stimulus of all levels.
+        The stimulus.
     figures : list of dict
-        As `stimulus_figures` returns them, one to each level.
+        Result of `stimulus_figures` for each level.
     """
     said = []
     top = max(figures, key=lambda each: float(each["velocity_mm_s"]), default=None)
@@ -61,7 +61,7 @@ def field_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[
 
 
 def placement_warnings(designs: Mapping[str, DesignInputs]) -> list[str]:
-    """Return by how much levels are multiplied if placements are equalised in a band."""
+    """Warn of the factors on the levels if placements are equalised in a band."""
     band = next(iter(designs.values())).section.equalise_band_Hz
     if band is None:
         return []
@@ -73,7 +73,7 @@ def placement_warnings(designs: Mapping[str, DesignInputs]) -> list[str]:
 
 
 def contact_warnings(findings: Findings) -> list[str]:
-    """Return that a contact is wider than a zone, where a typing error is likelier than such a finger."""
+    """Warn if a contact is wider than a zone, which is probably a typing error."""
     placed = {} if findings.placements is None else findings.placements.all()
     widest = max((finger.width * 1e3 for laid in placed.values() for finger in laid), default=0.0)
     narrowest = min(zone.width_mm for zone in findings.experiment().apparatus.zones.values())
@@ -82,14 +82,14 @@ def contact_warnings(findings: Findings) -> list[str]:
 
 
 def stimulus_warnings(inputs: DesignInputs, stimulus: Stimulus, figures: list[dict[str, Any]]) -> list[str]:
-    """Return what a lab should know although the rig does not refuse it.
+    """Warn of clock jitter, unmeasured gains, ill-conditioned modes and modal errors.
 
     Parameters
     ----------
     inputs, stimulus
         As for `stimulus_figures`.
     figures : list of dict
-        As `stimulus_figures` returns them, one to each level.
+        Result of `stimulus_figures` for each level.
     """
     said = []
     clocks = stimulus.timing.duration * stimulus.timing.clock_rate / stimulus.timing.n_samples
@@ -130,7 +130,7 @@ _UNPROMISED = {
 
 
 def generator_warnings(apparatus: Apparatus) -> list[str]:
-    """Return that no driver knows the generator, and what a repetition other than ``single`` cannot promise."""
+    """Warn if no driver knows the generator, and of the limits of a repetition other than ``single``."""
     section, instrument = apparatus.generator, instrument_of(apparatus)
     said = []
     if section.model not in instrument.models:
@@ -155,7 +155,7 @@ _PARTS = {
 
 
 def design_warnings(protocol: Protocol) -> list[str]:
-    """Return where no finger touches the focus, what no test can show whatever is answered, and too long a session."""
+    """Warn of pairs without a finger on the focus, designs on which a test is impossible, and long sessions."""
     conditions, said = protocol.conditions, []
     for name in protocol.stimulus_names:
         section = protocol.stimulus_of(name)
@@ -173,7 +173,7 @@ def design_warnings(protocol: Protocol) -> list[str]:
     if len(protocol.groups) == 1:
         said.append("there is only one group: nothing can be compared between groups; add another, or leave it out")
     n_pairs, n_fingers = len(conditions.contacts), len(conditions.finger_conditions)
-    # With a single kind of session that is analysed, the design is still crossed.
+    # With a single analysed kind of session, the design is still crossed.
     n_kinds = len({each.name for each in kinds if each.analysed})
     is_fixed = protocol.adaptive is None  # runs are compared with each other, and have no parts
     if is_fixed and protocol.uncrossed_by and (protocol.uncrossed_by[0] != "schedule" or n_kinds > 1):
@@ -182,7 +182,7 @@ def design_warnings(protocol: Protocol) -> list[str]:
         numbers = {"level": len(protocol.scheduled_levels), "finger condition": n_fingers, "pair of zones": n_pairs}
         alone = " and one ".join(noun for noun, number in numbers.items() if number == 1)
         said += [f"there is only one {alone}: no test can show whether that matters"] if alone else []
-        # If all lean the same way, p is 2/2^n; Holm's method multiplies the smallest by the number of tests.
+        # If all participants agree, p is 2/2^n; Holm's method multiplies the smallest p by the number of tests.
         fewest = 1 + math.ceil(math.log2(n_pairs * n_fingers / _ALPHA))
         told = f"with fewer than {fewest} participants no test can tell which zone of a pair is chosen more"
         said += [told] if protocol.answers.offered.compares else []
@@ -195,7 +195,7 @@ def design_warnings(protocol: Protocol) -> list[str]:
 
 
 def answer_warnings(protocol: Protocol) -> list[str]:
-    """Return what catch trials cannot show without the answer none, and what follows if no answer names a finger."""
+    """Warn of catch trials without the answer none, answers that name no finger, and an unknown task."""
     n_catches, offered = protocol.schedule.catch_trials, protocol.answers.offered
     warnings = []
     if n_catches and not protocol.answers.has_none_answer:
@@ -215,7 +215,7 @@ def answer_warnings(protocol: Protocol) -> list[str]:
 
 
 def interval_warnings(protocol: Protocol) -> list[str]:
-    """Return which trials of several intervals have no right answer, and which answer is never right."""
+    """Warn of interval trials without a right answer, and of answers that are never right."""
     section, answers = protocol.intervals, protocol.answers
     if section is None or answers.scale is not None or protocol.adaptive is not None:
         return []
@@ -242,17 +242,17 @@ def interval_warnings(protocol: Protocol) -> list[str]:
 def default_warnings(taken: list[dict[str, Any]]) -> list[str]:
     """Return one line with the defaults of what is presented, except those that leave a feature off.
 
-    The others are in the schema, and in the list of all defaults.
+    The schema and the list of all defaults contain the others.
 
     Parameters
     ----------
     taken : list of dict
-        As `Findings.defaults` returns them.
+        Result of `Findings.defaults`.
     """
     told = ", ".join(
         f"{each['key']} {_in_words(each['value'])}"
         for each in taken
-        # The priority acts only at the amplifier's limit.
+        # The priority matters only at the amplifier's limit.
         if each["key"].startswith(_PRESENTED) and each["key"] != "stimulus.priority"
         if each["value"] not in (None, False, "", "none", {}, [])
     )
@@ -268,7 +268,7 @@ def _in_words(value: Any) -> str:
 
 
 def sound_warnings(protocol: Protocol, apparatus: Apparatus) -> list[str]:
-    """Return what a lab should know about its masking noise."""
+    """Warn of masking noise at an unknown or harmful level."""
     section, sound = protocol.masking, apparatus.sound
     if section is None:
         return []

@@ -1,4 +1,4 @@
-"""The result of the check of a protocol: its faults, or what its stimuli will do to the beam."""
+"""Result of the check of a protocol: its faults, or its stimuli and the predicted response of the beam."""
 
 from __future__ import annotations
 
@@ -29,21 +29,21 @@ class Preflight:
     Attributes
     ----------
     findings : Findings
-        The files and what they contain.
+        The files and their contents.
     problems : tuple of Problem
-        Every fault, of the files and of the physics; empty if a session may run.
+        All faults of the files and the physics; empty if a session may run.
     inputs : DesignInputs or None
-        What the stimulus was designed from; None if the files do not contain it.
+        Inputs of the design; None if the files lack any of them.
     designed : Stimulus or None
-        The stimulus of all levels, the first of several; None if there is none.
+        The stimulus, common to all levels; the first of several; None if there is none.
     variants : dict of str to Preflight
-        The protocol with each of its stimuli alone; empty if it has only one.
+        Preflight of each stimulus on its own, by name; empty if the protocol has only one.
     placed : dict of str to Preflight
-        The design for each placement of the fingers; empty for the untouched beam.
+        Preflight of the design for each finger placement; empty for the untouched beam.
     attainable : float
-        Highest level that is played, for a design for measured fingers [mm/s].
+        Highest level that can be played with a design for measured fingers [mm/s].
     others : tuple of Preflight
-        The protocol for the other groups of participants and kinds of session, examined.
+        Preflights for the other groups of participants and kinds of session.
     """
 
     findings: Findings
@@ -56,16 +56,16 @@ class Preflight:
     others: tuple[Preflight, ...] = ()
 
     def at(self, group: str, session_kind: str) -> Preflight:
-        """Return the preflight of a group of participants in a kind of session; itself if there are none."""
+        """Return the preflight for a group of participants and a kind of session; self if there are none."""
         return next((each for each in self.others if each.findings.occasion == (group, session_kind)), self)
 
     def require(self) -> Self:
-        """Return the preflight itself if a session may run.
+        """Return self if a session may run.
 
         Raises
         ------
         InputError
-            With every problem.
+            With all problems.
         """
         if self.problems:
             raise InputError(self.problems)
@@ -73,18 +73,18 @@ class Preflight:
 
     @property
     def experiment(self) -> Experiment:
-        """The files' contents.
+        """The experiment described by the files.
 
         Raises
         ------
         InputError
-            If anything is wrong with them.
+            If the files have any fault.
         """
         return self.require().findings.experiment()
 
     @property
     def stimulus(self) -> Stimulus:
-        """The stimulus of all levels.
+        """The stimulus, common to all levels.
 
         Raises
         ------
@@ -94,12 +94,12 @@ class Preflight:
         return self.sound[1]
 
     def of_untouched_beam(self) -> Self:
-        """Return the preflight itself if its stimuli are designed for the untouched beam, which a lab measures.
+        """Return self if the stimuli are designed for the untouched beam, as measurements in the lab require.
 
         Raises
         ------
         InputError
-            If they are designed for fingers, or with every problem.
+            If they are designed for fingers, or if there are problems.
         """
         self.require()
         if self.findings.fingers is not None:
@@ -111,12 +111,12 @@ class Preflight:
         return self
 
     def of_one_stimulus(self) -> Self:
-        """Return the preflight itself if the protocol has a single stimulus.
+        """Return self if the protocol has a single stimulus.
 
         Raises
         ------
         InputError
-            If it has several, or with every problem.
+            If it has several, or if there are problems.
         """
         self.require()
         if self.variants and self.findings.protocol is not None:
@@ -125,10 +125,10 @@ class Preflight:
         return self
 
     def with_levels(self, levels_mm_s: tuple[float, ...]) -> Self:
-        """Return the preflight of one participant, whose calibrated levels are known.
+        """Return the preflight for a participant whose calibrated levels are known.
 
-        The stimulus stays as it is, designed at the highest level that anyone may get: all participants get the same
-        codes, at their own amplitudes.
+        The stimulus is unchanged, designed at the highest level allowed for any participant: all participants get the
+        same codes, at individual amplitudes.
 
         Parameters
         ----------
@@ -149,30 +149,27 @@ class Preflight:
 
     @property
     def parts(self) -> dict[str, Preflight]:
-        """The protocol with each of its stimuli alone, by name; itself, without a name, if it has only one."""
+        """Preflight of each stimulus by name; self under an empty name if there is only one."""
         return self.variants or {"": self}
 
     @property
     def by_placement(self) -> dict[str, Preflight]:
-        """One stimulus, designed for the fingers of each placement; itself, without a name, for the untouched beam."""
+        """Preflight of the design for each finger placement; self under an empty name for the untouched beam."""
         return self.placed or {"": self}
 
     @cached_property
     def designs(self) -> dict[str, Preflight]:
-        """Each design alone, by the names of its stimulus and, if it is designed for fingers, of its placement.
-
-        A single design has no name.
-        """
+        """Preflight of each design, by stimulus name and, for a design for fingers, placement; empty name if single."""
         return {" ".join(named.values()): each for named, each in self._named_designs()}
 
     def _named_designs(self) -> Iterator[tuple[dict[str, str], Preflight]]:
-        """Yield each design alone, with the names of its stimulus and placement if there are several."""
+        """Yield the preflight of each design, with the names of its stimulus and placement if there are several."""
         for name, part in self.parts.items():
             for place, each in part.by_placement.items():
                 yield {key: own for key, own in (("stimulus", name), ("placement", place)) if own}, each
 
     def design_of(self, condition: Any) -> str:
-        """Return the name of the design for a condition; for a catch trial, the first of its placement."""
+        """Return the name of the design for a condition; for a catch trial, the first design of its placement."""
         names = tuple(self.parts)
         stimulus = condition.stimulus if condition.stimulus in names else names[0]
         return " ".join(filter(None, (stimulus, self.findings.placement(condition))))
@@ -189,7 +186,7 @@ class Preflight:
 
     @property
     def sound(self) -> tuple[DesignInputs, Stimulus]:
-        """What the stimulus was designed from, and the stimulus; the first of several.
+        """The design inputs and the stimulus, the first of several.
 
         Raises
         ------
@@ -201,7 +198,7 @@ class Preflight:
         return self.inputs, self.designed
 
     def speeds(self, trial: Trial) -> tuple[float, ...]:
-        """Return the peak speeds predicted for a trial under the fingers, from left to right [m/s]."""
+        """Return the predicted peak speed under each finger in a trial, from left to right [m/s]."""
         condition = trial.condition
         if condition.is_catch:
             return (0.0,) * len(condition.zones)
@@ -209,17 +206,17 @@ class Preflight:
         return tuple(peaks[zone] for zone in condition.zones)
 
     def played(self, condition: Any, level: float) -> float:
-        """Return the level that is played for one asked for: equalised, and at most what the design attains [mm/s]."""
+        """Return the level played for a nominal level: equalised and limited to the attainable level [mm/s]."""
         part = self.designs[self.design_of(condition)]
         return min(level * part.sound[0].share, part.attainable)
 
     def zone_peaks(self, name: str, level: float) -> dict[str, float]:
-        """Return the predicted peak speed at the centre of each zone, or at the finger that lies on it [m/s].
+        """Return the predicted peak speed at each zone's centre, or at the finger on it [m/s].
 
         Parameters
         ----------
         name : str
-            Name of the design; empty if there is only one.
+            Name of the design; empty for a single design.
         level : float
             Peak velocity at the focus [mm/s].
         """
@@ -231,12 +228,12 @@ class Preflight:
 
     @cached_property
     def _peaks(self) -> dict[tuple[str, float], dict[str, float]]:
-        """Cache of `zone_peaks`, which every trial asks for."""
+        """Cache of `zone_peaks`, which is called for every trial."""
         return {}
 
     @cached_property
     def stimuli(self) -> list[dict[str, Any]]:
-        """What each level does to the beam, in the protocol's order; empty if anything is wrong."""
+        """Predicted figures of each level, in the protocol's order; empty if there are problems."""
         if self.problems:
             return []
         if self.variants or self.placed:
@@ -246,39 +243,39 @@ class Preflight:
 
     @property
     def fields(self) -> list[dict[str, Any]]:
-        """The field of each design at its highest level."""
+        """Target and predicted field of each design at its highest level."""
         return [{**named, **field_figures(*each.sound)} for named, each in self._named_designs()]
 
     def comparison(self) -> list[dict[str, Any]]:
-        """Return what the other drive law would do on the same rig, level by level."""
+        """Return the predicted figures of each level under the other drive law, on the same rig."""
         if self.variants:
             return [{"stimulus": name, **each} for name, part in self.parts.items() for each in part.comparison()]
         if self.placed:
-            return []  # the other law is for the untouched beam
+            return []  # the other law applies to the untouched beam
         inputs, stimulus = self.sound
         other: Law = "paper" if stimulus.law == "exact" else "exact"
         compared = stimulus.under_law(other)
         return [stimulus_figures(inputs, compared, level) for level in inputs.levels.values()]
 
     def continuous_fallback(self) -> dict[str, Any]:
-        """Return what a generator without burst mode would miss at the highest level."""
+        """Return the error of a generator without burst mode at the highest level."""
         from modaltouch.preflight.exploration import continuous_figures
 
         inputs, stimulus = self.sound
         return continuous_figures(inputs.apparatus, stimulus, max(inputs.levels.values()) * 1e-3)
 
     def touched(self, fingers: str | None = None) -> list[dict[str, dict[str, Any]]]:
-        """Return what each level of each stimulus does under fingers, by placement (see `preflight.exploration`).
+        """Return the figures of each level of each stimulus under fingers, by placement (see `preflight.exploration`).
 
         Parameters
         ----------
         fingers : str, optional
-            A file of fingers, or shipped ones; those that the protocol names if not given.
+            File of fingers or name of shipped ones; the protocol's if not given.
 
         Raises
         ------
         InputError
-            With every fault of the file, or of the protocol.
+            With all faults of the file or the protocol.
         """
         from modaltouch.preflight.exploration import touched_figures
 
@@ -290,19 +287,19 @@ class Preflight:
         ]
 
     def untouched_warning(self) -> str | None:
-        """Return how typical fingers would change a level for the untouched beam; None for one designed for fingers."""
+        """Return a warning on the effect of typical fingers; None for a stimulus designed for fingers."""
         from modaltouch.preflight.exploration import untouched_warning
 
         return None if self.findings.fingers is not None else untouched_warning(self.findings, *self.sound)
 
     def drive_arrays(self) -> dict[str, Any]:
-        """Return the drive of the beam at the highest level: ``time_s`` and ``voltage_V``."""
+        """Return the drive voltage at the beam at the highest level: ``time_s`` and ``voltage_V``."""
         from modaltouch.preflight.exploration import drive_arrays
 
         return drive_arrays({name: part.sound for name, part in self.designs.items()})
 
     def explore(self, **asked: Any) -> dict[str, Any]:
-        """Return what is asked for besides the check, of a single stimulus, as `exploration.explore` does."""
+        """Return the requested explorations of a single stimulus; arguments as for `exploration.explore`."""
         from modaltouch.preflight.exploration import explore
 
         placed = {name: part.sound for name, part in self.of_one_stimulus().placed.items()}
@@ -310,14 +307,14 @@ class Preflight:
         return explore(self.sound, placed, tuple(pairs), **asked)
 
     def as_dict(self, *, compare: bool = False, fingers: str | None = None) -> dict[str, Any]:
-        """Return everything as plain values, as ``modaltouch check --json`` prints it.
+        """Return all results as plain values, as printed by ``modaltouch check --json``.
 
         Parameters
         ----------
         compare : bool
-            Whether to show the other drive law as well.
+            Whether to include the other drive law.
         fingers : str, optional
-            As for `touched`; ``none`` shows none.
+            As for `touched`; ``none`` leaves fingers out.
         """
         reading = self.findings.protocol
         values: dict[str, Any] = {
@@ -368,7 +365,7 @@ class Preflight:
         return values
 
     def _levels(self, fingers: str | None) -> list[dict[str, Any]]:
-        """Return what each level does; for a stimulus designed for fingers, at its first placement and under each."""
+        """Return the figures of each level; with fingers, those of the first placement and under each placement."""
         if self.problems:
             return []
         rows = [
@@ -401,12 +398,12 @@ class Preflight:
 
     @property
     def calibration_mark(self) -> str:
-        """Which limits the calibration misses, and why; empty if it meets them, and without a calibration."""
+        """Limits that the calibration misses, and why; empty if it meets them or there is no calibration."""
         reading = self.findings.calibration
         return "" if reading is None or reading.value is None else reading.value.mark
 
     def _calibration(self) -> dict[str, Any] | None:
-        """Return which calibration is used and how far from the target it left the beam; None without one."""
+        """Return the calibration used and its remaining errors; None without a calibration."""
         reading = self.findings.calibration
         if reading is None or (value := reading.value) is None:
             return None

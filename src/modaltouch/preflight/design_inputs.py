@@ -1,4 +1,4 @@
-"""The sound parts of the files that a stimulus needs, whatever is wrong with the rest."""
+"""Inputs of the design of a stimulus, taken from the valid parts of the files, and the design itself."""
 
 from __future__ import annotations
 
@@ -17,33 +17,33 @@ if TYPE_CHECKING:
 _NEEDED = ("stimulus", "beam", "actuator_sets", "modes", "amplifier", "generator")
 
 _FALLBACK_LEVEL = 100.0
-"""Level of the design if the protocol has no sound one [mm/s]; everything is linear in it."""
+"""Level of the design if the protocol has no valid one [mm/s]; results scale linearly with it."""
 
 
 @dataclass(frozen=True)
 class DesignInputs:
-    """What a stimulus is designed from.
+    """Inputs of the design of a stimulus.
 
     Attributes
     ----------
     section : StimulusSection
         The protocol's stimulus section.
     apparatus : Apparatus
-        Its parts, as found by a calibration if there is one; those that a stimulus does not need may be missing.
+        The apparatus, corrected by the calibration if there is one; only sections that a stimulus needs are present.
     centre_mm : float
         Centre of the focus zone [mm].
     levels : dict of tuple to float
-        Sound levels by their keys in the protocol [mm/s]: the peak velocities, and that of a standard.
+        Valid levels by their keys in the protocol, the peak velocities and that of a standard [mm/s].
     velocity_limit : float
-        Safety limit [mm/s]; infinite if it is not sound.
+        Safety limit [mm/s]; infinite if it is not valid.
     correction : Correction or None
-        Correction of the targets by a calibration.
+        Correction of the targets from a calibration.
     points : tuple of (float, float)
         Positions [mm] and relative velocities of a sampled field.
     fingers : tuple of Finger
-        Fingertips that lie on the beam; none on the untouched beam.
+        Fingertips on the beam; empty for the untouched beam.
     share : float
-        Ratio of these levels to those asked for, if placements are equalised in a band [1].
+        Ratio of `levels` to the nominal levels, if placements are equalised in a band [1].
     """
 
     section: StimulusSection
@@ -58,17 +58,17 @@ class DesignInputs:
 
     @property
     def reference(self) -> float:
-        """Highest level within the safety limit, for which the codes fill the generator's range [mm/s]."""
+        """Highest level within the safety limit, at which the codes span the generator's range [mm/s]."""
         allowed = [level for level in self.levels.values() if level <= self.velocity_limit]
         return max(allowed, default=min(self.levels.values(), default=_FALLBACK_LEVEL))
 
 
 def find_design_inputs(findings: Findings) -> DesignInputs | None:
-    """Return what a stimulus is designed from, or None if the files do not contain it."""
+    """Return the inputs of the design; None if the files lack any of them."""
     protocol, apparatus = findings.protocol, findings.apparatus
     if protocol is None or apparatus is None:
         return None
-    # Faults of single keys are distinguished below; faults between keys count against the section.
+    # Faults of single keys are handled below; faults between keys invalidate the section.
     between = set(findings.problems) - set(protocol.problems) - set(apparatus.problems)
     if any(problem.path.split(".")[0].split("[")[0] in _NEEDED for problem in between):
         return None
@@ -90,7 +90,7 @@ def find_design_inputs(findings: Findings) -> DesignInputs | None:
     calibration = None if reading is None or reading.value is None else reading.value.alone("")
     correction = None
     if reading is not None and calibration is not None:
-        # Its values can be used only if it has no fault.
+        # Use a calibration only if it has no fault.
         if apparatus.value is None or any(problem.file == str(reading.source.path) for problem in findings.problems):
             return None
         used = calibration.applied(used)
@@ -116,24 +116,24 @@ def find_design_inputs(findings: Findings) -> DesignInputs | None:
 def design(
     inputs: DesignInputs, *, law: Law | None = None, release: Release | None = None, on_grid: bool = True
 ) -> Stimulus:
-    """Return the stimulus of a protocol.
+    """Design the stimulus of a protocol.
 
     Parameters
     ----------
     inputs : DesignInputs
-        What it is designed from.
+        Inputs of the design.
     law : str, optional
-        Drive law; the protocol's own if not given.
+        Drive law; the protocol's if not given.
     release : str, optional
-        What follows the focusing instant; the protocol's own if not given.
+        Drive after the focusing instant; the protocol's if not given.
     on_grid : bool
-        Whether all levels shall lie on the generator's amplitude grid, for which the full scale may exceed the
-        peak by 5 %; otherwise the full scale is the peak.
+        Whether to put all levels on the generator's amplitude grid, for which full scale may exceed the peak by 5 %;
+        otherwise full scale equals the peak.
 
     Raises
     ------
     ValueError
-        If the engine refuses it.
+        If the design fails.
     """
     section, reference = inputs.section, inputs.reference
     levels = tuple(sorted({level for level in inputs.levels.values() if level <= reference})) or (reference,)
@@ -170,24 +170,24 @@ def design(
 
 
 def equalised(inputs: DesignInputs, stimulus: Stimulus, first: tuple[DesignInputs, Stimulus]) -> DesignInputs:
-    """Return what a placement is designed from, at levels that give the band velocity of the first placement.
+    """Return a placement's design inputs with levels scaled to the band velocity of the first placement.
 
-    Velocity is equalised since felt intensity follows it (Grigorii et al. 2021, under load, 20 to 400 Hz); the channels
-    of touch span 0.4 to above 500 Hz (Bolanowski et al. 1988, J. Acoust. Soc. Am. 84, 1680).
+    Velocity is equalised since perceived intensity follows it (Grigorii et al. 2021, under load, 20 to 400 Hz); the
+    tactile channels span 0.4 to above 500 Hz (Bolanowski et al. 1988, J. Acoust. Soc. Am. 84, 1680).
 
     Parameters
     ----------
     inputs, stimulus
-        Those of the placement, at the levels asked for.
+        Inputs and stimulus of the placement, at the nominal levels.
     first : (DesignInputs, Stimulus)
-        Those of the first placement.
+        Inputs and stimulus of the first placement.
     """
     share = round(_band_velocity(*first) / _band_velocity(inputs, stimulus), 4)
     return replace(inputs, levels={key: level * share for key, level in inputs.levels.items()}, share=share)
 
 
 def _band_velocity(inputs: DesignInputs, stimulus: Stimulus) -> float:
-    """Return the root mean square velocity at the focus in the band, over the level [1]."""
+    """Return the RMS velocity at the focus within the band, relative to the level [1]."""
     level, (low, high) = inputs.reference * 1e-3, inputs.section.equalise_band_Hz or (0.0, np.inf)
     velocity = stimulus.velocity_history([inputs.centre_mm * 1e-3], level, whole_period=True)[0]
     frequency = np.fft.rfftfreq(velocity.size, 1 / stimulus.timing.sampling_rate)

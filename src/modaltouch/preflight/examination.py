@@ -1,4 +1,4 @@
-"""The whole check of a protocol, without hardware."""
+"""Check of a protocol without hardware: design of the stimuli and check against amplifier, generator and safety."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from modaltouch.window import WindowOptions
 
 _POINTS_PER_ZONE = 5
-"""Points at which a zone's speed is computed, a quarter of the shortest wavelength of Table I apart."""
+"""Points per zone at which speed is computed, a quarter of the shortest wavelength of Table I apart."""
 
 _Key = tuple[str | int, ...]
 
@@ -37,13 +37,13 @@ _PLACES: tuple[tuple[str, str], ...] = (
     (r"samples|sampling", "n_samples"),
     (r"base of the field|shape", "field"),
 )
-"""Words of the engine's messages and the key of the stimulus section that they are about; the first match counts."""
+"""Patterns of `stimulus` error messages and the key of the stimulus section at fault; the first match counts."""
 _MODE_KEYS = (("gain", "gain_mm_s2_per_V"), ("damping", "damping_ratio"), ("frequency", "natural_frequency_Hz"))
-"""The same for the table of modes."""
+"""Words of `stimulus` error messages and the key of the table of modes at fault."""
 
 
 def check_levels(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
-    """Return the levels that amplifier, generator or safety do not allow."""
+    """Return a problem for each level that the amplifier, the generator or the safety limit does not allow."""
     problems = _check_range(inputs, stimulus, findings)
     if problems:
         return problems
@@ -56,7 +56,7 @@ def check_levels(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -
 
 
 def _highest_amplitude(inputs: DesignInputs) -> float:
-    """Return the highest amplitude of the generator whose full scale is within the amplifier's limit [Vpp]."""
+    """Return the generator's highest amplitude whose full scale is within the amplifier's limit [Vpp]."""
     return 2 * instrument_of(inputs.apparatus).highest_level(inputs.apparatus)
 
 
@@ -89,14 +89,14 @@ def _check_generator(
         given = f"{level:g} mm/s, which needs {sounding[weak]:.4g} V peak to peak of output {weak}"
         least = level * smallest / sounding[weak]
         allowed = f"at least {smallest:g} V, the generator's smallest amplitude (about {_rounded(least, up=True)} mm/s)"
-        # A lab that thinks in m/s writes 0.08 for 80 mm/s.
+        # A level given in m/s, such as 0.08 for 80 mm/s.
         meant = level * 1e3 if level < 1 and least <= level * 1e3 <= inputs.velocity_limit else None
         remedy = "raise the level" if meant is None else f"did you mean {meant:g} mm/s? Levels are in mm/s, not m/s"
         yield findings.problem(path, given, allowed, remedy)
 
 
 def _sounding(stimulus: Stimulus, level: float) -> tuple[dict[int, float], dict[int, float]]:
-    """Return amplitude and full scale of every output that is not silent, by its number [V peak to peak]."""
+    """Return amplitude and full scale of every output that is not silent, by output number [V peak to peak]."""
     silent = stimulus.peak_drive(level * 1e-3) == 0
     amplitude, full = (
         {number: float(each) for number, each in enumerate(volts, 1) if not silent[number - 1]}
@@ -106,7 +106,7 @@ def _sounding(stimulus: Stimulus, level: float) -> tuple[dict[int, float], dict[
 
 
 def _check_range(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -> list[Problem]:
-    """Return why no level can be played, if the smallest amplitude of one output drives the beam beyond the limits."""
+    """Return a problem if no level can be played, since one output's smallest amplitude exceeds another limit."""
     level, limit = stimulus.target_field.velocity * 1e3, inputs.apparatus.amplifier.limit_V
     sounding, full = _sounding(stimulus, level)
     if not sounding:
@@ -114,7 +114,7 @@ def _check_range(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -
     highest = level * min(limit / float(stimulus.peak_voltage.max()), _highest_amplitude(inputs) / max(full.values()))
     weak = min(sounding, key=sounding.__getitem__)
     least = level * instrument_of(inputs.apparatus).lowest_amplitude / sounding[weak]
-    # Levels that round to nothing come of an instant or a length in seconds.
+    # Levels that round to zero result from an instant or duration given in seconds.
     if least <= highest and float(_rounded(highest)):
         return []
     length, base = inputs.apparatus.beam.length_mm, inputs.section.field.base_mm
@@ -136,7 +136,7 @@ def _check_range(inputs: DesignInputs, stimulus: Stimulus, findings: Findings) -
 
 
 def _moves_fast(inputs: DesignInputs, stimulus: Stimulus) -> bool:
-    """Return whether any level may exceed the safety limit; speeds rise with the level, so the highest decides."""
+    """Return whether any level may exceed the safety limit; speed rises with level, so the highest decides."""
     limit = inputs.velocity_limit
     highest = max((level for level in inputs.levels.values() if level <= limit), default=0.0)
     if highest == 0:
@@ -150,7 +150,7 @@ def _moves_fast(inputs: DesignInputs, stimulus: Stimulus) -> bool:
 def _speeds_when_lifted(
     inputs: DesignInputs, stimulus: Stimulus, level: float, floor: float
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the highest speeds at the zones' points if fingers are lifted, or a floor, by the words for it [m/s]."""
+    """Return the peak speeds at the zones' points if fingers are lifted, at least `floor`, by description [m/s]."""
     speeds: dict[str, NDArray[np.float64]] = {}
     if not inputs.fingers:
         return speeds
@@ -166,9 +166,9 @@ def _speeds_when_lifted(
 
 
 def _error(inputs: DesignInputs, stimulus: Stimulus, level: float) -> NDArray[np.float64]:
-    """Return the most that errors of identified gains can add to the speeds at the points of the zones [m/s].
+    """Return an upper bound of the speeds that errors of identified gains add at the points of the zones [m/s].
 
-    Every gain is off by the further end of its interval, all at their worst at once, on the beam without fingers.
+    Every gain is off by the farther end of its interval, all in the worst combination, on the beam without fingers.
     """
     bare, sets = stimulus.touched(()), inputs.apparatus.actuator_sets
     modes, error = {mode.label: mode for mode in inputs.apparatus.modes}, np.zeros_like(bare.model.modal_gain)
@@ -186,7 +186,7 @@ def _error(inputs: DesignInputs, stimulus: Stimulus, level: float) -> NDArray[np
 
 
 def _zone_points(inputs: DesignInputs) -> NDArray[np.float64]:
-    """Return the points at which each zone's speed is computed, (n_zones, n_points) array [m]."""
+    """Return the points at which the speed of each zone is computed, (n_zones, n_points) array [m]."""
     edges = [zone.edges for zone in inputs.apparatus.ordered_zones.values()]
     half = inputs.apparatus.beam.length_mm / 2
     return np.clip([np.linspace(*edge, _POINTS_PER_ZONE) for edge in edges], -half, half) * 1e-3
@@ -197,9 +197,9 @@ def _check_safety(
 ) -> Iterator[Problem]:
     limit, zones, points = inputs.velocity_limit, inputs.apparatus.ordered_zones, _zone_points(inputs)
     if level > limit:
-        return  # reported by the protocol's own check
+        return  # reported by the check of the protocol file
     error = _error(inputs, stimulus, level)
-    # With a level at the limit, rounding of the codes may exceed it at the focus.
+    # For a level at the limit, rounding of the codes may exceed it at the focus.
     most = limit * (1 + 1e-3)
     speeds = {"": stimulus.peak_velocity(points.ravel(), level * 1e-3)}
     speeds |= _speeds_when_lifted(inputs, stimulus, level, most * 1e-3 - float(error.max()))
@@ -225,12 +225,12 @@ def attainable_level(inputs: DesignInputs, stimulus: Stimulus) -> float:
     speeds = _speeds_when_lifted(inputs, stimulus, level, most - float(error.max()))
     speeds[""] = stimulus.peak_velocity(_zone_points(inputs).ravel(), level * 1e-3)
     level *= min(most / max(float((each + error).max()) for each in speeds.values()), 1.0)
-    # Rounded down to a thousandth, as it is recorded.
+    # Round down to a thousandth, the recorded precision.
     return math.floor(level * 1e3) / 1e3
 
 
 def _rounded(value: float, *, up: bool = False) -> str:
-    """Return a level rounded down, so that it does not exceed a limit, or up, so that it is not too small [mm/s]."""
+    """Format a level, rounded down to stay below an upper limit or up to stay above a lower one [mm/s]."""
     way, fine = (math.ceil, 10) if up else (math.floor, 1000)
     return f"{way(value):d}" if value >= 10 else f"{way(value * fine) / fine:g}"
 
@@ -238,36 +238,36 @@ def _rounded(value: float, *, up: bool = False) -> str:
 def examine(
     path: Path | str, calibration: Path | None = None, *, uncalibrated: bool = False, marked: bool = False
 ) -> Preflight:
-    """Return the whole check of a protocol: files, limits, predictions; no hardware is touched.
+    """Check a protocol without hardware: files, limits and predictions.
 
     Parameters
     ----------
     path : path
-        The protocol file, or the name of a shipped protocol, such as ``demo``.
+        Protocol file, or name of a shipped protocol such as ``demo``.
     calibration : Path, optional
-        Calibration file to use instead of the one that the protocol names.
+        Calibration file to use instead of the one named in the protocol.
     uncalibrated : bool
-        Whether no calibration is read, although the protocol names or requires one: to make one, or to plan.
+        Whether to ignore a calibration that the protocol names or requires, for calibrating or planning.
     marked : bool
-        Whether to accept a calibration that is marked since it misses its limits.
+        Whether to accept a calibration marked as missing its limits.
 
     Returns
     -------
     Preflight
-        With every fault in its `problems`; nothing is raised for a faulty file.
+        All faults are in its `problems`; none is raised.
     """
     return examine_findings(Findings.read(path, calibration, uncalibrated=uncalibrated, marked=marked))
 
 
 def check_legibility(preflight: Preflight, window: WindowOptions | None = None) -> Preflight:
-    """Return the preflight with texts that cannot be read among its problems.
+    """Return the preflight with illegible texts added to its problems.
 
     Parameters
     ----------
     preflight : Preflight
         The examined protocol.
     window : WindowOptions, optional
-        How the answer window is opened; by default over the whole screen.
+        Options of the answer window; full screen if not given.
     """
     from modaltouch.window import WindowOptions
 
@@ -277,12 +277,12 @@ def check_legibility(preflight: Preflight, window: WindowOptions | None = None) 
 
 
 def examine_findings(findings: Findings) -> Preflight:
-    """Return the whole check of files that have been read.
+    """Check the contents of files already read.
 
     Parameters
     ----------
     findings : Findings
-        The files and what is wrong with them.
+        The files, with their contents and faults.
     """
     if findings.others:
         first, *others = (examine_findings(replace(each, others=())) for each in (findings, *findings.others))
@@ -298,11 +298,11 @@ def examine_findings(findings: Findings) -> Preflight:
 
 
 def _examine_placements(findings: Findings, inputs: DesignInputs) -> Preflight:
-    """Return the check of a stimulus with a design for each placement of the fingers: of each, and of all together."""
+    """Check a stimulus that has a design for each finger placement."""
     placed: dict[str, Preflight] = {}
     for name, fingers in ({} if findings.placements is None else findings.placements.all()).items():
         own = replace(inputs, fingers=fingers)
-        # Fingers that load the modes like those of another placement have its design.
+        # Placements whose fingers load the modes alike share a design.
         same = next((each for each in placed.values() if each.inputs and _alike(each.inputs, own)), None)
         if same is not None and same.inputs is not None:
             placed[name] = replace(same, inputs=replace(same.inputs, fingers=fingers))
@@ -343,7 +343,7 @@ def _examine_one(findings: Findings, inputs: DesignInputs | None) -> Preflight:
 
 
 def _locate(error: Exception, findings: Findings) -> Problem:
-    """Return what the engine refused as a problem of the file and key that caused it."""
+    """Return an error of the design as a problem of the file and key that caused it."""
     protocol, apparatus = findings.protocol, findings.apparatus
     if protocol is None or apparatus is None:
         raise error
@@ -358,7 +358,7 @@ def _locate(error: Exception, findings: Findings) -> Problem:
             return apparatus.problem(("modes", index, key), given, "", remedy)
     if re.search(r"linearly dependent|scan grid|zero at every point", message):
         return apparatus.problem(("beam", "measured_shapes"), given, "", remedy)
-    # The delay is the cause if it takes more than half of the time before the focusing instant.
+    # The delay is the cause if it exceeds half the time before the focusing instant.
     delay, instant = apparatus.sound("amplifier", "delay_us"), protocol.sound("stimulus", "focusing_instant_ms")
     if "samples are fewer" in message and delay is not None and instant is not None and delay > 500 * instant:
         remedy = "shorten the delay, or move the focusing instant"
@@ -368,7 +368,7 @@ def _locate(error: Exception, findings: Findings) -> Problem:
 
 
 def _check_generator_itself(inputs: DesignInputs, findings: Findings) -> Iterator[Problem]:
-    """Yield what the generator cannot do at any level: samples beyond its record or clock, a timer it lacks."""
+    """Yield problems at any level: too many samples for the generator's record or clock, or a missing timer."""
     section, instrument = inputs.section, instrument_of(inputs.apparatus)
     converter, path = instrument.converter, ("stimulus", "n_samples")
     if section.n_samples > converter.max_points:
@@ -385,7 +385,7 @@ def _check_generator_itself(inputs: DesignInputs, findings: Findings) -> Iterato
 
 
 def _examine_several(findings: Findings) -> Preflight:
-    """Return the check of a protocol with several stimuli: of each alone, and of all together."""
+    """Check a protocol with several stimuli, each on its own and all together."""
     variants = {name: examine_findings(alone) for name, alone in findings.each_stimulus()}
     shared = {*Schedule.check(findings), *_check_masking_level(findings)}
     problems = {
@@ -406,7 +406,7 @@ def _examine_several(findings: Findings) -> Preflight:
 
 
 def _check_memories(findings: Findings, apparatus: Apparatus, bursts: Sequence[Burst]) -> Iterator[Problem]:
-    """Yield a problem if a placement, which loads its own records, has more than the generator has memories."""
+    """Yield a problem if a placement needs more records than the generator has memories."""
     n_memories = instrument_of(apparatus).records.n_memories
     n_records = len({record.tobytes() for burst in bursts for record in burst.codes})
     if n_records > n_memories:
@@ -417,19 +417,19 @@ def _check_memories(findings: Findings, apparatus: Apparatus, bursts: Sequence[B
 
 
 def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> Stimulus:
-    """Return the stimulus, without the 5 % of full scale for the amplitude grid if they do not fit.
+    """Return the stimulus, without the 5 % of full scale reserved for the amplitude grid if that does not fit.
 
     Parameters
     ----------
     inputs : DesignInputs
-        What it is designed from.
+        Inputs of the design.
     release : str, optional
-        What follows the focusing instant; the protocol's own if not given.
+        Drive after the focusing instant; the protocol's if not given.
 
     Raises
     ------
     ValueError
-        If the engine refuses it.
+        If the design fails.
     """
     stimulus = design(inputs, release=release)
     within = float(stimulus.peak_voltage.max()) <= inputs.apparatus.amplifier.limit_V
@@ -439,7 +439,7 @@ def design_to_fit(inputs: DesignInputs, *, release: Release | None = None) -> St
 
 
 def _check_masking_level(findings: Findings) -> Iterator[Problem]:
-    """Yield a problem if the peaks of the masking noise would exceed full scale."""
+    """Yield a problem if the peaks of the masking noise exceed full scale."""
     experiment = findings.experiment()
     if experiment.protocol.masking is not None:
         from modaltouch.window import MaskingNoise

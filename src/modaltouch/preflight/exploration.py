@@ -1,4 +1,4 @@
-"""Further questions about a stimulus: under fingers, on an inexactly known beam, by other designs and sample counts."""
+"""Optional figures of a stimulus: fingers, sensitivity to the identified beam, other designs, contrast, samples."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from modaltouch.rig import instrument_of
 from modaltouch.stimulus import ModalModel, Stimulus
 
 Design = tuple[DesignInputs, Stimulus]
-"""A stimulus and what it was designed from."""
+"""The inputs of a design, and the stimulus designed from them."""
 
 
 ERRORS = {"natural_frequency": 0.001, "damping_ratio": 0.05, "modal_gain": 0.05}
-"""Relative errors in the table of sensitivities [1]."""
+"""Relative errors in the sensitivity table [1]."""
 
 SPREAD: dict[str, Any] = {"natural_frequency": 0.001, "damping_ratio": 0.02, "modal_gain": 0.02}
 """Relative standard deviations of randomly drawn beams [1]."""
@@ -35,18 +35,18 @@ def explore(
     contrast: bool = False,
     tolerance: float | None = None,
 ) -> dict[str, Any]:
-    """Return what is asked for, by name; nothing else is computed.
+    """Return the requested explorations by name.
 
     Parameters
     ----------
     sound, placed : (DesignInputs, Stimulus), dict of str to (DesignInputs, Stimulus)
-        The design, or the first; those for the fingers of each placement.
+        The design, the first of several; the designs for the fingers of each placement.
     pairs : tuple of str
-        The pairs of zones that are touched.
+        The touched pairs of zones.
     sensitivity, designs, contrast : bool
-        Whether to return `sensitivity_figures`, `design_figures` and `contrast_figures`.
+        Whether to include `sensitivity_figures`, `design_figures` and `contrast_figures`.
     tolerance : float, optional
-        If given, that of `sample_figures`, which are returned as ``samples`` [1].
+        Tolerance of `sample_figures`, which are included as ``samples`` if it is given [1].
     """
     asked: dict[str, Any] = {}
     if sensitivity:
@@ -61,12 +61,12 @@ def explore(
 
 
 def sensitivity_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
-    """Return how well the beam must be identified: what errors of its parameters do to the field at the focus.
+    """Return the sensitivity of the field at the focus to errors of the beam's parameters.
 
     Parameters
     ----------
     inputs : DesignInputs
-        What the stimulus was designed from.
+        Inputs of the design.
     stimulus : Stimulus
         The stimulus, at its highest level.
     """
@@ -100,10 +100,10 @@ def sensitivity_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, A
 
 
 def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
-    """Return other drives that reach the same states: their cost, and how much they excite a mode that is not modelled.
+    """Return the cost of other drives that reach the same modal states, and their response in an unmodelled mode.
 
-    This mode is assumed between the two highest modelled ones, with their mean damping ratio and the gains of the
-    higher.
+    This mode is assumed to lie between the two highest modelled modes, with their mean damping ratio and the gains of
+    the higher one.
 
     Parameters
     ----------
@@ -125,14 +125,14 @@ def design_figures(stimulus: Stimulus) -> list[dict[str, Any]]:
 
 
 def contrast_figures(designs: dict[str, Design]) -> list[dict[str, Any]]:
-    """Return the contrast of the focus to the other zone, as designed and as high as possible: two rows per placement.
+    """Return the contrast between focus and other zone, as designed and at its maximum: two rows per placement.
 
-    It is the highest speed at the focus over that within 5 mm of the other zone's centre, during the whole burst.
+    Contrast is the peak speed at the focus over that within 5 mm of the other zone's centre, over the whole burst.
 
     Parameters
     ----------
     designs : dict of str to (DesignInputs, Stimulus)
-        By placement, such as ``A-C``; those of two zones, one in focus, have a contrast.
+        Designs by placement, such as ``A-C``; only placements on two zones, one of them the focus, have a contrast.
     """
     rows: list[dict[str, Any]] = []
     known: dict[tuple[int, float], Any] = {}
@@ -142,7 +142,7 @@ def contrast_figures(designs: dict[str, Design]) -> list[dict[str, Any]]:
             continue
         centre = inputs.apparatus.zones[zones[zones[0] == focus]].centre_mm * 1e-3
         beam, level = stimulus.touched(stimulus.model.fingers), stimulus.target_field.velocity
-        # Modes that are all symmetric move both sides alike.
+        # With symmetric modes only, both halves of the beam move alike.
         key = id(stimulus), abs(centre) if all(label % 2 for label in stimulus.model.label) else centre
         if key not in known:
             known[key] = beam.highest_contrast(inputs.centre_mm * 1e-3, centre + np.linspace(-4e-3, 4e-3, 3), level)
@@ -175,11 +175,11 @@ def sample_figures(inputs: DesignInputs, stimulus: Stimulus, tolerance: float) -
     Parameters
     ----------
     inputs : DesignInputs
-        What the stimulus was designed from.
+        Inputs of the design.
     stimulus : Stimulus
-        The stimulus with the number of samples of the protocol.
+        The stimulus with the protocol's number of samples.
     tolerance : float
-        Allowed change of the field at the zones within 1 ms of the focusing instant, over the level [1].
+        Allowed change of the field at the zones within 1 ms of the focusing instant, relative to the level [1].
 
     Raises
     ------
@@ -199,7 +199,7 @@ def sample_figures(inputs: DesignInputs, stimulus: Stimulus, tolerance: float) -
 
 
 def _assumed_mode(model: ModalModel) -> ModalModel:
-    """Return a mode between the two highest of the model."""
+    """Return a model with one mode, between the two highest modes of the given model."""
     order = np.argsort(model.natural_frequency)
     highest = order[-2:]
     between = float(np.exp(np.log(model.natural_frequency[highest]).mean()))
@@ -209,14 +209,14 @@ def _assumed_mode(model: ModalModel) -> ModalModel:
 
 
 def continuous_figures(apparatus: Apparatus, stimulus: Stimulus, velocity: float) -> dict[str, Any]:
-    """Return the error of the generator's repetition ``continuous`` at the focusing instant of the first burst.
+    """Return the error at the focusing instant of the first burst if the generator repeats ``continuous``.
 
-    A record of a whole period has fewer points for the burst: its steps come late or early by up to half a point,
-    in addition to the jitter of the clock.
+    A record of a whole period leaves fewer points for the burst: its steps are up to half a point early or late, in
+    addition to the jitter of the clock.
     """
     burst, timing = stimulus.burst, stimulus.timing
     played = replace(timing, n_samples=timing.converter.max_points, duration=1 / timing.repetition_rate)
-    # What is played after the focusing instant does not act on it.
+    # Only samples up to the focusing instant affect the error.
     codes = instrument_of(apparatus).continuous_codes(burst)[:, : int(timing.focusing_instant / played.hold) + 2]
     error = 1e3 * stimulus.worst_modal_error_of(codes, played, velocity)
     step = 1e6 * (played.hold / 2 + 1 / timing.clock_rate)
@@ -233,25 +233,25 @@ def continuous_figures(apparatus: Apparatus, stimulus: Stimulus, velocity: float
 
 
 def touched_figures(findings: Findings, designs: dict[str, Design]) -> list[dict[str, dict[str, Any]]]:
-    """Return what each level does under the fingers of each placement.
+    """Return the predicted figures of each level under the fingers of each placement.
 
     Parameters
     ----------
     findings : Findings
         The files, with the fingers.
     designs : dict of str to Design
-        The design of each placement, by its name; for the untouched beam a single one, without a name.
+        The design of each placement, by name; a single one with an empty name for the untouched beam.
 
     Returns
     -------
     list of dict
-        One for each level, by placement, such as ``A-C``: ``zone_at_focus_mm_s`` and ``zone_peak_mm_s``, by zone;
-        ``attainable_mm_s``, the level under the finger at the amplifier's limit, 0 where the focus moves the other
-        way; ``below_1_kHz_mm_s``, the peak velocity at the focus below 1 kHz; and ``pull_N``, the force with which the
-        contact would have to stick to the beam.
+        For each level, by placement such as ``A-C``: ``zone_at_focus_mm_s`` and ``zone_peak_mm_s``, by zone;
+        ``attainable_mm_s``, the level under the finger at the amplifier's limit, 0 if the focus moves in the opposite
+        direction; ``below_1_kHz_mm_s``, the peak velocity at the focus below 1 kHz; and ``pull_N``, the adhesive
+        force with which the skin would have to stick to the beam.
     """
     placements = {} if findings.placements is None else findings.placements.all()
-    # The design for the same fingers, else the first for the same zones, else the only one.
+    # Use the design for the same fingers, else the first for the same zones, else the only one.
     by_zones = {name.split(" ")[0]: each for name, each in reversed(designs.items())}
     used = {
         name: designs.get(name) or by_zones.get(name.split()[0]) or designs[next(iter(designs))] for name in placements
@@ -277,7 +277,7 @@ def _figures(inputs: DesignInputs, stimulus: Stimulus, beam: Any, velocity: floa
 
 
 def untouched_warning(findings: Findings, inputs: DesignInputs, stimulus: Stimulus) -> str:
-    """Return how typical fingers would change the highest level of a stimulus for the untouched beam."""
+    """Return a warning with the highest level under typical fingers, for a stimulus for the untouched beam."""
     placements, level = findings.under("typical").placements, max(inputs.levels.values())
     unit = stimulus.volts_per_code(level * 1e-3)
     said = []
@@ -291,18 +291,18 @@ def untouched_warning(findings: Findings, inputs: DesignInputs, stimulus: Stimul
 
 
 def drive_arrays(designs: dict[str, Design]) -> dict[str, NDArray[np.float64]]:
-    """Return the drive of the beam at the highest level, for use in other models.
+    """Return the drive voltage at the beam at the highest level, for use in other models.
 
     Parameters
     ----------
     designs : dict of str to Design
-        Every design of a protocol, by name.
+        The designs of a protocol, by name.
 
     Returns
     -------
     dict of arrays
-        ``time_s``, (n_samples,), the starts of the samples; and ``voltage_V``, (n_channels, n_samples), at the beam, as
-        played. With several designs these are those of the first, and each is repeated as ``voltage_V_NAME``, with a
+        ``time_s``, (n_samples,), start of each sample; and ``voltage_V``, (n_channels, n_samples), played voltage at
+        the beam. With several designs, these belong to the first, and ``voltage_V_NAME`` holds each design, with
         ``time_s_NAME`` if its samples differ.
     """
     arrays: dict[str, NDArray[np.float64]] = {}

@@ -1,4 +1,4 @@
-"""What each level does to the beam: plain values in the units of their keys."""
+"""Predicted figures of the stimuli, as plain values in the units of their keys."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from modaltouch.protocol import Findings, Protocol
 from modaltouch.stimulus import Stimulus
 
 ANSWER_S, PLACEMENT_S, BREAK_S, INSTRUCTIONS_S = 1.5, 5.0, 30.0, 90.0
-"""Guesses for the estimated duration: answering, moving the fingers, a break, the instructions [s]."""
+"""Assumed durations of an answer, a finger placement, a break and the instructions [s]."""
 
 FIELD_POINTS = 201
-"""Points from end to end of the beam at which the record keeps a field."""
+"""Points from end to end of the beam at which a field is recorded."""
 
 
 def stimulus_figures(inputs: DesignInputs, stimulus: Stimulus, level: float) -> dict[str, Any]:
-    """Return what a level does to the beam, with the rounded codes as the generator plays them.
+    """Return the predicted figures of a level, for the rounded codes that the generator plays.
 
     Parameters
     ----------
     inputs : DesignInputs
-        What the stimulus was designed from.
+        Inputs of the design.
     stimulus : Stimulus
-        The stimulus of all levels.
+        The stimulus.
     level : float
         Peak velocity at the focus [mm/s].
     """
@@ -62,14 +62,14 @@ def stimulus_figures(inputs: DesignInputs, stimulus: Stimulus, level: float) -> 
 
 
 def field_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
-    """Return the target and the predicted field at the focusing instant, at the highest level, for the report.
+    """Return the target and predicted field at the focusing instant, at the highest level, for the report.
 
     Parameters
     ----------
     inputs : DesignInputs
-        What the stimulus was designed from.
+        Inputs of the design.
     stimulus : Stimulus
-        The stimulus of all levels.
+        The stimulus.
     """
     level, half = max(inputs.levels.values()), inputs.apparatus.beam.length_mm / 2
     place = np.linspace(-half, half, FIELD_POINTS) * 1e-3
@@ -87,7 +87,7 @@ def field_figures(inputs: DesignInputs, stimulus: Stimulus) -> dict[str, Any]:
 
 
 def contrasts(protocol: Protocol, zone_peak: dict[str, float], placement: str = "") -> list[dict[str, Any]]:
-    """Return for each pair the speeds at its zones and the ratio of the faster to the slower.
+    """Return the speeds at the zones of each pair, and the ratio of the faster to the slower.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def contrasts(protocol: Protocol, zone_peak: dict[str, float], placement: str = 
     zone_peak : dict of str to float
         Peak speed at the centre of each zone [mm/s].
     placement : str
-        The only pair for whose fingers the speeds hold, such as ``A-C``; empty for every pair.
+        The pair for whose fingers the speeds hold, such as ``A-C``; empty if they hold for all pairs.
     """
     rows = []
     for left, right in protocol.conditions.pairs:
@@ -121,7 +121,7 @@ def zone_centres(inputs: DesignInputs) -> np.ndarray[Any, np.dtype[np.float64]]:
 
 
 def finger_places(inputs: DesignInputs) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """Return where each zone is touched, or its centre if it is not, from left to right, (n_zones,) array [m]."""
+    """Return the finger position in each zone, or the zone's centre, from left to right, (n_zones,) array [m]."""
     places = zone_centres(inputs)
     for finger in inputs.fingers:
         places[np.abs(places - finger.position).argmin()] = finger.position
@@ -129,7 +129,7 @@ def finger_places(inputs: DesignInputs) -> np.ndarray[Any, np.dtype[np.float64]]
 
 
 def estimated_duration(protocol: Protocol) -> float:
-    """Return about how long a session takes, with guesses for answers, finger placements and breaks [min].
+    """Return the estimated duration of a session, with assumed times for answers, placements and breaks [min].
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def estimated_duration(protocol: Protocol) -> float:
         if (intervals := protocol.intervals) is not None:
             before_question += (intervals.number - 1) * (length + intervals.gap_s)
     pause = float(np.mean([answers.pause(each) for each in protocol.conditions.finger_conditions]))
-    # The fingers move whenever the pair differs from the one before.
+    # The fingers move whenever the pair changes.
     n_placements = 1 + (n_trials - 1) * (1 - 1 / len(protocol.conditions.contacts))
     n_breaks = (protocol.n_trials - 1) // schedule.break_after_trials if schedule.break_after_trials else 0
     seconds = (
@@ -166,7 +166,7 @@ def finite(value: float) -> float | None:
 
 
 def by_name(names: Any, values: Any) -> dict[str, float | None]:
-    """Return numbers by name for JSON; None where one is not finite."""
+    """Return numbers by name for JSON; None for those that are not finite."""
     return {name: finite(float(value)) for name, value in zip(names, values, strict=True)}
 
 
@@ -174,7 +174,7 @@ DESIGN_FIGURES = ("sensation_levels", "n_trials", "n_catch_trials", "n_practice_
 
 
 def design_figures_of(protocol: Protocol) -> dict[str, Any]:
-    """Return how many trials a protocol has, and how long a session takes; nothing if no finger has a zone."""
+    """Return numbers of trials, session duration and threshold bounds; empty if no finger has a zone."""
     if not protocol.conditions.contacts:
         return {}
     own, velocities = protocol.conditions.sensation_levels, protocol.conditions.peak_velocities_mm_s
@@ -193,7 +193,7 @@ def design_figures_of(protocol: Protocol) -> dict[str, Any]:
 
 
 def occasion_figures(findings: Findings) -> dict[str, Any]:
-    """Return group and kind of session with levels, trials and duration; None if the protocol is faulty."""
+    """Return group, kind of session, levels, numbers of trials and duration; values are None for a faulty protocol."""
     protocol = None if findings.protocol is None else findings.protocol.value
     known = {} if protocol is None else design_figures_of(protocol)
     return {

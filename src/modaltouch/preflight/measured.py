@@ -1,4 +1,4 @@
-"""Designs for fingers that were measured on the beam."""
+"""Designs for fingers measured on the beam."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ DRIFT = 0.05
 
 
 def with_measured(preflight: Preflight, trial: Trial, found: Mapping[str, Any]) -> Preflight:
-    """Return the preflight with a placement designed for the fingers and the beam as measured there.
+    """Return the preflight with one placement redesigned for the measured fingers and modes.
 
-    The focus is under the finger that lies on its zone, wherever in the zone that is.
+    The focus is at the position of the finger in the focus zone.
 
     Parameters
     ----------
     preflight : Preflight
-        Preflight of a protocol whose fingers are measured, designed for the expected fingers.
+        Preflight of a protocol with measured fingers, designed for the expected fingers.
     trial : Trial
         A trial with this placement.
     found : mapping
-        As recorded: ``fingers``, by name, each with its keys as in a file and its zone; ``modes``, natural frequency
-        [Hz], damping ratio [1] and gains [mm/s^2 per V] of each mode of the table.
+        Measurement as recorded: ``fingers`` by name, each with the keys of a fingers file and its zone; ``modes``, the
+        natural frequency [Hz], damping ratio [1] and gains [mm/s^2 per V] of each mode of the table.
     """
     placements = preflight.findings.placements
     if placements is None:
@@ -46,21 +46,21 @@ def with_measured(preflight: Preflight, trial: Trial, found: Mapping[str, Any]) 
 
 
 def delivered_figures(preflight: Preflight, trial: Trial, found: Mapping[str, Any]) -> dict[str, float]:
-    """Return the speeds under the fingers of a trial, from the record of its burst.
+    """Return the speeds delivered under the fingers in a trial, computed from the fingers measured during its burst.
 
     Parameters
     ----------
     preflight : Preflight
-        As `with_measured` returns it for the placement.
+        Result of `with_measured` for the placement.
     trial : Trial
-        Which trial.
+        The trial.
     found : mapping
-        ``fingers`` and ``modes`` while it was played, as for `with_measured`.
+        ``fingers`` and ``modes`` measured during the burst, as for `with_measured`.
 
     Returns
     -------
     dict
-        Peak speed under each finger, ``speed_left_mm_s`` and so on.
+        Peak speed under each finger, ``speed_left_mm_s`` and so on [mm/s].
     """
     placements, condition = preflight.findings.placements, trial.condition
     if placements is None:
@@ -75,14 +75,14 @@ def delivered_figures(preflight: Preflight, trial: Trial, found: Mapping[str, An
 
 
 def has_drifted(preflight: Preflight, trial: Trial, delivered: Mapping[str, Any]) -> bool:
-    """Return whether the whole interval of a delivered speed is more than 5 % off what was predicted.
+    """Return whether the whole interval of a delivered speed is more than 5 % off the prediction.
 
     Parameters
     ----------
     preflight, trial
         As for `delivered_figures`.
     delivered : mapping
-        Interval of the speed under each finger, ``interval_left_mm_s`` and so on.
+        Interval of the speed under each finger, ``interval_left_mm_s`` and so on [mm/s].
     """
     names = map("interval_{}_mm_s".format, trial.condition.sides)
     ratios = [
@@ -92,7 +92,7 @@ def has_drifted(preflight: Preflight, trial: Trial, delivered: Mapping[str, Any]
 
 
 def _on_beam(inputs: DesignInputs, by_zone: Mapping[str, Finger], modes: list[dict[str, Any]]) -> DesignInputs:
-    # The intervals of the identification do not apply to values that were found later.
+    # The intervals of the identification do not apply to values measured later.
     pairs = zip(inputs.apparatus.modes, modes, strict=True)
     refitted = tuple(mode.model_copy(update={**values, "intervals_95": None}) for mode, values in pairs)
     return replace(
