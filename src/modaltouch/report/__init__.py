@@ -1,8 +1,8 @@
-"""Figures, pages and files in one style, for the results of analysis, planning and lab.
+"""Figures, HTML pages and output files of analysis, planning and lab, in one style.
 
-`page_files` makes pages from Matplotlib figures drawn within `house_style`, values and rows; `format_number` formats
-numbers. `write_files` writes them to a folder, rows as CSV, values as JSON, figures as SVG and PNG: all of them or
-none, and never over files of another origin.
+`house_style` sets the style of Matplotlib figures, `page_files` renders pages that show them, and `format_number`
+formats numbers. `write_files` writes rows as CSV, values as JSON and figures as SVG and PNG into a folder: all or none,
+never over files of another origin.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Writes a set of files into a folder: all of them or none, and never over files of another origin."""
+"""Output folders: write all files or none, and never over files of another origin."""
 
 from __future__ import annotations
 
@@ -20,41 +20,40 @@ if TYPE_CHECKING:
 MANIFEST = "manifest.json"
 
 _MAKER = "modaltouch "
-"""Beginning of ``generated_by`` in every manifest."""
+"""Prefix of ``generated_by`` in each manifest."""
 _REMEDY = "give a folder you may write to with --out"
 
 
 def write_files(
     folder: Path, contents: Mapping[str, Any], about: dict[str, Any], command: str = "analyse", **figures: Figure
 ) -> dict[str, Path]:
-    """Write files into a folder, with a manifest that lists them and their hashes.
+    """Write files into a folder, with a manifest of their names and hashes.
 
-    Everything is first written to a temporary folder beside it, so a full disk or a kill leaves the earlier files.
+    Files are first written to a temporary folder beside it, so that a full disk or a kill leaves earlier files intact.
 
     Parameters
     ----------
     folder : Path
-        Where they go; created if needed. Other files in it are left alone.
+        Output folder; created if needed. Other files in it are left alone.
     contents : mapping
-        Contents by file name: bytes or text, written as they are; rows of a table for ``.csv``; plain values for all
-        other names, written as JSON.
+        Contents by file name: bytes or text, table rows for ``.csv``, plain values for other names, written as JSON.
     about : dict
-        What the manifest says about how they were made; plain values.
+        Provenance recorded in the manifest; plain values.
     command : str
-        The command that made them; a folder belongs to one command.
+        Command that made them; a folder belongs to one command.
     **figures : Figure
-        Figures by name; each is written as SVG and PNG.
+        Figures by name, each written as SVG and PNG.
 
     Returns
     -------
     dict of str to Path
-        Where each file lies.
+        Path of each file.
 
     Raises
     ------
     RecordError
-        If the folder belongs to another command, or a file of that name is not from modaltouch, was changed since it
-        was written, or cannot be written.
+        If the folder belongs to another command, or an existing file is not from modaltouch, was changed since, or
+        cannot be replaced.
     """
     refuse_other(folder, command)
     files = {name: _encode(name, content) for name, content in contents.items()} | _drawn(figures)
@@ -110,19 +109,19 @@ def _encode(name: str, content: Any) -> bytes:
 
 
 def refuse_other(folder: Path, command: str) -> None:
-    """Refuse a folder that cannot be written or belongs to another command, before long work rather than after it.
+    """Refuse an output folder that cannot be written or belongs to another command, before long computations.
 
     Parameters
     ----------
     folder : Path
-        Where files would go.
+        Output folder.
     command : str
-        The command that would write them.
+        Command that will write to it.
 
     Raises
     ------
     RecordError
-        If it holds another command's output, is a file, or cannot be written.
+        If the folder contains another command's output, is a file, or cannot be written.
     """
     standing = next(path for path in (folder, *folder.parents) if path.exists())
     if not standing.is_dir():
@@ -134,12 +133,12 @@ def refuse_other(folder: Path, command: str) -> None:
         )
     for place in {standing, folder.parent}:
         if place.exists():
-            # Permissions do not tell: root may write to /proc, but cannot make a folder there.
+            # Permissions are not conclusive: root may write to /proc but cannot create a folder there.
             _new_folder(folder, place).rmdir()
 
 
 def _new_folder(folder: Path, place: Path) -> Path:
-    """Make a temporary folder at a place, named after `folder`."""
+    """Create a temporary folder in `place`, named after `folder`."""
     try:
         place.mkdir(parents=True, exist_ok=True)
         return Path(tempfile.mkdtemp(prefix=f".{folder.name}.", suffix=".tmp", dir=place))
@@ -153,7 +152,7 @@ def _manifest(about: dict[str, Any], hashes: dict[str, list[str]]) -> bytes:
 
 
 def _read_manifest(folder: Path) -> tuple[str, dict[str, list[str]]]:
-    """Return what wrote a folder, and the hashes of its files; empty without a manifest of this program."""
+    """Return the maker of a folder and the hashes of its files; empty without a manifest of this program."""
     try:
         values = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
         maker, files = str(values["generated_by"]), values["files"].items()
@@ -164,7 +163,7 @@ def _read_manifest(folder: Path) -> tuple[str, dict[str, list[str]]]:
 
 
 def _refuse_foreign_file(path: Path, own: list[str]) -> None:
-    """Refuse a file that exists and has none of our own hashes."""
+    """Refuse to replace an existing file whose hash is not among `own`."""
     if not path.exists():
         return
     try:

@@ -1,4 +1,4 @@
-"""Self-contained HTML pages, which need no network, print, and are legible without colour; and formatted numbers."""
+"""Self-contained HTML pages that need no network, print well and are legible without colour; number formatting."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class ReportFigure:
     Attributes
     ----------
     name : str
-        File name without ending.
+        File name without extension.
     figure : Figure
         The figure.
     caption : str
-        What the figure shows and the reader must know.
+        Caption.
     section : str
         Section of the page; empty if the page has one place for all figures.
     finger_condition : str
@@ -41,19 +41,19 @@ class ReportFigure:
 
 
 def page_files(package: str, name: str, pictures: Sequence[ReportFigure], /, **values: Any) -> dict[str, Any]:
-    """Return a page and its figures by file name, as `write_files` takes them.
+    """Return a page and its figures by file name, for `write_files`.
 
     Parameters
     ----------
     package : str
-        Dotted name of the package whose folder ``templates`` holds the template; templates that it extends or includes
-        may also be those of this package, such as ``base.html.j2``.
+        Dotted name of the package with the template in its folder ``templates``; it may extend or include templates of
+        `modaltouch.report`, such as ``base.html.j2``.
     name : str
         Name of the page and of its template.
     pictures : sequence of ReportFigure
-        Figures; the template gets them as ``pictures``, each with its SVG as ``svg``.
+        Figures, passed to the template as ``pictures``, each with its SVG as ``svg``.
     **values
-        The template's other variables; a missing one is an error.
+        Other variables of the template; a missing one is an error.
     """
     from modaltouch.report.style import figure_files
 
@@ -66,7 +66,7 @@ def page_files(package: str, name: str, pictures: Sequence[ReportFigure], /, **v
 
 
 def render_page(package: str, template: str, **values: Any) -> str:
-    """Return a page of HTML or Markdown, rendered from a template; arguments as for `page_files`."""
+    """Render a page of HTML or Markdown from a template; arguments as for `page_files`."""
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     places = dict.fromkeys((package, "modaltouch.report"))
@@ -84,7 +84,7 @@ def render_page(package: str, template: str, **values: Any) -> str:
 
 
 def format_number(value: float | None, digits: int = 3, *, decimals: int | None = None) -> str:
-    """Return a number formatted for readers; a dash if there is none.
+    """Format a number for display, with a dash for a missing value.
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def format_number(value: float | None, digits: int = 3, *, decimals: int | None 
     digits : int
         Significant digits.
     decimals : int, optional
-        Decimal places, instead of significant digits.
+        Decimal places, used instead of significant digits.
 
     Examples
     --------
@@ -109,5 +109,5 @@ def format_number(value: float | None, digits: int = 3, *, decimals: int | None 
     if decimals is None and abs(value) <= 2 * sys.float_info.min and value != 0:
         return "< 1e-300"
     text = f"{value:.{digits}g}" if decimals is None else f"{value:.{decimals}f}"
-    # Zero has no sign, even if only rounding made it zero.
+    # No sign for zero, including values rounded to zero.
     return text.lstrip("-") if float(text) == 0 else text.replace("-", "−", 1) if value < 0 else text

@@ -1,4 +1,4 @@
-"""The style of all figures: the paper's colours, legible in greyscale; bytes that depend only on the data."""
+"""Style of the figures, in the paper's colours and legible in greyscale, and their reproducible SVG and PNG output."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 PAIR_COLOURS = ("#0b3c8c", "#5bb8e8", "#f4c518", "#9a5b9f", "#2f9e77", "#c4c4c4")
-"""Dark blue, light blue and yellow as in Fig. 10 and Fig. 11; then colours for further pairs."""
+"""Dark blue, light blue and yellow as in Fig. 10 and Fig. 11, then colours for further pairs."""
 
 CONDITION_COLOURS = ("#0b3c8c", "#c2541b", "#2f9e77", "#9a5b9f")
 INK = "#1d2530"
 FAINT = "#5d6775"
-"""Still dark enough to read on white: a contrast of 5.7."""
+"""Legible on white: contrast 5.7."""
 
 _RC: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
@@ -37,7 +37,7 @@ _RC: dict[Any, Any] = {
     "axes.spines.right": False,
     "axes.linewidth": 0.8,
     "figure.constrained_layout.use": True,
-    # The usual height. Unless it is given, Matplotlib searches for ticks above every axes each time it draws.
+    # The default height; unless it is set, Matplotlib looks for ticks above every axes at each draw.
     "axes.titley": 1.0,
     "figure.facecolor": "white",
     "savefig.facecolor": "white",
@@ -53,7 +53,7 @@ PNG_DPI = 200
 def house_style(
     width: float = 7.6, height: float = 3.0, n_rows: int = 1, n_columns: int = 1, **panels: Any
 ) -> Iterator[tuple[Figure, NDArray[Any]]]:
-    """Draw in the project's style, leaving matplotlib's own settings as they were.
+    """Create a figure in the project's style without changing matplotlib's global settings.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def house_style(
     figure : Figure
         The figure.
     panels : (n_rows, n_columns) array
-        Its axes.
+        The axes.
     """
     with mpl.rc_context(_RC):
         figure = Figure(figsize=(width, height))
@@ -77,10 +77,10 @@ def house_style(
 
 
 def render(figure: Figure, kind: str) -> bytes:
-    """Return a figure as the bytes of an ``svg`` or ``png`` file; the same figure always gives the same bytes."""
+    """Render a figure as ``svg`` or ``png``; the same figure always gives the same bytes."""
     buffer = io.BytesIO()
     with mpl.rc_context(_RC):
-        # Laid out once for both formats, as that costs as much as drawing. With the setting on, None would select
+        # Lay out once for both formats, since layout takes as long as drawing. With the rcParam on, None would select
         # constrained layout again.
         engine = figure.get_layout_engine()
         with mpl.rc_context({"figure.constrained_layout.use": False}):
