@@ -1,8 +1,8 @@
-"""Power and sample size: the protocol is simulated thousands of times and analysed as the real data will be.
+"""Power, sample size and preregistration, by simulating a protocol and analysing the answers like real data.
 
-For an examined protocol and an `Observer`, `designs_for` returns the cells of each stimulus, a `Study` says what is
-simulated in them, and `plan` returns its `Power`, which `write_power` writes as tables and a figure. `fit_answers` fits
-an observer to recorded answers.
+For an examined protocol and an `Observer`, `designs_for` returns the design of each stimulus, `Study` specifies a
+simulation, and `plan` estimates its `Power`, which `write_power` writes as tables and a figure. `preregister` renders a
+preregistration, and `fit_answers` fits an observer to recorded answers.
 """
 
 from __future__ import annotations

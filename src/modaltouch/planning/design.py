@@ -1,4 +1,4 @@
-"""The cells of a design, in the order of the analysis, and what fingers feel in them."""
+"""Cells of a design in the order of the analysis, with the felt speeds in each."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """The cells of a protocol, in the order of the analysis, and what an observer's fingers feel in them.
+    """Cells of a protocol in the order of the analysis, with the speeds felt by an observer in each.
 
     Attributes
     ----------
@@ -28,13 +28,13 @@ class Design:
     levels : tuple of float
         Peak velocities, increasing [mm/s].
     speeds : (n_finger_conditions, n_pairs, n_levels, 2) array
-        What the left and the right finger feel, by the observer's front end [m/s].
+        Speeds felt by the left and the right finger, as defined by the observer's front end [m/s].
     placements : tuple of bool
         Whether the beam is turned for the first, second, ... participant; repeated for more participants.
     stimulus : str
-        Stimulus that the cells are presented with; empty if the protocol has only one.
+        Stimulus presented in the cells; empty if the protocol has only one.
     margin : float or None
-        Difference within which finger conditions count as alike [1].
+        Equivalence margin of the finger conditions [1].
     """
 
     protocol: str
@@ -48,7 +48,7 @@ class Design:
 
     @property
     def title(self) -> str:
-        """The protocol, and the stimulus if it has several."""
+        """Name of the protocol, with the stimulus if there are several."""
         return f"{self.protocol}, stimulus {self.stimulus}" if self.stimulus else self.protocol
 
     @property
@@ -68,14 +68,14 @@ class Design:
         return np.where(turned, -1.0, 1.0)
 
     def count(self, counts: NDArray[np.int64], n_repetitions: int) -> AnswerCounts:
-        """Return answers to the cells as the analysis takes them.
+        """Return counts of answers in the form used by the analysis.
 
         Parameters
         ----------
         counts : (..., n_participants, n_finger_conditions, n_pairs, n_levels, 3) array of int
-            How often each participant answered left, both and right in each cell, for one experiment or a batch.
+            Counts of the answers left, both and right by participant and cell, for one experiment or a batch.
         n_repetitions : int
-            Answers of each participant in each cell.
+            Answers per participant and cell.
         """
         names = tuple(f"p{number}" for number in range(1, counts.shape[-5] + 1))
         return AnswerCounts(
@@ -84,7 +84,7 @@ class Design:
 
     @cached_property
     def tests(self) -> dict[str, list[tuple[str, str]]]:
-        """Scope and quantity of each test of each family, one of `STATISTICS`, worded by the analysis."""
+        """Scope and quantity of each test, as worded by the analysis, by family (a key of `STATISTICS`)."""
         nothing_yet = self.count(np.zeros((1, *self.shape, 3), dtype=np.int64), 1)
         found = {family: statistic.compute(nothing_yet) for family, statistic in STATISTICS.items()}
         return {
@@ -93,5 +93,5 @@ class Design:
         }
 
     def scopes(self, family: str) -> tuple[str, ...]:
-        """Return what each test of a family, one of `STATISTICS`, is about, worded by the analysis."""
+        """Return the scope of each test of a family (a key of `STATISTICS`), as worded by the analysis."""
         return tuple(scope for scope, _ in self.tests[family])

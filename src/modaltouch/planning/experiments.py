@@ -1,4 +1,4 @@
-"""Simulation of thousands of experiments: participants and answers are drawn, significant tests counted."""
+"""Simulation of experiments: draw participants and answers, and count significant tests."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 BATCH = 250
-"""Most experiments of one job; like the seed, it determines the random answers."""
+"""Maximum number of experiments per job; like the seed, it affects the random answers."""
 
 BATCH_CELLS = 3_000_000
-"""Most answers of one job with one repetition, which bounds its memory; it determines the random answers, too."""
+"""Maximum number of answers per job and repetition, which bounds its memory; it affects the random answers, too."""
 
 _TIES = 1 + 1e-9
-"""A p that equals the level but for rounding counts as significant."""
+"""Factor on the significance level, so that p values equal to it up to rounding count as significant [1]."""
 
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What is simulated.
+    """Specification of a simulation.
 
     Attributes
     ----------
     design : Design
-        The cells, and what fingers feel in them.
+        The cells, with the felt speeds in each.
     observer : Observer
-        The population that participants are drawn from.
+        Population from which participants are drawn.
     families : tuple of str
-        Families of tests that are done.
+        Families of tests to run.
     null : bool
-        Whether there is no effect to find, so that significant tests are false alarms.
+        Whether to simulate no effect, so that significant tests are false alarms.
     seed : int
         Seed of all jobs.
     alpha : float
@@ -55,7 +55,7 @@ class Study:
 
     @cached_property
     def simulated(self) -> tuple[Design, Observer]:
-        """Design and observer; for false alarms, both fingers feel the same everywhere, and nobody prefers a side."""
+        """Design and observer; under the null, both fingers feel the same in all cells and there is no side bias."""
         if not self.null:
             return self.design, self.observer
         alike = np.full_like(self.design.speeds, float(self.design.speeds.mean()))
@@ -65,14 +65,14 @@ class Study:
 
 @dataclass(frozen=True, order=True)
 class Job:
-    """Some experiments of one size.
+    """A batch of experiments of one size.
 
     Attributes
     ----------
     n_participants, n_repetitions : int
         Size of the experiments.
     batch : int
-        Number of the job among those of this size, from 0.
+        Index of the job among those of this size, from 0.
     n_experiments : int
         Number of experiments.
     """
@@ -92,13 +92,13 @@ class Tally:
     n_experiments : int
         Number of experiments.
     single : (n_tests,) array of int
-        Experiments in which each test was significant by itself.
+        Experiments in which each test was significant without correction.
     corrected : (n_tests,) array of int
         Experiments in which it was significant after Holm's correction.
     any_test, every_test : int
-        Experiments in which at least one test, and all tests, were significant after the correction.
+        Experiments in which at least one test, and all tests, were significant after correction.
     width : (n_tests,) array
-        Sum over the experiments of half the width of each interval.
+        Sum of the half-widths of each interval over the experiments.
     """
 
     n_experiments: int
@@ -124,7 +124,7 @@ Tallies = dict[str, Tally]
 
 
 def divide(design: Design, sizes: Iterable[tuple[int, int]], n_experiments: int) -> list[Job]:
-    """Return the jobs of a study; the first ones already cover all numbers of participants and repetitions."""
+    """Return the jobs of a study, ordered so that the first ones cover all numbers of participants and repetitions."""
     jobs = []
     for n_participants, n_repetitions in sizes:
         most = min(BATCH, max(1, BATCH_CELLS // (n_participants * len(design.cells))))
@@ -134,8 +134,8 @@ def divide(design: Design, sizes: Iterable[tuple[int, int]], n_experiments: int)
 
 
 def run_job(study: Study, job: Job) -> Tallies:
-    """Return the results of the experiments of a job, family by family."""
-    # A job's seed is the same whatever other jobs there are.
+    """Simulate the experiments of a job and tally the significant tests by family."""
+    # The seed of a job does not depend on the other jobs.
     seed = np.random.SeedSequence(study.seed, spawn_key=(job.n_participants, job.n_repetitions, job.batch))
     observed, guessed = map(np.random.default_rng, seed.spawn(2))
     design, observer = study.simulated
@@ -149,16 +149,16 @@ def run_job(study: Study, job: Job) -> Tallies:
 
 
 def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Generator) -> AnswerCounts:
-    """Return the answers of a batch of simulated experiments.
+    """Simulate the answers of a batch of experiments.
 
-    Each participant is drawn once from the population and answers in every cell with the probabilities of
+    Each participant is drawn once from the population and answers every cell with the probabilities of
     `modaltouch.planning.observer.Participant`.
     """
     crowd = observer.draw_participants(rng, (job.n_experiments, job.n_participants))
     share_left, share_right = crowd.shares(
         design.speeds.reshape(-1, 2), design.cells, design.facing(job.n_participants)
     )
-    # Answers are the first axis in memory, as the tests take one answer at a time.
+    # Keep answers on the first axis in memory, since the tests access one answer at a time.
     counts = np.zeros((3, *share_left.shape), dtype=np.int64)
     for _ in range(job.n_repetitions):
         chance = rng.random(share_left.shape)
@@ -170,7 +170,7 @@ def simulate(design: Design, observer: Observer, job: Job, rng: np.random.Genera
 
 
 def count_significant(answers: AnswerCounts, family: str, alpha: float = ALPHA) -> Tally:
-    """Return in how many of the simulated experiments a family of tests is significant."""
+    """Count the simulated experiments in which a family of tests is significant."""
     found = STATISTICS[family].compute(answers)
     if found is None:
         raise ValueError(f"no tests of {family} for {len(answers.finger_conditions)} finger conditions and these pairs")

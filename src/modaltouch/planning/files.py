@@ -1,4 +1,4 @@
-"""A plan as files: tables, everything as JSON, and a figure of power over participants and repetitions."""
+"""Files of a power analysis: tables, JSON, and a figure of power over participants and repetitions."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ _LINE_STYLES = ("-", "--", ":", "-.")
 
 
 def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Path]:
-    """Write a plan into a folder, and return the path of each file.
+    """Write a power analysis into a folder, and return the path of each file.
 
     Parameters
     ----------
     folder : Path
-        Folder for the files, created if it does not exist.
+        Output folder, created if needed.
     power : Power
-        The plan; at least one size was simulated.
+        Power analysis with at least one simulated size.
     target : float
         Target power [1].
 
     Raises
     ------
     RecordError
-        If the folder holds something else, or cannot be written.
+        If the folder belongs to another command, or cannot be written.
     """
     values = power.as_dict(target)
     files = {
@@ -54,9 +54,9 @@ def write_power(folder: Path, power: Power, target: float = 0.8) -> dict[str, Pa
 
 
 def draw_power(power: Power, target: float = 0.8) -> Figure:
-    """Draw a plan, one panel for each family of tests, with the target power marked.
+    """Plot power over the number of participants, one panel per family of tests, with the target power marked.
 
-    Participants run along the abscissa; each number of repetitions has a curve with its Monte Carlo intervals.
+    Each number of repetitions has a curve with its Monte Carlo intervals.
     """
     families = power.study.families
     n_rows = -(-len(families) // _COLUMNS)

@@ -1,4 +1,4 @@
-"""An observer fitted to the answers of a results tree or a CSV, to plan the next study with."""
+"""Fit of an observer to the answers in a results tree or a CSV, for planning the next study."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from modaltouch.protocol import InputError
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """An observer fitted to a file's answers.
+    """An observer fitted to recorded answers.
 
     Attributes
     ----------
     fit : Fit
         The fit.
     responses : tuple of Responses
-        The answers, separately for each stimulus.
+        Answers to each stimulus.
     n_participants : int
-        Number of participants who gave them.
+        Number of participants.
     """
 
     not_identifiable: ClassVar[str] = (
@@ -43,7 +43,7 @@ class Fitted:
     n_participants: int
 
     def as_dict(self) -> dict[str, Any]:
-        """Return everything as plain values, as ``modaltouch fit --json`` prints it."""
+        """Return all results as plain values, as printed by ``modaltouch fit --json``."""
         return {
             "observer": self.fit.observer.as_dict(),
             "parameters": [asdict(estimate) for estimate in self.fit.parameters],
@@ -53,24 +53,24 @@ class Fitted:
             "converged": self.fit.converged,
             "n_answers": self.fit.n_answers,
             "n_participants": self.n_participants,
-            # The same is left out for every stimulus.
+            # Excluded sessions are the same for all stimuli.
             "left_out": [{"source": item.source, "reason": item.reason} for item in self.responses[0].left_out],
         }
 
 
 def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str | None = None) -> Fitted:
-    """Return an observer fitted to recorded answers, to all stimuli if there are several.
+    """Fit an observer to recorded answers, jointly to all stimuli if there are several.
 
     Parameters
     ----------
     preflight : Preflight
-        The checked protocol that the answers were given in, which determines what was felt.
+        The checked protocol of the answers, which determines the felt speeds.
     path : Path
         A results folder or a tidy CSV.
     prior : Observer
         Centre of the priors, and front end.
     mode : {"real", "pilot", "simulated"}, optional
-        Which sessions of a tree to take.
+        Which sessions of a results tree to use.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def fit_answers(preflight: Preflight, path: Path, prior: Observer, *, mode: str 
         _record(_count(part, path, taken[name]), felt_speeds(part, prior.front_end))
         for name, part in preflight.parts.items()
     ]
-    # Every session presents all stimuli, so their participants are the same.
+    # Every session presents all stimuli, so the participants are the same for each.
     return Fitted(fit_observer(RecordedAnswers.joined(recorded), prior), tuple(taken.values()), len(recorded[0].facing))
 
 
@@ -111,7 +111,7 @@ def _refuse_adaptive(path: Path, *, is_adaptive: bool) -> None:
 
 
 def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCounts:
-    """Return the counts of answers to one stimulus; refuse zones that the beam does not have."""
+    """Count the answers to one stimulus; refuse zones that the beam does not have."""
     experiment, remedy = preflight.experiment, "give the protocol that these answers belong to"
     _refuse_adaptive(path, is_adaptive=responses.is_adaptive)
     if responses.in_multiples:
@@ -127,7 +127,7 @@ def _count(preflight: Preflight, path: Path, responses: Responses) -> AnswerCoun
 
 
 def _record(answers: AnswerCounts, felt: Callable[[str, str, str, float], tuple[float, float]]) -> RecordedAnswers:
-    """Return counts as a fit takes them, without answers that name no finger."""
+    """Return counts in the form used by the fit, without answers that name no finger."""
     speeds = [
         felt(condition, pair.left, pair.right, level * 1e-3)
         for condition in answers.finger_conditions

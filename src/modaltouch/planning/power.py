@@ -1,4 +1,4 @@
-"""The power of an experiment to find what an observer would show, by simulating the protocol itself."""
+"""Power of an experiment for the effects of an observer, by simulating the protocol."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ _MOST = 200
 
 @dataclass(frozen=True)
 class Floor:
-    """The fewest participants with whom a family of tests can be significant.
+    """Minimum number of participants for a family of tests to reach significance.
 
     Attributes
     ----------
     family : str
         The family.
     n_tests : int
-        Tests that Holm's method corrects together.
+        Tests corrected together by Holm's method.
     n_repetitions : int
-        Answers of each participant in each cell.
+        Answers per participant and cell.
     least_participants : int or None
-        Fewest participants with whom a test of the family can be significant after the correction; None if no number
+        Minimum number of participants for a test of the family to be significant after correction; None if no number
         below 200 suffices.
     """
 
@@ -40,7 +40,7 @@ class Floor:
 
 
 def find_floor(design: Design, family: str, n_repetitions: int, alpha: float = ALPHA) -> Floor:
-    """Return the fewest participants with whom a family's tests can be significant."""
+    """Return the minimum number of participants for a family's tests to reach significance."""
     n_tests, smallest_p = len(design.scopes(family)), STATISTICS[family].smallest_p
     levels, margin = design.levels, design.margin
     reach = (n for n in range(1, _MOST) if smallest_p(levels, n, n_repetitions, margin) * n_tests <= alpha)
@@ -58,11 +58,11 @@ class Power:
     Attributes
     ----------
     study : Study
-        What was simulated.
+        The simulated study.
     sizes : tuple of (int, int)
-        Participants and repetitions of each size of experiment.
+        Numbers of participants and repetitions of each size.
     n_experiments : int
-        Experiments of each size that were asked for.
+        Requested number of experiments of each size.
     tallies : dict
         Results by size and family; sizes without any experiment are missing.
     """
@@ -74,7 +74,7 @@ class Power:
 
     @property
     def complete(self) -> bool:
-        """Whether every experiment that was asked for was simulated."""
+        """Whether all requested experiments were simulated."""
         return all(
             size in self.tallies and all(t.n_experiments == self.n_experiments for t in self.tallies[size].values())
             for size in self.sizes
@@ -82,23 +82,23 @@ class Power:
 
     @cached_property
     def floors(self) -> tuple[Floor, ...]:
-        """The fewest participants with whom each family's tests can be significant."""
+        """Minimum number of participants for each family's tests, by number of repetitions."""
         repetitions = sorted({n_repetitions for _, n_repetitions in self.sizes})
         design, alpha = self.study.design, self.study.alpha
         return tuple(find_floor(design, family, r, alpha) for family in self.study.families for r in repetitions)
 
     @cached_property
     def families(self) -> list[dict[str, Any]]:
-        """One row for each size and family of tests, as plain values.
+        """Rows of plain values, one per size and family of tests.
 
         `power` is the share of experiments in which at least one test of the family was significant after Holm's
-        correction; under the null that is the rate of false alarms.
+        correction, which under the null is the rate of false alarms.
         """
         return [self._family_row(size, family) for size, family in self._order()]
 
     @cached_property
     def tests(self) -> list[dict[str, Any]]:
-        """One row for each size and test, as plain values."""
+        """Rows of plain values, one per size and test."""
         return [row for size, family in self._order() for row in self._test_rows(size, family)]
 
     def _order(self) -> Iterator[tuple[Size, str]]:
@@ -151,10 +151,10 @@ class Power:
         }
 
     def needed(self, target: float) -> list[dict[str, Any]]:
-        """Return how many participants reach a power, for each family and test and each number of repetitions.
+        """Return the number of participants needed for a power, by family, test and number of repetitions.
 
-        `n_participants` is the smallest simulated number from which on every simulated number reaches the target; None
-        if there is none.
+        `n_participants` is the smallest simulated number from which all larger simulated numbers reach the target too;
+        None if there is none.
         """
         wanted: dict[tuple[Any, ...], dict[str, Any]] = {}
         for row in (*self.families, *self.tests):
@@ -168,7 +168,7 @@ class Power:
         return list(wanted.values())
 
     def as_dict(self, target: float = 0.8) -> dict[str, Any]:
-        """Return everything as plain values, as ``modaltouch power --json`` prints it."""
+        """Return all results as plain values, as printed by ``modaltouch power --json``."""
         study = self.study
         return {
             "protocol": study.design.protocol,
@@ -195,29 +195,29 @@ def plan(
     on_progress: Callable[[int, int], None] | None = None,
     told_to_stop: Callable[[], bool] | None = None,
 ) -> Power:
-    """Return the power of a study at several sizes.
+    """Estimate the power of a study at several sizes.
 
-    The result depends only on the study and the sizes, not on the processes: every job has its own seed.
+    The result depends only on the study and the sizes, not on the number of processes: each job has its own seed.
 
     Parameters
     ----------
     study : Study
-        What is simulated.
+        The study to simulate.
     sizes : sequence of (int, int)
-        Participants and repetitions of each size of experiment.
+        Numbers of participants and repetitions of each size.
     n_experiments : int
         Experiments of each size.
     n_processes : int
-        Processes that share the work.
+        Number of worker processes.
     on_progress : callable, optional
-        Called with (jobs done, jobs in all).
+        Called with (jobs done, total jobs).
     told_to_stop : callable, optional
-        Called between jobs; if it returns True, the results so far are returned.
+        Called between jobs; the results so far are returned once it returns True.
 
     Returns
     -------
     Power
-        Not `complete` if it was told to stop.
+        Not `complete` if stopped early.
     """
     jobs = divide(study.design, sizes, n_experiments)
     told = told_to_stop or (lambda: False)
@@ -227,7 +227,7 @@ def plan(
         if on_progress is not None:
             on_progress(len(done), len(jobs))
     added: dict[Size, Tallies] = {}
-    # In the order of the jobs, whichever finished first: sums of floats depend on it.
+    # Add in the order of the jobs, not of completion: floating-point sums depend on the order.
     for job in (job for job in jobs if job in done):
         size = (job.n_participants, job.n_repetitions)
         before = added.get(size)
@@ -241,7 +241,7 @@ def _run_all(
     import joblib
 
     with joblib.parallel_config("loky", n_jobs=n_processes, inner_max_num_threads=1, initializer=_ignore_interrupts):
-        # Only a few are queued for each process: thousands would report progress and stop late.
+        # Queue only a few jobs per process: with thousands, progress reports and stopping would lag.
         parallel = joblib.Parallel(return_as="generator_unordered", batch_size=1, pre_dispatch="2 * n_jobs")
         yield from parallel(joblib.delayed(_run)(study, job) for job in takewhile(lambda _: not told_to_stop(), jobs))
 
@@ -251,12 +251,12 @@ def _run(study: Study, job: Job) -> tuple[Job, Tallies]:
 
 
 def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the parent: it reaches every process of a terminal, but the parent decides what to keep."""
+    """Ignore Ctrl-C, which reaches every process of a terminal, so that the parent handles it alone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _shares(name: str, prefix: str, n_found: int, n_experiments: int) -> dict[str, float]:
-    """Return a share of experiments with its Monte Carlo interval."""
+    """Return the share of experiments with its Monte Carlo interval."""
     share = wilson(n_found, n_experiments)
     return {name: share.estimate, f"{prefix}low": share.low, f"{prefix}high": share.high}
 

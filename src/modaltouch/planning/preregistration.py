@@ -1,4 +1,4 @@
-"""A preregistration: what a protocol will test, and with how many participants, before the first one comes."""
+"""Preregistration of a protocol: hypotheses, tests, number of participants and simulated power."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ from modaltouch.report import render_page
 from modaltouch.system import commit, version
 
 N_COUNTED, N_RECORDED = 1000, 20
-"""Experiments that are simulated by default: as counts of answers, and as whole sessions."""
+"""Default number of simulated experiments, as counts of answers and as whole sessions."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What an analysis will test or estimate, and how well it does in simulated experiments.
+    """Planned tests and estimates, with their performance in simulated experiments.
 
-    `answers` is None if the design is not crossed, or adaptive; then `design` describes it.
+    `answers` is None for a design that is not crossed or is adaptive; `design` then describes it.
     """
 
     answers: AnswerCounts | None
@@ -53,7 +53,7 @@ class _Plan:
 
 
 def times_in_words(number: int) -> str:
-    """Return in words how often something is done."""
+    """Return the phrase for a number of times."""
     return "once" if number == 1 else f"{number} times"
 
 
@@ -68,28 +68,28 @@ def preregister(
     threshold_mm_s: float | None = None,
     on_progress: Callable[[int, int], None] | None = None,
 ) -> str:
-    """Return the preregistration of a protocol as a page of Markdown.
+    """Render the preregistration of a protocol as a page of Markdown.
 
     Parameters
     ----------
     preflight : Preflight
         The checked protocol.
     observer : Observer
-        Observer that is simulated for the power.
+        Observer simulated to estimate the power.
     n_participants, n_experiments, seed : int
         Planned participants, simulated experiments, and their seed.
     study : callable
-        Takes a seed, and returns the answers of a whole experiment in simulated sessions, for designs not simulated as
+        Takes a seed and returns the answers of a whole experiment in simulated sessions, for designs not simulated as
         counts: several intervals or stimuli, ratings, one finger, adaptive runs, cells that are not crossed.
     threshold_mm_s : float, optional
-        Assumed threshold of every simulated participant, if levels are calibrated by participant [mm/s].
+        Assumed threshold of all simulated participants, if levels are calibrated by participant [mm/s].
     on_progress : callable, optional
-        Called with (jobs done, jobs in all).
+        Called with (jobs done, total jobs).
 
     Raises
     ------
     InputError
-        If anything is wrong with the protocol, or its levels depend on a threshold that is not given.
+        If the protocol has faults, or its levels depend on a threshold that is not given.
     """
     protocol, path = preflight.experiment.protocol, _public(preflight.experiment.sources.protocol.path)
     given = f" --threshold {threshold_mm_s:g}" if threshold_mm_s else ""
@@ -120,7 +120,7 @@ def preregister(
 
 
 def _public(path: Path) -> str:
-    """Return a protocol's path, or the name of a shipped one: it is the same everywhere, and tells no user's name."""
+    """Return a protocol's path, or the name of a shipped one, whose path may contain a user name."""
     shipped = {file: name for name, file in Source.shipped("protocol").items()}
     return shipped.get(path.absolute(), path.as_posix())
 
@@ -136,7 +136,7 @@ def _terms(preflight: Preflight, found: _Plan) -> dict[str, Any]:
 
 
 def _counted(preflight: Preflight, observer: Observer) -> Design | None:
-    """Return the design if its answers can be simulated as counts, without sessions; else None."""
+    """Return the design if its answers can be simulated as counts without sessions; else None."""
     if len(preflight.parts) > 1:
         return None
     try:
@@ -152,7 +152,7 @@ def _by_counts(
     n_experiments: int,
     on_progress: Callable[[int, int], None] | None,
 ) -> _Plan:
-    """Return the plan of a design whose answers are simulated as counts, without sessions."""
+    """Return the plan of a design whose answers are simulated as counts without sessions."""
     design, offered, n_repetitions = study.design, protocol.answers.offered, protocol.schedule.all_repetitions
     found = plan(study, [(n_participants, n_repetitions)], n_experiments, on_progress=on_progress)
     floors = {floor.family: floor.least_participants or "none" for floor in found.floors}
@@ -183,7 +183,7 @@ def _by_sessions(
     seed: int,
     on_progress: Callable[[int, int], None] | None,
 ) -> _Plan:
-    """Return the plan of a design whose sessions are simulated and analysed as they will be."""
+    """Return the plan of a design by simulating and analysing whole sessions."""
     significant: Counter[str] = Counter()
     families: list[dict[str, Any]] = []
     estimates: dict[str, list[dict[str, Any]]] = {}
@@ -191,7 +191,7 @@ def _by_sessions(
         analysis = analyse_responses(study(seed + number))
         found = analysis.describe_families()
         significant.update(each["name"] for each in found if each["significant"])
-        # A degenerate experiment may lack a test.
+        # Tests may be missing from a degenerate experiment.
         families = max(families, found, key=lambda each: sum(len(family["scopes"]) for family in each))
         for row in getattr(analysis, "thresholds", ()):
             name = ", ".join(str(row[key]).replace("_", " ") for key in row if isinstance(row[key], str))
@@ -213,7 +213,7 @@ def _by_sessions(
 
 
 def _describe_threshold(name: str, found: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Return how precisely a mean threshold is known in simulated experiments."""
+    """Return the precision of a mean threshold over the simulated experiments."""
     bounds = [(row["threshold_low_mm_s"], row["threshold_high_mm_s"]) for row in found]
     factors = [float(np.sqrt(high / low)) for low, high in bounds if low and high]
     return {

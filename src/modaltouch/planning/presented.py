@@ -1,4 +1,4 @@
-"""What a protocol presents to an observer."""
+"""Designs of a protocol for an observer, and checks that the observer can simulate it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SIMULATE = "simulate sessions and analyse those, as `modaltouch prereg` does"
 
 
 def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
-    """Return the design of each stimulus of a protocol for an observer, by name; a single one has no name.
+    """Return the design of each stimulus of a protocol for an observer, by name; empty name if single.
 
     As in ``modaltouch analyse --stimulus``, each stimulus has its own families of tests, so each has its own design.
 
@@ -28,12 +28,12 @@ def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
     preflight : Preflight
         The checked protocol.
     observer : Observer
-        Observer whose front end determines what fingers feel.
+        Observer, whose front end defines the felt speeds.
 
     Raises
     ------
     InputError
-        If anything is wrong with the protocol, or its levels follow from answers or differ between participants.
+        If the protocol has faults, or its levels depend on answers or differ between participants.
     """
     protocol = preflight.experiment.protocol
     adaptive = "adaptive runs, which have no fixed conditions"
@@ -46,7 +46,7 @@ def designs_for(preflight: Preflight, observer: Observer) -> dict[str, Design]:
 
 
 def refuse_own_levels(preflight: Preflight, remedy: str = "plan with the peak velocities that you expect") -> None:
-    """Refuse a protocol whose levels differ between participants, and say what to do.
+    """Refuse a protocol whose levels differ between participants.
 
     Raises
     ------
@@ -72,13 +72,13 @@ _UNCROSSED = {
 
 
 def refuse_unlike(preflight: Preflight) -> None:
-    """Refuse a protocol whose cells or answers are not those of an observer's design, which compares two fingers.
+    """Refuse a protocol whose cells or answers do not fit an observer that compares two fingers.
 
     Raises
     ------
     InputError
-        If cells are listed or left out, a finger condition is unknown, each finger cannot be named alone, or both
-        together, or a trial has several intervals.
+        If the design is not crossed, a finger condition is unknown, the answers do not include each finger alone and
+        both together, or a trial has several intervals.
     """
     protocol = preflight.experiment.protocol
     offered, n_intervals = protocol.answers.offered, 1 if protocol.intervals is None else protocol.intervals.number
@@ -119,14 +119,14 @@ def refuse_unlike(preflight: Preflight) -> None:
 
 
 def _refuse(preflight: Preflight, *known: tuple[object, tuple[str, ...], str, str, str]) -> None:
-    """Refuse a protocol for the first reason that holds: its path, what is given, what is allowed, what to do."""
+    """Refuse a protocol for the first condition that holds, each with path, given value, allowed value and remedy."""
     for holds, path, given, allowed, remedy in known:
         if holds:
             raise InputError([preflight.findings.problem(path, given, allowed, remedy)])
 
 
 def _design(name: str, preflight: Preflight, observer: Observer, placements: tuple[bool, ...]) -> Design:
-    """Return the design of a protocol with one of its stimuli alone."""
+    """Return the design of one stimulus of a protocol."""
     protocol = preflight.experiment.protocol
     felt = felt_speeds(preflight, observer.front_end)
     conditions = protocol.conditions
@@ -142,12 +142,12 @@ def _design(name: str, preflight: Preflight, observer: Observer, placements: tup
 
 
 def felt_speeds(preflight: Preflight, front_end: FrontEnd) -> Callable[[str, str, str, float], tuple[float, float]]:
-    """Return a function that gives the speeds that two fingers feel.
+    """Return a function that computes the speeds felt by two fingers.
 
     Parameters
     ----------
     preflight : Preflight
-        A protocol with a single stimulus; it may be designed for the fingers of each placement.
+        Preflight of a single stimulus; it may be designed for the fingers of each placement.
     front_end : str
         Front end of the observer.
 
@@ -169,7 +169,7 @@ def felt_speeds(preflight: Preflight, front_end: FrontEnd) -> Callable[[str, str
 
 
 def _placements(protocol: Protocol) -> tuple[bool, ...]:
-    """Return whether the beam is turned for the first, second, ... participant, for one whole cycle."""
+    """Return whether the beam is turned for the first, second, ... participant, for one full cycle."""
     conditions = protocol.conditions
     if not any(name.startswith("mirrored") for name in conditions.placements):
         return (False,)

@@ -1,9 +1,9 @@
-"""Psychophysical observers: from what two fingers feel to an answer, left, right or both, and its reaction time.
+"""Psychophysical observers: models of answers and reaction times, from the speeds felt by two fingers.
 
-``participant``  one participant: comparison, criterion, lapses, reaction time; probabilities of answers in closed form
-``population``   Observer: a typical participant, the spread between participants, and the front end; its YAML file
-``felt``         what a finger feels of the velocity under it, as one number; at the zones, once for all levels
-``fit``          an observer fitted to recorded answers by maximum likelihood, and what such a fit cannot determine
+``participant``  a single participant: comparison, criterion, lapses, reaction time
+``population``   `Observer`: typical participant, spread between participants, front end, YAML file; probabilities
+``felt``         front ends, which reduce the velocity under a finger to a felt speed
+``fit``          maximum-likelihood fit to recorded answers, and its limits
 """
 
 from modaltouch.planning.observer.participant import Participant

@@ -1,4 +1,4 @@
-"""Front ends: what a finger feels of the velocity under it, as one number; at the zones, once for all levels.
+"""Front ends, which reduce the velocity under a finger to a single felt speed.
 
 References
 ----------
@@ -21,19 +21,19 @@ from modaltouch.stimulus import Stimulus
 FloatArray = NDArray[np.float64]
 
 CUT_OFF = 1000.0
-"""Highest frequency that the skin follows [Hz]."""
+"""Cut-off frequency of the skin [Hz]."""
 
 ORDER = 4
-"""Order of the Butterworth response at `CUT_OFF`, applied with zero phase."""
+"""Order of the zero-phase Butterworth filter at `CUT_OFF`."""
 
 
 def sense(front_end: FrontEnd, history: ArrayLike, sampling_rate: float) -> FloatArray:
-    """Return what fingers feel of the velocity under them, (n_places,) array [m/s].
+    """Return the felt speed for each velocity history, (n_places,) array [m/s].
 
     Parameters
     ----------
     front_end : {"rms", "below_1_khz", "envelope"}
-        One of those that need the whole history.
+        A front end that needs the whole history.
     history : (n_places, n_samples) array
         Velocity over one repetition of the burst [m/s].
     sampling_rate : float
@@ -48,32 +48,32 @@ def sense(front_end: FrontEnd, history: ArrayLike, sampling_rate: float) -> Floa
 
 
 def smooth(velocity: FloatArray, sampling_rate: float) -> FloatArray:
-    """Return histories low-pass filtered at `CUT_OFF` with zero phase, (n_places, n_samples) array [m/s].
+    """Low-pass filter histories at `CUT_OFF` with zero phase, (n_places, n_samples) array [m/s].
 
     Parameters
     ----------
     velocity : (n_places, n_samples) array
-        Histories that are at rest at both ends [m/s].
+        Histories that begin and end at rest [m/s].
     sampling_rate : float
         Samples per second [Hz].
     """
     n_samples = velocity.shape[1]
-    # Padded with zeros to twice the length, so that the end does not wrap around to the beginning.
+    # Zero-pad to twice the length, so that the end does not wrap around to the beginning.
     length = 1 << (2 * n_samples - 1).bit_length()
     gain = 1 / np.sqrt(1 + (np.fft.rfftfreq(length, 1 / sampling_rate) / CUT_OFF) ** (2 * ORDER))
     return np.asarray(np.fft.irfft(np.fft.rfft(velocity, length) * gain, length)[:, :n_samples])
 
 
 class FeltSpeeds:
-    """What fingers feel at the zones.
+    """Felt speeds at the zones.
 
-    Everything is computed when first asked for, at the reference level, and scaled to the others: the beam and
-    every front end are linear in the level. Only the generator's amplitude grid (four digits) is neglected.
+    Speeds are computed lazily at the reference level and scaled to other levels, since the beam and every front end
+    are linear in the level. The generator's amplitude grid (four digits) is neglected.
 
     Parameters
     ----------
     stimulus : Stimulus
-        The stimulus of all levels.
+        The stimulus.
     zones : mapping of str to float
         Centres of the zones, origin at mid-beam [m].
     front_end : str
@@ -86,7 +86,7 @@ class FeltSpeeds:
         self._front_end = front_end
 
     def at(self, zone: str, velocity: float) -> float:
-        """Return what a finger feels at the centre of a zone at a level [m/s].
+        """Return the speed felt at the centre of a zone at a level [m/s].
 
         Parameters
         ----------
@@ -106,7 +106,7 @@ class FeltSpeeds:
 
     @cached_property
     def _per_velocity(self) -> dict[str, float]:
-        """What is felt at each zone for a level of 1 m/s [1]."""
+        """Felt speed at each zone per unit of level [1]."""
         stimulus, places = self._stimulus, np.array(list(self._zones.values()))
         level = stimulus.target_field.velocity
         if self._front_end == "peak":
@@ -114,7 +114,7 @@ class FeltSpeeds:
         elif self._front_end == "peak_at_focus":
             values = np.abs(stimulus.velocity_at_focus(places, level))
         else:
-            # A whole repetition: a beam that is not actively stopped goes on vibrating after the burst.
+            # Use a whole repetition: a beam that is not actively stopped keeps vibrating after the burst.
             history = stimulus.velocity_history(places, level, whole_period=True)
             values = sense(self._front_end, history, stimulus.timing.sampling_rate)
         return {name: float(value) / level for name, value in zip(self._zones, values, strict=True)}

@@ -1,20 +1,21 @@
-r"""An observer fitted to recorded answers: maximum likelihood, with priors for what the answers determine poorly.
+r"""Fit of an observer to recorded answers by maximum likelihood, with priors for poorly determined parameters.
 
-The probability of a participant's answers is the product of the probabilities of the single answers, averaged over the
-population on a quasi-random grid. Priors are normal on the fitted scale and centred on a given observer, so what the
-answers do not determine keeps its value.
+The likelihood of a participant's answers is the product of the probabilities of the single answers, averaged over the
+population on a quasi-random grid. Priors are normal on the fitted scale and centred on a given observer, so parameters
+that the answers do not determine keep its values.
 
-What answers cannot determine:
+Answers cannot determine:
 
-- The scale. Noise, criterion, one plus the suppressions, side bias and its spread may all be multiplied by one
-  number without changing any probability. Only ratios are known: the speed ratio named half the time,
-  exp(c / (1 + s)), and the noise of a compared log ratio, sigma / (1 + s). The priors fix the rest: this experiment
-  measures neither suppression itself nor a Weber fraction separate from it.
+- The scale. Multiplying noise, criterion, one plus the suppressions, side bias and its spread by a common factor
+  changes no probability. Only ratios are identifiable: the speed ratio named half the time, exp(c / (1 + s)), and the
+  noise of a compared log ratio, sigma / (1 + s). The priors fix the rest: this experiment measures neither suppression
+  itself nor a Weber fraction separate from it.
 - The front end, which is given. If all pairs of zones have the same ratio of speeds, or its inverse, a front end
-  with another ratio fits as well, with another scale.
-- Detection speed, internal noise and near miss, which are held fixed: they would need levels near the threshold.
-- Lapses separate from noise, unless some ratios are so large that nobody could miss them.
-- Spreads, with few participants or few answers of each; and reaction times, which are not fitted.
+  with another ratio fits equally well with another scale.
+- Detection speed, internal noise and near miss, which are held fixed: they require levels near the threshold.
+- Lapses separately from noise, unless some ratios are unmistakable.
+- Spreads, with few participants or few answers of each.
+- Reaction times, which are not fitted.
 
 References
 ----------
@@ -38,7 +39,7 @@ from modaltouch.planning.observer.population import Observer
 FloatArray = NDArray[np.float64]
 
 N_NODES = 512
-"""Points of the population over which it is averaged."""
+"""Number of points for the average over the population."""
 
 _LEAST_SHARE = 1e-9
 
@@ -50,13 +51,13 @@ class RecordedAnswers:
     Attributes
     ----------
     counts : (n_participants, n_cells, 3) array of int
-        How often each participant answered left, both and right in each cell, by the sides of the beam.
+        Counts of the answers left, both and right by participant and cell; left and right are those of the beam.
     speeds : (n_cells, 2) array
-        What the left and the right finger feel in each cell [m/s].
+        Speeds felt by the left and the right finger in each cell [m/s].
     finger_conditions : tuple of str
         Finger condition of each cell.
     facing : (n_participants,) array
-        1, or -1 for participants who sat at the beam turned end to end.
+        1, or -1 for participants for whom the beam was turned end to end.
     """
 
     counts: NDArray[np.int64]
@@ -66,12 +67,12 @@ class RecordedAnswers:
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
-        """Return the answers of the same participants to several stimuli, cell after cell.
+        """Concatenate the answers of the same participants to several stimuli along the cells.
 
         Parameters
         ----------
         parts : sequence of RecordedAnswers
-            The answers to each stimulus, with participants in the same order.
+            Answers to each stimulus, with the participants in the same order.
 
         Raises
         ------
@@ -99,7 +100,7 @@ def log_likelihood(observer: Observer, recorded: RecordedAnswers) -> float:
         left, right = crowd.shares(recorded.speeds, recorded.finger_conditions, side)
         shares = np.stack([left, 1 - left - right, right], axis=-1).reshape(N_NODES, -1)
         own = recorded.counts[recorded.facing == side].reshape(-1, shares.shape[1])
-        # In one thread, so that every process gets the same sums; the product is small.
+        # einsum runs in one thread, so sums are the same in every process; the product is small.
         logs = np.einsum("pc,nc->pn", own.astype(float), np.log(np.maximum(shares, _LEAST_SHARE)))
         top = logs.max(axis=1, keepdims=True)
         total += float((top[:, 0] + np.log(np.exp(logs - top).mean(axis=1))).sum())
@@ -108,10 +109,10 @@ def log_likelihood(observer: Observer, recorded: RecordedAnswers) -> float:
 
 @lru_cache(maxsize=1)
 def _grid() -> FloatArray:
-    """Return points of the population, (5, N_NODES) array of normal deviates; the pace does not matter."""
+    """Return quasi-random points of the population, (5, N_NODES) array of normal deviates; the pace is fixed."""
     from scipy.special import ndtri
 
-    # The generalised golden ratio in four dimensions gives points that fill the cube evenly (Roberts 2018).
+    # The generalised golden ratio in four dimensions fills the cube evenly (Roberts 2018).
     ratio = 1.0
     for _ in range(50):
         ratio = (1 + ratio) ** (1 / 5)
@@ -122,7 +123,7 @@ def _grid() -> FloatArray:
 
 @dataclass(frozen=True)
 class _Quantity:
-    """A quantity that is fitted: its name in an observer, the scale on which it is fitted, and its prior there."""
+    """A fitted parameter: its name in an observer, the scale of the fit, and the prior on that scale."""
 
     name: str
     of_typical: bool
@@ -160,24 +161,24 @@ QUANTITIES = (
     _Quantity("criterion_spread", False, "log", 0.6, False),
     _Quantity("suppression_spread", False, "log", 0.5, False),
 )
-"""Quantities to fit; one that is at the end of its range in the given observer (a spread of 0) is held there."""
+"""Parameters to fit; one at the end of its range in the given observer (such as a spread of 0) is held fixed."""
 
 
 @dataclass(frozen=True)
 class FittedParameter:
-    """A fitted quantity with its 95 % interval.
+    """A fitted parameter with its 95 % interval.
 
     Attributes
     ----------
     name : str
-        Its name.
+        Name of the parameter.
     value, low, high : float
         Estimate and ends of the interval.
     learned : float
-        Share of the prior's variance that the answers removed [1]; near 0 the estimate is the prior's own.
+        Share of the prior variance removed by the answers [1]; near 0, the estimate is that of the prior.
     tied_to_scale : bool
-        Whether it is known only relative to the others that are tied; the scale in its interval then comes from the
-        priors, not the answers.
+        Whether it is identifiable only relative to the other tied parameters; the scale of its interval then comes
+        from the priors, not the answers.
     """
 
     name: str
@@ -197,11 +198,11 @@ class Fit:
     observer : Observer
         The most likely observer.
     parameters : tuple of FittedParameter
-        The fitted quantities; mind `learned`.
+        Fitted parameters; see `learned` of each.
     identified : tuple of FittedParameter
-        Combinations that the answers do determine, whatever the scale.
+        Combinations that the answers determine independently of the scale.
     log_likelihood : float
-        Of the answers, without the priors.
+        Log likelihood of the answers, without the priors.
     n_answers : int
         Number of answers.
     converged : bool
@@ -217,14 +218,14 @@ class Fit:
 
 
 def fit_observer(recorded: RecordedAnswers, prior: Observer) -> Fit:
-    """Return the most likely observer for recorded answers.
+    """Fit an observer to recorded answers.
 
     Parameters
     ----------
     recorded : RecordedAnswers
         The answers.
     prior : Observer
-        Centre of the priors, and source of everything that is not fitted.
+        Centre of the priors, and source of the parameters that are not fitted.
 
     Returns
     -------
@@ -266,7 +267,7 @@ def _is_free(quantity: _Quantity, prior: Observer) -> bool:
 
 
 def _observer_at(prior: Observer, fitted: Sequence[_Quantity], point: ArrayLike) -> Observer:
-    """Return the prior's observer with the fitted quantities put in."""
+    """Return the prior's observer with the fitted parameters replaced."""
     values = np.asarray(point, dtype=float).tolist()
     natural = {q.name: max(_FROM_FIT[q.scale](x), 0.0) if q.scale == "log1p" else _FROM_FIT[q.scale](x)
                for q, x in zip(fitted, values, strict=True)}  # fmt: skip
@@ -277,12 +278,12 @@ def _observer_at(prior: Observer, fitted: Sequence[_Quantity], point: ArrayLike)
 
 
 def _covariance(cost: Callable[[FloatArray], float], point: FloatArray, deviation: FloatArray) -> FloatArray:
-    """Return the inverse of the curvature at a minimum, kept within the prior's."""
+    """Return the inverse Hessian at a minimum, bounded by the prior covariance."""
     from statsmodels.tools.numdiff import approx_hess3
 
     scaled = approx_hess3(np.zeros(point.size), lambda step: cost(point + step * deviation), 0.05)
     values, vectors = np.linalg.eigh(scaled)
-    # In units of the prior the curvature is at least the prior's own, 1; less is numerical noise.
+    # In units of the prior, the curvature is at least 1; less is numerical noise.
     inverse = (vectors / np.maximum(values, 1.0)) @ vectors.T
     return np.asarray(inverse * np.outer(deviation, deviation))
 
@@ -306,7 +307,7 @@ def _identified(
     deviation: FloatArray,
     finger_conditions: Sequence[str],
 ) -> list[FittedParameter]:
-    """Return the combinations that keep their value under a change of scale."""
+    """Return the combinations that are invariant under a change of scale."""
     found = []
     suppressions = {"one_hand": "suppression", "two_hands": "suppression_across_hands"}
     for kind in dict.fromkeys(finger_conditions):

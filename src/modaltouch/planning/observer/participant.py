@@ -1,4 +1,4 @@
-"""One simulated participant: from what two fingers feel to an answer and its reaction time."""
+"""Model of a single participant: answers and reaction times from the speeds felt by the fingers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from modaltouch.protocol import AnswerList
 
 SAME_HAND = "one_hand"
-"""The finger condition whose two fingers belong to one hand."""
+"""Finger condition with two fingers of one hand."""
 
 REFERENCE = 0.1
 """Speed at which `Participant.noise` holds if `near_miss` is not zero, and reference of `Participant.rate` [m/s]."""
@@ -21,24 +21,23 @@ _LEAST_FLOOR = 1e-12
 
 @dataclass(frozen=True)
 class Participant:
-    r"""One simulated participant.
+    r"""A simulated participant.
 
-    The two fingers are compared by the logarithm of what they feel, according to Weber's law:
+    The log ratio of the felt speeds of the two fingers is compared, according to Weber's law:
 
     .. math:: d = (1 + s) \ln\frac{v_r + v_0}{v_l + v_0} + b + \sigma z, \qquad z \sim N(0, 1)
 
-    Both fingers are named if :math:`|d| < c`, else the stronger one. If no answer names both, the stronger one is
-    always named; if no answer names the stronger one, the answer that remains is given. In a share of trials (lapses),
-    the answer is any of those offered. If one of these says that nothing was felt, it is given when the stronger finger
-    feels less than :math:`v_0 e^{\sigma z'}`, with an independent normal z'. If no answer names a finger, all are
-    equally likely. What a finger feels, v, is a speed that the observer's front end defines.
+    The answer is both fingers if :math:`|d| < c`, else the stronger one. If no answer means both, the stronger one is
+    always named; if no answer names the stronger one, the remaining answer is given. In a share of trials (lapses),
+    the answer is drawn at random from those offered. An answer for nothing felt, if offered, is given when the stronger
+    finger feels less than :math:`v_0 e^{\sigma z'}`, with an independent normal z'. If no answer names a finger, all
+    are equally likely. The felt speed v of a finger is defined by the observer's front end.
 
     With internal noise, each finger feels :math:`\max(v + \sigma_0 n, 0)` instead of v, with an independent normal n in
-    every trial. This noise is present without a stimulus, so that ratios are no longer discriminated near the threshold
-    of touch, and nothing is now and then taken for something (Gescheider, "Psychophysics: the fundamentals", 3rd ed.
-    (1997), chapter 5). In a choice between an interval with the stimulus and one without, 75 % of answers are correct
-    at :math:`0.954\,\sigma_0` (where d' is :math:`\sqrt 2\,\Phi^{-1}(0.75)`), which gives sigma_0 from a measured
-    threshold.
+    each trial. This noise is present without a stimulus, so that ratios are no longer discriminated near the threshold
+    of touch and false alarms occur (Gescheider, "Psychophysics: the fundamentals", 3rd ed. (1997), chapter 5). In
+    two-interval detection, 75 % of answers are correct at :math:`0.954\,\sigma_0` (where d' is
+    :math:`\sqrt 2\,\Phi^{-1}(0.75)`), which gives sigma_0 from a measured threshold.
 
     Attributes
     ----------
@@ -49,27 +48,26 @@ class Participant:
     suppression : float
         Suppression s of the weaker finger by the stronger one, for two fingers of one hand [1].
     suppression_across_hands : float
-        The same for fingers of different hands [1].
+        Suppression for fingers of different hands [1].
     side_bias : float
         Preference b for the right side [1].
     lapse_rate : float
         Share of trials answered at random [1].
     detection_speed : float
-        Speed v_0 that is just felt, below which ratios mean nothing [m/s].
+        Detection threshold v_0, below which ratios are not discriminated [m/s].
     quickest : float
         Shortest reaction time [s].
     decision_time : float
-        Median time of an easy decision, on top of `quickest` [s].
+        Median time of an easy decision, added to `quickest` [s].
     hesitation : float
-        How much longer the hardest decision takes than an easy one, relative to `decision_time` [1].
+        Additional time of the hardest decision, relative to `decision_time` [1].
     decision_spread : float
         Standard deviation of the logarithm of the decision time [1].
     near_miss : float
-        Exponent by which the noise falls with the stronger finger's speed, 0 for Weber's law: the noise is multiplied
-        by (speed / 0.1 m/s) to the power of minus this [1].
+        Exponent m of the decrease of noise with the stronger finger's speed, 0 for Weber's law: the noise is multiplied
+        by (speed / 0.1 m/s)^-m [1].
     internal_noise : float
-        Standard deviation sigma_0 of what each finger feels without a stimulus, as an equivalent speed; if it is 0,
-        only ratios count [m/s].
+        Standard deviation sigma_0 of the felt speed without a stimulus; if 0, only ratios count [m/s].
     """
 
     noise: float = 0.22
@@ -88,7 +86,7 @@ class Participant:
 
     @property
     def floor(self) -> float:
-        """Detection speed, kept above zero so that two fingers at rest have a ratio [m/s]."""
+        """Detection speed, kept above zero so that the ratio is defined for fingers at rest [m/s]."""
         return max(self.detection_speed, _LEAST_FLOOR)
 
     def suppression_in(self, finger_condition: str) -> float:
@@ -107,19 +105,19 @@ class Participant:
         Parameters
         ----------
         speed_left, speed_right : float
-            What the two fingers feel [m/s].
+            Felt speeds [m/s].
         """
         if self.near_miss == 0:
             return self.noise
         return float(self.noise * ((max(speed_left, speed_right) + self.floor) / REFERENCE) ** -self.near_miss)
 
     def difference(self, speed_left: float, speed_right: float, finger_condition: str) -> float:
-        """Return how much stronger the right finger feels, without noise (log ratio) [1].
+        """Return the noiseless difference between right and left finger, as a weighted log ratio [1].
 
         Parameters
         ----------
         speed_left, speed_right : float
-            What the two fingers feel [m/s].
+            Felt speeds [m/s].
         finger_condition : str
             ``one_hand`` or another.
         """
@@ -135,18 +133,18 @@ class Participant:
         answers: AnswerList | None = None,
         *speed_between: float,
     ) -> tuple[str, float]:
-        """Return an answer and its reaction time from the first burst [s].
+        """Simulate an answer and its reaction time from the first burst [s].
 
         Parameters
         ----------
         speed_left, speed_right, finger_condition
             As for `difference`.
         rng : numpy.random.Generator
-            Source of random numbers; the same number of draws is taken for every answer.
+            Source of random numbers; each answer takes the same number of draws.
         answers : AnswerList, optional
-            Answers that are offered; by default those of the paper.
+            Offered answers; those of the paper if not given.
         *speed_between : float
-            What the finger between these two feels, if there is one [m/s].
+            Speed felt by a finger between these two, if any [m/s].
         """
         answers = AnswerList.of({}) if answers is None else answers
         nothing = answers.naming()
@@ -161,7 +159,7 @@ class Participant:
         expected = self.difference(speed_left, speed_right, finger_condition)
         noise = self.noise_at(speed_left, speed_right)
         felt = expected + noise * draw
-        # Deciding is hardest at the criterion, where two answers are equally near.
+        # The decision is hardest at the criterion, between two answers.
         reaction_time = self._reaction_time(abs(abs(felt) - self.criterion), noise, pace)
         if lapse < self.lapse_rate:
             return answers.ranked[int(guess * len(answers))].name, reaction_time
@@ -176,16 +174,16 @@ class Participant:
         return _name(answers, felt, self.criterion, guess), reaction_time
 
     def rate(self, speeds: Sequence[float], rng: np.random.Generator) -> tuple[float, float]:
-        """Return how strong a vibration feels, as a share of a scale, and the reaction time from the first burst [s].
+        """Simulate a rating as a share of the scale, and its reaction time from the first burst [s].
 
-        The speed v of the faster finger counts. Relative to `REFERENCE`, times log-normal noise, it is s; the share is
-        s / (1 + s), which a scale without an upper end turns back into s (a power law of exponent 1, nearly that of
-        vibration at 60 Hz [1]_).
+        With s the speed of the faster finger relative to `REFERENCE`, times log-normal noise, the share is s / (1 + s).
+        A scale without an upper end maps it back to s (a power law of exponent 1, close to that of vibration at 60 Hz
+        [1]_).
 
         Parameters
         ----------
         speeds : sequence of float
-            What the fingers feel [m/s].
+            Felt speeds [m/s].
         rng : numpy.random.Generator
             Source of random numbers.
 
@@ -201,21 +199,21 @@ class Participant:
     def compare(
         self, speeds: Sequence[tuple[float, ...]], rng: np.random.Generator, answers: AnswerList
     ) -> tuple[str, float]:
-        """Return an answer to several intervals and its reaction time from the question [s].
+        """Simulate an answer to several intervals and its reaction time from the question [s].
 
-        In each interval each finger feels the logarithm of the speed plus v_0, with half the variance of a comparison,
-        so that the difference of two intervals has the noise of a difference of two fingers. Of two intervals, the one
-        that feels stronger under any finger is named; of three, the one farthest from the others. Intervals are called
-        the same if no two of them differ by more than the criterion under any finger.
+        The percept of a finger in an interval is the logarithm of speed plus v_0, with half the variance of a
+        comparison, so that the difference of two intervals has the noise of a difference of two fingers. Of two
+        intervals, the one with the strongest percept of any finger is named; of three, the one farthest from the
+        others. Intervals are judged the same if no two of them differ by more than the criterion for any finger.
 
         Parameters
         ----------
         speeds : sequence of tuple
-            What the fingers feel in each interval, in order [m/s].
+            Speeds felt by the fingers in each interval, in order [m/s].
         rng : numpy.random.Generator
             Source of random numbers.
         answers : AnswerList
-            Answers that are offered; some name intervals, or ``same`` and ``different``.
+            Offered answers; some name intervals, or ``same`` and ``different``.
         """
         lapse, guess, pace = rng.random(), rng.random(), rng.standard_normal()
         given = np.asarray(speeds, dtype=float)
@@ -242,7 +240,7 @@ class Participant:
 
 
 def _name(answers: AnswerList, felt: float, criterion: float, guess: float) -> str:
-    """Return the answer to a difference between the fingers; a random one if no answer names a finger."""
+    """Return the answer for a difference between the fingers; a random one if no answer names a finger."""
     others = [answer for answer in answers if not answer.means_nothing_felt]
     naming = {answer.side: answer.name for answer in others if answer.fingers}
     if not naming:

@@ -1,4 +1,4 @@
-"""A population of participants: the typical one, the spread between participants, and the front end."""
+"""Populations of participants: typical participant, spread between participants, and front end."""
 
 from __future__ import annotations
 
@@ -19,9 +19,8 @@ from modaltouch.protocol import ObserverFile, Protocol
 FloatArray = NDArray[np.float64]
 
 FrontEnd = Literal["peak_at_focus", "peak", "rms", "below_1_khz", "envelope"]
-"""``peak_at_focus``: speed at the focusing instant; ``peak``: highest speed; ``rms``: over one repetition;
-``below_1_khz``: highest speed below 1 kHz; ``envelope``: highest value of the rectified velocity, low-pass filtered at
-1 kHz."""
+"""``peak_at_focus``: speed at the focusing instant; ``peak``: peak speed; ``rms``: RMS over one repetition;
+``below_1_khz``: peak speed below 1 kHz; ``envelope``: peak of the rectified velocity, low-pass filtered at 1 kHz."""
 
 
 _LEAST_NOISE = 1e-12
@@ -32,12 +31,12 @@ N_NODES = 12
 
 @dataclass(frozen=True, eq=False)
 class DrawnParticipants:
-    """Many participants of one population at once; arrays of one shape.
+    """Participants drawn from a population, as arrays of one shape.
 
     Attributes
     ----------
     typical : Participant
-        The typical participant, for what all share.
+        The typical participant, with the parameters common to all.
     noise, criterion, side_bias, pace : array
         As in `Participant`; `pace` multiplies the decision time [1].
     sharpening : array
@@ -64,24 +63,24 @@ class DrawnParticipants:
     def shares(
         self, speeds: ArrayLike, finger_conditions: Sequence[str], facing: ArrayLike = 1.0
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the probabilities of the answers left and right in every cell; the rest is both.
+        """Return the probabilities of the answers left and right in each cell; the remainder is both.
 
         They are in closed form, averaged over the internal noise of both fingers, if any, by Gauss-Hermite quadrature.
 
         Parameters
         ----------
         speeds : (n_cells, 2) array
-            What the left and the right finger feel in each cell [m/s].
+            Speeds felt by the left and the right finger in each cell [m/s].
         finger_conditions : sequence of str
             Finger condition of each cell.
         facing : array
-            1, or -1 for participants who sit at the beam turned end to end: left and right are those of the beam, so
-            their side bias changes sign.
+            1, or -1 for participants for whom the beam is turned end to end: left and right are those of the beam, so
+            the side bias changes sign.
 
         Returns
         -------
         left, right : (..., n_cells) arrays
-            Probabilities [1]; the leading axes are those of the crowd.
+            Probabilities [1]; the leading axes are those of the participants.
         """
         speeds, sigma = np.asarray(speeds, dtype=float), self.typical.internal_noise
         if not sigma:
@@ -98,7 +97,7 @@ class DrawnParticipants:
     def _shares_felt(
         self, speeds: FloatArray, finger_conditions: Sequence[str], facing: ArrayLike
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the probabilities of left and right if exactly these speeds are felt."""
+        """Return the probabilities of left and right for given felt speeds."""
         from scipy.special import ndtr
 
         felt = speeds + self.typical.floor
@@ -121,16 +120,16 @@ class DrawnParticipants:
 class Observer:
     """A population of participants.
 
-    The defaults answer as the paper's participants did: nearly all name the zone of the higher speed if the speeds
-    differ by 1.6 : 1 or more, and most say ``both`` if they are equal. They agree with what is known of touch:
+    The defaults reproduce the answers of the paper's participants: nearly all name the zone of the higher speed if the
+    speeds differ by 1.6 : 1 or more, and most answer ``both`` if they are equal. They agree with the literature:
 
     - Intensity is compared by ratio: difference thresholds for vibration are 0.7 dB (far above threshold) to
       2.5 dB, Weber fractions of about 0.1 to 0.3 [1]_ [2]_; they shrink a little with level, the near miss to
       Weber's law [2]_, which the default leaves out.
     - A stronger vibration suppresses a weaker one nearby, across fingers and even hands: funnelling [3]_.
-    - Some answers have nothing to do with the stimulus, typically up to 5 % [4]_.
-    - The fingertip feels about 0.1 um at 250 Hz, a speed of some 0.2 mm/s [5]_; the default of 1 mm/s allows
-      for bursts shorter than the integration time of touch.
+    - Lapses, answers independent of the stimulus, are typically up to 5 % [4]_.
+    - The detection threshold of the fingertip is about 0.1 um at 250 Hz, a speed of about 0.2 mm/s [5]_; the default
+      of 1 mm/s allows for bursts shorter than the integration time of touch.
 
     Attributes
     ----------
@@ -142,9 +141,9 @@ class Observer:
         Standard deviation, over participants, of the logarithm of the noise, the criterion, one plus the
         suppression, and the decision time [1].
     front_end : str
-        What a finger feels of the velocity under it; see `FeltSpeeds`.
+        Definition of the felt speed; see `FeltSpeeds`.
     name : str
-        Name in reports; empty for one made in code.
+        Name in reports; empty for an observer created in code.
 
     References
     ----------
@@ -170,7 +169,7 @@ class Observer:
     name: str = ""
 
     def draw(self, rng: np.random.Generator) -> Participant:
-        """Return one participant of the population.
+        """Draw a participant from the population.
 
         Parameters
         ----------
@@ -190,14 +189,14 @@ class Observer:
         )
 
     def draw_participants(self, rng: np.random.Generator, shape: tuple[int, ...]) -> DrawnParticipants:
-        """Return many participants of the population at once.
+        """Draw an array of participants from the population.
 
         Parameters
         ----------
         rng : numpy.random.Generator
             Source of random numbers.
         shape : tuple of int
-            Shape of the crowd, such as (n_experiments, n_participants).
+            Shape of the array, such as (n_experiments, n_participants).
         """
         return self.participants_at(rng.standard_normal((5, *shape)))
 
@@ -221,27 +220,27 @@ class Observer:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the observer as plain values, for a record or ``--json``."""
+        """Return the observer as plain values, for records and ``--json``."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Self:
-        """Return the observer that `as_dict` described."""
+        """Return the observer from the values of `as_dict`."""
         return cls(**{**values, "typical": Participant(**values["typical"])})
 
     @classmethod
     def read(cls, name: Path | str) -> Self:
-        """Return an observer from its file.
+        """Read an observer from its file.
 
         Parameters
         ----------
         name : path
-            A YAML file, or the name of a shipped observer, such as ``paper``.
+            YAML file, or name of a shipped observer such as ``paper``.
 
         Raises
         ------
         InputError
-            With every fault of the file and its position; or with the shipped names, if there is no such file.
+            With all faults of the file and their positions, or with the shipped names if there is no such file.
         """
         file = ObserverFile.read(name)
         typical, spread = file.typical, file.spread
@@ -272,10 +271,10 @@ class Observer:
 
     @staticmethod
     def usual_name(protocol: Protocol) -> str:
-        """Return the name of the shipped observer that simulates a protocol by default.
+        """Return the name of the default shipped observer for a protocol.
 
-        Adaptive runs, levels that follow from their thresholds, silent standards, and answers felt or not need
-        `fingertip`, whose thresholds lie within a beam's range; `paper` feels any level, and tells the zones apart.
+        Adaptive runs, levels derived from their thresholds, silent standards and yes/no detection need `fingertip`,
+        whose thresholds lie within the range of a beam; `paper` feels every level and discriminates the zones.
 
         Parameters
         ----------
@@ -289,7 +288,7 @@ class Observer:
         return "fingertip" if at_thresholds or is_silent or is_detected else "paper"
 
     def as_file(self, name: str, description: str) -> str:
-        """Return the text of the observer's file.
+        """Format the observer as the text of its YAML file.
 
         Parameters
         ----------
