@@ -1,7 +1,7 @@
-"""The record of a session: the append-only session log, the only original, and the BIDS view derived from it.
+"""Record of a session: the append-only session log, which is the only original, and the BIDS view derived from it.
 
-Writes the events of a session; reads a session from its log, verifies the log against its own start record, and
-recovers what is left of a damaged log.
+`SessionLog` writes the events of a session into its `SessionFolder`, and `Session` reads them. `audit_session` checks a
+log against its start record, and `survey` finds what can be recovered from a damaged log.
 """
 
 from __future__ import annotations

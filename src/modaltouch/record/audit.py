@@ -1,4 +1,4 @@
-"""Audit of a session against its own start record: what was presented, in which order, at which level, and when."""
+"""Audit of a session against its start record: stimuli, order, levels and timing."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from modaltouch.record.session import Session, check_shape
 from modaltouch.record.view import check_view
 
 Checked = Iterator[tuple[bool, str]]
-"""Results of checks: whether each holds, and a sentence that says so; empty if there is nothing to report."""
+"""Results of checks: whether each passed, and a sentence; empty if there is nothing to report."""
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,11 @@ class Audit:
     path : Path
         The session log.
     lines : tuple of str
-        What was checked and holds, in words.
+        Sentences on the checks that passed.
     problems : tuple of str
-        What does not hold, each with its file and line; empty for a sound session.
+        Problems, each with file and line; empty for a valid session.
     to_mend : tuple of str
-        Problems left by an interruption that `resume` mends: an incomplete last line, a BIDS view not written.
+        Problems left by an interruption that `resume` repairs: an incomplete last line, an unwritten BIDS view.
     """
 
     path: Path
@@ -52,7 +52,7 @@ class Audit:
         }
 
     def require(self) -> None:
-        """Raise if the session has problems other than those that `resume` mends.
+        """Raise if the session has problems that `resume` does not repair.
 
         Raises
         ------
@@ -65,7 +65,7 @@ class Audit:
 
 
 def audit_session(session: Session) -> Audit:
-    """Check a session against what follows from its own start record.
+    """Check a session against its start record.
 
     Parameters
     ----------
@@ -115,12 +115,12 @@ def _completeness(session: Session, audit: Audit) -> str:
     if session.started_over_as is not None:
         return f"closed and not complete: started over as session {session.started_over_as}"
     if not set(audit.problems) <= set(audit.to_mend):
-        return "not complete; the analysis leaves it out"  # and `modaltouch resume` refuses it
+        return "not complete; the analysis leaves it out"  # `modaltouch resume` refuses it, too
     return "not complete: `modaltouch resume` continues it; until then the analysis leaves it out"
 
 
 def check_beginning(session: Session, restored: RestoredExperiment, protocol: Protocol, schedule: Schedule) -> Checked:
-    """Yield the result of the check of each part of the start record."""
+    """Yield the result of each check of the start record."""
     place = f"{session.path}:1:"
     yield _check_texts(session.start, protocol, place)
     yield _check_mode(session.start, restored, place)
@@ -138,7 +138,7 @@ def check_beginning(session: Session, restored: RestoredExperiment, protocol: Pr
 
 
 def draw_again(session: Session, protocol: Protocol) -> Schedule:
-    """Return the order that the start record's seed draws."""
+    """Redraw the order from the seed in the start record."""
     start = session.start
     return Schedule.draw(protocol, start["participant"], start["seed"], session.drawn_as, given=Turn.recorded(start))
 
@@ -159,11 +159,11 @@ def _check_texts(start: dict[str, Any], protocol: Protocol, place: str) -> tuple
 
 
 def _first_difference(recorded: dict[str, Any], given: dict[str, Any], schema: int) -> str:
-    """Return the name of the first section whose values differ; keys that only one of them has are not compared."""
+    """Return the name of the first section whose values differ, comparing only keys that both have."""
     for name in recorded.keys() & given.keys():
         known, values = recorded[name], given[name]
         if isinstance(known, dict) and isinstance(values, dict):
-            # If no length of the stimulus was given, format 1 wrote the usual one.
+            # Format 1 recorded the default length of the stimulus if none was given.
             shared = (known.keys() & values.keys()) - ({"presentation_s"} if schema == 1 else set())
             known, values = ({key: each[key] for key in shared} for each in (known, values))
         if known != values:
@@ -195,13 +195,13 @@ def _check_drive(start: dict[str, Any], restored: RestoredExperiment, place: str
 
 
 def _check_shown(start: dict[str, Any], restored: RestoredExperiment, place: str) -> tuple[bool, str]:
-    """Check that the recorded fields and speeds at the zones, which reports show, agree with those recomputed."""
+    """Check that the recorded fields and speeds at the zones, shown in reports, agree with recomputed ones."""
     for row in start["stimulus"].get("stimuli", ()):
         design = " ".join(filter(None, (row.get("stimulus", ""), row.get("placement", ""))))
         peaks = restored.preflight.zone_peaks(design, row["velocity_mm_s"])
         if not _agree(row["zone_peak_mm_s"], {zone: peak * 1e3 for zone, peak in peaks.items()}):
             return (False, f"{place} its speeds at the zones at {row['velocity_mm_s']:g} mm/s are not those recomputed")
-    recorded = start["stimulus"].get("fields")  # earlier versions recorded none
+    recorded = start["stimulus"].get("fields")  # not recorded by earlier versions
     own = start.get("sensation_levels")
     if recorded is not None and not _agree(recorded, restored.fields(tuple(own["levels_mm_s"]) if own else ())):
         return False, f"{place} its field is not the one recomputed"
@@ -209,7 +209,7 @@ def _check_shown(start: dict[str, Any], restored: RestoredExperiment, place: str
 
 
 def _agree(said: Any, found: Any) -> bool:
-    """Return whether recorded values are those computed, speeds to 0.002 mm/s."""
+    """Return whether recorded and computed values agree, speeds to 0.002 mm/s."""
     if isinstance(found, dict):
         return isinstance(said, dict) and said.keys() >= found.keys() and all(_agree(said[k], found[k]) for k in found)
     if isinstance(found, list):
@@ -220,12 +220,12 @@ def _agree(said: Any, found: Any) -> bool:
 
 
 def _check_gap(session: Session, protocol: Protocol, place: str) -> tuple[bool, str]:
-    """Check that a session began as long after the previous one as its kind requires, if that one is here."""
+    """Check the minimum time since the previous session, if its kind requires one and that session is present."""
     kind, begun = protocol.schedule.kind_of(session.drawn_as), session.start["time"]
     logs = SessionFolder.logs_of(session.path.absolute().parents[2])
     before = [log for log in logs if SessionFolder.number_of(log) < int(session.start["session"])]
     times = [event["time"] for event in Session.find(before[-1]).events if event["time"] <= begun] if before else []
-    # A restarted session takes the place of the previous one, for which the gap was required.
+    # A restarted session replaces the previous one, to which the minimum time applied.
     if kind is None or not kind.min_gap_days or not times or "begins_anew" in session.start:
         return True, ""
     days = (datetime.fromisoformat(begun) - datetime.fromisoformat(times[-1])) / timedelta(days=1)
@@ -237,7 +237,7 @@ def _check_gap(session: Session, protocol: Protocol, place: str) -> tuple[bool, 
 
 
 def _check_own_levels(session: Session, restored: RestoredExperiment, place: str) -> tuple[bool, str]:
-    """Check that the levels follow from the participant's threshold, and that from the session that measured it."""
+    """Check that the levels follow from the participant's threshold, and the threshold from its session."""
     own, section = session.start["sensation_levels"], restored.protocol.conditions.sensation_levels
     threshold = f"threshold of {own['threshold_mm_s']:g} mm/s"
     follow = section is not None and list(section.levels(own["threshold_mm_s"])) == own["levels_mm_s"]

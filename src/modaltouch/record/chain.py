@@ -1,8 +1,8 @@
-"""The chain of lines in a log: every line carries a SHA-256 check of itself and of the line before.
+"""Hash chain of a log: each line carries a SHA-256 check of itself and the previous line.
 
 A session log is a file of JSON objects, one per line. The last member of each is ``check``, the SHA-256 of the previous
-line's check followed by the line's own bytes up to that member. A changed, removed, duplicated or reordered line breaks
-the chain. A line cut off while it was written (power failure, full disk) stays in the file: the next line declares its
+line's check followed by the line's bytes up to that member. A changed, removed, duplicated or reordered line breaks the
+chain. A line truncated while being written (power failure, full disk) stays in the file: the next line declares its
 length and hash under ``torn``, so that even the remains are checked.
 """
 
@@ -19,7 +19,7 @@ GENESIS = "0" * 64
 """The check that precedes the first line."""
 
 TAIL = re.compile(rb',"check":"([0-9a-f]{64})"\}\Z')
-"""The end of a line, which contains its check."""
+"""End of a line, which contains its check."""
 
 _TAIL_BYTES = len(',"check":""}') + 64
 
@@ -29,22 +29,22 @@ class RecordError(Exception):
 
 
 class RecordInputError(RecordError):
-    """The input names no valid participant id or no session; no record is at risk."""
+    """The input does not name a valid participant id or a session; no record is at risk."""
 
 
 class RecordExistsError(RecordError):
-    """A session has been recorded, or is being recorded, at the place of the new one."""
+    """The session to be recorded exists already, or is being recorded."""
 
 
 class UnreadableLineError(Exception):
-    """A line that is no readable JSON object, although its check may be correct.
+    """A line is not a readable JSON object, although its check may be correct.
 
     Parameters
     ----------
     reason : str
         Why it cannot be read.
     check : str
-        Its check, if that is correct.
+        Check of the line, if correct.
     """
 
     def __init__(self, reason: object, check: str = "") -> None:
@@ -59,15 +59,15 @@ class Chain:
     Attributes
     ----------
     events : tuple of dict
-        The sound lines, in order, without their checks.
+        Valid lines in order, without their checks.
     checks : tuple of str
-        The check of each of them.
+        Check of each of these lines.
     problems : tuple of str
-        All problems, in words; empty for an intact file.
+        All problems; empty for an intact file.
     damage : tuple of str
-        Problems that an incomplete last line does not explain: a log with any of them is not continued.
+        Problems other than an incomplete last line; a log with any of these cannot be continued.
     torn : bytes
-        An incomplete line at the very end; empty if there is none.
+        Incomplete last line; empty if there is none.
     ends_in_newline : bool
         Whether the last line is terminated.
     """
@@ -81,17 +81,17 @@ class Chain:
 
     @property
     def last_check(self) -> str:
-        """The check from which that of the next line is computed."""
+        """Check of the last line, from which that of the next line is computed."""
         return self.checks[-1] if self.checks else GENESIS
 
 
 def encode_line(event: dict[str, Any], previous: str) -> tuple[bytes, str]:
-    """Return one line of the log and its check.
+    """Encode an event as a line of the log, and return the line and its check.
 
     Parameters
     ----------
     event : dict
-        Plain values; NaN and infinity are refused.
+        Plain values; NaN and infinity are not allowed.
     previous : str
         Check of the previous line.
 
@@ -100,7 +100,7 @@ def encode_line(event: dict[str, Any], previous: str) -> tuple[bytes, str]:
     line : bytes
         UTF-8, terminated by a newline.
     check : str
-        Its check, 64 hexadecimal digits.
+        Check of the line, 64 hexadecimal digits.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def encode_line(event: dict[str, Any], previous: str) -> tuple[bytes, str]:
 
 
 def read_chain(path: Path) -> Chain:
-    """Return the sound lines of a log, and all its problems.
+    """Read the valid lines of a log and its problems.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def read_chain(path: Path) -> Chain:
 
 
 def read_log(path: Path) -> bytes:
-    """Return the bytes of a log, sound or not.
+    """Return the bytes of a log, whether valid or not.
 
     Raises
     ------
@@ -145,7 +145,7 @@ def read_log(path: Path) -> bytes:
 
 
 def parse_chain(data: bytes, name: str) -> Chain:
-    """Return the contents of a log from its bytes; each problem begins with `name`."""
+    """Parse the bytes of a log; each problem begins with `name`."""
     events: list[dict[str, Any]] = []
     checks: list[str] = []
     damage: list[str] = []
@@ -157,7 +157,7 @@ def parse_chain(data: bytes, name: str) -> Chain:
         try:
             event, check = _decode(line.removesuffix(b"\n"), previous)
         except UnreadableLineError as error:
-            # Its check is correct, so the lines after it can still be checked.
+            # The check is correct, so the following lines can still be checked.
             damage.append(f"{name}:{number}: {error}, although its check is correct")
             previous = error.check
             continue
@@ -184,29 +184,29 @@ def parse_chain(data: bytes, name: str) -> Chain:
 
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
-"""What some text editors put before UTF-8; this program never writes it."""
+"""Prefix that some text editors add to UTF-8 files; this program never writes it."""
 
 
 def conversion(data: bytes) -> str:
-    """Return what another program has changed in a log as a whole, in words; empty if nothing."""
+    """Describe a conversion of the whole log by another program; empty if there is none."""
     if 0 < data.count(b"\n") == data.count(b"\r\n"):
         return "every line ends in CR LF: a program that converts line ends changed the file"
     return "it begins with a byte order mark: a text editor changed the file" * data.startswith(BYTE_ORDER_MARK)
 
 
 def describe_torn(torn: bytes) -> dict[str, Any]:
-    """Return the declaration of an incomplete line that the next line carries."""
+    """Return the declaration of an incomplete line for the next line."""
     return {"bytes": len(torn), "sha256": hashlib.sha256(torn).hexdigest()}
 
 
 def _lines(data: bytes) -> list[bytes]:
-    # bytes.splitlines would also split at a lone carriage return inside a damaged line.
+    # bytes.splitlines would also split at a single carriage return in a damaged line.
     *whole, rest = data.split(b"\n")
     return [line + b"\n" for line in whole] + ([rest] if rest else [])
 
 
 def line_check(previous: str, body: bytes) -> str:
-    """Return the check of a line: SHA-256 of the previous check and of the line's bytes before its own check."""
+    """Return the check of a line: SHA-256 of the previous check and the line's bytes before its own check."""
     return hashlib.sha256(previous.encode() + body).hexdigest()
 
 
@@ -225,7 +225,7 @@ def _decode(line: bytes, previous: str) -> tuple[dict[str, Any] | None, str]:
 
 
 def read_object(line: bytes) -> dict[str, Any]:
-    """Return the JSON object in a line.
+    """Parse the JSON object in a line.
 
     Raises
     ------
@@ -233,7 +233,7 @@ def read_object(line: bytes) -> dict[str, Any]:
         If it is not JSON, not an object, too deeply nested, or contains a number with thousands of digits.
     """
     try:
-        # Decoded here, since json would guess the encoding of bytes, for every line of a whole results tree.
+        # json.loads would guess the encoding of bytes anew for every line, which is slow for a whole results tree.
         value = json.loads(line.decode("utf-8", "surrogatepass"))
     except json.JSONDecodeError as error:
         raise UnreadableLineError(f"it is not JSON from its character {error.pos + 1} on") from error

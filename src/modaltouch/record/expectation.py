@@ -1,4 +1,4 @@
-"""What lines of a session are checked against, restored from the texts in its start record; the checks of one line."""
+"""Expected values of a session, restored from the texts in its start record, and checks of single lines."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from modaltouch.rig import RigError, instrument_of
 Event = dict[str, Any]
 
 INSTANT = 5e-6
-"""Tolerance of sums of instants, which are written to the microsecond [s]."""
+"""Tolerance of sums of instants, which are recorded to 1 us [s]."""
 _LATE = 0.2
-"""Tolerance in counts of due bursts [periods]; a burst later than a twentieth of a period is dropped."""
+"""Tolerance in counts of due bursts [periods]; a burst more than 1/20 of a period late is dropped."""
 _IN_ORDER = ("trigger", "first_burst", "question", "answer")
 _COUNTS = ("asked", "played", "whole", "dropped")
 SPEED = 2e-3
-"""Tolerance of speeds, which are written to 0.001 mm/s [mm/s]."""
+"""Tolerance of speeds, which are recorded to 0.001 mm/s [mm/s]."""
 
 MALFORMED = (LookupError, TypeError, ValueError, ArithmeticError, AttributeError, RecursionError, RigError)
-"""Errors raised by evaluating a line that lacks required members or has wrong ones."""
+"""Errors raised by evaluating a line with missing or wrong members."""
 
 
 class RestoredExperiment:
-    """The part of an experiment that depends only on the texts of its files, and which all sessions of a study share.
+    """Part of an experiment that depends only on the texts of its files, shared by all sessions of a study.
 
     Parameters
     ----------
     sources : Sources
         The texts.
     occasion : (str, str)
-        The group and the kind of session.
+        Group and kind of session.
 
     Raises
     ------
     InputError
-        With every fault in the texts.
+        With all faults in the texts.
     """
 
     def __init__(self, sources: Sources, occasion: tuple[str, str]) -> None:
@@ -55,11 +55,11 @@ class RestoredExperiment:
 
     def _forget(self) -> None:
         self.agreed: set[tuple[str, float, tuple[float, ...], tuple[float, ...]]] = set()
-        """Stimulus, level, and amplitudes commanded and read back, that were found to agree."""
+        """Combinations of stimulus, level, commanded and read-back amplitudes that are known to agree."""
         self._amplitudes: dict[tuple[str, float], tuple[float, ...]] = {}
 
     def measured(self, trial: Trial, found: dict[str, Any], levels_mm_s: tuple[float, ...]) -> Self:
-        """Return a copy in which the stimuli of a trial's placement are designed for the fingers measured there.
+        """Return a copy with the stimuli of a trial's placement designed for the measured fingers.
 
         Parameters
         ----------
@@ -75,23 +75,23 @@ class RestoredExperiment:
 
     @cached_property
     def levels(self) -> protocol.Levels:
-        """Computation of the levels of an adaptive run."""
+        """Levels of adaptive runs."""
         return protocol.Levels(self.protocol)
 
     def fields(self, own_levels_mm_s: tuple[float, ...]) -> list[dict[str, Any]]:
-        """Return the predicted field of each stimulus at the highest level, of the protocol or of own levels [mm/s]."""
+        """Return the predicted field of each stimulus at the highest level of the protocol, or of own levels [mm/s]."""
         if own_levels_mm_s not in self._fields:
             own = self.preflight.with_levels(own_levels_mm_s) if own_levels_mm_s else self.preflight
             self._fields[own_levels_mm_s] = own.fields
         return self._fields[own_levels_mm_s]
 
     def amplitudes(self, trial: Trial, level_mm_s: float) -> tuple[float, ...]:
-        """Return the amplitude of each channel for the design of a trial at a level [V peak to peak].
+        """Return the amplitude of each channel for a trial's design at a level [V peak to peak].
 
         Parameters
         ----------
         trial : Trial
-            The trial; for a catch trial, which has no stimulus, the first one is taken.
+            The trial; a catch trial, which has no stimulus, uses the first one.
         level_mm_s : float
             Peak velocity at the focus [mm/s].
 
@@ -110,14 +110,14 @@ class RestoredExperiment:
 
 @dataclass(frozen=True)
 class TrialExpectation:
-    """The values against which a trial is checked.
+    """Expected values of a trial.
 
     Attributes
     ----------
     restored : RestoredExperiment
         The experiment restored from the start record.
     protocol : Protocol
-        The protocol, with the participant's own levels if there are any.
+        The protocol, with the participant's individual levels if any.
     schema : int
         Version of the log format.
     """
@@ -129,18 +129,18 @@ class TrialExpectation:
 
 @lru_cache(maxsize=4)
 def restore(sources: Sources, occasion: tuple[str, str] = ("", "")) -> RestoredExperiment:
-    """Return the experiment restored from its texts; the latest few are cached.
+    """Return the experiment restored from its texts, with a small cache.
 
     Raises
     ------
     InputError
-        With every fault in the texts.
+        With all faults in the texts.
     """
     return RestoredExperiment(sources, occasion)
 
 
 def check_answers(event: Event, asked: AnswersSection) -> Iterator[str]:
-    """Yield faults in the answers of a line; further questions are asked only after a confirmed stimulus."""
+    """Yield faults in the answers of a line; further questions require a confirmed stimulus."""
     response = event["response"]
     yield from _check_response(response, asked)
     is_asked = event["confirmed"]["confirmed"] and response["answer"] != TIME_OUT
@@ -151,7 +151,7 @@ def check_answers(event: Event, asked: AnswersSection) -> Iterator[str]:
         return
     before = 0.0
     if wanted:
-        # Questions are timed from the onset of the last interval; the line itself describes the comparison's.
+        # Questions are timed from the onset of the last interval; the line itself describes the comparison interval.
         onset = (event.get("intervals") or [event])[-1]["confirmed"]["onset"]
         before = max(event["instants"]["answer"]["earliest_s"] - onset, before)
     for name, how in wanted.items():
@@ -168,11 +168,11 @@ def check_form(event: Event, protocol: Protocol, done: set[str]) -> Iterator[str
     Parameters
     ----------
     event : dict
-        The line of the answer.
+        Line of the answer.
     protocol : Protocol
         The protocol with the form.
     done : set of str
-        Questions answered so far, to which this one is added.
+        Names of the answered questions; this one is added.
     """
     name, asked = event["name"], protocol.closing
     if name not in asked or name in done:
@@ -191,9 +191,9 @@ def _check_response(response: Event, asked: AnswersSection) -> Iterator[str]:
 
 
 def check_amplitudes(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield faults if the amplitudes of a line are not those of the trial's level."""
+    """Yield faults in the commanded and read-back amplitudes, given the trial's level."""
     silent, confirmed = trial.condition.is_catch, event["confirmed"]
-    # A catch trial goes through the same steps as a trial at the lowest level.
+    # A catch trial takes the same steps as a trial at the lowest level.
     level = min(given.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
     level = given.restored.preflight.played(trial.condition, level)
     sent, back = tuple(confirmed["commanded_amplitude"]), tuple(confirmed["confirmed_amplitude"])
@@ -215,7 +215,7 @@ def check_amplitudes(event: Event, trial: Trial, given: TrialExpectation) -> Ite
 
 
 def check_answered(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield contradictions between an answer's line and its trial: level, predicted speeds, fingers, answers."""
+    """Yield inconsistencies between an answer and its trial: level, predicted speeds, fingers, answers."""
     condition, response = trial.condition, event["response"]
     yield from _check_planned(event["planned"], trial, given)
     fingers = given.protocol.conditions.fingers_of(condition)
@@ -231,7 +231,7 @@ def check_answered(event: Event, trial: Trial, given: TrialExpectation) -> Itera
 
 
 def _check_planned(planned: dict[str, Any], trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield faults if the level or the predicted speeds of a stimulus are not those of its condition."""
+    """Yield faults in the level and predicted speeds of a stimulus, given its condition."""
     condition = trial.condition
     level, said = condition.velocity_mm_s, tuple(planned[f"speed_{side}_mm_s"] for side in condition.sides)
     if planned["velocity_mm_s"] != level:
@@ -242,7 +242,7 @@ def _check_planned(planned: dict[str, Any], trial: Trial, given: TrialExpectatio
 
 
 def check_delivered(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield faults if the delivered speeds do not follow from the fingers that were measured in the trial."""
+    """Yield faults in the delivered speeds, given the fingers measured in the trial."""
     said = event.get("delivered", {"refused": ""})
     if "refused" in said:
         return
@@ -254,7 +254,7 @@ def check_delivered(event: Event, trial: Trial, given: TrialExpectation) -> Iter
 
 
 def check_intervals(event: Event, trial: Trial, begun: list[Event], given: TrialExpectation) -> Iterator[str]:
-    """Yield faults if the intervals of an answer are not those of its trial, or not those that were started."""
+    """Yield faults in the intervals of an answer, given its trial and the intervals that began."""
     parts, recorded, section = given.protocol.presented(trial), event.get("intervals", []), given.protocol.intervals
     if section is None:
         return
@@ -284,7 +284,7 @@ def check_intervals(event: Event, trial: Trial, begun: list[Event], given: Trial
 
 
 def check_instants(event: Event, trial: Trial) -> Iterator[str]:
-    """Yield contradictions between the instants of an answer, and with its reaction time."""
+    """Yield inconsistencies among the instants of an answer and with its reaction time."""
     instants, response, confirmed = event["instants"], event["response"], event["confirmed"]
     between = {name: (span["earliest_s"], span["latest_s"]) for name, span in instants.items() if span is not None}
     for name, (earliest, latest) in between.items():
@@ -307,7 +307,7 @@ def check_instants(event: Event, trial: Trial) -> Iterator[str]:
     asked = response["onset"] == "question"
     begun = between.get("question", first) if asked else first
     least, most = answered[0] - begun[1], answered[1] - begun[0]
-    # Without a screen the instant of the question is unknown, except that it came after the first burst.
+    # Without a screen, the question is only known to follow the first burst.
     least = 0.0 if asked and "question" not in between else least
     time = response["reaction_time"]
     if not least - INSTANT <= time <= most + INSTANT:
@@ -315,7 +315,7 @@ def check_instants(event: Event, trial: Trial) -> Iterator[str]:
 
 
 def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield contradictions between the counts of a finished stimulus, and with the protocol and its instants."""
+    """Yield inconsistencies among the burst counts of a finished stimulus and with protocol and instants."""
     bursts, confirmed = event["bursts"], event["confirmed"]
     asked, played, whole, dropped = counts = [bursts[name] for name in _COUNTS]
     first, around = bursts["first_s"], bursts["uncertainty_s"]
@@ -345,7 +345,7 @@ def check_bursts(event: Event, trial: Trial, given: TrialExpectation) -> Iterato
 
 
 def _check_number(event: Event, trial: Trial, given: TrialExpectation) -> Iterator[str]:
-    """Yield faults if a confirmed stimulus of single bursts has not the number that follows from protocol and time."""
+    """Yield faults in the number of bursts of a confirmed stimulus, given the protocol and its timing."""
     asked, rate = event["bursts"]["asked"], given.protocol.stimulus_of(trial.condition.stimulus).repetition_rate_Hz
     if trial.condition.is_catch:
         if asked:
@@ -367,11 +367,11 @@ def _check_number(event: Event, trial: Trial, given: TrialExpectation) -> Iterat
 
 
 def _rises(*counts: int | None) -> bool:
-    """Return whether counts do not decrease, ignoring unknown ones."""
+    """Return whether known counts are non-decreasing."""
     known = [count for count in counts if count is not None]
     return known == sorted(known)
 
 
 def listed(values: tuple[Any, ...]) -> str:
-    """Return values as a list in words, numbers to six digits."""
+    """Format values as a comma-separated list, numbers to six digits."""
     return ", ".join(f"{each:.6g}" if isinstance(each, float) else str(each) for each in values)

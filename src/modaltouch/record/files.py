@@ -1,4 +1,4 @@
-"""Files that are either complete or absent: written under a temporary name, synced, and renamed; and their locks."""
+"""Atomic file replacement, by writing a temporary file, syncing and renaming it; folders and locks."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from modaltouch.record.chain import RecordError
 from modaltouch.system import lock, sync_file
 
 OWNER_ALONE = 0o600
-"""Permissions of a file with data of a participant."""
+"""Permissions of files with participant data."""
 
 PATIENCE = 1.0
-"""How long to retry renaming, on Windows, a file that another program, such as a virus scanner, has open [s]."""
+"""Time to retry renaming, on Windows, a file that another program such as a virus scanner has open [s]."""
 
 LOCK_NAME = ".lock"
-"""Empty file by which a folder is locked; it is never deleted."""
+"""Empty lock file of a folder; never deleted."""
 
 LOCK_PATIENCE = 10.0
-"""How long to wait for a folder that another process has locked [s]; each does so for milliseconds."""
+"""Time to wait for a folder locked by another process, usually for milliseconds [s]."""
 
 
 def open_file(path: Path, flags: int) -> int:
-    """Return a descriptor for binary writing; Windows would otherwise write CR LF for LF."""
+    """Return a descriptor opened in binary mode, since Windows would otherwise write CR LF for LF."""
     return os.open(path, flags | getattr(os, "O_BINARY", 0), OWNER_ALONE)
 
 
 def move(rename: Callable[[Path], object], target: Path) -> None:
-    """Call `Path.rename` or `Path.replace` of a file until it succeeds; Windows refuses while either file is open."""
+    """Call `Path.rename` or `Path.replace` until it succeeds; Windows refuses while either file is open."""
     deadline = time.monotonic() + PATIENCE
     while True:
         try:
@@ -44,18 +44,18 @@ def move(rename: Callable[[Path], object], target: Path) -> None:
 
 
 def replace_file(path: Path, content: bytes, remedy: str, mode: int = 0o666) -> None:
-    """Write a file in one step: a reader sees the old file or the new one, never a part of it.
+    """Write a file atomically: readers see either the old or the new file.
 
     Parameters
     ----------
     path : Path
         The file, in an existing folder.
     content : bytes
-        Its content.
+        Contents of the file.
     remedy : str
-        For the message if it cannot be written: what to do, or what is safe.
+        End of the error message: what to do, or what is safe.
     mode : int
-        Its permissions, subject to the user's umask.
+        Permissions, subject to the user's umask.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def replace_file(path: Path, content: bytes, remedy: str, mode: int = 0o666) -> 
 
 
 def prepare_file(path: Path) -> None:
-    """Create the folder of a file that is to be written, and refuse an existing file, which somebody may have used.
+    """Create the folder of an output file, and refuse to overwrite an existing file.
 
     Raises
     ------
@@ -88,7 +88,7 @@ def prepare_file(path: Path) -> None:
     trial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        # Permissions do not tell: root may write to /proc, where no file can be created.
+        # Permissions are not conclusive: root may write to /proc but cannot create a file there.
         trial.touch()
         trial.unlink()
     except OSError as error:
@@ -96,8 +96,8 @@ def prepare_file(path: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Force a folder's entries to the disk, where the system can."""
-    if sys.platform == "win32":  # it has no descriptors of folders; its file system journals the entries itself
+    """Sync a folder's entries to disk, where supported."""
+    if sys.platform == "win32":  # Windows has no folder descriptors, and its file system journals the entries
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
@@ -107,14 +107,14 @@ def sync_folder(folder: Path) -> None:
 
 
 def make_folder(folder: Path) -> None:
-    """Create a folder and its missing parents, each accessible to its owner alone.
+    """Create a folder and its missing parents, each accessible to its owner only.
 
     `Path.mkdir` applies its mode to the last folder only.
 
     Raises
     ------
     OSError
-        If one cannot be created.
+        If a folder cannot be created.
     """
     if not folder.is_dir():
         make_folder(folder.parent)
@@ -122,7 +122,7 @@ def make_folder(folder: Path) -> None:
 
 
 def is_locked(path: Path) -> bool:
-    """Return whether a process holds the lock of a file, as a running session does for its log."""
+    """Return whether a process holds the lock of a file, such as the log of a running session."""
     try:
         descriptor = os.open(path, os.O_RDWR)
     except OSError:
@@ -138,12 +138,12 @@ def is_locked(path: Path) -> bool:
 
 @contextmanager
 def hold(folder: Path) -> Iterator[None]:
-    """Keep other processes from changing the shared files of a folder, such as a list of participants.
+    """Lock a folder's shared files, such as the list of participants, against changes by other processes.
 
     Raises
     ------
     RecordError
-        If the lock cannot be created, or another process holds it for longer than `LOCK_PATIENCE`.
+        If the lock cannot be created, or is held by another process for longer than `LOCK_PATIENCE`.
     """
     with ExitStack() as stack:
         try:

@@ -1,4 +1,4 @@
-"""The folder of a session: ``<results>/[simulated|pilot/]<protocol>/sub-<id>/ses-<n>/beh/``.
+"""Session folders, ``<results>/[simulated|pilot/]<protocol>/sub-<id>/ses-<n>/beh/``, and the files of a dataset.
 
 References
 ----------
@@ -31,7 +31,7 @@ _PARTICIPANT = re.compile(r"[A-Za-z0-9]{1,32}\Z")
 
 @dataclass(frozen=True)
 class SessionFolder:
-    """The place of one session.
+    """The folder of a session.
 
     Attributes
     ----------
@@ -60,7 +60,7 @@ class SessionFolder:
 
     @classmethod
     def of(cls, log: Path, mode: str, protocol: str) -> Self:
-        """Return the place of a session from the path of its log.
+        """Return the folder of a session from the path of its log.
 
         Raises
         ------
@@ -84,12 +84,12 @@ class SessionFolder:
 
     @staticmethod
     def dataset_of(results: Path, mode: Mode, protocol: str) -> Path:
-        """Return the root of the BIDS dataset of one protocol in one mode."""
+        """Return the root of the BIDS dataset of a protocol in a mode."""
         return (results if mode == "real" else results / mode) / protocol
 
     @staticmethod
     def check_participant(participant: str) -> str:
-        """Return the participant id if it may stand in a file name.
+        """Return the participant id if it is valid in a file name.
 
         Raises
         ------
@@ -105,7 +105,7 @@ class SessionFolder:
 
     @property
     def dataset(self) -> Path:
-        """Root of the BIDS dataset: one protocol in one mode."""
+        """Root of the BIDS dataset, for one protocol in one mode."""
         return self.dataset_of(self.results, self.mode, self.protocol)
 
     @property
@@ -120,12 +120,12 @@ class SessionFolder:
 
     @property
     def table(self) -> Path:
-        """The BIDS table derived from the log; its sidecar file has the suffix ``.json``."""
+        """BIDS table derived from the log; its sidecar file has the suffix ``.json``."""
         return self._table_of("")
 
     @property
     def form_table(self) -> Path:
-        """The BIDS table of the closing form, which is a separate task from the trials."""
+        """BIDS table of the closing form, which is a separate task from the trials."""
         return self._table_of("form")
 
     def _table_of(self, part: str) -> Path:
@@ -133,14 +133,14 @@ class SessionFolder:
         return self.folder / f"sub-{self.participant}_ses-{self.session}_task-{task}{part}_beh.tsv"
 
     def refuse_existing(self) -> None:
-        """Raise if a session has been recorded here, or the dataset has a participant whose id differs only in case.
+        """Refuse a recorded session, or a participant id that differs from another only in case.
 
         Raises
         ------
         RecordExistsError
-            If the log exists; the message says how to go on.
+            If the log exists; the message says how to continue.
         RecordInputError
-            If there is such a participant, whose folder Windows and macOS take for this one.
+            If there is such a participant, whose folder is the same on Windows and macOS.
         """
         own = f"sub-{self.participant}"
         names = [folder.name for folder in self.dataset.glob("sub-*") if folder.name.casefold() == own.casefold()]
@@ -154,25 +154,25 @@ class SessionFolder:
 
     @staticmethod
     def number_of(log: Path) -> int:
-        """Return the session number of a log, from its folder; 0 if that has none."""
+        """Return the session number from the folder of a log; 0 if it has none."""
         name = log.parent.parent.name.removeprefix("ses-")
         return int(name) if name.isdecimal() else 0
 
     @classmethod
     def logs_of(cls, participant: Path) -> list[Path]:
-        """Return the logs in a participant's folder, in order of session number."""
+        """Return the logs in a participant's folder, sorted by session number."""
         return sorted(participant.glob(f"ses-*/beh/{LOG_NAME}"), key=cls.number_of)
 
     @staticmethod
     def logs_under(place: Path) -> list[Path]:
-        """Return the logs that a path names: the file itself, or all in a folder, in order of their paths.
+        """Return the logs at a path, the file itself or all in a folder, sorted by path.
 
         Raises
         ------
         InputError
             If there is none; the message says what to give.
         PermissionError
-            If a folder is another user's: what it holds must not be missing without a word.
+            If a folder belongs to another user; its sessions must not be silently missing.
         """
 
         def refuse(error: OSError) -> None:
@@ -188,14 +188,14 @@ class SessionFolder:
 
     @staticmethod
     def lines_in_view(folder: Path) -> int:
-        """Return from how many lines of the log the BIDS view in a folder was made; 0 if none states it."""
+        """Return the number of log lines from which the BIDS view in a folder was made; 0 if not stated."""
         for side in folder.glob("*_beh.json"):
-            with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):  # as that of the form
+            with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):  # such as the form's
                 return int(json.loads(side.read_text(encoding="utf-8"))["SessionLog"]["lines"])
         return 0
 
     def describe_dataset(self, title: str) -> None:
-        """Write the dataset's description, README and ignore file if there is no description yet.
+        """Write the dataset's description, README and ignore file, unless there is a description.
 
         Raises
         ------
@@ -223,13 +223,13 @@ class SessionFolder:
         replace_text(dataset / ".bidsignore", f"*.jsonl\n*.log\n{LOCK_NAME}\n")
 
     def hold_dataset(self) -> AbstractContextManager[None]:
-        """Keep other sessions from starting in the dataset for a moment; raises `RecordError` as `hold` does."""
+        """Lock the dataset, so that no other session starts in it; raises `RecordError` like `hold`."""
         return hold(self.dataset)
 
     def list_participants(self, start: Mapping[str, Any] | None = None) -> None:
-        """Add participants not listed yet, and this one's answers to the protocol's questions about the participant.
+        """Add missing participants to ``participants.tsv``, and this one's answers to the protocol's questions.
 
-        Entries that a lab has made in the list, or in the file that describes its columns, are kept.
+        Entries made by the lab, in the list or in the file that describes its columns, are kept.
 
         Parameters
         ----------
@@ -247,7 +247,7 @@ class SessionFolder:
             names = list((start or {})["design"]["groups"])
             fields = {"group": {"question": "Group of the participant", "kind": "choice", "choices": names}} | fields
             answers = {"group": group} | answers
-        with self.hold_dataset():  # two sessions may begin at once: neither may write a list without the other
+        with self.hold_dataset():  # sessions may start concurrently, and the list must contain both
             table, side = self.dataset / "participants.tsv", self.dataset / "participants.json"
             read, own = table, f"sub-{self.participant}"
             try:
@@ -286,17 +286,19 @@ def _describe(field: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def replace_text(path: Path, text: str) -> None:
-    """Write a file of the view in one step, accessible to its owner alone."""
+    """Write a file of the view atomically, accessible to its owner only."""
     replace_file(path, text.encode(), "the session log is intact", OWNER_ALONE)
 
 
 def find_log(session: Path) -> Path:
-    """Return the session log that a path names: the log itself, its folder, or any folder with a single log.
+    """Return the session log at a path: the log itself, its folder, or any folder with a single log.
 
     Raises
     ------
-    InputError, RecordInputError
-        If there is none; if there are more than one, or the file is no log.
+    InputError
+        If there is no log.
+    RecordInputError
+        If there is more than one log, or the file is not a log.
     """
     if session.is_file() and session.suffix != ".jsonl":
         raise RecordInputError(f"{session}: is not a session log; give a session's folder or its {LOG_NAME}")
@@ -308,12 +310,12 @@ def find_log(session: Path) -> Path:
 
 
 def refuse_existing(path: Path) -> None:
-    """Raise if a session has been recorded here.
+    """Refuse to overwrite a session.
 
     Raises
     ------
     RecordExistsError
-        If the log exists; the message says how to go on.
+        If the log exists; the message says how to continue.
     """
     if path.exists() and is_locked(path):
         raise RecordExistsError(

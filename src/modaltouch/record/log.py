@@ -1,4 +1,4 @@
-"""The session log: one JSON line per event, on the disk before anything else happens."""
+"""Session log: one JSON line per event, synced to disk before the session continues."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from modaltouch.record.view import check_view, write_view
 from modaltouch.system import SYSTEM_CLOCK, Clock, lock, sync_file
 
 _MOMENT = 0.1
-"""How long to wait for a lock that a process may hold only to test whether the log is locked [s]."""
+"""Time to wait for a lock that another process may hold only to test it [s]."""
 
 
 class SessionLog(AbstractContextManager["SessionLog"]):
-    """An open session log; `append` returns once the event is on the disk.
+    """An open session log; `append` returns once the event is on disk.
 
     Use `create` for a new session and `reopen` for one that was interrupted.
     """
 
     SCHEMA: ClassVar[int] = SCHEMA
-    """Version of the log format that is written."""
+    """Version of the log format written."""
 
     def __init__(self, path: Path, descriptor: int, chain: Chain | None, clock: Clock = SYSTEM_CLOCK) -> None:
         self.path = path
@@ -46,14 +46,14 @@ class SessionLog(AbstractContextManager["SessionLog"]):
             self._sort(event)
         self._unsettled: tuple[dict[str, Any], str, int, int] | None = None
         self.listener: Callable[[dict[str, Any]], None] = lambda line: None
-        """Called with each event once it is on the disk."""
+        """Called with each event once it is on disk."""
 
     @classmethod
     def create(cls, path: Path, event: str, *, timed_by: Clock = SYSTEM_CLOCK, **facts: Any) -> Self:
-        """Create a new log with its first event, readable by its owner alone.
+        """Create a new log with its first event, accessible to its owner only.
 
-        The file gets its name only once the first event is in it: whatever interrupts this, there is either no session
-        yet or one that can be resumed.
+        The file is renamed into place once it contains the first event, so that an interruption leaves either no
+        session or one that can be resumed.
 
         Parameters
         ----------
@@ -69,7 +69,7 @@ class SessionLog(AbstractContextManager["SessionLog"]):
         Raises
         ------
         RecordError
-            If the log exists, or the folder cannot be written.
+            If the log exists or the folder cannot be written.
         """
         draft = path.with_name(f".{path.name}.{os.getpid()}.tmp")
         try:
@@ -93,7 +93,7 @@ class SessionLog(AbstractContextManager["SessionLog"]):
 
     @classmethod
     def reopen(cls, path: Path, *, timed_by: Clock = SYSTEM_CLOCK) -> Self:
-        """Open an interrupted log to append to it; an incomplete last line stays, and the next line declares it.
+        """Open an interrupted log for appending; an incomplete last line is kept and declared by the next line.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class SessionLog(AbstractContextManager["SessionLog"]):
             If the log is damaged, in use by another process, or cannot be written.
         """
         descriptor = _open_log(path)
-        for leftover in path.parent.glob(".*.tmp"):  # of a view interrupted by a kill; with the lock, nobody writes it
+        for leftover in path.parent.glob(".*.tmp"):  # left by a kill; the lock excludes other writers
             leftover.unlink()
         chain = read_chain(path)
         if chain.damage or not chain.events:
@@ -113,7 +113,7 @@ class SessionLog(AbstractContextManager["SessionLog"]):
 
     @classmethod
     def mend(cls, place: SessionFolder, *, timed_by: Clock = SYSTEM_CLOCK) -> Session:
-        """Write what an interruption left unwritten in a complete session: its last line, its BIDS view.
+        """Write the last line and BIDS view of a complete session if an interruption left them out.
 
         Raises
         ------
@@ -131,28 +131,28 @@ class SessionLog(AbstractContextManager["SessionLog"]):
 
     @property
     def session(self) -> Session:
-        """The session as it has been written so far."""
+        """The session as written so far."""
         session = Session(self.path, tuple(self.events))
-        vars(session)["trials"] = tuple(self._counting.values())  # which it would otherwise collect after each answer
+        vars(session)["trials"] = tuple(self._counting.values())  # avoids collecting them again after each answer
         return session
 
     def events_of(self, trial: dict[str, Any]) -> list[dict[str, Any]]:
-        """Return the events so far of one trial, identified by ``practice`` and ``index``."""
+        """Return the events so far of a trial, identified by ``practice`` and ``index``."""
         return self._of_trials.get(_key(trial), [])
 
     def write_view(self, place: SessionFolder) -> None:
-        """Bring the session's BIDS table and its sidecar file up to date.
+        """Update the session's BIDS table and its sidecar file.
 
         Raises
         ------
         RecordError
-            If a file cannot be written; the existing files stay valid.
+            If a file cannot be written; existing files remain valid.
         """
         session = self.session
         self._table = session.trials, write_view(place, session, self.head, self._table)
 
     def append(self, event: str, **facts: Any) -> dict[str, Any]:
-        """Write one event and return it once it is on the disk.
+        """Write an event and return it once it is on disk.
 
         Parameters
         ----------
@@ -164,7 +164,7 @@ class SessionLog(AbstractContextManager["SessionLog"]):
         Raises
         ------
         RecordError
-            If writing fails; nothing more can be appended to this log afterwards.
+            If writing fails; the log then refuses further events.
         """
         if self._failure:
             raise RecordError(self._failure)
@@ -187,12 +187,12 @@ class SessionLog(AbstractContextManager["SessionLog"]):
 
     @property
     def ends_cleanly(self) -> bool:
-        """Whether the log does not end in an incomplete line, which the next line would declare."""
+        """Whether the log ends in a complete line."""
         return not (self._torn or self._needs_newline)
 
     @property
     def head(self) -> dict[str, Any]:
-        """Length of the log so far: its number of lines and the check of the last."""
+        """Number of lines so far and check of the last line."""
         return {"lines": len(self.events), "check": self._check}
 
     def close(self) -> None:
@@ -205,10 +205,10 @@ class SessionLog(AbstractContextManager["SessionLog"]):
         self.close()
 
     def _publish(self, draft: Path) -> None:
-        """Give the file its name, unless that is taken."""
+        """Rename the draft to the log's path, unless that exists."""
         refuse_existing(self.path)
         if sys.platform == "win32":
-            # It cannot rename an open file, or onto an existing one. Other sessions wait, since the dataset is locked.
+            # Windows cannot rename an open file or replace an existing one. Other sessions wait for the dataset's lock.
             self.close()
             move(draft.rename, self.path)
             self._descriptor = _open_log(self.path)
@@ -223,9 +223,9 @@ class SessionLog(AbstractContextManager["SessionLog"]):
             draft.unlink()
 
     def _settle(self) -> None:
-        """Take the pending line into account if it was written, or else discard it.
+        """Account for the pending line if it was written, else discard it.
 
-        A signal may raise an exception just after the write, so the size of the file decides.
+        A signal may raise an exception just after the write, so the file size decides.
         """
         if self._unsettled is None:
             return
@@ -241,17 +241,17 @@ class SessionLog(AbstractContextManager["SessionLog"]):
         self._unsettled = None
 
     def _sort(self, event: dict[str, Any]) -> None:
-        """Assign an event to its trial, and update which answers count."""
+        """Assign an event to its trial and update the answers that count."""
         count(self._counting, event)
         trial = event.get("trial")
         if isinstance(trial, dict):
             own = self._of_trials.setdefault(_key(trial), [])
-            if event not in own[-1:]:  # after an exception from a signal it may come here twice
+            if event not in own[-1:]:  # an exception from a signal may cause a second call
                 own.append(event)
 
     def _write(self, data: bytes) -> None:
         try:
-            # A single write call: only a full disk, a power cut, or SIGKILL between two pages can leave it incomplete.
+            # With one write call, only a full disk, a power failure or SIGKILL between two pages truncates the line.
             written = os.write(self._descriptor, data)
             sync_file(self._descriptor)
         except OSError as error:

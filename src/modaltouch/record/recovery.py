@@ -1,8 +1,8 @@
-"""Recovers what a damaged log still proves into a new log; the damaged one is never changed.
+"""Recovery of the verifiable lines of a damaged log into a new log; the damaged log is never changed.
 
-The check of a line includes its predecessor's check, so lines that were changed, moved or duplicated can be told from
-sound ones: a line counts as proved if its check is correct after that of some line in the file, or after `GENESIS`. A
-line whose predecessor is missing cannot be proved: it is left out of the new log, and kept in a file of its own.
+Since the check of a line includes that of its predecessor, changed, moved and duplicated lines can be detected: a line
+is verified if its check is correct after that of any line in the file, or after `GENESIS`. A line whose predecessor is
+missing cannot be verified; it is left out of the new log and kept in a separate file.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from modaltouch.record.log import SessionLog
 
 @dataclass(frozen=True)
 class UnrecoveredLine:
-    """A line that is not recovered.
+    """A line left out of the recovery.
 
     Attributes
     ----------
     number : int
         Line number in the damaged file, from 1.
     reason : str
-        Why it is not recovered.
+        Why it is left out.
     content : bytes
         The line as found.
     """
@@ -51,7 +51,7 @@ class UnrecoveredLine:
 
 @dataclass(frozen=True)
 class Recovery:
-    """What a damaged log still proves.
+    """Result of the survey of a damaged log.
 
     Attributes
     ----------
@@ -60,17 +60,17 @@ class Recovery:
     sha256 : str
         SHA-256 of the whole file.
     events : tuple of dict
-        Proved lines, in the order in which they were written.
+        Verified lines, in the order of writing.
     numbers : tuple of int
         Line number of each in the file, from 1.
     left_out : tuple of UnrecoveredLine
         The other lines.
     missing : tuple of int
-        Numbers of lines that were written and are gone.
+        Numbers of lines that were written and are missing.
     converted : str
-        What another program has changed in the whole file, such as its line ends; lines are proved without that.
+        Conversion of the whole file by another program, such as of line ends, which is undone before verification.
     is_cut : bool
-        Whether the only fault of the file is an incomplete last line, which `modaltouch resume` can handle.
+        Whether the only fault is an incomplete last line, which `modaltouch resume` can handle.
     """
 
     path: Path
@@ -84,18 +84,18 @@ class Recovery:
 
     @property
     def is_sound(self) -> bool:
-        """Whether nothing is lost; an incomplete line that the next one declares does not count."""
+        """Whether no line is lost, except incomplete lines declared by the next one."""
         is_whole = not self.left_out and not self.missing and not self.converted
         return is_whole and self.numbers == tuple(sorted(self.numbers))
 
     @property
     def has_start(self) -> bool:
-        """Whether the start record is proved, without which it is unknown what the answers belong to."""
+        """Whether the start record is verified; without it, the answers cannot be attributed."""
         return bool(self.events) and self.events[0].get("event") == "start"
 
     @property
     def lines(self) -> list[str]:
-        """Sentences on what can be recovered and what cannot."""
+        """Sentences on what can and cannot be recovered."""
         answers = sum(event.get("event") == "trial" for event in self.events)
         said = [f"{len(self.events)} lines are intact, including {answers} answers"]
         if self.numbers != tuple(sorted(self.numbers)):
@@ -119,7 +119,7 @@ class Recovery:
         }
 
     def write(self, results: Path) -> Path:
-        """Write a new log of the proved lines, with a last line that describes the recovery, and return its path.
+        """Write a new log with the verified lines and a last line that describes the recovery, and return its path.
 
         Parameters
         ----------
@@ -129,7 +129,7 @@ class Recovery:
         Raises
         ------
         RecordError
-            If no start record is proved, or the session exists already.
+            If the start record is not verified, or the session exists already.
         """
         if not self.has_start:
             raise RecordError(
@@ -166,7 +166,7 @@ class Recovery:
 
 
 def survey(path: Path) -> Recovery:
-    """Return what a log still proves.
+    """Survey the verifiable lines of a log.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def survey(path: Path) -> Recovery:
     Raises
     ------
     RecordError
-        If there is none, or it cannot be read.
+        If there is no log, or it cannot be read.
     """
     path = find_log(path)
     data = read_log(path)
@@ -202,7 +202,7 @@ def survey(path: Path) -> Recovery:
     left_out = [line for line in left_out if describe_torn(line.content) not in declared]
     events = tuple(proved[number] for number in order)
     written = {event["n"] for event in events}
-    # Lines removed from the end leave no gap in the log, but the view states from how many lines it was made.
+    # Lines removed from the end leave no gap in the log, but the view states the number of lines it was made from.
     in_view = SessionFolder.lines_in_view(path.parent)
     missing = tuple(n for n in range(1, max(in_view, *written, 0) + 1) if n not in written)
     chain = parse_chain(data, str(path))
@@ -212,12 +212,12 @@ def survey(path: Path) -> Recovery:
 
 
 def _facts(event: dict[str, Any]) -> dict[str, Any]:
-    """Return the members of an event except for its number, kind and ``torn``, which the new log sets itself."""
+    """Return the members of an event except number, kind and ``torn``, which are set by the new log."""
     return {name: value for name, value in event.items() if name not in ("n", "event", "torn")}
 
 
 def _prove(lines: list[bytes], claimed: dict[int, str], number: int) -> dict[str, Any] | None:
-    """Return the event of a line if its check is correct after that of some line in the file, else None."""
+    """Return the event of a line if its check is correct after that of any line in the file, else None."""
     if number not in claimed:
         return None
     line, check = lines[number - 1], claimed[number]
@@ -243,7 +243,7 @@ def _why(line: bytes, claimed: dict[int, str], number: int) -> str:
 
 
 def _ranges(numbers: tuple[int, ...]) -> str:
-    """Return numbers as ``3, 7 to 9``."""
+    """Format numbers as ``3, 7 to 9``."""
     runs: list[list[int]] = []
     for number in numbers:
         if runs and number == runs[-1][1] + 1:

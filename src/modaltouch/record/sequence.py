@@ -1,6 +1,7 @@
-"""Checks each line of a session against the lines before it, the order drawn from the seed, and its trial.
+"""Check of each line of a session against earlier lines, the order drawn from the seed, and its trial.
 
-Level, amplitudes and speeds of a trial must follow from its place in the order; its bursts and instants must agree.
+Level, amplitudes and speeds of a trial must follow from its position in the order, and its bursts and instants must be
+consistent.
 """
 
 from __future__ import annotations
@@ -27,24 +28,24 @@ from modaltouch.record.expectation import (
 from modaltouch.record.session import Session
 
 Key = tuple[bool, int]
-"""Whether a trial is practice, and its index."""
+"""Whether a trial is a practice trial, and its index."""
 _MOST = 20
-"""Number of faults that are listed one by one."""
+"""Maximum number of faults listed individually."""
 _SAME = ("trial", "presentation", "fingers", "planned", "commanded", "response", "correct", "supersedes")
-"""Members that the line of an answer and that of its finished trial have in common."""
+"""Members common to the line of an answer and that of its finished trial."""
 
 
 class EventSequence:
-    """Checks the lines of a session in sequence and collects the faults.
+    """Check of the lines of a session in sequence.
 
     Parameters
     ----------
     session : Session
         The session, as read from its log.
     given : TrialExpectation
-        Values against which its trials are checked.
+        Expected values of its trials.
     schedule : Schedule
-        The order drawn again.
+        The redrawn order.
     """
 
     def __init__(self, session: Session, given: TrialExpectation, schedule: Schedule) -> None:
@@ -54,7 +55,7 @@ class EventSequence:
         self._order: dict[Key, Trial] = {(t.practice, t.index): t for t in (*schedule.practice, *schedule.trials)}
         self._n_practice, self._n_trials = len(schedule.practice), len(schedule.trials)
         recovered = [n for n, e in enumerate(session.events, 1) if e["event"] == "recovered" and e.get("missing")]
-        # Lines lost before a recovery leave gaps, so that what depends on earlier lines is checked only after it.
+        # Lines lost before a recovery leave gaps, so checks that depend on earlier lines begin after it.
         self._whole_from = max(recovered, default=0)
         self._counted: dict[int, Event] = {}
         self._done: Counter[Key] = Counter()
@@ -70,7 +71,7 @@ class EventSequence:
         self._boot, self._clock, self._before = "", float("-inf"), ""
 
     def walk(self) -> None:
-        """Check every line."""
+        """Check all lines and collect the faults in `problems`."""
         ways = {
             "fired": self._fired,
             "answered": self._answered,
@@ -96,7 +97,7 @@ class EventSequence:
 
     @property
     def lines(self) -> list[str]:
-        """What holds, in words; empty if there is any fault."""
+        """Sentences on the checks that passed; empty if there is any fault."""
         if self.problems:
             return []
         lines = [f"{self._n_finished} answers, each in its place, with its level and amplitudes"]
@@ -115,7 +116,7 @@ class EventSequence:
         if datetime.fromisoformat(event["time"]).tzinfo is None:
             yield f"its time {event['time']} names no zone"
         kind, clock = event["event"], float(event["clock"])
-        # These may have been written after a restart of the machine, without any sign of it.
+        # These events may follow a restart of the machine that is not recorded.
         unknown = kind in ("closed", "recovered") or "torn" in event or (self._before == "stop" and kind != "resume")
         boot = str(event.get("boot", "")) if kind in ("start", "resume") else "" if unknown else self._boot
         if boot == self._boot and boot and not clock >= self._clock:
@@ -123,7 +124,7 @@ class EventSequence:
         self._boot, self._clock = boot, clock
 
     def _named(self, number: int, event: Event) -> Iterator[str]:
-        """Check that a line refers to a trial of the order, at its level, and make this the current trial."""
+        """Check that a line refers to a trial of the order at its level, and make it the current trial."""
         if event["trial"] == self._written and not self._faulty:
             return
         trial = self._trial = Trial.from_dict(event["trial"])
@@ -151,7 +152,7 @@ class EventSequence:
         yield f"{_name(trial)} has the {differing} {here[differing]}, but its order has {there.get(differing)}"
 
     def _settle(self, planned: Trial) -> Trial:
-        """Return a trial of an adaptive run at the level that follows from the answers that count so far."""
+        """Return a trial of an adaptive run at the level that follows from the earlier answers that count."""
         if self._settled is None or self._settled[0] != planned:
             algorithm = self._session.start["adaptive"]["algorithm"]
             self._settled = planned, self._expected.levels.settle(planned, self._counted.values(), algorithm)
@@ -169,7 +170,7 @@ class EventSequence:
             yield f"{_name(trial)}: {fault}"
 
     def _probed(self, number: int, event: Event) -> Iterator[str]:
-        """Check the design for the fingers measured, against which all lines until the next placement are checked."""
+        """Check the design for the measured fingers, and expect it in all lines until the next placement."""
         if event["hands"] == "off":
             return
         levels = self._given.protocol.conditions.peak_velocities_mm_s
@@ -189,7 +190,7 @@ class EventSequence:
                 )
 
     def _due(self) -> Key | None:
-        """Return which trial comes next: the first one left of practice, then of the trials that count."""
+        """Return the next trial: the first remaining one of practice, then of the main trials."""
         practice = next(((True, n) for n in range(1, self._n_practice + 1) if not self._done[True, n]), None)
         while self._done[False, self._next]:
             self._next += 1
@@ -225,20 +226,20 @@ class EventSequence:
             yield f"{_name(trial)}: {fault}"
 
     def _follows(self, event: Event, trial: Trial) -> Iterator[str]:
-        """Check that an answer follows its stimulus, and refers to the answer that it replaces."""
+        """Check that an answer follows its stimulus and refers to the answer it supersedes."""
         if self._pending != trial:
             yield "was answered but not presented"
         n_fired = self._n_fired[_key(trial)]
         if event["presentation"] != n_fired:
             yield f"is called presentation {event['presentation']}, but its stimulus began {n_fired} times"
-        # It may also refer to an answer whose stimulus was never confirmed at its end.
+        # It may also refer to an answer whose stimulus was not confirmed at its end.
         unfinished = [n for n, each in self._unfinished.items() if each["trial"] == event["trial"]]
         before = self._last_line.get(_key(trial))
         if event["supersedes"] not in (before, *unfinished):
             yield f"replaces the answer on line {event['supersedes']}, but its last answer is on line {before}"
 
     def _finishes(self, event: Event) -> Iterator[str]:
-        """Check that a finished trial repeats its answer, and that no other trial has finished this one."""
+        """Check that a finished trial repeats its answer, and that the answer was not finished before."""
         answer = self._unfinished.pop(event["answered"], None)
         self._counted.pop(event["answered"], None)
         if answer is None:
@@ -287,7 +288,7 @@ class EventSequence:
 
 
 def _key(trial: Trial) -> tuple[bool, int, float]:
-    """Return what identifies a trial, and an adaptive one at its level."""
+    """Return the key of a trial, including its level for adaptive runs."""
     return trial.practice, trial.index, trial.condition.velocity_mm_s
 
 

@@ -1,4 +1,4 @@
-"""A session as its log records it."""
+"""Recorded sessions: the events of a log, the answers that count, and the table of answers."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from modaltouch.record.files import is_locked
 from modaltouch.record.folders import find_log
 
 _TAIL = 4096
-"""Bytes at the end of a log that contain its last line, if that is a stop."""
+"""Bytes at the end of a log that contain its last line if that is a stop event."""
 
 SCHEMA = 2
-"""Version of the session log's format, stated in its first line. Since version 2 bursts are counted, and an answer has
-a line of its own before its trial is confirmed."""
+"""Version of the log format, stated in the first line. Since version 2, bursts are counted, and an answer is written
+on a separate line before its trial is confirmed."""
 
 READABLE = (1, 2)
-"""Versions that can be read."""
+"""Readable versions of the log format."""
 
 _NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] = {
     "start": ((("mode",), str), (("participant",), str), (("protocol",), str), (("schedule", "n_trials"), int)),
@@ -53,21 +53,21 @@ _NEEDED: dict[str, tuple[tuple[tuple[str, ...], type | tuple[type, ...]], ...]] 
         (("response", "reaction_time"), (int, float)),
     ),
 }
-"""Members of each kind of event on which the rest of the program relies, and their types."""
+"""Required members of each kind of event, and their types."""
 
 
 @dataclass(frozen=True)
 class Session:
-    """A session as its log records it.
+    """A recorded session.
 
     Attributes
     ----------
     path : Path
         The log.
     events : tuple of dict
-        Its sound lines.
+        Valid lines of the log.
     chain : Chain
-        Contents of its file, if it was read from one.
+        Contents of the file, if read from one.
     """
 
     path: Path
@@ -76,18 +76,18 @@ class Session:
 
     @classmethod
     def find(cls, path: Path) -> Session:
-        """Return the session that a path names: its log, its folder, or any folder with a single log.
+        """Read the session at a path: its log, its folder, or any folder with a single log.
 
         Raises
         ------
         RecordError
-            If there is none or more than one, or its log cannot be read.
+            If there is no session or more than one, or the log cannot be read.
         """
         return read_session(find_log(path))
 
     @classmethod
     def peek(cls, log: Path) -> Self:
-        """Return a session with only its first line, or without any if that cannot be read."""
+        """Read only the first line of a session; no line if that is unreadable."""
         try:
             with log.open("rb") as file:
                 return cls(log, (read_object(file.readline()),))
@@ -96,7 +96,7 @@ class Session:
 
     @staticmethod
     def is_complete_or_running(log: Path) -> bool:
-        """Return whether a log is complete or being recorded; usually its last line is enough to tell."""
+        """Return whether a log is complete or being recorded; usually its last line suffices."""
         try:
             with log.open("rb") as file:
                 file.seek(max(file.seek(0, os.SEEK_END) - _TAIL, 0))
@@ -108,17 +108,17 @@ class Session:
 
     @cached_property
     def problems(self) -> tuple[str, ...]:
-        """All problems of the file; empty for an intact one."""
+        """All problems of the file; empty for an intact file."""
         return (*self.chain.problems, *check_shape(self.events, str(self.path)))
 
     @property
     def is_readable(self) -> bool:
-        """Whether there is a start record, and every line has all required members."""
+        """Whether there is a start record and all lines have the required members."""
         return bool(self.start) and not check_shape(self.events, "")
 
     @property
     def is_running(self) -> bool:
-        """Whether a process is recording it now."""
+        """Whether a process is recording the session now."""
         return is_locked(self.path)
 
     @cached_property
@@ -143,12 +143,12 @@ class Session:
 
     @property
     def drawn_as(self) -> int:
-        """Number of the session whose order this one uses: its own, or that of the session it restarted."""
+        """Number of the session whose order this session uses: its own, or that of the session it restarted."""
         return int(self.start.get("schedule", {}).get("seeds", {}).get("session", self.start.get("session", 1)))
 
     @property
     def started_over_as(self) -> int | None:
-        """Number of the session that restarted this one; None if this one can be continued."""
+        """Number of the session that restarted this session; None if it can be continued."""
         closed = [event["begun_anew_as"] for event in self.events if event.get("event") == "closed"]
         return int(closed[-1]) if closed else None
 
@@ -160,26 +160,26 @@ class Session:
 
     @cached_property
     def multiples(self) -> dict[float, float]:
-        """Multiple of the participant's threshold for each level [mm/s]; empty if levels are not set in this way."""
+        """Multiple of the participant's threshold by level [mm/s]; empty if levels are not multiples of a threshold."""
         own = self.start.get("sensation_levels") or {"levels_mm_s": (), "multiples": ()}
         return dict(zip(own["levels_mm_s"], own["multiples"], strict=True))
 
     @cached_property
     def trials(self) -> tuple[dict[str, Any], ...]:
-        """The trial events that count: answered, and neither superseded by a later one nor withdrawn."""
+        """Trial events that count: answered, and neither superseded nor withdrawn."""
         counting: dict[int, dict[str, Any]] = {}
         for event in self.events:
             count(counting, event)
         return tuple(counting.values())
 
     def table(self) -> Iterator[dict[str, Any]]:
-        """Yield the answers that count as rows of one table, values by column."""
+        """Yield the answers that count as table rows, values by column."""
         yield from map(self.row, self.trials)
 
     def row(self, event: dict[str, Any]) -> dict[str, Any]:
-        """Return an answer as a row of the table, values by column; None for unknown values.
+        """Return an answer as a table row, values by column; None for unknown values.
 
-        The columns are those of the BIDS table (`modaltouch.record.view`) and further ones for the analysis:
+        The columns are those of the BIDS table (`modaltouch.record.view`), and for the analysis
         ``participant``, ``session``, ``double`` and ``response_uncertainty`` [s].
         """
         trial, response, condition = event["trial"], event["response"], event["trial"]["condition"]
@@ -235,7 +235,7 @@ class Session:
         }
 
     def _further(self, response: dict[str, Any]) -> Iterator[Any]:
-        """Yield the number answered on the scale, and the answers to further questions, in order of their columns."""
+        """Yield the number on the scale and the answers to further questions, in column order."""
         for name, asked in self.questions.items():
             if name == "value":
                 yield response.get("value")
@@ -246,50 +246,50 @@ class Session:
 
     @cached_property
     def answered(self) -> frozenset[tuple[bool, int]]:
-        """Trials that are done, as (practice, index): answered, with the stimulus confirmed by the instrument."""
+        """Completed trials as (practice, index): answered, with the stimulus confirmed by the instrument."""
         confirmed = (event["trial"] for event in self.trials if event["confirmed"]["confirmed"])
         return frozenset((trial["practice"], trial["index"]) for trial in confirmed)
 
     @property
     def n_answered(self) -> int:
-        """Number of trials answered, practice not counted."""
+        """Number of answered trials, practice excluded."""
         return sum(not practice for practice, _ in self.answered)
 
     @cached_property
     def form(self) -> dict[str, dict[str, Any]]:
         """Responses to the questions of the closing form."""
-        # Without a form in the protocol, the events are not searched after each trial.
+        # Without a form in the protocol, skip searching the events after each trial.
         events = self.events if self.start.get("design", {}).get("form") else ()
         return {event["name"]: event["response"] for event in events if event["event"] == "form"}
 
     @property
     def questions(self) -> dict[str, dict[str, Any]]:
-        """Questions asked in addition to the first one of a trial, as in the protocol, by their columns."""
+        """Questions in addition to the first one of a trial, as in the protocol, by column."""
         answers = self.start.get("design", {}).get("answers", {})
         scale = {"value": {"scale": answers["scale"]}} if answers.get("scale") else {}
         return {**scale, **answers.get("then", {})}
 
     @cached_property
     def question_columns(self) -> tuple[str, ...]:
-        """Columns of these questions: one for a number, two for an answer and its time."""
+        """Columns of these questions: one for a number, two for an answer and its reaction time."""
         return tuple(
             each for name in self.questions for each in ([name] if name == "value" else [name, f"{name}_time"])
         )
 
     @property
     def lacks_trials(self) -> bool:
-        """Whether a scheduled trial is not answered, practice excluded."""
+        """Whether any scheduled trial is unanswered, practice excluded."""
         return self.n_answered < int(self.start.get("schedule", {"n_trials": 1})["n_trials"])
 
     @property
     def complete(self) -> bool:
-        """Whether every scheduled trial is answered, practice excluded, and the closing form filled in."""
+        """Whether all scheduled trials are answered, practice excluded, and the closing form is filled in."""
         asked = self.start.get("design", {}).get("form", {})
         return bool(self.start) and not self.lacks_trials and asked.keys() <= self.form.keys()
 
     @property
     def unfit(self) -> str:
-        """Why the analysis leaves the session out, although it is sound; empty if all its answers can be used."""
+        """Why the analysis leaves out a valid session; empty if all its answers can be used."""
         if not self.complete and self.started_over_as is not None:
             return f"closed: started over as session {self.started_over_as}"
         total = self.start.get("schedule", {}).get("n_trials", 0)
@@ -303,7 +303,7 @@ class Session:
 
 
 def count(counting: dict[int, dict[str, Any]], event: dict[str, Any]) -> None:
-    """Update the trial events that count, by their line numbers, with the next event.
+    """Update the trial events that count, by line number, with the next event.
 
     An answer is recorded at once, and again when the end of its stimulus is confirmed.
     """
@@ -317,7 +317,7 @@ def count(counting: dict[int, dict[str, Any]], event: dict[str, Any]) -> None:
 
 
 def _uncertainty(event: dict[str, Any]) -> float | None:
-    """Return the uncertainty of a reaction time [s]: that of the onset it counts from plus that of the answer."""
+    """Return the uncertainty of a reaction time, that of its onset plus that of the answer [s]."""
     response, onset = event["response"], event.get("confirmed", {}).get("onset_uncertainty")
     if response.get("onset") != "first_burst":
         onset = response.get("question_uncertainty", 0.0)
@@ -325,12 +325,12 @@ def _uncertainty(event: dict[str, Any]) -> float | None:
 
 
 def read_session(path: Path) -> Session:
-    """Return a session from its log.
+    """Read a session from its log.
 
     Parameters
     ----------
     path : Path
-        Its ``session.jsonl``.
+        The ``session.jsonl``.
 
     Raises
     ------
@@ -342,16 +342,16 @@ def read_session(path: Path) -> Session:
 
 
 def check_shape(events: Iterable[dict[str, Any]], name: str, *, to_repeat: bool = False) -> tuple[str, ...]:
-    """Return the missing or wrong members of a log's events, in words; empty if all have the required ones.
+    """Return a problem for each event with missing or wrong members; empty if all events are valid.
 
     Parameters
     ----------
     events : iterable of dict
-        Sound lines of a log.
+        Valid lines of a log.
     name : str
-        First word of each problem.
+        Prefix of each problem.
     to_repeat : bool
-        Whether the first line must also contain everything from which order and drive are computed.
+        Whether the first line must also contain all inputs from which order and drive are computed.
     """
     problems = []
     for number, event in enumerate(events, 1):

@@ -1,7 +1,7 @@
-"""The BIDS view: tables and sidecar files derived from the session log, valid at every moment.
+"""BIDS view: tables and sidecar files derived from the session log.
 
-Every file is written under a temporary name and then renamed, so a reader never finds half a file. The log is the only
-original; the view can be rebuilt from it at any time, and is checked against it.
+Files are replaced atomically, so that they are valid at all times. The log is the only original; the view can be
+rebuilt from it and is checked against it.
 
 References
 ----------
@@ -126,7 +126,7 @@ FURTHER: dict[str, dict[str, dict[str, Any]]] = {
         }
     },
 }
-"""Columns by what a session must have for them; bursts are counted since format 2 of the log."""
+"""Additional columns by the feature of a session that requires them; bursts are counted since log format 2."""
 QUESTION_TIME: dict[str, Any] = {"Description": "Time from the question to its answer", "Units": "s"}
 _FORMATS = {
     **dict.fromkeys(("velocity_mm_s", "multiple_of_threshold", "standard_mm_s"), "g"),
@@ -145,24 +145,23 @@ _FINGERS: dict[tuple[str, ...] | None, str] = {
 def write_view(
     place: SessionFolder, session: Session, head: dict[str, Any], before: tuple[tuple[Any, ...], str] = ((), "")
 ) -> str:
-    """Write the session's table and its sidecar file from the log, and return the table.
+    """Write the session's table and sidecar file from the log, and return the table.
 
     Parameters
     ----------
     place : SessionFolder
-        Place of the session.
+        Folder of the session.
     session : Session
         The session, as read from its log.
     head : dict
-        Length of the log (`SessionLog.head`), stated in the sidecar file, so that a log that has lost its last lines is
-        noticed.
+        Length of the log (`SessionLog.head`), stated in the sidecar file to detect the loss of its last lines.
     before : tuple of (tuple of dict, str), optional
         As for `table_text`.
 
     Raises
     ------
     RecordError
-        If a file cannot be written; the existing files stay valid.
+        If a file cannot be written; existing files remain valid.
     """
     told = {
         "TaskDescription": session.start.get("design", {}).get("title", ""),
@@ -188,15 +187,15 @@ def write_view(
 
 
 def table_text(session: Session, before: tuple[tuple[Any, ...], str] = ((), "")) -> str:
-    """Return the BIDS table of a session: one row for each answer that counts.
+    """Return the BIDS table of a session, one row per answer that counts.
 
     Parameters
     ----------
     session : Session
         The session, as read from its log.
     before : tuple of (tuple of dict, str), optional
-        The answers of an earlier table of this session, and that table. If these answers still come first, rows are
-        only appended, so that the thousandth answer takes no longer than the first.
+        Answers of an earlier table of this session, and that table. If these answers are unchanged, rows are only
+        appended, so that the time per answer does not grow.
     """
     columns, (done, text) = _columns(session), before
     if not text or session.trials[: len(done)] != done:
@@ -206,7 +205,7 @@ def table_text(session: Session, before: tuple[tuple[Any, ...], str] = ((), ""))
 
 
 def form_text(session: Session) -> str:
-    """Return the table of the closing form, one row with a column for each question; empty before any answer."""
+    """Return the table of the closing form, one row with a column per question; empty before any answer."""
     if not session.form:
         return ""
     given = {name: session.form.get(name, {"answer": None}) for name in session.start["design"]["form"]}
@@ -215,7 +214,7 @@ def form_text(session: Session) -> str:
 
 
 def _columns(session: Session) -> dict[str, dict[str, Any]]:
-    """Return the columns of a session's table, which depend on its protocol, with their descriptions."""
+    """Return the columns of a session's table with their descriptions, according to its protocol."""
     design = session.start.get("design", {})
     finger_conditions = COLUMNS["finger_condition"]
     for name, fingers in design.get("conditions", {}).get("fingers", {}).items():
@@ -244,7 +243,7 @@ def _columns(session: Session) -> dict[str, dict[str, Any]]:
 
 
 def describe_question(asked: dict[str, Any]) -> dict[str, Any]:
-    """Return the description of a question's column, from its section of the protocol."""
+    """Return the description of a question's column from its section of the protocol."""
     scale, words = asked.get("scale"), asked.get("question") or ""
     if not scale:
         levels = {name: f"the answer {name}" for name in asked["keys"]} | {TIME_OUT: "no answer in time"}
@@ -272,19 +271,19 @@ def _text(name: str, value: Any) -> str:
 
 @dataclass(frozen=True)
 class ViewFound:
-    """Result of the comparison of a view with its log.
+    """Result of checking a view against its log.
 
     Attributes
     ----------
     line : str
-        What holds, in words; empty if the view does not hold.
+        Sentence on a view that agrees; empty otherwise.
     problem : str
-        What does not hold; empty for a sound view.
+        Problem of the view; empty if it agrees.
     is_mendable : bool
-        Whether `resume` mends the problem: a table or sidecar file is missing, or the view includes the one line that
-        is incomplete in the log.
+        Whether `resume` repairs the problem: a table or sidecar file is missing, or the view includes the line that is
+        incomplete in the log.
     is_current : bool
-        Whether it was made from the whole log, so that nothing need be written.
+        Whether the view was made from the whole log.
     """
 
     line: str = ""
@@ -294,7 +293,7 @@ class ViewFound:
 
 
 def check_view(session: Session) -> ViewFound:
-    """Compare the BIDS view beside a log with the log.
+    """Check the BIDS view of a session against its log.
 
     Parameters
     ----------
@@ -309,7 +308,7 @@ def check_view(session: Session) -> ViewFound:
         said = f"{session.path.parent}: holds {len(tables)} BIDS tables (*_beh.tsv), but exactly one is needed"
         return ViewFound(problem=said, is_mendable=not tables)
     table, side = tables[0], tables[0].with_suffix(".json")
-    # The table is written before its sidecar: a session killed between the two for the first time has no sidecar.
+    # The table is written before its sidecar: a session killed between the two the first time has no sidecar.
     is_described = side.exists()
     head: dict[str, Any] = {"lines": 0, "check": ""}
     try:
@@ -320,7 +319,7 @@ def check_view(session: Session) -> ViewFound:
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
         return ViewFound(problem=f"{table}: the BIDS view cannot be read ({error}); move it away, and {_REMAKE}")
     if n_lines > len(checks):
-        if session.chain.damage:  # nothing was read beyond it, so it is unknown whether lines are missing
+        if session.chain.damage:  # lines after the damage were not read, so missing lines cannot be detected
             return ViewFound()
         return ViewFound(
             problem=f"{session.path}: the BIDS view was made from {n_lines} lines, but the log has {len(checks)}: "
@@ -329,7 +328,7 @@ def check_view(session: Session) -> ViewFound:
         )
     if n_lines > 0 and checks[n_lines - 1] != check:
         return ViewFound(problem=f"{side}: was made from another log")
-    # After a kill between the two, the table includes later lines than its sidecar file states.
+    # After a kill between the two, the table includes more lines than its sidecar states.
     made_from = (Session(session.path, session.events[:n]) for n in range(max(n_lines, 0), len(checks) + 1))
     # The form's table is written first.
     shown = next((each for each in made_from if text == table_text(each)), None)
