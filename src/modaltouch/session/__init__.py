@@ -1,7 +1,7 @@
-"""A session of one participant, from its set-up to its verified record.
+"""Sessions with one participant, from setup to the finished record.
 
-Takes a checked experiment, a participant and a folder for the record, and writes the record and its events. ``wiring``
-puts the parts together, ``setup`` opens and closes them in order, ``loop`` runs the trials.
+`wire_run` and `wire_resume` assemble the `Setup` of a new or an interrupted session, `begin` and `resume` run it, and
+`simulate_session` does both for a simulated participant.
 """
 
 from __future__ import annotations

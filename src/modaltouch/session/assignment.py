@@ -1,10 +1,10 @@
-"""Which session comes next, and which balanced order a participant gets, from the records on disk.
+"""Assignment of a participant's next session, group and balanced order from the records on disk.
 
 A participant's turn determines the order of finger conditions, the placement and the row of a Latin square. If turns
-go by participant number, p01 has the first, p02 the second, and a drop-out leaves a gap. If they go by the records, a
-new participant gets the turn that the fewest have filled, so that gaps are closed. A turn is filled by a participant
-whose latest session is complete or running. A participant whose latest session was left incomplete may still resume
-it, and counts only between turns that are otherwise filled equally.
+follow the participant number, p01 has the first and p02 the second, and a drop-out leaves a gap. If they follow the
+records, a new participant gets the turn filled by the fewest participants, so that gaps are closed. A turn is filled by
+a participant whose latest session is complete or running. Participants whose latest session is incomplete may still
+resume it, and are counted only to break ties.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from modaltouch.protocol import Protocol, Turn
 from modaltouch.record import RecordError, RecordInputError, Session, SessionFolder, read_session
 
 LEAST_FILLED = "least filled in the records"
-"""Reason recorded when the records decide a turn or a group."""
+"""Reason recorded for a turn or group that is decided by the records."""
 
 
 def assign_turn(
     place: SessionFolder, protocol: Protocol, drawn_as: int, group: str = ""
 ) -> tuple[Turn, dict[str, Any]]:
-    """Return the turn of a participant whose session begins, and the reason for it, for the record.
+    """Return the turn of a participant whose session begins, and the facts of its assignment for the record.
 
-    Call it while the dataset is held.
+    Call while holding the lock of the dataset.
 
     Parameters
     ----------
     place : SessionFolder
-        Where the session will be.
+        Folder of the session.
     protocol : Protocol
-        The design.
+        The protocol.
     drawn_as : int
-        Number of the session in the participant's own count; each session has the turn after the previous one's.
+        Number of the session, without restarted ones; each session has the turn after that of the previous one.
     group : str
         The participant's group; orders are balanced within it.
 
@@ -76,23 +76,23 @@ def assign_turn(
 
 
 def assign_group(place: SessionFolder, protocol: Protocol, seed: int, given: str | None = None) -> tuple[str, str]:
-    """Return a participant's group, and what decided it; empty if the protocol has no groups.
+    """Return a participant's group and the reason for it; empty if the protocol has no groups.
 
     Parameters
     ----------
     place : SessionFolder
-        Where the session will be.
+        Folder of the session.
     protocol : Protocol
-        The design.
+        The protocol.
     seed : int
         Seed of the study.
     given : str, optional
-        The group that the experimenter wants.
+        Group given by the experimenter.
 
     Raises
     ------
     RecordInputError
-        If there is no such group, or the participant belongs to another.
+        If there is no such group, or the participant belongs to another one.
     """
     names = list(protocol.groups)
     if given is not None and given not in names:
@@ -118,7 +118,7 @@ def assign_group(place: SessionFolder, protocol: Protocol, seed: int, given: str
 
 
 def is_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datetime) -> str:
-    """Return a message if a session would begin sooner than its kind allows or out of turn; otherwise empty."""
+    """Return an error message if a session would begin too early for its kind or out of turn; else an empty string."""
     kind = protocol.schedule.kind_of(drawn_as)
     logs = SessionFolder.logs_of(place.dataset / f"sub-{place.participant}")
     if kind is not None and len(logs) < drawn_as - 1:
@@ -144,21 +144,19 @@ def is_early(place: SessionFolder, protocol: Protocol, drawn_as: int, now: datet
 
 
 def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, int]:
-    """Return the place of a participant's next session, and its number in the participant's own count.
-
-    The count leaves out sessions that were begun anew; without any, both numbers are the same.
+    """Return the folder of a participant's next session, and its number without restarted sessions.
 
     Parameters
     ----------
     place : SessionFolder
-        Place of any session of the participant.
+        Folder of any session of the participant.
     n_sessions : int
-        Number of sessions of each participant.
+        Number of sessions per participant.
 
     Raises
     ------
     RecordError
-        If a session cannot be read, the latest is not complete, or the participant has had all of the protocol's.
+        If a session cannot be read, the latest is not complete, or the participant has had all sessions.
     """
     every = [read_session(log) for log in SessionFolder.logs_of(place.dataset / f"sub-{place.participant}")]
     for each in every:
@@ -189,7 +187,7 @@ def next_session(place: SessionFolder, n_sessions: int) -> tuple[SessionFolder, 
 
 
 def propose_participant(dataset: Path) -> str:
-    """Return the id after the last one in a dataset: ``p08`` after ``p07``; ``p01`` where there is none.
+    """Return the id after the last one in a dataset: ``p08`` after ``p07``; ``p01`` for the first.
 
     Parameters
     ----------
@@ -205,9 +203,9 @@ def propose_participant(dataset: Path) -> str:
 
 
 def _participants(dataset: Path) -> Iterator[tuple[str, Session, Path]]:
-    """Yield every participant with a start record: the start of their first session, and the log of their latest.
+    """Yield each participant with a start record: the start of the first session, and the log of the latest.
 
-    Only one line of each participant is read here, as the dataset is held meanwhile.
+    Only one line per participant is read, since the dataset is locked meanwhile.
     """
     for folder in sorted(dataset.glob("sub-*")):
         logs = SessionFolder.logs_of(folder)
@@ -217,7 +215,7 @@ def _participants(dataset: Path) -> Iterator[tuple[str, Session, Path]]:
 
 
 def first_turn(session: Session) -> int:
-    """Return the turn of a participant's first session, derived from any of their sessions."""
+    """Return the turn of a participant's first session, derived from any session."""
     start = session.start
     groups = start.get("design", {}).get("groups", ())
     turn = Turn.recorded(start) or Turn.of(session.participant, int(start["seed"]), session.drawn_as, groups)

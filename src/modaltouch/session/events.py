@@ -1,4 +1,4 @@
-"""Describes a session and its trials, for the record and for the experimenter."""
+"""Descriptions of a session and its trials, for the record and the experimenter."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from modaltouch.window import SessionStopped, WindowError
 
 
 def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolder) -> dict[str, Any]:
-    """Return what the start record says about the experiment: everything needed to repeat the session.
+    """Return the start record's facts on the experiment, sufficient to repeat the session.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolde
     schedule : Schedule
         The participant's trials.
     place : SessionFolder
-        Where it is recorded.
+        Folder of the record.
     """
     experiment, burst = preflight.experiment, preflight.stimulus.burst
     adaptive = experiment.protocol.adaptive
@@ -56,7 +56,7 @@ def describe_start(preflight: Preflight, schedule: Schedule, place: SessionFolde
 
 
 def boot_id() -> str:
-    """Return the identifier of this boot of the machine; empty if the system gives none."""
+    """Return the identifier of the current boot; empty if the system provides none."""
     try:
         return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     except (OSError, UnicodeDecodeError):
@@ -64,7 +64,7 @@ def boot_id() -> str:
 
 
 PRACTICE_FAILED = "practice not passed"
-"""Reason for the end of a session whose participant did not pass practice, if the protocol ends it then."""
+"""Reason for the end of a session after failed practice."""
 
 
 def how_to_continue(reason: str, folder: Path) -> str:
@@ -73,9 +73,9 @@ def how_to_continue(reason: str, folder: Path) -> str:
     Parameters
     ----------
     reason : str
-        Why it ended.
+        Reason for its end.
     folder : Path
-        Where it is recorded.
+        Folder of the record.
     """
     if reason == PRACTICE_FAILED:
         return f"`modaltouch resume --restart {folder}` starts it over, including practice"
@@ -83,12 +83,12 @@ def how_to_continue(reason: str, folder: Path) -> str:
 
 
 def describe_ending(error: BaseException) -> dict[str, str]:
-    """Return why a session ended early, for its stop record.
+    """Return the reason for the early end of a session, for its stop record.
 
     Parameters
     ----------
     error : BaseException
-        What ended it.
+        The exception that ended it.
     """
     if isinstance(error, SessionStopped):
         return {"reason": error.reason}
@@ -112,27 +112,27 @@ def describe_answer(
     masked: bool | None,
     events: Sequence[dict[str, Any]],
 ) -> dict[str, Any]:
-    """Return the trial event of the record, which keeps what was planned, commanded, confirmed and answered apart.
+    """Return the facts of a trial event: planned, commanded and confirmed stimulus, and response.
 
     Parameters
     ----------
     protocol : Protocol
-        What is presented and asked.
+        The protocol.
     speeds : callable
         Predicted peak speeds under the fingers in a trial, from left to right [m/s].
     trial, response
-        What was asked and answered.
+        The trial and its response.
     firings : sequence of Firing
-        What the instrument confirmed in each interval; `trial.interval` is the one that held the trial's condition.
+        The stimulus of each interval as confirmed; that of `trial.interval` has the trial's condition.
     masked : bool or None
-        Whether noise masked the sound of the beam; None if the protocol wants none.
+        Whether noise masked the sound of the beam; None if the protocol has no noise.
     events : sequence of dict
         Events of this trial in the record so far.
     """
     values, last = trial.as_dict(), firings[-1]
     answered = last.onset + response.counted_from + response.reaction_time
     asked = None if response.question_after is None else last.onset + response.question_after
-    # An interval that is not confirmed spoils the trial.
+    # Any unconfirmed interval makes the trial unconfirmed.
     spoilt = next((each for each in firings if not each.confirmed), last)
     own = firings[trial.interval - 1]
     firing = replace(own, confirmed=spoilt.confirmed, reason=spoilt.reason, stalled=spoilt.stalled)
@@ -152,8 +152,8 @@ def describe_answer(
         **({"intervals": intervals} if intervals else {}),
         "response": response.as_dict(),
         **({"correct": protocol.is_correct(trial, response.answer)} if intervals else {}),
-        # A picture is on the screen between the call that flips it and the call's return; a monitor's own latency comes
-        # on top, unseen. A press is stamped when it is read, at most one poll after it happened.
+        # A frame appears between the call of flip and its return, plus the unknown latency of the monitor. A key press
+        # is time-stamped when it is read, at most one poll after it occurred.
         "instants": {
             "first_burst": _first(trial, firing),
             "question": None if asked is None else _between(asked - response.question_uncertainty, asked),
@@ -164,7 +164,7 @@ def describe_answer(
 
 
 def _describe_stimulus(speeds: tuple[float, ...], part: Trial, firing: Firing) -> dict[str, Any]:
-    """Return what was planned, commanded, confirmed and played in a trial, or in one of its intervals."""
+    """Return the planned, commanded, confirmed and played stimulus of a trial or an interval."""
     stimulus = part.condition.stimulus if part.interval else ""
     return {
         "planned": {
@@ -179,14 +179,14 @@ def _describe_stimulus(speeds: tuple[float, ...], part: Trial, firing: Firing) -
 
 
 def _first(part: Trial, firing: Firing) -> dict[str, float] | None:
-    """Return the earliest and latest onset of the first burst; None if there was none, or its onset is unknown."""
+    """Return the earliest and latest onset of the first burst; None if there is none or its onset is unknown."""
     if part.condition.is_catch or firing.repetition == "wired":
         return None
     return _between(firing.onset - firing.onset_uncertainty, firing.onset + firing.onset_uncertainty)
 
 
 def describe_trial(protocol: Protocol, speeds: tuple[float, ...], trial: Trial) -> dict[str, Any]:
-    """Return what the experimenter should know about a trial before it begins.
+    """Return the description of a trial shown to the experimenter before it begins.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def describe_trial(protocol: Protocol, speeds: tuple[float, ...], trial: Trial) 
 
 
 def describe_placement(protocol: Protocol, trial: Trial) -> dict[str, Any]:
-    """Return which finger lies on which zone, and how answers are given.
+    """Return the finger on each zone, and the way of answering.
 
     Parameters
     ----------
@@ -226,14 +226,14 @@ def describe_placement(protocol: Protocol, trial: Trial) -> dict[str, Any]:
 
 
 def _by_side(name: str, trial: Trial, values: Iterable[Any]) -> dict[str, Any]:
-    """Return the values of the fingers, each under a name with the finger's side."""
+    """Return the values of the fingers by name, with the finger's side in each name."""
     return dict(zip(map(name.format, trial.condition.sides), values, strict=True))
 
 
 def _superseded(events: Sequence[dict[str, Any]], values: dict[str, Any]) -> int | None:
-    """Return the line of the answer that a new one to the same trial replaces, if there is one.
+    """Return the line of the answer superseded by a new answer to the same trial, if any.
 
-    The lines of one presentation, `answered` and then `trial`, replace only those of earlier presentations.
+    The lines of a presentation, `answered` and then `trial`, supersede only those of earlier presentations.
     """
     last = max((place for place, event in enumerate(events) if event["event"] == "fired"), default=len(events))
     answers = (event for event in reversed(events[:last]) if event["event"] in ("trial", "answered"))

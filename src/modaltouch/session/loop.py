@@ -1,4 +1,4 @@
-"""The trial loop: place the fingers, fire, ask, stop, record."""
+"""Trial loop: place the fingers, play the stimulus, ask, stop, record."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ if TYPE_CHECKING:
     from modaltouch.session.probing import Probing
 
 ATTEMPTS = 3
-"""How often a trial that the instrument does not confirm is presented before the session ends."""
+"""Maximum number of presentations of a trial that the instrument does not confirm."""
 
 MOST_STALLS = 30
-"""How often a trial is presented in vain because this computer is held up, for a minute or more."""
+"""Maximum number of presentations of a trial that fail because this computer is busy, over a minute or more."""
 
 NOT_OVER = "the stimulus is not over yet"
-"""Why the stimulus is not yet confirmed when the answer is first written down."""
+"""Reason for an unconfirmed stimulus when the answer is first recorded."""
 
 
 @dataclass(frozen=True)
 class SessionRun:
-    """Everything one sitting of one participant needs.
+    """Parts and parameters of the trial loop in one sitting.
 
     Attributes
     ----------
     protocol : Protocol
-        What is presented and asked.
+        The protocol.
     trials : tuple of Trial
-        Trials still to be answered, in order, practice first.
+        Remaining trials in order, practice first.
     total : int
         Number of scheduled trials, without practice.
     levels : Levels or None
-        Chooses the levels of an adaptive run; None if the protocol fixes them.
+        Sets the levels of adaptive runs; None if the protocol fixes them.
     speeds : callable
         Predicted peak speeds under the fingers in a trial, from left to right [m/s].
     rig, window, log
@@ -56,15 +56,15 @@ class SessionRun:
     save_view : callable
         Updates the BIDS view from the log.
     tick : callable
-        Called between steps; raises if the session is to end.
+        Called between steps; raises to end the session.
     which : callable
-        Index of the loaded burst with which a trial is presented; by default the first.
+        Index of the loaded burst for a trial; the first by default.
     played : callable
-        Level that is played for a trial and a wanted level [mm/s]; by default the wanted level itself.
+        Level played for a trial and a nominal level [mm/s]; the nominal level by default.
     probing : Probing or None
         Measures the fingers at each placement; None if they are not measured.
     experimenter : Experimenter
-        Is shown what happens, and asks for repeats and for the end of the session after a block.
+        Receives the events, and requests repeats and the end of the session after a block.
     masking : Masking
         Noise that masks the sound of the beam.
     clock : Clock
@@ -90,15 +90,14 @@ class SessionRun:
 
 
 def conduct(sitting: SessionRun) -> None:
-    """Run every remaining trial of a session.
+    """Run all remaining trials of a session.
 
-    Each answer is on the disk before the next trial begins, and the outputs are off whenever no stimulus is
-    wanted.
+    Each answer is on disk before the next trial begins, and the outputs are off between stimuli.
 
     Raises
     ------
     SessionStopped, Interrupted, RigError, RecordError, WindowError
-        Whatever ended the session early; what was answered is kept.
+        If the session ended early; all answers are kept.
     """
     if sitting.trials:
         sitting.window.welcome(sitting.trials[0])
@@ -117,24 +116,24 @@ def conduct(sitting: SessionRun) -> None:
             sitting.window.rest((trial.index, sitting.total))
             rested = sitting.clock.now()
             if sitting.probing is not None:
-                previous = None  # after a rest the fingers are placed and measured again
-        # The record alone decides the next level, so that a killed session continues with the same one.
+                previous = None  # place and measure the fingers again after a break
+        # The next level depends only on the record, so that a killed session continues at the same level.
         settled = _settle(sitting, trial)
         run(sitting, settled, previous)
         previous = repeat(sitting, settled)
     fill_in(sitting)
     sitting.window.goodbye()
-    # The experimenter may want the last trial again while the participant is thanked; the fingers are lifted by then.
+    # The experimenter may request the last trial again during the goodbye, when the fingers are already lifted.
     while repeat(sitting, None) is not None:
         sitting.window.goodbye()
 
 
 def repeat(sitting: SessionRun, previous: Trial | None) -> Trial | None:
-    """Repeat what the experimenter wants repeated, and return the last trial that was run.
+    """Repeat the trials requested by the experimenter, and return the last trial run.
 
-    The first answer stays in the record, withdrawn: if the session ends before a new one, `resume` asks the trial
-    again. In an adaptive run, all later trials are repeated too, because their levels followed from that answer. A
-    practice trial may be repeated until its round is judged, or the first trial that counts begins.
+    The first answer stays in the record but is withdrawn: if the session ends before a new answer, `resume` repeats
+    the trial. In an adaptive run, all later trials are repeated too, because their levels depend on that answer. A
+    practice trial can be repeated until its round is judged or the first main trial begins.
     """
     while (event := sitting.experimenter.take_repeat()) is not None:
         again = [event]
@@ -153,12 +152,12 @@ def repeat(sitting: SessionRun, previous: Trial | None) -> Trial | None:
 
 
 def practise(sitting: SessionRun) -> Trial | None:
-    """Run rounds of practice until one is passed, and return the last practice trial.
+    """Run practice rounds until one is passed, and return the last practice trial.
 
     Raises
     ------
     SessionStopped
-        If no round was passed and the protocol then ends the session.
+        If no round was passed and the protocol ends the session in this case.
     """
     schedule, previous = sitting.protocol.schedule, None
     _close_rounds(sitting)
@@ -178,7 +177,7 @@ def practise(sitting: SessionRun) -> Trial | None:
 
 
 def _comment(sitting: SessionRun, trial: Trial, response: Response) -> None:
-    """Give feedback after a practice trial, if the protocol wants it and the expected answer is not in doubt."""
+    """Give feedback after a practice trial if the protocol has feedback and the expected answer is unambiguous."""
     if not (trial.practice and sitting.protocol.schedule.practice_feedback):
         return
     expected = sitting.protocol.expected(trial, sitting.speeds(trial))
@@ -191,7 +190,7 @@ def _has_passed_practice(sitting: SessionRun) -> bool:
 
 
 def _settle(sitting: SessionRun, trial: Trial) -> Trial:
-    """Return a trial at the level that follows from the answers so far; unchanged if levels are fixed."""
+    """Return a trial at the level determined by the answers so far; unchanged if levels are fixed."""
     if sitting.levels is None:
         return trial
     algorithm = str(sitting.log.session.start.get("adaptive", {}).get("algorithm", ""))
@@ -199,7 +198,7 @@ def _settle(sitting: SessionRun, trial: Trial) -> Trial:
 
 
 def _close_rounds(sitting: SessionRun) -> None:
-    """Judge every completed round of practice not judged yet, even one completed before a kill, and record it."""
+    """Judge and record all completed practice rounds not judged yet, including one completed before a kill."""
     schedule, events = sitting.protocol.schedule, sitting.log.events
     counted = [event for event in sitting.log.session.trials if event["trial"]["practice"]]
     if schedule.practice_criterion is None or not schedule.practice_trials:
@@ -223,12 +222,12 @@ def _close_rounds(sitting: SessionRun) -> None:
 
 
 def run(sitting: SessionRun, trial: Trial, previous: Trial | None) -> Response:
-    """Present one trial until its stimulus is confirmed, record every answer and return the last.
+    """Present a trial until its stimulus is confirmed, record all answers and return the last.
 
     Raises
     ------
     RigError
-        If the outputs could not be switched off, or no presentation could be confirmed.
+        If the outputs cannot be switched off, or no presentation was confirmed.
     """
     sitting.tick()
     sitting.experimenter.tell(
@@ -246,7 +245,7 @@ def run(sitting: SessionRun, trial: Trial, previous: Trial | None) -> Response:
             if firing.confirmed:
                 return response
         if firing.stalled:
-            # Nothing is wrong with the instrument: the computer was busy, and the trial waits until it is not.
+            # The instrument is fine, but the computer was busy: present the trial again later.
             stalls += 1
             sitting.window.show_stall()
         else:
@@ -262,7 +261,7 @@ def run(sitting: SessionRun, trial: Trial, previous: Trial | None) -> Response:
 
 
 def place(sitting: SessionRun, trial: Trial) -> None:
-    """Have the fingers placed for a trial, and measured there if the protocol says so."""
+    """Have the fingers placed for a trial, and measure them if the protocol requires it."""
     if sitting.probing is not None:
         sitting.probing.lift_hands(trial)
     sitting.window.place_fingers(trial)
@@ -272,22 +271,22 @@ def place(sitting: SessionRun, trial: Trial) -> None:
 
 
 def present(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]:
-    """Present a trial, again whenever it is cut; the answer is on the disk before anything else can go wrong.
+    """Present a trial, repeatedly if it is interrupted, and record the answer at once.
 
     Returns
     -------
     response : Response or None
-        What the participant answered; None if the stimulus failed before.
+        The response; None if the stimulus failed before.
     firing : Firing
-        What was played, and whether it was confirmed at its end.
+        The stimulus as played, and whether it was confirmed at its end.
 
     Raises
     ------
     RigError
-        If the outputs could not be switched off.
+        If the outputs cannot be switched off.
     """
     while True:
-        # The generator is set and read back within the pause, so that the pause is as long as the protocol says.
+        # Setting and read-back of the generator are part of the pause, to keep its duration as in the protocol.
         due = sitting.window.settle(trial, (trial.index, sitting.total), sitting.rig.lead)
         sitting.masking.ensure(sitting.tick, on=sitting.protocol.is_masked(trial.condition.stimulus))
         try:
@@ -297,7 +296,7 @@ def present(sitting: SessionRun, trial: Trial) -> tuple[Response | None, Firing]
 
 
 def _present_once(sitting: SessionRun, trial: Trial, due: float) -> tuple[Response | None, Firing]:
-    """Present the stimulus of a trial, or of each interval in turn, and ask; raise if that is interrupted."""
+    """Present the stimulus of a trial, or of each interval in turn, and ask; raise if interrupted."""
     parts, over, response = sitting.protocol.presented(trial), list[Firing](), None
     for number, part in enumerate(parts, 1):
         facts: dict[str, Any] = {"trial": trial.as_dict()} | ({"interval": number} if len(parts) > 1 else {})
@@ -314,11 +313,11 @@ def _present_once(sitting: SessionRun, trial: Trial, due: float) -> tuple[Respon
                 faults.append(error)
 
         is_last, ends = number == len(parts), firing.onset + sitting.protocol.longest_s(part.condition.stimulus)
-        # Outputs that cannot be switched off end the session before a gap; in the last interval, after the answer.
+        # Failure to switch the outputs off ends the session before a gap, or in the last interval after the answer.
         ceases = stop if is_last else sitting.rig.stop
         presentation = Presentation(firing.onset, ends, sitting.rig.end, ceases, facts.get("interval", 0))
         try:
-            # From here on, whatever ends the session, the record shows that this stimulus had begun.
+            # From here on, the record shows that this stimulus had begun, however the session ends.
             sitting.log.append("fired", **facts, confirmed=firing.as_dict())
             if is_last:
                 response = sitting.window.ask(part, (trial.index, sitting.total), presentation)
@@ -359,9 +358,9 @@ def _present_once(sitting: SessionRun, trial: Trial, due: float) -> tuple[Respon
 
 
 def _complete(sitting: SessionRun, trial: Trial, response: Response) -> tuple[Response, dict[str, Any]]:
-    """Return a response with the answers to the further questions, and what the vibrometer measured, if it did.
+    """Return a response completed with the answers to further questions, and the delivered speeds if measured.
 
-    A trial that is cut here is repeated as a whole.
+    A trial that is interrupted here is repeated as a whole.
     """
     if response.answer != TIME_OUT:
         asked = sitting.protocol.answers.further
@@ -371,7 +370,7 @@ def _complete(sitting: SessionRun, trial: Trial, response: Response) -> tuple[Re
 
 
 def _ask_further(sitting: SessionRun, name: str, asked: AnswersSection, trial: Trial | None = None) -> Response:
-    """Ask one further question, also at the console if the experimenter answers."""
+    """Ask a further question, also at the console if the experimenter answers."""
     if (asked.given_by if trial is None else asked.way(trial.condition.finger_condition)) == "experimenter":
         keys = {answer: list(keys) for answer, keys in asked.actions.items()}
         sitting.experimenter.tell({"event": "question_next", "keys": keys, "rates": asked.scale is not None})
@@ -379,7 +378,7 @@ def _ask_further(sitting: SessionRun, name: str, asked: AnswersSection, trial: T
 
 
 def fill_in(sitting: SessionRun) -> None:
-    """Ask the remaining questions of the closing form; each answer is on the disk before the next question."""
+    """Ask the remaining questions of the closing form; each answer is on disk before the next question."""
     done = {event["name"] for event in sitting.log.events if event["event"] == "form"}
     for name, asked in sitting.protocol.closing.items():
         if name not in done:
@@ -388,10 +387,10 @@ def fill_in(sitting: SessionRun) -> None:
 
 
 def fire(sitting: SessionRun, trial: Trial, due: float, *, heard: bool) -> Firing:
-    """Start the stimulus of a trial, or a catch trial's silence, when it is due; measure it if `heard`."""
+    """Start the stimulus of a trial, or the silence of a catch trial, when due; measure it if `heard`."""
     if heard and sitting.probing is not None:
         sitting.probing.listen(trial)
-    # A catch trial runs like one at the lowest level, but plays no burst.
+    # A catch trial runs like a trial at the lowest level, but plays no burst.
     silent = trial.condition.is_catch
     level = min(sitting.protocol.conditions.peak_velocities_mm_s) if silent else trial.condition.velocity_mm_s
     level = sitting.played(trial, level)
@@ -405,7 +404,7 @@ def fire(sitting: SessionRun, trial: Trial, due: float, *, heard: bool) -> Firin
 def _write_down(
     sitting: SessionRun, event: str, trial: Trial, response: Response, firings: Sequence[Firing], **further: Any
 ) -> int:
-    """Write an answer to the record, and return the number of its line."""
+    """Record an answer, and return the number of its line."""
     facts = describe_answer(
         sitting.protocol,
         sitting.speeds,
@@ -419,7 +418,7 @@ def _write_down(
 
 
 def _write_cut(sitting: SessionRun, facts: dict[str, Any], reason: str, firing: Firing) -> None:
-    """Record what was played of a stimulus that got no answer."""
+    """Record the part played of a stimulus without an answer."""
     sitting.log.append(
         "trial_cut",
         **facts,
@@ -430,7 +429,7 @@ def _write_cut(sitting: SessionRun, facts: dict[str, Any], reason: str, firing: 
 
 
 def _rest_is_due(sitting: SessionRun, trial: Trial, rested: float) -> bool:
-    """Return whether a break comes before a trial, by count or by the time since `rested` [s]."""
+    """Return whether a break is due before a trial, by count or by the time since `rested` [s]."""
     schedule = sitting.protocol.schedule
     by_count = schedule.break_after_trials is not None and (trial.index - 1) % schedule.break_after_trials == 0
     minutes = (sitting.clock.now() - rested) / 60

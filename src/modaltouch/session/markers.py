@@ -1,4 +1,4 @@
-"""Markers for other devices: stimulus, question and answer of every trial, as a stream of the Lab Streaming Layer."""
+"""Lab Streaming Layer markers of the stimulus, question and answer of each trial, for other devices."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from modaltouch.protocol import Trial
 from modaltouch.system import Clock
 
 _OWN_SETTINGS = ("lsl_api.cfg", "~/lsl_api/lsl_api.cfg", "/etc/lsl_api/lsl_api.cfg")
-"""Where liblsl looks for a laboratory's own settings."""
+"""Paths where liblsl looks for local settings."""
 
 
 class Markers:
-    """An outlet of text markers, time-stamped by the clock of the Lab Streaming Layer.
+    """An outlet of text markers, time-stamped by the LSL clock.
 
     Parameters
     ----------
@@ -34,25 +34,25 @@ class Markers:
         from pylsl.lib import lib
 
         if not any(Path(place).expanduser().is_file() for place in (os.environ.get("LSLAPICFG", ""), *_OWN_SETTINGS)):
-            # Otherwise liblsl prints log messages to the console.
+            # Keep liblsl from printing log messages to the console.
             lib.lsl_set_config_content(b"[log]\nlevel = -1\n")
         about = pylsl.StreamInfo("modaltouch", "Markers", 1, pylsl.IRREGULAR_RATE, "string", source)
         self._outlet = pylsl.StreamOutlet(about)
         self._source, self._library = source, pylsl.library_version()
-        # Both clocks run at the same rate from the start of the machine, so their difference is constant.
+        # Both clocks count from the boot of the machine at the same rate, so their difference is constant.
         self._offset = pylsl.local_clock() - clock.now()
 
     def describe(self) -> dict[str, Any]:
-        """Return name and source of the stream, and how far its clock is ahead of the session's [s]."""
+        """Return name and source of the stream, and the offset of its clock from the session's [s]."""
         stream = {"name": "modaltouch", "source_id": self._source, "clock_offset_s": round(self._offset, 6)}
         return {"lsl": {**stream, "library": self._library}}
 
     def send_question(self, trial: Trial, instant: float) -> None:
-        """Send the marker of a trial's question, which appeared at an instant [s]."""
+        """Send the marker of a trial's question at an instant [s]."""
         self._send("question", trial.as_dict(), instant)
 
     def follow(self, event: dict[str, Any]) -> None:
-        """Send the markers for the stimulus, questions and answers in an event of the log, or for a cut trial."""
+        """Send the markers for the stimulus, questions and answers in a log event, or for an interrupted trial."""
         if event["event"] == "fired":
             interval = f"interval_{event['interval']}" if "interval" in event else ""
             self._send("stimulus", event["trial"], event["confirmed"]["onset"], interval)
@@ -70,7 +70,7 @@ class Markers:
             self._send("cut", event["trial"], event["clock"])
 
     def _send(self, event: str, trial: dict[str, Any], instant: float, detail: str = "") -> None:
-        """Send one marker, such as ``answer/5/one_hand/AC/100/left``, with its instant by the session's clock [s]."""
+        """Send a marker such as ``answer/5/one_hand/AC/100/left``, at an instant of the session's clock [s]."""
         condition, practice = trial["condition"], "practice" if trial["practice"] else ""
         zones = condition["zone_left"] + condition.get("zone_between", "") + condition["zone_right"]
         level = f"{condition['velocity_mm_s']:g}"
@@ -79,5 +79,5 @@ class Markers:
 
 
 def _say(response: dict[str, Any]) -> str:
-    """Return an answer, or its number on a scale."""
+    """Return the text of an answer, or its number on a scale."""
     return f"{response['value']:g}" if "value" in response else str(response["answer"])

@@ -1,6 +1,6 @@
-"""A study at a glance: every session of a results tree, the balance of orders, and who is next.
+"""Overview of a study: the sessions of a results tree, the balance of orders, and the next sessions.
 
-Only logs are read, and they are not recomputed: `modaltouch verify` does that.
+Only logs are read; `modaltouch verify` recomputes them.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from modaltouch.record import RecordError, Session, SessionFolder, read_session
 from modaltouch.session.assignment import assign_group, assign_turn, first_turn, propose_participant
 
 _AFTER_THE_END = ("stop", "closed", "recovered")
-"""Events that may be written long after a sitting, when a record is mended."""
+"""Events that may be written long after a sitting, when a record is repaired."""
 
 
 def survey_results(place: Path) -> list[dict[str, Any]]:
-    """Return the contents of a results tree, as plain values for each dataset: one protocol in one mode.
+    """Survey a results tree, and return plain values for each dataset (one protocol in one mode).
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def survey_results(place: Path) -> list[dict[str, Any]]:
     Raises
     ------
     InputError
-        If it holds no session.
+        If it contains no session.
     """
     logs = SessionFolder.logs_under(place)
     datasets: dict[Path, list[Path]] = defaultdict(list)
@@ -42,7 +42,7 @@ def survey_results(place: Path) -> list[dict[str, Any]]:
 
 
 def _survey_logs(logs: list[Path]) -> tuple[list[dict[str, Any]], dict[str, Session], Session]:
-    """Return a row for each session, the start of each participant's first, and the latest of these."""
+    """Return a row per session, the start of each participant's first session, and the latest of these."""
     rows: list[dict[str, Any]] = []
     begun: dict[str, Session] = {}
     for log in sorted(logs, key=lambda log: (log.parts[:-3], SessionFolder.number_of(log))):
@@ -72,7 +72,7 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
     try:
         survey["title"] = str(latest.start.get("design", {}).get("title", ""))
         protocol = _protocol_of(latest, *latest.occasion)
-        new = SessionFolder(dataset.parent, "real", dataset.name, propose_participant(dataset))  # whatever its mode
+        new = SessionFolder(dataset.parent, "real", dataset.name, propose_participant(dataset))  # in any mode
         group, _ = assign_group(new, protocol, int(latest.start["seed"]))
         due = [each for name in ends if (each := _next_of(name, rows, protocol.schedule.n_sessions))]
         due.append({"participant": new.participant, "session": 1, "do": "run", "nth": 1})
@@ -81,7 +81,7 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
         kind_of = protocol.schedule.kind_of
         kinds = {nth: getattr(kind_of(nth), "name", "") for nth in {1, *(each["nth"] for each in due)}}
         gaps = {kind.name: kind.min_gap_days for kind in protocol.schedule.session_kinds}
-        # A record keeps only the table of its own group.
+        # A record contains only the table of its group.
         of_group = {session.occasion[0]: session for session in begun.values()}
         protocols = {
             (name, kind): _protocol_of(of_group.get(name, latest), name, kind)
@@ -117,18 +117,18 @@ def _survey_dataset(dataset: Path, logs: list[Path]) -> dict[str, Any]:
 
 
 def _protocol_of(session: Session, group: str, kind: str) -> Protocol:
-    """Return the protocol for a group and a kind of session, from the record of a session."""
+    """Return the protocol in the record of a session, for a group and a kind of session."""
     return Findings.restored(Sources.from_dict(session.start["sources"]), (group, kind)).experiment().protocol
 
 
 def _named(group: str, kind: str = "") -> dict[str, str]:
-    """Return group and kind of session, if there are any."""
+    """Return group and kind of session by name, if any."""
     return {name: own for name, own in (("group", group), ("session_kind", kind)) if own}
 
 
 def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
-    """Return the row of a session, and the session itself; without events if its log cannot be read."""
-    n_in_view = SessionFolder.lines_in_view(log.parent)  # before the log, which grows first
+    """Return the row of a session and the session, without events if its log cannot be read."""
+    n_in_view = SessionFolder.lines_in_view(log.parent)  # read before the log, which grows first
     try:
         session = read_session(log)
         problems = session.problems if session.start else (*session.problems, f"{log}:1: is not a start record")
@@ -142,7 +142,7 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
             f"{log}:{len(session.chain.checks)}: {n_removed} line{'s' * (n_removed > 1)} missing after it",
             *problems,
         )
-    # A truncated last line is the only fault with which a session can still be resumed.
+    # A session with a truncated last line can be resumed, but not with any other fault.
     is_readable = problems == session.chain.problems and not session.chain.damage
     state, why = _state(session) if is_readable else ("damaged", problems[0])
     schedule = session.start["schedule"] if is_readable else {}
@@ -167,7 +167,7 @@ def _survey_session(log: Path) -> tuple[dict[str, Any], Session]:
 
 
 def _state(session: Session) -> tuple[str, str]:
-    """Return the state of a readable session, and the reason for it."""
+    """Return the state of a readable session and its reason."""
     last, anew = session.events[-1], session.started_over_as
     known = (
         (session.complete, "complete", ""),
@@ -179,7 +179,7 @@ def _state(session: Session) -> tuple[str, str]:
 
 
 def _sittings(session: Session) -> list[float]:
-    """Return the duration of each sitting of a session [s]; the clock starts anew when the machine restarts."""
+    """Return the duration of each sitting of a session [s]; a reboot resets the clock."""
     begins = [place for place, event in enumerate(session.events) if event.get("event") in ("start", "resume")]
     parts = (session.events[begin:end] for begin, end in pairwise([*begins, None]))
     read = ([e.get("clock") for e in part if e.get("event") not in _AFTER_THE_END] for part in parts)
@@ -188,7 +188,7 @@ def _sittings(session: Session) -> list[float]:
 
 
 def _next_of(participant: str, rows: list[dict[str, Any]], n_each: int) -> dict[str, Any] | None:
-    """Return what a participant has to do next; None after the last session, and during one."""
+    """Return a participant's next step; None after the last session or during a session."""
     own = [row for row in rows if row["participant"] == participant]
     held, last = sum(row["state"] != "closed" for row in own), own[-1]
     damaged = last["state"] in ("damaged", "complete") and last["excluded"].startswith("damaged")
@@ -207,9 +207,9 @@ def _order(turn: Turn, protocol: Protocol) -> dict[str, Any]:
 
 
 def _balance(protocol: Protocol, turns: list[tuple[int, str]]) -> list[dict[str, Any]]:
-    """Return for each order and placement how many participants had it, and how many are missing for balance.
+    """Return the number of participants with each order and placement, and the number missing for balance.
 
-    `turns` holds pairs of a turn and the state of its session, which count as in `assignment.assign_turn`.
+    `turns` contains pairs of a turn and the state of its session, counted as in `assignment.assign_turn`.
     """
     n_turns = Turn.period(protocol)
     filled = Counter(turn % n_turns for turn, state in turns if state in ("complete", "running"))
@@ -232,7 +232,7 @@ def _balance(protocol: Protocol, turns: list[tuple[int, str]]) -> list[dict[str,
 
 
 def _turns_had(turns: dict[str, int], rows: list[dict[str, Any]]) -> dict[str, list[tuple[str, int, str]]]:
-    """Return kind, turn and state of each participant's sessions, without those that were begun anew."""
+    """Return kind, turn and state of each participant's sessions, without restarted ones."""
     had: dict[str, list[tuple[str, int, str]]] = defaultdict(list)
     for row in rows:
         if row["state"] != "closed" and (who := row["participant"]) in turns:
@@ -241,7 +241,7 @@ def _turns_had(turns: dict[str, int], rows: list[dict[str, Any]]) -> dict[str, l
 
 
 def _early(rows: list[dict[str, Any]], gaps: dict[str, float]) -> Iterator[str]:
-    """Yield a note on each session that began sooner after the previous one than its kind allows."""
+    """Yield a note on each session that began too early after the previous one for its kind."""
     for before, row in pairwise(row for row in rows if row["state"] != "closed"):
         gap = gaps.get(row.get("session_kind", ""), 0)
         if not gap or before["participant"] != row["participant"] or not (before["ended"] and row["begun"]):
@@ -253,7 +253,7 @@ def _early(rows: list[dict[str, Any]], gaps: dict[str, float]) -> Iterator[str]:
 
 
 def _notes(begun: dict[str, Session], rows: list[dict[str, Any]]) -> list[str]:
-    """Return notes on what would limit an analysis of the tree as it stands."""
+    """Return notes on limitations of an analysis of the current tree."""
     texts = {str(session.start.get("sources", {}).get("protocol", {}).get("sha256")) for session in begun.values()}
     fit = Counter(row["participant"] for row in rows if not row["excluded"])
     fewest, most = min(fit.values(), default=0), max(fit.values(), default=0)

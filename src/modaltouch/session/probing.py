@@ -1,4 +1,7 @@
-"""Measures fingers at each placement and designs the stimulus for them; alike for every pair, so it is no cue."""
+"""Measurement of the fingers at each placement and design of the stimulus for them.
+
+The procedure is the same for every pair of zones, so that it gives no cue.
+"""
 
 from __future__ import annotations
 
@@ -16,17 +19,17 @@ if TYPE_CHECKING:
     from modaltouch.lab import Prober
 
 ATTEMPTS = 3
-"""How often a measurement that is refused is tried."""
+"""Maximum number of attempts at a measurement."""
 
 STILL = 1.0
-"""Time from hands at rest to a measurement [s]."""
+"""Time between resting the hands and a measurement [s]."""
 
 GAP = 2.0
-"""Least time from a measurement to the first burst [s]."""
+"""Minimum time from a measurement to the first burst [s]."""
 
 
 class Probing:
-    """Measures the fingers in a session, and designs and loads the stimulus for them.
+    """Measurement of the fingers in a session, with design and upload of the stimulus for them.
 
     Parameters
     ----------
@@ -40,7 +43,7 @@ class Probing:
     Attributes
     ----------
     preflight : Preflight
-        The experiment, designed for the fingers as measured at the latest placement.
+        The experiment, designed for the fingers measured at the latest placement.
     busy : float
         Time taken to evaluate the latest recorded burst, deducted from the pause after its trial [s].
     """
@@ -57,16 +60,16 @@ class Probing:
         self._heard: dict[str, Any] = {}
 
     def which(self, trial: Trial) -> int:
-        """Return the index of the loaded burst with which a trial is presented."""
+        """Return the index of the loaded burst for a trial."""
         return self._loaded.index(self.preflight.design_of(trial.condition))
 
     def lift_hands(self, trial: Trial) -> None:
-        """Measure the beam with hands off, once in each block and sitting.
+        """Measure the untouched beam, once per block and sitting.
 
         Raises
         ------
         RigError
-            If the rig fails, or no measurement can be trusted.
+            If the rig fails, or no measurement is reliable.
         """
         if trial.block == self._block:
             return
@@ -82,7 +85,7 @@ class Probing:
         Raises
         ------
         RigError
-            If the rig fails, or no measurement can be trusted.
+            If the rig fails, or no measurement is reliable.
         """
         condition, placements = trial.condition, self._expected.findings.placements
         if placements is None:
@@ -113,7 +116,7 @@ class Probing:
         self._window.show_measuring(max(GAP - (self._clock.now() - ended), 0.0))
 
     def listen(self, trial: Trial) -> None:
-        """Have the first burst of a trial recorded at the vibrometer's spot; a catch trial has none."""
+        """Arm the vibrometer for the first burst of a trial, except a catch trial."""
         condition, self.busy, self._heard = trial.condition, 0.0, {}
         if condition.is_catch:
             return
@@ -125,9 +128,9 @@ class Probing:
             self._heard = {"delivered": {"refused": str(error)}}
 
     def delivered(self, trial: Trial) -> dict[str, Any]:
-        """Return the speeds that the recorded burst delivered to the fingers, with their 95 % intervals.
+        """Return the speeds delivered to the fingers by the recorded burst, with their 95 % intervals.
 
-        Fingers that have drifted are measured again only at the next placement. A failing scope ends no session.
+        Fingers that have drifted are measured again at the next placement only. A scope fault does not end the session.
         """
         if self._heard != {"delivered": {}}:
             return self._heard
@@ -152,7 +155,7 @@ class Probing:
         return {"speed_mm_s": self._prober.speed * 1e3, "laser_mm": self._prober.laser * 1e3}
 
     def _measured(self, what: str, measure: Callable[[], dict[str, Any]], once_more: str) -> dict[str, Any]:
-        """Return a measurement; ask the participant again if it is refused."""
+        """Return a measurement; if it is rejected, ask the participant and try again."""
         for attempt in range(1, ATTEMPTS + 1):
             self._window.show_measuring(STILL)
             try:

@@ -1,4 +1,4 @@
-"""An interrupted session: how it ended and what it needs to continue, all from its own record, and its continuation."""
+"""Resumption of interrupted sessions from their records."""
 
 from __future__ import annotations
 
@@ -27,15 +27,14 @@ from modaltouch.system import SYSTEM_CLOCK, Clock
 from modaltouch.window import WindowOptions
 
 CLOCK_TOLERANCE = 60.0
-"""A clock off by no more than this is being adjusted by the network, not set back [s]."""
+"""Clock error up to which network adjustment is assumed, rather than a clock set back [s]."""
 
 
 def examine_interruption(session: Session, *, now: datetime, clock: float, boot: str) -> dict[str, Any]:
-    """Return how a session was interrupted, for its record.
+    """Return the facts of an interruption for the record.
 
-    The reason is that of its stop record, or ``killed`` if there is none. The age is a lower bound, as is how far the
-    clock of this machine is behind (0 if it is not known to be). The cut trial is the one whose stimulus had begun but
-    which got no answer.
+    The reason is that of the stop record, or ``killed`` without one. Age and set-back of this machine's clock are lower
+    bounds (0 if no set-back is known). The cut trial is a trial whose stimulus had begun without an answer.
 
     Parameters
     ----------
@@ -44,9 +43,9 @@ def examine_interruption(session: Session, *, now: datetime, clock: float, boot:
     now : datetime
         Date and time, with time zone.
     clock : float
-        The monotonic clock of the record, `time.perf_counter` [s].
+        Monotonic clock of the record, `time.perf_counter` [s].
     boot : str
-        Identifier of the boot since which that clock counts (`events.boot_id`); empty if unknown.
+        Identifier of the boot from which that clock counts (`events.boot_id`); empty if unknown.
     """
     events = session.events
     last = events[-1]
@@ -66,12 +65,12 @@ def examine_interruption(session: Session, *, now: datetime, clock: float, boot:
 
 
 def refuse_old(session: Session, interruption: dict[str, Any], within_hours: float | None) -> None:
-    """Raise if the interruption is longer than the protocol allows.
+    """Refuse an interruption longer than the protocol allows.
 
     Raises
     ------
     RecordInputError
-        If it is, or if its age is unknown because the clock was set back.
+        If it is too long, or its age is unknown because the clock was set back.
     """
     if within_hours is None:
         return
@@ -92,7 +91,7 @@ def refuse_old(session: Session, interruption: dict[str, Any], within_hours: flo
 
 
 def answers_to_ask_again(session: Session, schedule: Schedule, at: str) -> tuple[int, ...]:
-    """Return the lines of the answers to ask for again: those of the interrupted block if `at` is ``block``."""
+    """Return the lines of the answers to withdraw: those of the interrupted block if `at` is ``block``."""
     if at != "block":
         return ()
     done = session.answered
@@ -110,18 +109,18 @@ def continue_log(
     facts: dict[str, Any],
     clock: Clock = SYSTEM_CLOCK,
 ) -> SessionLog:
-    """Return the reopened log of an interrupted session, in which the cut trial and withdrawn answers are recorded.
+    """Reopen the log of an interrupted session, and record the cut trial and withdrawn answers.
 
     Parameters
     ----------
     place : SessionFolder
-        Where it is recorded.
+        Folder of the session.
     schedule : Schedule
-        Its trials.
+        Trials of the session.
     at : str
-        ``schedule.resume.at``: where it goes on.
+        ``schedule.resume.at``, the point of resumption.
     cut : dict
-        How it was interrupted.
+        Facts of the interruption.
     facts : dict
         Further facts for the resume record.
     clock : Clock
@@ -149,16 +148,16 @@ def start_over(
     facts: dict[str, Any],
     clock: Clock = SYSTEM_CLOCK,
 ) -> SessionLog:
-    """Close an interrupted session and return the open log of the one that takes its place.
+    """Close an interrupted session and return the open log of its replacement.
 
     Parameters
     ----------
     old, place : SessionFolder
-        Where the interrupted session is recorded, and where the new one will be.
+        Folders of the interrupted and the new session.
     cut : dict
-        How the old one was interrupted.
+        Facts of the interruption.
     facts : dict
-        Further facts for the start record of the new one.
+        Further facts for the start record of the new session.
     clock : Clock
         Clock of the session.
 
@@ -176,7 +175,7 @@ def start_over(
 
 
 def _cut_trial(session: Session) -> dict[str, Any] | None:
-    """Return the trial of the last stimulus, if neither an answer nor a cut follows it."""
+    """Return the trial of the last stimulus if no answer or cut follows it."""
     for event in reversed(session.events):
         if event["event"] in ("answered", "trial", "trial_cut"):
             return None
@@ -194,24 +193,24 @@ def wire_resume(
     restart: bool = False,
     window: Mapping[str, Any] | None = None,
 ) -> Setup:
-    """Return the setup that continues an interrupted session, all of it from the session's own record.
+    """Return the setup to continue an interrupted session, from its record.
 
     Parameters
     ----------
     path : Path
-        A session's folder or its log.
+        Folder or log of the session.
     rig, answers : str, optional
-        Used instead of the recorded ones; of the same kind.
+        Replacements of the recorded choices; of the same kind.
     restart : bool
-        Whether it is begun anew as another session, whatever its protocol says.
+        Whether to start over as another session, regardless of the protocol.
     window : mapping, optional
-        Options of the answer window that replace the recorded ones, by their names in `WindowOptions`.
+        Replacements of the recorded options of the answer window, by name in `WindowOptions`.
 
     Raises
     ------
     RecordError
-        If there is no such session, `modaltouch verify` refuses it, it has been begun anew, or it would continue in
-        another mode.
+        If there is no such session, `modaltouch verify` reports faults, it has been started over, or it would continue
+        in another mode.
     """
     session = Session.find(path)
     audit_session(session).require()
@@ -247,18 +246,18 @@ def wire_resume(
 
 
 def resume(setup: Setup) -> Session:
-    """Continue an interrupted session as its protocol says, with the remaining trials in their original order.
+    """Continue an interrupted session according to its protocol, with the remaining trials in their original order.
 
-    A session that lacks no answer gets only what the interruption prevented: its BIDS view, and its last line if that
-    was cut. One that is begun anew (`Setup.replaces`) is closed, and all its trials are run in the same order.
+    For a session with all answers, only its BIDS view and a truncated last line are written. A session that is started
+    over (`Setup.replaces`) is closed, and all its trials are run in the same order.
 
     Raises
     ------
     RecordError
-        If the record is damaged or in use, the interruption is too old, or this program would draw another
-        order than the recorded one.
+        If the record is damaged or in use, the interruption is too old, or this program draws a different order from
+        the recorded one.
     RigError, WindowError, SessionStopped, Interrupted
-        Whatever ended it early again.
+        If the session ended early again.
     """
     place = setup.replaces or setup.place
     session = read_session(place.log)
@@ -290,7 +289,7 @@ def resume(setup: Setup) -> Session:
 
 
 def _refuse_another_kind(session: Session, rig: str, answers: AnswersBy, *, restart: bool) -> None:
-    """Raise if a session would continue in another mode, or its record is too old for this version."""
+    """Refuse to continue a session in another mode, or from a record too old for this version."""
     start, log = session.start, session.path
     if start.get("schema", 1) < SessionLog.SCHEMA and not (session.complete or restart):
         raise RecordInputError(
@@ -307,7 +306,7 @@ def _refuse_another_kind(session: Session, rig: str, answers: AnswersBy, *, rest
 
 
 def _next_free_place(place: SessionFolder, session: Session) -> SessionFolder:
-    """Return the place of the session that takes another one's place: the next free number."""
+    """Return the folder with the next free number, for the session that replaces this one."""
     number = session.started_over_as
     if number is not None:
         anew = replace(place, session=number)

@@ -1,4 +1,4 @@
-"""A participant's own threshold, from the session that found it, and the levels that a protocol derives from it."""
+"""Levels calibrated by participant: the threshold from an earlier session, and the levels derived from it."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ _SECTION = ("conditions", "sensation_levels")
 def at_own_levels(
     preflight: Preflight, place: SessionFolder, given_mm_s: float | None = None
 ) -> tuple[Preflight, dict[str, Any]]:
-    """Return the preflight at the participant's own levels, if the protocol wants them, and facts for the record.
+    """Return the preflight at the participant's individual levels, if the protocol has them, and facts for the record.
 
     Parameters
     ----------
     preflight : Preflight
         The checked protocol.
     place : SessionFolder
-        Where the participant's session will be; the one that found the threshold lies in the same tree.
+        Folder of the participant's session; the session that measured the threshold is in the same tree.
     given_mm_s : float, optional
-        The participant's threshold, if it was measured in another way [mm/s].
+        The participant's threshold, if measured in another way [mm/s].
 
     Raises
     ------
     InputError
-        If the threshold is not known, the session found none, or a level would be outside the protocol's bounds.
+        If no threshold is known, or a level is outside the protocol's bounds.
     """
     section = preflight.experiment.protocol.conditions.sensation_levels
     if section is None:
@@ -50,7 +50,7 @@ def at_own_levels(
 
 
 def _find(preflight: Preflight, place: SessionFolder, thresholds_from: str) -> dict[str, Any]:
-    """Return the threshold from the participant's latest complete session of another protocol, with its source."""
+    """Return the threshold from the participant's latest complete session of the other protocol, with its source."""
     log, damage = _latest(replace(place, protocol=thresholds_from))
     who = f"participant {place.participant}"
     anew = f"run that protocol with `-p {place.participant}`, or give the threshold with --threshold"
@@ -91,9 +91,9 @@ def _find(preflight: Preflight, place: SessionFolder, thresholds_from: str) -> d
 
 
 def _latest(place: SessionFolder) -> tuple[Path | None, str]:
-    """Return the log of a participant's latest session that is complete or damaged, and the damage.
+    """Return the log of a participant's latest complete or damaged session, and the damage.
 
-    Sessions older than a damaged one are not used: they may give another threshold.
+    Sessions older than a damaged one are not used, since their threshold may differ.
     """
     for log in reversed(SessionFolder.logs_of(place.dataset / f"sub-{place.participant}")):
         try:
@@ -143,6 +143,6 @@ def _refuse(
     *,
     path: tuple[str | int, ...] = (*_SECTION, "thresholds_from"),
 ) -> NoReturn:
-    """Raise InputError at a place in the protocol."""
+    """Raise an InputError at a path of the protocol."""
     reading = preflight.findings.protocol
     raise InputError([] if reading is None else [reading.problem(path, given, allowed, remedy)])

@@ -1,4 +1,4 @@
-"""Sets up one sitting of one participant, new or resumed: instrument, window, record; then runs the trial loop."""
+"""Setup of a sitting, new or resumed: open instrument, window and record, then run the trial loop."""
 
 from __future__ import annotations
 
@@ -30,19 +30,19 @@ if TYPE_CHECKING:
     from modaltouch.session.markers import Markers
 
 OpenRig = Callable[[Callable[..., None]], AbstractContextManager[Rig]]
-"""Opens the instrument as a context, given a function that takes each exchange with it."""
+"""Opens the instrument as a context, given a function that receives each exchange with it."""
 
 OpenWindow = Callable[[Callable[[], Event | None], Callable[..., None]], AnswerWindow]
-"""Opens the answer window, given the tick it must call while it waits and a function that takes its events."""
+"""Opens the answer window, given the tick to call while waiting and a function that receives its events."""
 
 OpenMasking = Callable[[Callable[..., None]], Masking]
-"""Opens the masking noise, given a function that takes its events."""
+"""Opens the masking noise, given a function that receives its events."""
 
 OpenProber = Callable[[Rig], "AbstractContextManager[Prober]"]
 """Opens the prober of fingers, given the open instrument."""
 
 _UNFORESEEN = ("rig fault", "record fault", "experimenter", "emergency stop")
-"""Endings that are announced to the participant."""
+"""Endings announced to the participant."""
 
 
 @dataclass(frozen=True)
@@ -56,26 +56,26 @@ class Setup:
     schedule : Schedule
         The participant's trials.
     place : SessionFolder
-        Where it is recorded.
+        Folder of the record.
     open_rig, open_window, open_masking : callable
         Open the instrument, the window and the masking noise.
     facts : dict
         Further facts for the start record: rig, answers, seed.
     replaces : SessionFolder or None
-        The interrupted session that this one begins anew.
+        Interrupted session that this one starts over.
     drawn_as : int or None
-        Number of the session in the participant's own count, if the records on disk decide the participant's turn
-        (`schedule.balance`); `schedule` is then drawn again when the session's log is created.
+        Number of the session without restarted ones, if the records on disk decide the participant's turn
+        (`schedule.balance`); `schedule` is then redrawn when the log is created.
     on_progress : callable, optional
         Called with (answered, total) after each trial.
     console : Console
-        Shows the experimenter the state of the session, and takes requests; closed by whoever opened it.
+        Shows the experimenter the state of the session and takes requests; closed by the caller.
     clock : Clock
-        Clock of window, instrument and record: the machine's, or a virtual one.
+        Clock of window, instrument and record, real or virtual.
     open_prober : callable or None
         Opens the prober of fingers; None if fingers are not measured.
     open_markers : callable
-        Opens the stream of markers for other devices, if there is one.
+        Opens the marker stream for other devices, if any.
     """
 
     preflight: Preflight
@@ -95,7 +95,7 @@ class Setup:
 
     @property
     def to_ask(self) -> Mapping[str, Any]:
-        """Questions still to be asked about the participant: the protocol's before the first session, then none."""
+        """Unanswered questions about the participant: those of the protocol before the first session, then none."""
         fields = self.preflight.experiment.protocol.people
         if not fields or "people" in self.facts:
             return {}
@@ -108,7 +108,7 @@ class Setup:
         Raises
         ------
         RecordInputError
-            If a required consent is not given; nothing may be recorded then.
+            If a required consent is refused; nothing may then be recorded.
         """
         consents = [name for name, each in self.to_ask.items() if each.kind == "consent" and each.required]
         refused = [name for name in consents if answers.get(name) != "yes"]
@@ -118,22 +118,22 @@ class Setup:
 
 
 class EventBuffer:
-    """Carries the events of instrument and window into the session log.
+    """Buffer between the events of instrument and window and the session log.
 
-    Events that come before the log exists are kept until it does. Exchanges with the instrument are collected and
-    written as one line per step: an fsync for each command would take longer than the command.
+    Events are kept until the log exists. Exchanges with the instrument are collected and written as one line per step,
+    since an fsync per command would take longer than the command.
     """
 
     def __init__(self) -> None:
         self.log: SessionLog | None = None
-        """Where events are written from now on."""
+        """The log, once it is open."""
         self._early: list[tuple[str, dict[str, Any]]] = []
         self._exchanges: list[dict[str, Any]] = []
         self.listener: Callable[[dict[str, Any]], None] = lambda exchange: None
-        """Called with each exchange with the instrument as it happens."""
+        """Called immediately with each exchange with the instrument."""
 
     def event(self, event: str, **facts: Any) -> None:
-        """Write an event of the window."""
+        """Write an event of the window, or keep it until the log exists."""
         if self.log is None:
             self._early.append((event, facts))
         else:
@@ -145,7 +145,7 @@ class EventBuffer:
         self.listener({"event": "exchange", "what": event, **facts})
 
     def flush(self) -> None:
-        """Write everything that was kept."""
+        """Write all kept events and exchanges."""
         if self.log is None:
             return
         early, self._early = self._early, []
@@ -157,14 +157,14 @@ class EventBuffer:
 
 
 def begin(setup: Setup) -> Session:
-    """Run a new session and return it as recorded.
+    """Run a new session and return its record.
 
     Raises
     ------
     RecordError
         If the session exists already or cannot be written.
     RigError, WindowError, SessionStopped, Interrupted
-        Whatever ended it early; outputs are off and what was answered is kept.
+        If the session ended early; the outputs are off and all answers are kept.
     """
     setup.place.refuse_existing()
     if setup.to_ask:
@@ -178,13 +178,16 @@ def begin(setup: Setup) -> Session:
 
 
 def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], SessionLog], first: str) -> Session:
-    """Run a sitting and return the session as recorded.
+    """Run a sitting and return the record of the session.
 
     Parameters
     ----------
-    setup, open_log, first
-        The parts of the sitting; a function that opens the log at a place, given the facts of its first line; the event
-        of that line, ``start`` or ``resume``.
+    setup : Setup
+        The parts of the sitting.
+    open_log : callable
+        Opens the log in a folder, given the facts of its first line.
+    first : str
+        Event of that line, ``start`` or ``resume``.
     """
     buffer = EventBuffer()
     seconds = estimated_duration(setup.preflight.experiment.protocol) * 60 / max(len(setup.schedule.trials), 1)
@@ -225,9 +228,9 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
             error.add_note(f"everything answered is kept; {how_to_continue(ending['reason'], setup.place.folder)}")
             raise
         finally:
-            # Outputs off first, then the record: nothing on disk is worth a beam that still vibrates.
+            # Switch the outputs off first, then finish the record.
             rig.close()
-            with suppress(RecordError):  # already reported where it first occurred
+            with suppress(RecordError):  # already reported
                 masking.stop(hurry=ending["reason"] != "finished")
             _conclude(setup, log, buffer, ending)
             if ending["reason"] in _UNFORESEEN:
@@ -236,7 +239,7 @@ def sit(setup: Setup, open_log: Callable[[SessionFolder, dict[str, Any]], Sessio
 
 
 def _follow(log: SessionLog, experimenter: Experimenter, markers: Markers | None, first: str) -> None:
-    """Replay the record to the experimenter's console, and from now on send events to it and as markers."""
+    """Replay the record to the experimenter's console, then forward new events to it and to the markers."""
     begun = max(event["n"] for event in log.events if event["event"] == first)
     for event in log.events:
         experimenter.tell(event, replayed=event["n"] < begun)
@@ -250,7 +253,7 @@ def _follow(log: SessionLog, experimenter: Experimenter, markers: Markers | None
 
 
 def _with_assigned_turn(setup: Setup) -> Setup:
-    """Return the setup with the schedule of the turn that the records on disk assign, if they decide it."""
+    """Return the setup with the schedule of the turn assigned from the records on disk, if they decide it."""
     if setup.drawn_as is None:
         return setup
     from modaltouch.session.assignment import LEAST_FILLED, assign_group, assign_turn
@@ -272,12 +275,12 @@ def _with_assigned_turn(setup: Setup) -> Setup:
 
 
 def _of_generator(setup: Setup, rig: Rig) -> Setup:
-    """Return the setup for the generator found; refuse one other than that of the calibration."""
+    """Return the setup for the connected generator; refuse one other than that of the calibration."""
     if problem := setup.preflight.findings.generator_problem(rig.identity):
         raise InputError([problem])
     instrument = instrument_of(setup.preflight.experiment.apparatus)
     if instrument.is_simulated(rig.identity) and setup.place.mode != "simulated":
-        # An address may lead to a simulator, whose data must never land among real data.
+        # The address may be that of a simulator, whose data must never be stored with real data.
         setup = replace(setup, place=replace(setup.place, mode="simulated"))
         setup.place.refuse_existing()
     return setup
@@ -312,7 +315,7 @@ def _sitting(
         from modaltouch.session.probing import Probing
 
         probing = Probing(preflight, prober, rig, window, log, setup.clock)
-    # While fingers are measured, the latest measurement decides the design.
+    # With measured fingers, the latest measurement determines the design.
     latest = probing or setup
     return SessionRun(
         protocol=protocol,
@@ -348,7 +351,7 @@ def _describe(setup: Setup, rig: Rig, window: AnswerWindow, masking: Masking, fi
 
 def _conclude(setup: Setup, log: SessionLog, buffer: EventBuffer, ending: dict[str, str]) -> None:
     if ending["reason"] == "record fault":
-        return  # the log accepts nothing more
+        return  # the log accepts no further events
     buffer.flush()
     session = log.session
     log.append("stop", **ending, complete=session.complete, n_answered=session.n_answered)

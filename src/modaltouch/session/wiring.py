@@ -1,4 +1,4 @@
-"""Puts real or simulated parts behind the session's interfaces: the only place that knows which is which."""
+"""Assembly of a session from real or simulated parts; no other module distinguishes them."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ if TYPE_CHECKING:
     from modaltouch.session.markers import Markers
 
 AnswersBy = Literal["window", "simulated", "robot"]
-"""A person at the window; an observer model without a window; an observer model typing into the real window."""
+"""A person at the window; a simulated participant without a window; one that types into the real window."""
 
 SETTLING_TIME = 0.5
-"""Time from the start of a probe's sines until a real beam vibrates periodically [s]."""
+"""Time from the start of a probe's sines to the steady state of a real beam [s]."""
 
 SIMULATED = "simulated"
-"""Stands for the twin where a rig's address is expected."""
+"""Address of the simulated rig."""
 
 
 def wire_run(
@@ -56,25 +56,24 @@ def wire_run(
     Parameters
     ----------
     preflight, participant
-        The checked experiment, and the participant's id.
+        The checked experiment and the participant id.
     session : int or None
         Number of the session; None for the participant's next.
     rig, answers, pilot, seed, results, window_options, observer
-        As `SessionParts` and the command line have them.
+        As in `SessionParts` and on the command line.
     threshold_mm_s : float, optional
-        The participant's own threshold [mm/s], if levels are calibrated by participant and it was not measured in a
-        session of this program.
+        The participant's threshold, if levels are calibrated by participant and it was measured in another way [mm/s].
     group : str, optional
-        The participant's group; by default the one that is due.
+        The participant's group; the one due if not given.
     any_gap : bool
-        Whether it begins however little time has passed since the previous session.
+        Whether to ignore the minimum time since the previous session.
 
     Raises
     ------
     RecordError
-        If the participant id is not allowed, the participant has no next session, or it is too early for it.
+        If the participant id is not allowed, or the participant's next session does not exist or is not due.
     InputError
-        If levels are calibrated by participant and this one's are unknown, or no order satisfies the schedule's limits.
+        If levels are calibrated by participant and the threshold is unknown, or no order meets the schedule's limits.
     """
     protocol = preflight.experiment.protocol
     place = SessionFolder(results, mode_of(rig, answers, pilot=pilot), protocol.protocol, participant, session or 1)
@@ -98,7 +97,7 @@ def wire_run(
 
 
 def _drawn(preflight: Preflight, participant: str, seed: int, drawn_as: int, given: Turn | None) -> Schedule:
-    """Return a participant's schedule; refuse limits that no order drawn for them satisfies, with their place."""
+    """Draw a participant's schedule; refuse limits that no drawn order meets."""
     try:
         return Schedule.draw_from(preflight.findings, participant, seed, drawn_as, given=given)
     except InputError as error:
@@ -111,7 +110,7 @@ def _on_occasion(
 ) -> tuple[Turn | None, Preflight, dict[str, Any]]:
     """Return turn and preflight for the participant's group and the kind of session, and facts on the gap.
 
-    The turn is None if the participant's number or hash decides everything.
+    The turn is None if it follows from the participant id.
     """
     schedule, groups = preflight.experiment.protocol.schedule, preflight.experiment.protocol.groups
     if not (groups or schedule.session_kinds or group):
@@ -139,16 +138,16 @@ def simulate_session(
     session: int = 1,
     threshold_mm_s: float | None = None,
 ) -> Session:
-    """Run a session answered by an observer model, and return it as recorded.
+    """Run a session with a simulated participant, and return its record.
 
     Parameters
     ----------
     protocol : Path, str or Preflight
-        The protocol's file, the name of a shipped one, or its preflight where several sessions share it.
+        Protocol file, name of a shipped protocol, or a preflight to share between sessions.
     participant : str
         Participant id.
     results : Path or str
-        Folder of results; the session is recorded in its simulated tree.
+        Results folder; the session is recorded in its simulated tree.
     seed : int
         Seed of the study.
     observer : Observer, optional
@@ -156,14 +155,14 @@ def simulate_session(
     session : int
         Number of the session; minimum gaps between sessions are ignored.
     threshold_mm_s : float, optional
-        The participant's own threshold, as for `wire_run`.
+        The participant's threshold, as for `wire_run`.
 
     Raises
     ------
     InputError
-        With every fault of the protocol.
+        With all faults of the protocol.
     RecordError
-        If the session exists already, or cannot be written.
+        If the session exists already or cannot be written.
     """
     preflight = protocol if isinstance(protocol, Preflight) else examine(protocol)
     setup = wire_run(
@@ -175,7 +174,7 @@ def simulate_session(
 
 @dataclass
 class SessionParts:
-    """The parts of one sitting, opened when the sitting asks for them."""
+    """Parts of a sitting, opened on demand."""
 
     preflight: Preflight
     place: SessionFolder
@@ -185,17 +184,17 @@ class SessionParts:
     window_options: WindowOptions | None
     observer: Observer
     after: float = 0.0
-    """Earliest reading of a virtual clock: the last in the record, if one is continued [s]."""
+    """Lower bound of a virtual clock: the last time in the record of a resumed session [s]."""
     simulator: Simulator | None = None
 
     @cached_property
     def clock(self) -> Clock:
-        """The machine's clock; a virtual one if both rig and participant are simulated in this process."""
+        """The machine's clock, or a virtual one if both rig and participant are simulated in this process."""
         is_virtual = self.rig == SIMULATED and self.answers == "simulated"
         return VirtualClock(max(SYSTEM_CLOCK.now(), self.after)) if is_virtual else SYSTEM_CLOCK
 
     def setup(self, schedule: Schedule, further: Mapping[str, Any]) -> Setup:
-        """Return the setup of the sitting, with the participant's trials and further facts for the record."""
+        """Return the setup of the sitting, with the participant's schedule and further facts for the record."""
         facts: dict[str, Any] = {"seed": self.seed, "rig_choice": self.rig, "answers_choice": self.answers}
         if self.answers != "window":
             facts["observer"] = self.observer.as_dict()
@@ -209,7 +208,7 @@ class SessionParts:
 
     @contextmanager
     def open_rig(self, log: Callable[..., None]) -> Iterator[Rig]:
-        """Open the driver; if the rig is simulated, start the twin and use its address."""
+        """Open the driver; start the twin first if the rig is simulated."""
         apparatus, address = self.preflight.experiment.apparatus, self.rig
         with ExitStack() as stack:
             options: dict[str, Any] = {"clock": self.clock}
@@ -225,7 +224,7 @@ class SessionParts:
 
     @contextmanager
     def open_prober(self, rig: Rig) -> Iterator[Prober]:
-        """Open the prober on the scope behind the vibrometer; the twin's if the rig is simulated."""
+        """Open the prober on the vibrometer's scope, or on that of the twin if the rig is simulated."""
         from modaltouch.lab import Laboratory, Prober
         from modaltouch.rig import Scope
 
@@ -236,12 +235,12 @@ class SessionParts:
                 scope: Scope = stack.enter_context(self.simulator.scope())
                 yield Prober(Laboratory(apparatus, rig, scope, "simulated", simulator=self.simulator), expected)
             else:
-                # The vibrometer's spot stays where it is during a session: nobody is asked to aim.
+                # The vibrometer is not re-aimed during a session.
                 scope = stack.enter_context(Scope.open(apparatus))
                 yield Prober(Laboratory(apparatus, rig, scope, "real", settling_time=SETTLING_TIME), expected)
 
     def open_window(self, tick: Callable[[], Event | None], log: Callable[..., None]) -> AnswerWindow:
-        """Open the answer window, with a simulated participant if no person answers."""
+        """Open the answer window, with a simulated participant unless a person answers."""
         experiment, answerer = self.preflight.experiment, None if self.answers == "window" else self._answerer()
         if answerer is not None and self.answers == "simulated":
             return answerer.open(experiment.protocol.answers, tick=tick, log=log, clock=self.clock)
@@ -251,7 +250,7 @@ class SessionParts:
         )  # fmt: skip
 
     def open_markers(self) -> Markers | None:
-        """Open the stream of markers if the protocol wants it and time is real."""
+        """Open the marker stream if the protocol has one and the clock is real."""
         section = self.preflight.experiment.protocol.markers
         if section is None or not section.lsl or self.clock is not SYSTEM_CLOCK:
             return None
@@ -265,7 +264,7 @@ class SessionParts:
             raise InputError([self.preflight.findings.problem(("markers", "lsl"), given, allowed, remedy)]) from error
 
     def open_masking(self, log: Callable[..., None]) -> Masking:
-        """Open the masking noise if the protocol wants it; it is silent unless a person answers."""
+        """Open the masking noise if the protocol has it; it is silent unless a person answers."""
         experiment = self.preflight.experiment
         section = experiment.protocol.masking
         if section is None:
@@ -282,14 +281,14 @@ class SessionParts:
         return Answerer(person, self._felt, rng, section.offered, section.scale)
 
     def _felt(self, trial: Trial) -> tuple[float, ...]:
-        """Return the speeds that the fingers feel [m/s]: on the twin if there is one, otherwise as predicted."""
+        """Return the felt speeds, those of the twin if there is one, else as predicted [m/s]."""
         predicted = self.preflight.speeds(trial)
         peaks = predicted
         if self.simulator is not None:
             peaks = tuple(self.simulator.felt_velocity(trial.condition.zones).tolist())
         if self.observer.front_end == "peak" or trial.condition.is_catch:
             return peaks
-        # The twin gives only peaks; other front ends use the predicted history, scaled to the twin's peak.
+        # The twin only provides peaks; other front ends use the predicted history, scaled to the twin's peak.
         level = self.preflight.played(trial.condition, trial.condition.velocity_mm_s) * 1e-3
         sense = self._senses[self.preflight.design_of(trial.condition)]
         return tuple(
@@ -299,20 +298,20 @@ class SessionParts:
 
     @cached_property
     def _senses(self) -> dict[str, planning.FeltSpeeds]:
-        """Output of the observer's front end for the predicted velocities of each design."""
+        """Felt speeds of each design, from the observer's front end and the predicted velocities."""
         centres = {name: zone.centre_mm * 1e-3 for name, zone in self.preflight.experiment.apparatus.zones.items()}
         parts = self.preflight.designs.items()
         return {name: planning.FeltSpeeds(part.stimulus, centres, self.observer.front_end) for name, part in parts}
 
 
 def _usual(protocol: Protocol, answers: AnswersBy) -> Observer:
-    """Return the observer that is simulated by default; `Observer()` is the shipped `paper`."""
+    """Return the default observer; `Observer()` is the shipped `paper`."""
     name = Observer.usual_name(protocol)
     return Observer() if name == "paper" or answers == "window" else Observer.read(name)
 
 
 def mode_of(rig: str, answers: AnswersBy, *, pilot: bool) -> Literal["real", "pilot", "simulated"]:
-    """Return the mode of a session: ``simulated`` if rig or answers are."""
+    """Return the mode of a session, ``simulated`` if rig or answers are simulated."""
     if rig == SIMULATED or answers != "window":
         return "simulated"
     return "pilot" if pilot else "real"

@@ -1,15 +1,12 @@
-"""The experimenter's side of a session, while the window belongs to the participant.
+"""The experimenter's console: display of the session's state, and requests to the session.
 
-Here: what a console shows, and what can be requested at it. Beside it:
+``status``        state of the session from its events, as plain values with units
+``experimenter``  requests of the experimenter, kept until the session acts on them
+``consoles``      the session's side: live console in the terminal, plain lines without a terminal, JSON lines
+``__main__``      the terminal's side, a separate process that draws and reads keys (``drawing``, ``keyboard``)
 
-``status``        the session's events -> its state, as plain values with units
-``experimenter``  the experimenter's requests, kept until the session acts upon them
-``consoles``      the session's side: the console in the terminal, JSON lines, or plain lines if there is no terminal
-``__main__``      the terminal's side, a separate process: draws, and reads keys (``drawing``, ``keyboard``)
-
-Drawing and reading keys take place in a separate process. Drawing the terminal takes about ten milliseconds of
-Python; a thread would delay the window's polls by as much, and falsify reaction times. If either process is killed,
-the other one restores the terminal.
+Drawing and reading of keys run in a separate process: drawing takes about 10 ms of Python, and in a thread would delay
+the window's polls and bias reaction times. If either process is killed, the other restores the terminal.
 """
 
 from __future__ import annotations
@@ -23,7 +20,7 @@ Command = typing.Literal["pause", "go_on", "answer", "repeat", "note", "end_afte
 COMMANDS: tuple[Command, ...] = typing.get_args(Command)
 
 SessionState = dict[str, Any]
-"""State of a session: plain values, keys with units (`status.Status.facts`)."""
+"""State of a session as plain values, with units in the keys (`status.Status.facts`)."""
 
 
 AT_ONCE: dict[str, tuple[Command, str]] = {
@@ -34,10 +31,10 @@ AT_ONCE: dict[str, tuple[Command, str]] = {
     "enter": ("go_on", ""),
     "x": ("emergency_stop", "EMERGENCY STOP"),
 }
-"""Command that a key requests at once, and the text then shown."""
+"""Command requested by a key at once, and the text shown."""
 
 OWN_KEYS = frozenset({*AT_ONCE, "n", "q", "space", "escape"})
-"""Keys of the console itself, which never give an answer."""
+"""Keys reserved for the console, which never give an answer."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +44,12 @@ class Request:
     Attributes
     ----------
     command : str
-        ``pause`` (and go on), ``go_on`` (from a screen that waits), ``answer`` (for the participant), ``repeat`` (the
-        last answered trial once more), ``note``, ``end_after_block`` (and take it back), ``stop`` or
-        ``emergency_stop``.
+        ``pause`` (or continue), ``go_on`` (from a waiting screen), ``answer`` (for the participant), ``repeat`` (the
+        last answered trial), ``note``, ``end_after_block`` (or cancel that), ``stop`` or ``emergency_stop``.
     text : str
-        The note, or the key that answers.
+        The note, or the answering key.
     at : float
-        When the answering key was read, by `clock.SYSTEM_CLOCK` [s].
+        Time when the answering key was read, by `clock.SYSTEM_CLOCK` [s].
     """
 
     command: Command
@@ -62,17 +58,17 @@ class Request:
 
 
 class Console(AbstractContextManager["Console"]):
-    """Shows the state of a session and takes requests; nothing here may raise or wait. This one shows nothing."""
+    """Base class of consoles, which shows nothing; methods must not raise or block."""
 
     def show(self, facts: SessionState) -> None:
         """Show the state of the session."""
 
     def requests(self) -> list[Request]:
-        """Return what was asked for since the last call."""
+        """Return the requests since the last call."""
         return []
 
     def close(self) -> None:
-        """Show nothing more, and restore the terminal."""
+        """Stop showing, and restore the terminal."""
 
     def __exit__(self, *exc: object) -> None:
         self.close()

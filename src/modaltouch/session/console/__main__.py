@@ -1,8 +1,9 @@
-"""The console's own process: draws the state of the session, and sends what the experimenter types.
+"""Console process: draws the state of the session, and sends the experimenter's requests.
 
 ``python -m modaltouch.session.console KEYS SCREEN EMERGENCY`` takes the descriptors of the terminal's input and output
-and the names of the emergency keys. Facts come on standard input and requests go to standard output, one JSON object
-per line. The process ends when standard input does, so that the terminal is restored even if the session was killed.
+and the names of the emergency keys. States are read from standard input and requests written to standard output, one
+JSON object per line. The process ends with standard input, so that the terminal is restored even if the session is
+killed.
 """
 
 from __future__ import annotations
@@ -25,19 +26,19 @@ from modaltouch.session.console.keyboard import Dialogue, Keyboard, open_keyboar
 from modaltouch.system import SYSTEM_CLOCK
 
 _KEY_WAIT = 0.1
-"""Longest wait of the key reader for a key [s]."""
+"""Maximum wait for a key [s]."""
 _REFRESH = 1.0
-"""Interval at which the picture is redrawn, to update its times and cover other output to the terminal [s]."""
+"""Interval of redraws, which update times and cover other output to the terminal [s]."""
 
 
 News = queue.Queue[dict[str, Any] | None]
-"""Facts to be shown; empty after a key press; None at the end."""
+"""States to show; empty after a key press; None at the end."""
 
 
 def main() -> None:
-    """Show and ask until the session ends."""
+    """Run the console until the session ends."""
     keys, screen, emergency = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3].split(",")
-    # Ctrl-C goes to every process of the terminal; the session handles it, and then ends this process.
+    # Ctrl-C reaches every process of the terminal; the session handles it and then ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for name in ("SIGTERM", "SIGHUP"):
         if hasattr(signal, name):
@@ -47,14 +48,14 @@ def main() -> None:
     dialogue = Dialogue(emergency)
     threading.Thread(target=_listen, args=(news, dialogue), daemon=True).start()
     with open(target, "w", encoding="utf-8", closefd=sys.platform == "win32") as file, open_keyboard(keys) as keyboard:
-        # A thread of its own, so that no key waits for a picture.
+        # Read keys in a separate thread, so that they do not wait for drawing.
         threading.Thread(target=_read, args=(keyboard, dialogue, news), daemon=True).start()
         with suppress(OSError):  # the terminal is gone
             _show(news, file, dialogue)
 
 
 def _show(news: News, file: TextIO, dialogue: Dialogue) -> None:
-    """Draw whatever is new until the end."""
+    """Draw new states until the end."""
     console = Console(file=file, force_terminal=True)
     known, came = None, 0.0
     with Live(console=console, screen=True, auto_refresh=False, redirect_stdout=False, redirect_stderr=False) as live:
@@ -98,7 +99,7 @@ def _read(keyboard: Keyboard, dialogue: Dialogue, news: News) -> None:
 
 
 def _listen(news: News, dialogue: Dialogue) -> None:
-    """Take facts from standard input until it ends."""
+    """Read states from standard input until it ends."""
     try:
         for line in sys.stdin:
             facts = json.loads(line)

@@ -1,4 +1,4 @@
-"""Where a session shows its state: a picture in the terminal, plain lines, and JSON lines for other programs."""
+"""Consoles of a session: live display in the terminal, plain lines, and JSON lines for other programs."""
 
 from __future__ import annotations
 
@@ -22,48 +22,48 @@ from modaltouch.session.console.drawing import describe_last, describe_time
 from modaltouch.session.console.keyboard import restore_terminal, save_terminal
 
 _OPENING = b'{"time": "'
-"""How every line begins."""
+"""Beginning of each line."""
 LONGEST_LINE = 4096
-"""A pipe takes a line of this length whole or not at all (POSIX's PIPE_BUF on Linux) [bytes]."""
+"""Maximum length of a line that a pipe accepts atomically (POSIX PIPE_BUF on Linux) [bytes]."""
 _KEPT = 64
-"""Facts kept for a terminal that is blocked: each set is complete, so old ones are dropped."""
+"""Number of states kept for a blocked terminal; each is complete, so old ones are dropped."""
 _PATIENCE = 2.0
-"""Longest time the process may take to restore the terminal [s]."""
+"""Maximum time for the process to restore the terminal [s]."""
 _LEAVE_SCREEN = b"\x1b[?1049l\x1b[?25h"
 """Leaves the alternate screen and shows the cursor."""
 
 
 def open_console(events: Path | None, emergency_keys: Sequence[str], *, plain: bool) -> Console:
-    """Return the experimenter's console of one sitting, to be closed at its end.
+    """Open the experimenter's console for a sitting, to be closed by the caller.
 
     Parameters
     ----------
     events : Path or None
-        File or named pipe that takes the events as JSON lines.
+        File or named pipe for the events as JSON lines.
     emergency_keys : sequence of str
-        Names of the keys that stop everything at once.
+        Names of the emergency keys.
     plain : bool
-        Whether plain lines are shown even in a terminal.
+        Whether to show plain lines even in a terminal.
 
     Raises
     ------
     OSError
-        If the events cannot be written there.
+        If the events cannot be written.
     """
     consoles: list[Console] = [] if events is None else [EventLines(events)]
     shown: Console = PlainLines(sys.stderr)
     if _has_terminal() and not plain:
-        # If no process can be started, plain lines are shown.
+        # Fall back to plain lines if no process can be started.
         with contextlib.suppress(OSError):
             shown = TerminalConsole(sys.stdin.fileno(), sys.stderr.fileno(), emergency_keys, instead=shown)
     return Consoles([*consoles, shown])
 
 
 def _has_terminal() -> bool:
-    """Return whether somebody can type at this process and see what it draws."""
+    """Return whether the process has a terminal for both keys and display."""
     if not (sys.stdin.isatty() and sys.stderr.isatty()) or os.environ.get("TERM") == "dumb":
         return False
-    # A background job would be stopped as soon as it reads from the terminal.
+    # A background job would be stopped on reading from the terminal.
     return sys.platform == "win32" or os.tcgetpgrp(sys.stdin.fileno()) == os.getpgrp()
 
 
@@ -74,12 +74,12 @@ class Consoles(Console):
         self._consoles = consoles
 
     def show(self, facts: SessionState) -> None:
-        """Show it on all of them."""
+        """Show the state on all of them."""
         for console in self._consoles:
             console.show(facts)
 
     def requests(self) -> list[Request]:
-        """Return what was asked for at any of them."""
+        """Return the requests at any of them."""
         return [request for console in self._consoles for request in console.requests()]
 
     def close(self) -> None:
@@ -89,7 +89,7 @@ class Consoles(Console):
 
 
 class PlainLines(Console):
-    """One line for each answer, pause, break, warning and error."""
+    """Console that prints one line for each answer, pause, break, warning and error."""
 
     def __init__(self, file: TextIO) -> None:
         self._file = file
@@ -98,7 +98,7 @@ class PlainLines(Console):
         self._last_line: int | None = None
 
     def show(self, facts: SessionState) -> None:
-        """Write what is new."""
+        """Print what is new."""
         last = facts["last"]
         if facts["event"] in ("answered", "trial") and last["line"] != self._last_line:
             self._last_line = last["line"]
@@ -108,7 +108,7 @@ class PlainLines(Console):
             words = {"pause": "paused", "focus_lost": "paused: focus lost", "rest": "break", "continued": "continued"}
             self._write(words.get(facts["event"], f"ended: {facts['stopped_by']}"))
         for warning in facts["warnings"]:
-            # A warning's count rises from trial to trial; it is printed once.
+            # Print a warning once, although its count rises from trial to trial.
             if warning.split(" ", 1)[-1][:12] not in self._warned:
                 self._warned.add(warning.split(" ", 1)[-1][:12])
                 self._write(f"warning: {warning}")
@@ -117,17 +117,17 @@ class PlainLines(Console):
             self._write(f"generator: {self._error}")
 
     def _write(self, line: str) -> None:
-        # The terminal may be gone; the session goes on.
+        # The session continues even if the terminal is gone.
         with contextlib.suppress(OSError, ValueError):
             self._file.write(line + "\n")
             self._file.flush()
 
 
 class EventLines(Console):
-    """The facts as JSON lines in a file or a named pipe, without ever waiting for a reader.
+    """Console that writes the state as JSON lines to a file or named pipe, without blocking.
 
-    Each line is complete, so one that a full pipe does not take is dropped; the next one written gives the number
-    dropped, as ``n_dropped``.
+    A line that a full pipe does not accept is dropped, and the next one written gives the number of dropped lines as
+    ``n_dropped``.
     """
 
     def __init__(self, path: Path) -> None:
@@ -139,7 +139,7 @@ class EventLines(Console):
         self._open()
 
     def show(self, facts: SessionState) -> None:
-        """Write a line, if it is taken at once."""
+        """Write a line if it is accepted at once."""
         try:
             if self._descriptor < 0:
                 self._open()
@@ -150,7 +150,7 @@ class EventLines(Console):
         except BlockingIOError:
             pass
         except OSError:
-            self.close()  # the reader has gone, and another may come; or the disk is full
+            self.close()  # the reader has gone and may return, or the disk is full
         self._n_dropped += 1
 
     def close(self) -> None:
@@ -166,7 +166,7 @@ class EventLines(Console):
         except OSError as error:
             if error.errno != errno.ENXIO or not stat.S_ISFIFO(self._path.stat().st_mode):
                 raise
-            # A pipe that nobody reads yet.
+            # A pipe without a reader yet.
 
     def _line(self, facts: SessionState) -> bytes:
         time = datetime.now(UTC).isoformat(timespec="milliseconds")
@@ -180,7 +180,7 @@ class EventLines(Console):
 
 
 class TerminalConsole(Console):
-    """A live picture in the terminal, and its keys."""
+    """Live display in the terminal, with its keys."""
 
     def __init__(
         self,
@@ -194,7 +194,7 @@ class TerminalConsole(Console):
         self._terminal = keys
         self._screen = screen
         self._before = save_terminal(keys)
-        # Descriptors of their own: the process's standard input and output are the pipes.
+        # Pass separate descriptors, since the process's standard input and output are pipes.
         passed = () if sys.platform == "win32" else (os.dup(keys), os.dup(screen))
         words = [str(number) for number in passed or (keys, screen)]
         self._process = subprocess.Popen(
@@ -215,7 +215,7 @@ class TerminalConsole(Console):
             thread.start()
 
     def show(self, facts: SessionState) -> None:
-        """Show the state of the session, without waiting for a terminal that has stopped."""
+        """Show the state of the session, without waiting for a stopped terminal."""
         if self._process.poll() is not None:
             self._give_back()
             self._instead.show(facts)
@@ -224,11 +224,11 @@ class TerminalConsole(Console):
         self._wake.put(True)
 
     def requests(self) -> list[Request]:
-        """Return what was typed since the last call."""
+        """Return the requests typed since the last call."""
         return [self._asked.popleft() for _ in range(len(self._asked))]
 
     def close(self) -> None:
-        """End the process, and restore the terminal if the process could not."""
+        """End the process, and restore the terminal if the process did not."""
         self._wake.put(False)
         try:
             self._process.wait(_PATIENCE)
@@ -242,7 +242,7 @@ class TerminalConsole(Console):
             self._process.stdout.close()
 
     def _give_back(self) -> None:
-        """Restore the terminal, whether or not the process could."""
+        """Restore the terminal, whether or not the process did."""
         if self._is_given_back:
             return
         self._is_given_back = True
@@ -252,7 +252,7 @@ class TerminalConsole(Console):
         restore_terminal(self._terminal, self._before)
 
     def _send(self) -> None:
-        """Write facts to the process until the end."""
+        """Write states to the process until the end."""
         pipe = cast("IO[bytes]", self._process.stdin)
         with contextlib.suppress(OSError, ValueError):
             while self._wake.get():
@@ -263,7 +263,7 @@ class TerminalConsole(Console):
             pipe.close()
 
     def _hear(self) -> None:
-        """Keep the requests that the process sends."""
+        """Store the requests sent by the process."""
         pipe = cast("IO[bytes]", self._process.stdout)
         with contextlib.suppress(OSError, ValueError):
             for line in pipe:

@@ -1,4 +1,4 @@
-"""The state of a session, drawn for a terminal of any size from 40 by 12 characters; readable without colour."""
+"""Display of a session's state for terminals of at least 40 by 12 characters; readable without colour."""
 
 from __future__ import annotations
 
@@ -20,36 +20,36 @@ STATES = {
 }
 HELP = ("p pause", "space go on", "r repeat", "n note", "b end after block", "q stop")
 _EFFECT = ": outputs off at once"
-"""Effect of the emergency stop, shown if it fits in the line."""
+"""Effect of the emergency stop, shown on wide terminals."""
 
 _WIDE = 60
-"""Least number of columns in which it does."""
+"""Minimum number of columns for the effect of the emergency stop."""
 
 _ARROWS = {name: f"{name} arrow" for name in ("left", "right", "up", "down")}
 _BAR = 40
-"""Greatest width of the progress bar [characters]."""
+"""Maximum width of the progress bar [characters]."""
 _NAMES = 14
 """Width of the column of names [characters]."""
 _BY_ANSWER = ("answer by", "answers")
-"""Rows that grow with the list of answers, all of which must be shown."""
+"""Rows that list all answers and must be shown in full."""
 _MOST_WARNINGS = 4
 
 
 def draw_session(
     facts: SessionState, prompt: str, *, width: int, height: int = 24, since_s: float = 0.0, emergency: str = "f12"
 ) -> RenderableType:
-    """Return the console's picture.
+    """Render the state of a session for the console.
 
     Parameters
     ----------
     facts : dict
         State of the session (`status.Status.facts`).
     prompt : str
-        The line that asks the experimenter something, or echoes a key.
+        Line that prompts the experimenter or echoes a key.
     width, height : int
         Size of the terminal [characters].
     since_s : float
-        Age of the facts, by which the times shown are advanced [s].
+        Age of the state, by which displayed times are advanced [s].
     emergency : str
         Name of the emergency key.
     """
@@ -65,7 +65,7 @@ def draw_session(
         describe_trial(facts["trial"]),
         _describe_generator(facts),
     )
-    # The most important rows come first: a terminal with few lines leaves out the last ones.
+    # The most important rows come first, since short terminals leave out the last ones.
     rows = [
         ("state", f"{state}{_describe_cause(facts)}"),
         *([("answer by", _describe_question(facts["question"]))] if facts["question"] is not None else []),
@@ -80,7 +80,7 @@ def draw_session(
         ("answers", ", ".join(f"{answer} {count}" for answer, count in sorted(facts["answers"].items())) or "-"),
         generator,
     ]
-    # Two rules, a line for the cursor, and the warnings: only the first in a terminal with few lines.
+    # Besides the table: two rules, a line for the cursor, and the warnings (only the first on short terminals).
     room = height - 3 - len(foot)
     warnings = _describe_warnings(facts["warnings"][: _MOST_WARNINGS if height >= 24 else 1], width)
     table = [line for name, words in rows for line in _draw_row(name, words, width)][: max(room - len(warnings), 1)]
@@ -104,7 +104,7 @@ def _wrap(words: str, width: int, style: str) -> list[Text]:
 
 
 def describe_progress(facts: SessionState, since_s: float = 0.0, width: int = 80) -> str:
-    """Return the progress bar, if it fits a width [characters], the count, and the time left."""
+    """Return the progress bar (if it fits the width [characters]), the count, and the time left."""
     done, total = facts["n_answered"], max(facts["n_trials"], 1)
     ticking = since_s if facts["state"] != "ended" else 0.0
     left = max(facts["time_left_s"] - (ticking if facts["state"] == "trial" else 0.0), 0.0)
@@ -115,12 +115,12 @@ def describe_progress(facts: SessionState, since_s: float = 0.0, width: int = 80
 
 
 def describe_time(seconds: float) -> str:
-    """Return a time in seconds below 90 s, in minutes above."""
+    """Format a time, in seconds below 90 s and in minutes above."""
     return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
 
 
 def describe_trial(trial: dict[str, Any] | None) -> list[tuple[str, str]]:
-    """Return what is presented, in three rows."""
+    """Return three rows that describe a trial."""
     if trial is None:
         return [("trial", "-"), ("fingers", "-"), ("predicted", "-")]
     number = f"practice {trial['number']}" if trial["practice"] else f"{trial['number']}, block {trial['block']}"
@@ -139,7 +139,7 @@ def describe_trial(trial: dict[str, Any] | None) -> list[tuple[str, str]]:
 
 
 def describe_last(last: dict[str, Any] | None) -> str:
-    """Return the last answer in words."""
+    """Return the text for the last answer."""
     if last is None:
         return "-"
     kind = "practice" if last["practice"] else "trial"
@@ -148,7 +148,7 @@ def describe_last(last: dict[str, Any] | None) -> str:
 
 
 def _describe_cause(facts: SessionState) -> str:
-    """Return why a session is paused or has ended, after its state."""
+    """Return the suffix of the state: why a session is paused or ended, or the interval being played."""
     if facts["state"] == "paused" and facts["paused_by"] == "lost focus":
         return ": the window lost the keyboard; click into it"
     if facts["state"] == "paused":
@@ -172,7 +172,7 @@ def _describe_generator(facts: SessionState) -> list[tuple[str, str]]:
 
 
 def _describe_question(question: dict[str, Any]) -> str:
-    """Return the console keys of each answer, while a trial is on."""
+    """Return the console keys of each answer while a trial is on."""
     if not question["open"]:
         return "-"
     named = {

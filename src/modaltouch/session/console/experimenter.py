@@ -1,4 +1,4 @@
-"""The experimenter's requests, kept until the session acts upon them."""
+"""Requests of the experimenter, kept until the session acts on them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class Experimenter:
-    """Shows the session's events to the experimenter, and passes the experimenter's requests to the session.
+    """Link between session and console: forwards events to the console and requests to the session.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ class Experimenter:
     record : callable, optional
         Writes requests to the record, as ``record(event, **facts)``.
     status : Status, optional
-        State of the session; by default a new one, unless the console shows nothing.
+        State of the session; created by default if there is a console.
     seconds_per_trial : float
         Approximate duration of a trial, used if no status is given [s].
     """
@@ -48,11 +48,11 @@ class Experimenter:
         """Whether the session ends before the next block."""
 
     def tell(self, event: dict[str, Any], *, replayed: bool = False) -> None:
-        """Take in an event, from the record (replayed or new) or outside it, and show what it changed."""
+        """Process an event, recorded (new or replayed) or not, and show the changes."""
         if event["event"] in ("answered", "trial"):
             self._last = event
             if self._repeats is not None and self._repeats["n"] == event.get("answered"):
-                # Requested between the lines `answered` and `trial` of one presentation: this is the line that counts.
+                # The request came between the lines `answered` and `trial` of one presentation, and the latter counts.
                 self._repeats = event
         elif event["event"] == "withdrawn" and self._last is not None and self._last["n"] in event["lines"]:
             self._last = None
@@ -62,12 +62,12 @@ class Experimenter:
             self._leave_practice()
 
     def attend(self) -> Event | None:
-        """Take in requests, and return what they ask of the window; cheap, called about every millisecond.
+        """Process requests, and return the resulting event for the window; called about every millisecond.
 
         Raises
         ------
         SessionStopped
-            If the session is to end now.
+            If a request ends the session.
         """
         asked: Event | None = None
         status = self._status
@@ -75,10 +75,10 @@ class Experimenter:
             return None
         for request in self._console.requests():
             if request.command == "emergency_stop":
-                # Nothing is written before the outputs are off; the stop record will say why.
+                # Write nothing before the outputs are off; the stop record gives the reason.
                 raise SessionStopped("emergency stop")
             if request.command == "answer":
-                # The answer's own line records it; nothing is written while a question is open.
+                # The answer has its own line; write nothing while a question is open.
                 answer = status.answer_by(request.text)
                 asked = asked if answer is None else Event(request.at, "answer", request.text, answer=answer)
                 continue
@@ -106,7 +106,7 @@ class Experimenter:
         return repeats
 
     def _leave_practice(self) -> None:
-        """Make practice trials unrepeatable: their round is judged, or the trials that count have begun."""
+        """Disallow repeats of practice trials, once their round is judged or the main trials have begun."""
         if self._last is not None and self._last["trial"]["practice"]:
             self._last = None
         if self._repeats is not None and self._repeats["trial"]["practice"]:

@@ -1,8 +1,8 @@
-"""Single keys from a terminal, without Enter and without echo, and what the experimenter means by them.
+"""Single key presses from a terminal, without Enter and echo, and their interpretation as requests.
 
-Most keys act at once; a note is typed out, and stopping asks for confirmation. If the experimenter gives the answers,
-their keys are typed here too while a trial is on. The console's own keys keep their meaning then: `x` must be the
-emergency stop at every moment.
+Most keys act at once; a note is typed as text, and stopping requires confirmation. If the experimenter enters the
+answers, their keys work here too while a trial is on. The console's keys keep their meaning then: `x` is always the
+emergency stop.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ _NAMED_KEYS = {
         f"\x1b[{code}~": f"f{number}" for number, code in enumerate((11, 12, 13, 14, 15, 17, 18, 19, 20, 21, 23, 24), 1)
     },
 }
-"""What terminals send for arrows and function keys (xterm and VT220)."""
+"""Sequences of terminals for arrow and function keys (xterm and VT220)."""
 _WINDOWS_KEYS = {
     **dict(zip("HPMK", _ARROWS, strict=True)),
     **{chr(58 + number): f"f{number}" for number in range(1, 11)},
     "\x85": "f11",
     "\x86": "f12",
 }
-"""What follows NUL or 0xE0 on the Windows console for arrows and function keys."""
+"""Codes after NUL or 0xE0 on the Windows console for arrow and function keys."""
 _NAMES = {"\r": "enter", "\n": "enter", "\x7f": "backspace", "\b": "backspace", "\x1b": "escape"}
 _KEY = re.compile(r"\x1b[\[O][^@-~]*[@-~]?|.", re.DOTALL)
-"""What a key sends: a sequence or a character."""
+"""Input of a key: an escape sequence or a character."""
 _SEQUENCE_PAUSE = 0.05
-"""The rest of a key's sequence comes within this time; otherwise the key is Escape itself [s]."""
+"""Maximum time to the rest of an escape sequence; otherwise the key is Escape itself [s]."""
 
 
 @contextmanager
 def open_keyboard(descriptor: int) -> Iterator[Keyboard]:
-    """Yield a keyboard that reads single keys from a terminal until the end of the context.
+    """Yield a keyboard that reads single keys from a terminal within the context.
 
-    Ctrl-C stays a signal. Keys that would halt the session during a stimulus (Ctrl-Z, Ctrl-S) do not.
+    Ctrl-C remains a signal, but Ctrl-Z and Ctrl-S do not stop the session.
 
     Parameters
     ----------
     descriptor : int
-        File descriptor of the terminal; ignored on Windows, where the process's console is read.
+        File descriptor of the terminal; ignored on Windows, which uses the process's console.
     """
     if sys.platform == "win32":
         yield WindowsKeyboard()
@@ -65,7 +65,7 @@ def open_keyboard(descriptor: int) -> Iterator[Keyboard]:
 
 
 def save_terminal(descriptor: int) -> list[Any] | None:
-    """Return the settings of a terminal; None if it has none."""
+    """Return the settings of a terminal; None if not available."""
     if sys.platform == "win32":
         return None
     import termios
@@ -82,7 +82,7 @@ def restore_terminal(descriptor: int, before: list[Any] | None) -> None:
         return
     import termios
 
-    # TCSANOW: waiting for output to drain would block for ever on a stopped terminal.
+    # TCSANOW: waiting for output to drain would block forever on a stopped terminal.
     with suppress(termios.error):
         termios.tcsetattr(descriptor, termios.TCSANOW, before)
 
@@ -100,14 +100,14 @@ def _take_single_keys(descriptor: int) -> None:
 
 
 class UnixKeyboard:
-    """Keys of a Unix terminal."""
+    """Keyboard of a Unix terminal."""
 
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
         self._decode = codecs.getincrementaldecoder("utf-8")(errors="replace").decode
 
     def read(self, patience: float) -> list[str]:
-        """Return the keys that come within some time [s]; empty if none does.
+        """Return the keys pressed within `patience` [s]; empty if none.
 
         Raises
         ------
@@ -117,7 +117,7 @@ class UnixKeyboard:
         if not select.select([self._descriptor], [], [], patience)[0]:
             return []
         text = self._receive()
-        # Over a slow line a sequence may come in pieces.
+        # On a slow line, a sequence may arrive in pieces.
         while (
             text.endswith(("\x1b", "\x1b[", "\x1bO")) and select.select([self._descriptor], [], [], _SEQUENCE_PAUSE)[0]
         ):
@@ -135,10 +135,10 @@ class UnixKeyboard:
 
 
 class WindowsKeyboard:
-    """Keys of the console of a Windows process."""
+    """Keyboard of a Windows console."""
 
     def read(self, patience: float) -> list[str]:
-        """Return the keys that come within some time [s]; empty if none does."""
+        """Return the keys pressed within `patience` [s]; empty if none."""
         import msvcrt
 
         keys: list[str] = []
@@ -156,11 +156,11 @@ class WindowsKeyboard:
 
 
 Keyboard = UnixKeyboard | WindowsKeyboard
-"""Gives keys: a printable character as itself, others by name (`enter`, `backspace`, `escape`, `left`, `f12`)."""
+"""Source of keys: printable characters, and names of others (`enter`, `backspace`, `escape`, `left`, `f12`)."""
 
 
 def split_keys(text: str) -> list[str]:
-    r"""Return the keys that a terminal's characters stand for; unknown sequences are left out.
+    r"""Decode the characters sent by a terminal into keys; unknown sequences are dropped.
 
     Examples
     --------
@@ -173,16 +173,16 @@ def split_keys(text: str) -> list[str]:
 
 
 LONGEST_NOTE = 500
-"""Longest note [characters]."""
+"""Maximum length of a note [characters]."""
 
 
 class Dialogue:
-    """Turns keys into requests.
+    """Interpretation of keys as requests.
 
     Parameters
     ----------
     emergency : sequence of str
-        Names of keys that stop everything at once, even while a note is typed; the first is shown.
+        Names of the emergency keys, which act even while a note is typed; the first is shown.
     """
 
     def __init__(self, emergency: Sequence[str] = ("f12",)) -> None:
@@ -193,21 +193,21 @@ class Dialogue:
         self._answers: dict[str, str] = {}
         self._is_open = False
         self.prompt = ""
-        """Line that shows what was requested, or is being typed."""
+        """Line with the last request or the text being typed."""
 
     def hear(self, facts: SessionState) -> None:
-        """Take in the state of the session: which keys answer, and whether a question is open."""
+        """Update the keys of answers, and whether a question is open, from the state of the session."""
         question = facts.get("question") or {"open": False, "keys": {}}
         self._answers = {key: answer for answer, keys in question["keys"].items() for key in keys}
         self._is_open = question["open"]
 
     def press(self, key: str) -> Request | None:
-        """Take in a key and return what it asks for, if anything.
+        """Process a key and return the resulting request, if any.
 
         Parameters
         ----------
         key : str
-            As `Keyboard` names it.
+            Name of the key, as from `Keyboard`.
         """
         if key in self._emergency:
             return self._ask("emergency_stop", "EMERGENCY STOP")
@@ -247,7 +247,7 @@ class Dialogue:
         elif len(key) == 1:
             note = (note + key)[:LONGEST_NOTE]
         self._note = note
-        # The end of a long note stays in sight.
+        # Keep the end of a long note visible.
         full = f", full at {LONGEST_NOTE} characters" if len(note) == LONGEST_NOTE else ""
         self.prompt = f"note (Enter keeps it, Escape drops it{full}): {note[-34:]}_"
         return None

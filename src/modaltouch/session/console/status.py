@@ -1,4 +1,4 @@
-"""The session's events -> its state, as plain values with units."""
+"""State of a session derived from its events, as plain values with units."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from modaltouch.protocol import AnswerList, AnswersSection
 from modaltouch.session.console import OWN_KEYS, SessionState
 
 HASTY = 0.1
-"""Nobody feels, decides and presses within this time: such an answer was ready before its question [s]."""
+"""Time too short for a reaction; a faster answer was prepared before its question [s]."""
 
 
 def read_signs(trials: Sequence[dict[str, Any]], nothing: str | None = None) -> list[str]:
-    """Return warnings about the answers, in words; empty if there are none."""
+    """Return warnings about the answers; empty if there are none."""
     hasty = [event["trial"]["index"] for event in trials if is_hasty(event)]
     caught = [event for event in trials if nothing is not None and event["trial"]["condition"]["velocity_mm_s"] == 0]
     missed = [event["trial"]["index"] for event in caught if event["response"]["answer"] != nothing]
@@ -31,7 +31,7 @@ def read_signs(trials: Sequence[dict[str, Any]], nothing: str | None = None) -> 
 
 
 def is_hasty(event: dict[str, Any]) -> bool:
-    """Return whether a trial was answered before anybody could have felt and decided."""
+    """Return whether a trial was answered faster than a reaction is possible."""
     response = event["response"]
     since = response["reaction_time"]
     if response.get("onset") == "first_burst" and response.get("question_after") is not None:
@@ -44,14 +44,13 @@ def _times(count: int) -> str:
 
 
 def typed_keys(keys: Mapping[str, Sequence[str]], answers: Sequence[str] | None) -> dict[str, list[str]]:
-    """Return the console keys of each of the `answers`, given in their order on the screen; the protocol's keys first.
+    """Return the console keys of each answer in `answers`, in the order on the screen, the protocol's keys first.
 
-    For a scale (`answers` is None), return the keys of its actions, except confirmation: that is going on at the
-    console.
+    For a scale (`answers` is None), return the keys of its actions except confirmation, which is a key of the console.
 
-    An answer never gets one of the console's own keys. A terminal sends the keypad's digits like any others. Each
-    answer also gets the number of its place on the screen, unless that is a key of another answer; one that would be
-    left without a key gets the first free digit, or else letter.
+    Reserved keys of the console are never assigned. A terminal does not distinguish the digits of the keypad. Each
+    answer also gets the number of its position on the screen, unless that is a key of another answer; an answer without
+    any key gets the first free digit or letter.
 
     Examples
     --------
@@ -87,15 +86,15 @@ TROUBLES = frozenset(
         "probe_refused",
     }
 )
-"""Events of the rig that an experimenter should know about."""
+"""Events of the rig shown to the experimenter."""
 _QUIET = frozenset({"rig", "exchange", "discarded", "ignored"})
-"""Events that change nothing an experimenter looks at."""
+"""Events that do not change the display."""
 _LONGEST = 300.0
-"""A trial that took longer than this included a break, and says nothing about the next [s]."""
+"""Duration above which a trial included a break and is not used to estimate the pace [s]."""
 
 
 class Status:
-    """State of a session, kept up to date by its events.
+    """State of a session, updated by its events.
 
     Parameters
     ----------
@@ -141,14 +140,14 @@ class Status:
         self._unmasked = ""
 
     def take(self, event: dict[str, Any], *, replayed: bool = False) -> bool:
-        """Take in an event, from the record or outside it, and return whether it changed what is shown.
+        """Process an event, recorded or not, and return whether the display changes.
 
         Parameters
         ----------
         event : dict
-            Its name under ``event``, and the number of its line under ``n`` if it is in the record.
+            Event with its name under ``event``, and its line number under ``n`` if recorded.
         replayed : bool
-            Whether it is from an earlier sitting, read again as the session is resumed.
+            Whether it is replayed from an earlier sitting.
         """
         name = str(event["event"])
         react = getattr(self, f"_on_{name}", None)
@@ -163,21 +162,21 @@ class Status:
         return True
 
     def answer_by(self, key: str) -> str | None:
-        """Return the answer that a key of the console gives now, if any."""
+        """Return the answer currently given by a key of the console, if any."""
         question = self._facts["question"]
         keys = question["keys"].items() if question is not None and question["open"] else ()
         return next((answer for answer, named in keys if key in named), None)
 
     @property
     def paused(self) -> bool:
-        """Whether the session waits for somebody to go on."""
+        """Whether the session is paused."""
         return bool(self._facts["state"] == "paused")
 
     def facts(self) -> SessionState:
         """Return the state of the session."""
         answers = Counter(str(event["response"]["answer"]) for event in self._trials.values())
         left = max(self._total - len(self._trials), 0)
-        # The median of the last 20 trials, once three have been timed.
+        # Use the median of the last 20 trials once three have been timed.
         pace = statistics.median(self._durations[-20:]) if len(self._durations) >= 3 else self._guess
         return {
             **self._facts,
@@ -212,11 +211,11 @@ class Status:
         self._facts |= {"state": "waiting", "paused_by": "", "stopped_by": ""}
         self._answered_at = None
         self._ask(on=False)
-        # An answer whose stimulus was never confirmed is asked for again.
+        # Trials whose stimulus was not confirmed are repeated.
         self._trials = {index: event for index, event in self._trials.items() if event["event"] == "trial"}
 
     def _ask(self, *, on: bool) -> None:
-        """Start or stop taking answers at the console."""
+        """Enable or disable answers at the console."""
         self._facts["too_early"] = ""
         if self._facts["question"] is not None:
             self._facts["question"] = {"keys": self._keys, "open": on}
@@ -231,7 +230,7 @@ class Status:
         self._facts |= {"state": "waiting", "trial": event["trial"], "nothing_to_repeat": False}
 
     def _on_question_next(self, event: dict[str, Any]) -> None:
-        """Take the answer to a further question at the console."""
+        """Enable the answers to a further question at the console."""
         keys = event["keys"]
         self._facts["question"] = {"open": True, "keys": typed_keys(keys, None if event["rates"] else tuple(keys))}
 
@@ -244,7 +243,7 @@ class Status:
         self._facts["generator"] |= {
             "outputs": "on",
             "amplitude_Vpp": list(firing["commanded_amplitude"]),
-            # At its beginning a stimulus is not confirmed yet, which is no fault unless there is a reason.
+            # A stimulus is not yet confirmed at its beginning, which is a fault only if a reason is given.
             "confirmed": firing["confirmed"] or (False if firing.get("reason") else None),
         }
 
@@ -262,7 +261,7 @@ class Status:
         if firing.get("stalled"):
             said = f"trial {index}: the computer was held up, and the stimulus comes again"
             self._facts["generator"]["last_error"] = said
-        # From format 2 of the record on, the line `answered` has given the answer already.
+        # Since log format 2, the answer is already known from the line `answered`.
         if event.get("answered") is None:
             self._on_answered(event)
         if not event["trial"]["practice"]:
@@ -299,7 +298,7 @@ class Status:
 
     def _on_pause(self, event: dict[str, Any]) -> None:
         self._on_trial_cut(event)
-        # A pause within a break leads back to it.
+        # A pause during a break returns to the break.
         self._held = "break" if self._facts["state"] == "break" else "waiting"
         self._facts |= {"state": "paused", "paused_by": str(event.get("by", "participant"))}
         self._answered_at = None
@@ -327,7 +326,7 @@ class Status:
 
 
 def _words(name: str, event: dict[str, Any]) -> str:
-    """Return a problem of the rig in words."""
+    """Return the text for a fault of the rig."""
     errors = event.get("errors")
     said = (
         ", ".join(map(str, errors)) if errors else event.get("reason") or event.get("confirmed", {}).get("reason", "")
